@@ -139,7 +139,7 @@ def measured(scene: str, name: str, configfile: str) -> dict:
     if done.returncode:
         why = refused + done.stderr.split(refused, 1)[1].splitlines()[0]
         return {"scene": scene, "format": name, "not_made": why}
-    flow = Workflow({**load_yaml(Path(configfile)), "exports": {scene: [name]}}, only=scene, file=configfile)
+    flow = Workflow({**load_yaml(Path(configfile)), "exports": {scene: [name]}}, only=[scene], file=configfile)
     stage = next(each for each in flow.plans[scene].stages if each.endswith("export"))
     folder = Path(flow.artifact(scene, stage)).parent
     facts = json.loads((folder / "run.json").read_text())
@@ -203,7 +203,7 @@ def scene_names(configuration: Path) -> list[str]:
 
 def formats_of(scene: str, configfile: str) -> list[str]:
     """Formats that the scene's stage of export has, in the order of its declaration."""
-    geometry = Workflow(load_yaml(Path(configfile)), only=scene, file=configfile).plans[scene].facts.geometry
+    geometry = Workflow(load_yaml(Path(configfile)), only=[scene], file=configfile).plans[scene].facts.geometry
     (stage,) = (each for each in chain_of(geometry).values() if each.asked_as == "export")
     (of_one, _) = get_args(stage.settings.model_fields["formats"].annotation)
     return list(get_args(of_one))

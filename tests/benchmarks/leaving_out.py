@@ -184,7 +184,7 @@ def packages(repeats: int) -> None:
         found = measured("" if name == "numpy" else "import numpy", code, repeats)
         extra = EXTRAS.get(name, "")
         print(json.dumps({"package": name, "extra": extra, **found, "installed_mb": installed_mb(name)}))
-    for name, module in (("nishiki --version", "nishiki.cli"), ("nishiki plan", "nishiki.commands.planning")):
+    for name, module in (("nishiki --version", "nishiki.cli"), ("nishiki plan", "nishiki.commands.inspecting")):
         print(json.dumps({"command": name, **measured("", f"import {module}", repeats)}))
 
 

@@ -11,7 +11,7 @@ from crates import ABOUT, audit, packed, scene_to_pack
 from nishiki.archive.crate_names import MANIFEST, manifest_text, parse_manifest_text
 from nishiki.archive.pack import PackedScene, write_zip
 from nishiki.artifacts.provenance import file_digest
-from nishiki.commands.packing import expect_outside
+from nishiki.commands.archiving import expect_outside
 from nishiki.errors import UserError
 
 

@@ -14,7 +14,7 @@ from nishiki.archive.prune import decide
 from nishiki.archive.removal import remove
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.cli import main
-from nishiki.commands import pruning as command
+from nishiki.commands import archiving as command
 from nishiki.processes import host, identity
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow/src"
@@ -253,7 +253,7 @@ def test_killed_in_the_middle_every_artifact_is_whole_or_gone(results, steps):
 
 
 def told(monkeypatch, capsys, results, planned, *arguments, sweeps=()):
-    monkeypatch.setattr(command, "_referenced", lambda options: [(results, set(planned), set(sweeps))])
+    monkeypatch.setattr(command, "_referenced", lambda *given: [(results, set(planned), set(sweeps))])
     with pytest.raises(SystemExit) as ended:
         main(["prune", *arguments])
     output = capsys.readouterr()

@@ -55,7 +55,7 @@ def test_mistakes_in_settings_name_the_file_that_was_given(capsys, project, text
 def test_a_table_without_scenes_is_reported(capsys, project):
     assert said(capsys, "plan", "--configfile", "mine.yaml") == (
         2,
-        "nishiki plan: table.tsv: no scene in the table. Remedy: add a row: name, capture folder\n",
+        "nishiki plan: table.tsv: no scene in the table. Remedy: ./nishiki run PHOTOGRAPHS/ adds one\n",
     )
     (project / "table.tsv").write_text("scene\tcapture\na\tb\t\nc\td\te\tf\n")
     assert (
@@ -84,7 +84,7 @@ def three_scenes(project, monkeypatch):
         return PLANE
 
     monkeypatch.setattr("nishiki.engine.workflow.remembered_facts", facts)
-    monkeypatch.setattr("nishiki.commands.planning.expect_packages", lambda flow: None)
+    monkeypatch.setattr("nishiki.commands.inspecting.expect_packages", lambda flow: None)
     rows = "".join(f"{name}\tcaptures/{name}\tnormals\n" for name in ("jar", "wing", "bowl"))
     (project / "table.tsv").write_text("scene\tcapture\tproducts\n" + rows)
     return project
@@ -133,19 +133,19 @@ def test_verify_without_anything_to_verify_is_no_success(capsys, project):
 
 
 def test_files_that_the_system_refuses_are_told_in_one_line(capsys, project, monkeypatch):
-    def refuse(options, rest):
+    def refuse():
         raise PermissionError(13, "Permission denied", "/nowhere/x\n")
 
-    monkeypatch.setattr("nishiki.commands.inspecting.schema", refuse)
+    monkeypatch.setattr("nishiki.engine.project.Configuration.model_json_schema", refuse)
     told = "nishiki schema: Permission denied (/nowhere/x\\n). Remedy: check its permissions and run again\n"
     assert said(capsys, "schema") == (2, told)
 
 
 def test_an_interrupt_is_told_in_one_line(capsys, monkeypatch):
-    def interrupt(options, rest):
+    def interrupt():
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("nishiki.commands.inspecting.schema", interrupt)
+    monkeypatch.setattr("nishiki.engine.project.Configuration.model_json_schema", interrupt)
     assert said(capsys, "schema") == (130, "nishiki schema: interrupted\n")
 
 
@@ -164,9 +164,9 @@ SIDE_BY_SIDE = ("--dist", "loadfile", "--no-loadscope-reorder")
 )
 def test_the_tier_and_all_other_arguments_reach_pytest(monkeypatch, words, passed_on):
     commands = []
-    monkeypatch.setattr("nishiki.commands.running.install_for_meshlab", lambda: None)
+    monkeypatch.setattr("nishiki.commands.maintaining.install_for_meshlab", lambda: None)
     monkeypatch.setattr(
-        "nishiki.commands.running.subprocess.run",
+        "nishiki.commands.maintaining.subprocess.run",
         lambda command, **_: commands.append(command) or SimpleNamespace(returncode=3),
     )
     with pytest.raises(SystemExit) as left:
@@ -175,7 +175,10 @@ def test_the_tier_and_all_other_arguments_reach_pytest(monkeypatch, words, passe
     assert [word for word in commands[0][1:] if not word.isdigit()] == ["-m", "pytest", *passed_on]
 
 
-def test_one_tier_at_a_time(capsys):
-    status, told = said(capsys, "test", "--quick", "--long")
+@pytest.mark.parametrize(
+    "words", [("test", "--quick", "--long"), ("demo", "--object", "--cloth"), ("runn",), ("check", "--quik", "x")]
+)
+def test_arguments_that_mean_nothing_are_refused_and_name_the_help(capsys, words):
+    status, told = said(capsys, *words)
     assert status == 2
-    assert "not allowed with argument" in told
+    assert "--help" in told

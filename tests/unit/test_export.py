@@ -26,8 +26,8 @@ from small_painting import (
     shaded,
 )
 
-from nishiki.cli import FORMATS
 from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab, xyz_to_srgb_linear
+from nishiki.commands.exporting import FORMATS
 from nishiki.errors import UserError
 from nishiki.formats.exr_bands import ExrWriter, read_blocks
 from nishiki.formats.tiff_bands import write_tiff

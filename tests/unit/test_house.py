@@ -116,7 +116,7 @@ def test_no_module_calls_what_is_public_through_the_package():
 
 def test_the_package_does_not_import_the_workflow_engine():
     assert not [
-        path for path in PACKAGE.rglob("*.py") if re.search(r"^\s*(from|import) snakemake", path.read_text(), re.M)
+        path for path in PACKAGE.rglob("*.py") if re.search(r"^\s*(from|import) snakemake\b", path.read_text(), re.M)
     ]
 
 

@@ -84,8 +84,8 @@ def test_a_run_is_planned_from_any_folder(site, tmp_path):
 def test_a_folder_without_a_configuration_is_reported(site, tmp_path):
     done = call(site, "-m", "nishiki", "run", cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.startswith("nishiki run: config/config.yaml: file not found. Remedy: name the configuration")
-    assert "nishiki demo makes one to try" in done.stderr
+    assert "config/config.yaml" in done.stderr
+    assert "nishiki init" in done.stderr
     assert "./nishiki" not in done.stderr
 
 

@@ -98,7 +98,7 @@ def test_optional_packages_are_taken_where_this_list_says():
     assert places == PLACES
 
 
-@pytest.mark.parametrize("command", ["nishiki.cli", "nishiki.commands.planning"])
+@pytest.mark.parametrize("command", ["nishiki.cli", "nishiki.commands.inspecting"])
 def test_the_command_line_loads_nothing_heavy(command):
     code = f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import {command}; from nishiki.packages import loaded"
     done = subprocess.run(

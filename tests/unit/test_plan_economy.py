@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from nishiki.commands import planning
+from nishiki.commands import inspecting
 from nishiki.engine.leaving_out import PARTS
 from nishiki.engine.plan import Plan, make_plan
 from nishiki.engine.project import Scene, StageSettings
@@ -166,12 +166,12 @@ def test_exr_photographs_need_no_opencv_in_ingest():
     ],
 )  # fmt: skip
 def test_a_capture_in_one_line(facts, text):
-    assert planning.described(facts) == text
+    assert inspecting.described(facts) == text
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.4, "0 s"), (59, "59 s"), (130, "2 min"), (9000, "2 h")])
 def test_durations(seconds, text):
-    assert planning._duration(seconds) == text
+    assert inspecting._duration(seconds) == text
 
 
 class _Flow:
@@ -183,13 +183,13 @@ class _Flow:
 
 def test_a_missing_package_stops_the_run_with_the_command_that_installs_it(monkeypatch):
     flow = _Flow(planned(OBJECT, "render"))
-    monkeypatch.setattr(planning, "stage_state", lambda flow, scene, stage: ("run", []))
-    planning.expect_packages(flow)
-    monkeypatch.setattr(planning, "installed", lambda package: package not in ("trimesh", "av"))
+    monkeypatch.setattr(inspecting, "stage_state", lambda flow, scene, stage: ("run", []))
+    inspecting.expect_packages(flow)
+    monkeypatch.setattr(inspecting, "installed", lambda package: package not in ("trimesh", "av"))
     with pytest.raises(UserError, match=r"mesh needs trimesh .*Remedy: \./nishiki install --extras mesh"):
-        planning.expect_packages(flow)
-    monkeypatch.setattr(planning, "stage_state", lambda flow, scene, stage: ("done", []))
-    planning.expect_packages(flow)
+        inspecting.expect_packages(flow)
+    monkeypatch.setattr(inspecting, "stage_state", lambda flow, scene, stage: ("done", []))
+    inspecting.expect_packages(flow)
 
 
 def test_section_of_the_report():

@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+from collections.abc import Iterable
 
 UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
@@ -15,6 +16,16 @@ class UserError(Exception):
 
     def __str__(self) -> str:
         return "\n".join(printable(line) for line in super().__str__().split("\n"))
+
+
+def unknown_scene(name: str, scenes: Iterable[str]) -> str:
+    """Return the message for a name that is no scene, with the scenes that are like it."""
+    from difflib import get_close_matches
+
+    scenes = list(scenes)
+    alike = get_close_matches(name, scenes, cutoff=0.5)
+    text = f"Did you mean {' or '.join(alike)}?" if alike else f"Scenes: {', '.join(scenes[:20]) or 'none yet'}"
+    return f"no scene {name!r} in the scene table. {text}"
 
 
 def printable(text: str) -> str:

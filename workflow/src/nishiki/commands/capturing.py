@@ -1,10 +1,13 @@
-"""Commands that make and check capture folders."""
+"""Commands that make, check and seal capture folders."""
 
-import argparse
 import sys
 from functools import partial
 from pathlib import Path
 
+import click
+
+from nishiki.capture.options import LIGHT_KINDS, ConvertOptions
+from nishiki.commands.declare import apply, command, option
 from nishiki.errors import UserError, printable
 from nishiki.formats.problems import group_problems
 from nishiki.progress import Progress
@@ -15,30 +18,81 @@ TO_COMPLETE = {
     "turntable": "lights, turntable.mesh, turntable.unit, turntable.background",
     "goniometer": "goniometer.symmetry, goniometer.weave",
 }
+QUANTITIES = "brdf|radiance_factor|radiance_factor_percent|brdf_cos_view|brdf_cos_light"
+OPTIONS = (
+    option("--title TEXT", "title of the object (default: name of the source)"),
+    option("--encoding linear|srgb", "coding of the photographs (default: as they state)"),
+    option(
+        "--lights FILE",
+        "lights file, where it is not found by itself; of a relightable image: to render under",
+        "lights_file",
+    ),
+    option(
+        f"--lights-kind {'|'.join(LIGHT_KINDS)}",
+        "what the numbers of the lights file are, where it is not clear; elevation from the object's plane, polar "
+        "angle from its normal",
+    ),
+    option(
+        "--lights-order ORDER",
+        "which listed lamp each photograph shows: shift:N (the lamp N places on), reverse, or numbers: 2,1,3",
+    ),
+    option(
+        "--lights-axes X,Y",
+        "axes of the lamps in terms of those listed: x,-y where y was counted downwards; --lights-axes=-x,y",
+    ),
+    option("--width-mm MM", "width of the whole photographs on the object", type=float),
+    option(
+        "--mask FILE", "picture, light where the object is, or with its shape as alpha; turntable: a folder of them"
+    ),
+    option("--white FOLDER", "the white board's photographs, one a light, paired by name"),
+    option("--dark FOLDER", "dark frames"),
+    option("--ambient FILE", "photograph without lamp, in the light of the room alone, or a folder of such"),
+    option("--check LIGHT", "a light kept for evaluation (repeatable)", "checks", multiple=True),
+    option(f"--values {QUANTITIES}", "what a table of reflectances holds (default: brdf, in 1/sr)"),
+    option(
+        "--azimuths cloth|lamp|mirror",
+        "what the azimuth of the view in a table is counted from (default: cloth, the weft, as that of the light)",
+    ),
+    option("--link", "hard links instead of copies, on the same disk"),
+    option("--turn reverse", "turntable: the object turned against the order of the cameras"),
+    option("--camera-of VIEW=CAMERA,...", "turntable: views that have the camera of another view"),
+    option("--roi ROW COLUMN ROWS COLUMNS", "crop: part of the photographs", "region", nargs=4, type=int),
+)
+"""Options of `convert`, which are fields of ConvertOptions; `run` takes them, too."""
+convert_options = apply(*OPTIONS)
 
 
-def check(options: argparse.Namespace, rest: list[str]) -> int:
-    """Print everything that is wrong with each capture; exit status 2 where one cannot be used."""
+@command(
+    "check captures/altarpiece",
+    "check captures/altarpiece --open     # with a page of all photographs beside their lamps",
+)
+@click.argument("captures", nargs=-1, required=True, help="capture folders")
+@option("--quick", "read headers and tables only, not every pixel")
+@option(
+    "--open",
+    "write and open a contact sheet: each photograph with its lamp as stated and as measured, the odd ones first",
+    "open_page",
+)
+def check(captures: tuple[str, ...], quick: bool, open_page: bool) -> int:
+    """Say everything that is wrong with a capture, in one pass."""
+    return max(2 if examine(name, quick=quick, open_page=open_page) else 0 for name in captures)
+
+
+def examine(name: str, *, quick: bool = False, open_page: bool = False) -> int:
+    """Print what is wrong with a capture; the number of errors."""
     from nishiki.observations.check import check_capture
 
-    worst = 0
-    for name in options.captures:
-        judgements: list = []
-        problems = check_capture(
-            Path(name),
-            level="quick" if options.quick else "full",
-            progress=Progress(f"check {name}").tell,
-            judged=judgements.append,
-        )
-        errors = [problem for problem in problems if problem.severity == "error"]
-        for problem in group_problems(problems):
-            print(f"{name}: {problem.severity}: {problem}")
-        warnings = len(problems) - len(errors)
-        print(f"{name}: {'usable' if not errors else 'cannot be used'}, {len(errors)} errors, {warnings} warnings")
-        if options.open:
-            _open_sheet(Path(name), problems, judgements)
-        worst = max(worst, 2 if errors else 0)
-    return worst
+    judgements: list = []
+    level, tell = "quick" if quick else "full", Progress(f"check {name}").tell
+    problems = check_capture(Path(name), level=level, progress=tell, judged=judgements.append)
+    errors = sum(problem.severity == "error" for problem in problems)
+    for problem in group_problems(problems):
+        print(f"{name}: {problem.severity}: {problem}")
+    warnings = len(problems) - errors
+    print(f"{name}: {'cannot be used' if errors else 'usable'}, {errors} errors, {warnings} warnings")
+    if open_page:
+        _open_sheet(Path(name), problems, judgements)
+    return errors
 
 
 def _open_sheet(capture: Path, problems: list, judgements: list) -> None:
@@ -56,51 +110,47 @@ def _open_sheet(capture: Path, problems: list, judgements: list) -> None:
     webbrowser.open(page.as_uri())
 
 
-def seal(options: argparse.Namespace, rest: list[str]) -> None:
-    """Seal captures: BagIt manifests with SHA-256; the files move into data/."""
+@command("seal captures/altarpiece")
+@click.argument("captures", nargs=-1, required=True, help="capture folders")
+def seal(captures: tuple[str, ...]) -> None:
+    """Seal captures with a BagIt manifest (RFC 8493); their files move into data/."""
+    for name in captures:
+        print(f"{name}: sealed, digest {seal_folder(Path(name))[:12]}")
+
+
+def seal_folder(capture: Path) -> str:
+    """Seal a capture and tell how far it is; its digest."""
     from nishiki.capture.seal import seal as seal_capture
 
-    for name in options.captures:
-        progress = Progress(f"seal {name}")
-        digest = seal_capture(Path(name), progress=progress.tell)
-        print(f"{name}: sealed, digest {digest[:12]}")
+    return seal_capture(capture, progress=Progress(f"seal {capture}").tell)
 
 
-def convert(options: argparse.Namespace, rest: list[str]) -> None:
-    """Make a sealed capture from photographs and lights, or cameras, or polariser states; the sources are only read."""
-    from nishiki.capture.convert import convert as convert_folder
-    from nishiki.capture.options import ConvertOptions
-    from nishiki.capture.seal import seal as seal_capture
-    from nishiki.observations.check import check_capture
-
-    if options.list:
-        _list(Path(options.source))
+@command(
+    "convert my-photographs captures/altarpiece",
+    "convert my-photographs captures/altarpiece --lights dome.lp --width-mm 320",
+    "convert reflectances.csv captures/brocade",
+    "convert old-photographs --list",
+)
+@click.argument(
+    "source",
+    help="folder of photographs with an .lp file, mirror balls, camera matrices, or polariser angles; a table of "
+    "reflectances by direction (.csv, .brdf, .bin, .binary); or a relightable image (.ptm, .rti, a folder of relight), "
+    "from which pictures are rendered",
+)
+@click.argument("capture", required=False, help="capture folder to make; must not exist")
+@option(
+    "--list", "say what each folder below the source is and whether it can be converted; nothing is made", "list_only"
+)
+@convert_options
+@option("--open", "do not seal yet: camera curves and the like will be added", "unsealed")
+def convert(source: str, capture: str | None, list_only: bool, unsealed: bool, **given) -> None:
+    """Turn photographs, with their lights or cameras, or a goniometer's table, into a sealed capture folder."""
+    if list_only:
+        _list(Path(source))
         return
-    if options.capture is None:
+    if capture is None:
         raise UserError("convert: expected the capture folder to make, CAPTURE, or --list. Remedy: name it")
-    progress = Progress(f"check {options.capture}")
-    given = ConvertOptions(
-        lights_file=_path(options.lights),
-        lights_kind=options.lights_kind,
-        lights_order=options.lights_order,
-        lights_axes=options.lights_axes,
-        width_mm=options.width_mm,
-        mask=_path(options.mask),
-        white=_path(options.white),
-        dark=_path(options.dark),
-        ambient=_path(options.ambient),
-        checks=tuple(options.check or ()),
-        encoding=options.encoding,
-        title=options.title,
-        region=tuple(options.roi) if options.roi else None,
-        values=options.values,
-        azimuths=options.azimuths,
-        turn=options.turn,
-        camera_of=dict(_camera_of(pair) for pair in options.camera_of.split(",")) if options.camera_of else {},
-        link=options.link,
-        examine=None if options.open else partial(check_capture, level="full", progress=progress.tell),
-    )
-    made = convert_folder(Path(options.source), Path(options.capture), given)
+    made = convert_source(Path(source), Path(capture), given, checked=not unsealed)
     things = "measurements" if made.geometry == "goniometer" else "photographs"
     if made.channels:
         shown = (
@@ -109,14 +159,29 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         print(f"{len(made.channels)} channels, taken to be in 1/sr: {', '.join(shown)}")
     for problem in group_problems(made.warnings):
         print(f"warning: {problem}", file=sys.stderr)
-    if options.open:
+    if unsealed:
         print(
             f"{made.folder}: {made.photographs} {things} ({made.layout}); not sealed: complete capture.yaml "
             f"({TO_COMPLETE[made.geometry]}; see docs/capture-folder.md), then ./nishiki seal {made.folder}"
         )
         return
-    digest = seal_capture(Path(options.capture), progress=Progress(f"seal {options.capture}").tell)
+    digest = seal_folder(Path(capture))
     print(f"{made.folder}: {made.photographs} {things} ({made.layout}), sealed, digest {digest[:12]}")
+
+
+def convert_source(source: Path, capture: Path, given: dict, *, checked: bool):
+    """Make a capture of a source with the values of OPTIONS; `nishiki.capture.convert.Conversion`.
+
+    Raises CaptureError for what a check of the capture finds, where it is checked.
+    """
+    from nishiki.capture.convert import convert as convert_folder
+    from nishiki.observations.check import check_capture
+
+    paths = {name: Path(given[name]) for name in ("lights_file", "mask", "white", "dark", "ambient") if given[name]}
+    turned = dict(_camera_of(pair) for pair in given["camera_of"].split(",")) if given["camera_of"] else {}
+    tell = Progress(f"check {capture}").tell
+    examine = partial(check_capture, level="full", progress=tell) if checked else None
+    return convert_folder(source, capture, ConvertOptions(**{**given, **paths, "camera_of": turned}, examine=examine))
 
 
 def _list(archive: Path) -> None:
@@ -138,7 +203,3 @@ def _camera_of(pair: str) -> tuple[str, str]:
     if not equals:
         raise UserError(f"--camera-of: expected VIEW=CAMERA,..., found {pair!r}. Remedy: --camera-of 002=007,007=002")
     return view, camera
-
-
-def _path(text: str | None) -> Path | None:
-    return Path(text) if text else None

@@ -1,6 +1,5 @@
-"""Commands that hand results to other programs: files of one scene, a table of all."""
+"""Commands of results and campaigns: files of one scene for other programs, a table of all, sweeps of settings."""
 
-import argparse
 import csv
 import importlib
 import json
@@ -8,54 +7,77 @@ import shutil
 import sys
 from pathlib import Path
 
+import click
+
+from nishiki.commands.declare import (
+    command,
+    option,
+    scene_argument,
+    with_configuration,
+    with_cores,
+    with_gone,
+    with_profile,
+)
+from nishiki.commands.inspecting import expect_packages, planned_workflow
 from nishiki.commands.running import profile_arguments
 from nishiki.errors import UserError
 from nishiki.installation import SNAKEFILE
 from nishiki.packages import optional
 
+FORMATS = """\
+Formats of a painting: normals, height, albedo, relight, spectral, gltf, usd, materialx, mitsuba, merl, iiif
+Formats of an object:  gltf, usd, materialx, mitsuba, iiif, kintsugi
+Formats of a cloth:    gltf, mitsuba, bsdf
+See docs/stages/export.md."""
 
-def export(options: argparse.Namespace, rest: list[str]) -> int:
-    """Make the export of one scene, and whatever of the scene it needs that is not made yet; name its files."""
+
+@command("export altarpiece normals relight", "export jar gltf --output for-the-web", epilog=FORMATS)
+@scene_argument
+@click.argument("formats", nargs=-1, required=True, metavar="FORMAT...", help="what to write, see below")
+@option("--output FOLDER", "copy the files there, too; the folder must not exist")
+@with_configuration
+@with_cores
+@with_gone
+def export(scene, formats, output, configfile, cores, gone) -> int:
+    """Write files of a scene's results for other programs; whatever of the scene they need is made first."""
     from nishiki.commands.engine import call_engine
-    from nishiki.commands.planning import expect_packages
     from nishiki.engine.project import load_yaml
     from nishiki.engine.workflow import Workflow
 
-    if options.output and Path(options.output).exists():
-        raise UserError(f"--output {options.output}: exists already. Remedy: name a folder that does not")
-    values = load_yaml(Path(options.configfile))
-    asked = {options.scene: options.formats}
-    flow = Workflow({**values, "exports": asked}, only=options.scene, file=options.configfile)
+    if output and Path(output).exists():
+        raise UserError(f"--output {output}: exists already. Remedy: name a folder that does not")
+    values = load_yaml(Path(configfile))
+    asked = {scene: formats}
+    flow = Workflow({**values, "exports": asked}, only=[scene], file=configfile)
     expect_packages(flow)
-    stage = next(name for name in flow.plans[options.scene].stages if name.endswith("export"))
-    target = flow.artifact(options.scene, stage)
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--configfile", options.configfile]
-    command += profile_arguments("default", options.cores)
+    stage = next(name for name in flow.plans[scene].stages if name.endswith("export"))
+    target = flow.artifact(scene, stage)
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--configfile", configfile]
+    command += profile_arguments("default", cores)
     command += ["--config", f"exports={json.dumps(asked)}", "--", target]
-    status = call_engine(flow, command, gone=options.host_is_gone)
-    if status:
+    if call_engine(flow, command, gone=gone):
         return 1
     made = Path(target).parent / "exports"
-    if options.output:
-        shutil.copytree(made, options.output)
-        made = Path(options.output)
+    if output:
+        shutil.copytree(made, output)
+        made = Path(output)
     print(made)
     for path in sorted(made.iterdir()):
         print(f"    {path.name}{'/' if path.is_dir() else ''}")
     return 0
 
 
-def table(options: argparse.Namespace, rest: list[str]) -> int:
-    """Write one row a scene of a campaign, as CSV or Parquet by the name of the file."""
+@command("table campaign.csv", "table campaign.parquet")
+@click.argument("file", help="file to write, .csv or .parquet (needs the extra export)")
+@with_configuration
+def table(file: str, configfile: str) -> None:
+    """Write the figures of all scenes as a table, one row a scene."""
     from nishiki.engine.campaign_table import campaign_rows, columns_of
-    from nishiki.engine.project import load_yaml
-    from nishiki.engine.workflow import Workflow
 
-    path = Path(options.file)
+    path = Path(file)
     if path.suffix not in (".csv", ".parquet"):
         raise UserError(f"{path}: expected a name that ends in .csv or .parquet")
-    flow = Workflow(load_yaml(Path(options.configfile)), file=options.configfile, leave_out_refused=True)
-    columns = columns_of(campaign_rows(flow))
+    columns = columns_of(campaign_rows(planned_workflow(configfile, leave_out_refused=True)))
     if path.suffix == ".parquet":
         pyarrow = optional("pyarrow")
         parquet = importlib.import_module("pyarrow.parquet")
@@ -67,4 +89,81 @@ def table(options: argparse.Namespace, rest: list[str]) -> int:
             writer.writerows(zip(*columns.values(), strict=True))
     finished = sum(value is True for value in columns["finished"])
     print(f"{path}: {len(columns['scene'])} scenes, {finished} of them finished, {len(columns)} columns")
-    return 0
+
+
+@command("sweep config/sweeps/normals.yaml", passed_on=True)
+@click.argument(
+    "words",
+    nargs=-1,
+    required=True,
+    type=click.UNPROCESSED,
+    metavar="SWEEP... [SNAKEMAKE OPTION]...",
+    help="files, or names of blocks of `sweeps`",
+)
+@option("--configfile FILE", "configuration (default: as the file names, config/config.yaml)")
+@with_cores
+@with_profile
+@with_gone
+def sweep(words, configfile, cores, profile, gone) -> int:
+    """Draw error against run time over variants of settings.
+
+    All variants are made and timed; then table, page and advice are written. Exit status 1 where a stage failed or a
+    repeat gave other bytes than its first run.
+    """
+    count = next((i for i, word in enumerate(words) if word.startswith("-")), len(words))
+    if not count:
+        raise click.UsageError("expected a sweep before the options of Snakemake: a file, or a name.")
+    return max(_one(named, configfile, (profile, cores), gone, words[count:]) for named in words[:count])
+
+
+def _one(named: str, configfile: str | None, where: tuple, gone: tuple[str, ...], rest: tuple[str, ...]) -> int:
+    from nishiki.commands.engine import LOOKS_ONLY, call_engine
+    from nishiki.engine.project import load_yaml
+    from nishiki.engine.sweep_plan import configuration_of
+    from nishiki.engine.workflow import Workflow
+
+    path = Path(named)
+    given = configuration_of(path) if path.suffix in (".yaml", ".yml") else None
+    configfile = configfile or given or "config/config.yaml"
+    values = load_yaml(Path(configfile))
+    if not isinstance(values, dict):
+        raise UserError(f"{configfile}: expected a block of keys and values, found {type(values).__name__}")
+    flow = Workflow({**values, "sweep": named}, file=configfile)
+    tell_plan(flow)
+    target = flow.sweep_path("sweep.json")
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--configfile", configfile]
+    command += profile_arguments(*where)
+    command += ["--keep-going", *rest, "--config", f"sweep={json.dumps(named)}", "--", target]
+    status = call_engine(flow, command, gone=gone)
+    if status or LOOKS_ONLY & set(rest):
+        return 1 if status else 0
+    return tell_result(Path(target))
+
+
+def tell_plan(flow) -> None:
+    """How many variants of which scenes, which stages are timed, how many stages will be made."""
+    for swept in flow.sweep.scenes:
+        timed = sum(len(paths) for variant in swept.variants for paths in flow.timings(swept, variant).values())
+        print(
+            f"{flow.sweep.name}: {swept.scene}: {len(swept.variants)} variants, figures from {swept.evaluation}, "
+            f"timed: {', '.join(swept.counted)} ({timed} runs)"
+        )
+
+
+def tell_result(path: Path) -> int:
+    """The advice of a finished sweep, and where its page is; 1 where a repeat gave other bytes."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    status = 0
+    for scene in content["scenes"]:
+        for measure, lines in zip(scene["measures"], scene["advice"], strict=True):
+            print(f"{scene['scene']}, {measure['label']}:")
+            for line in lines:
+                print(f"    {line}")
+        for row in scene["rows"]:
+            if not row["reproducible"]:
+                status = 1
+                print(
+                    f"{scene['scene']}: {row['name']}: not reproducible: {', '.join(row['different'])}", file=sys.stderr
+                )
+    print(path.with_name("sweep.html"))
+    return status

@@ -1,24 +1,180 @@
-"""Commands that look and change nothing: explain, schema; and the state of a stage."""
+"""Commands that look and change nothing: plan, explain, schema; and the state of a stage."""
 
-import argparse
+from __future__ import annotations
+
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from nishiki.artifacts.artifact import MANIFEST, Artifact, open_artifact
-from nishiki.artifacts.provenance import differences
-from nishiki.engine.plan import Plan
-from nishiki.engine.project import Configuration, load_yaml
-from nishiki.engine.workflow import Workflow
+from nishiki.commands.declare import any_scene_argument, command, option, with_configuration, with_json
 from nishiki.errors import UserError
-from nishiki.stages.table import CHAIN
+from nishiki.packages import EXTRAS, PURPOSE, install_command, installed
+
+if TYPE_CHECKING:
+    from nishiki.artifacts.artifact import Artifact
+    from nishiki.engine.plan import Plan
+    from nishiki.engine.workflow import Workflow
+    from nishiki.stages.base import SceneFacts
 
 
-def _workflow(options: argparse.Namespace) -> Workflow:
-    return Workflow(load_yaml(options.configfile), only=options.scene, file=options.configfile)
+def planned_workflow(configfile: str, scene: str | None = None, **how) -> Workflow:
+    """Return the plans of a configuration, or of one of its scenes."""
+    from nishiki.engine.project import load_yaml
+    from nishiki.engine.workflow import Workflow
+
+    return Workflow(load_yaml(Path(configfile)), only=[scene] if scene else (), file=configfile, **how)
+
+
+@command("plan", "plan altarpiece")
+@any_scene_argument
+@with_configuration
+@with_json
+def plan(scene: str | None, configfile: str, as_json: bool) -> None:
+    """Show what will run, be read and be loaded, at what cost; what is left out and why."""
+    flow = planned_workflow(configfile, scene)
+    for name in flow.plans:
+        summary = scene_plan(flow, name)
+        print(json.dumps(summary, sort_keys=True) if as_json else text_of(summary))
+
+
+def scene_plan(flow: Workflow, name: str) -> dict[str, Any]:
+    """Everything that the plan of a scene says, as plain values."""
+    from nishiki.capture.folder import load_capture
+    from nishiki.observations.capture_usage import usage_of
+
+    made = flow.plans[name]
+    ingest = made.stages["ingest"].settings
+    parts = {key: ingest[key] for key in ("without", "channels", "tile_mib", "white_block")}
+    reading = usage_of(load_capture(made.scene.capture), **parts)
+    loaded = tuple(dict.fromkeys(p for names in made.packages.values() for p in names if p in EXTRAS))
+    missing = tuple(package for package in loaded if not installed(package))
+    return {
+        "scene": name,
+        "geometry": made.facts.geometry,
+        "what": described(made.facts),
+        "stages": [_stage(flow, made, name, stage) for stage in made.stages],
+        "reads": reading.as_dict(),
+        "optional_packages": {
+            "loaded": list(loaded),
+            "not_loaded": dict(made.idle),
+            "missing": {package: install_command((package,)) for package in missing},
+        },
+        "held_out": list(made.held_out),
+        "left_out": dict(made.left_out),
+    }
+
+
+def expect_packages(flow: Workflow) -> None:
+    """UserError where a stage that would run needs a package that is not installed; video has a way without it."""
+    for name, made in flow.plans.items():
+        for stage, packages in made.packages.items():
+            missing = tuple(p for p in packages if p in EXTRAS and p != "av" and not installed(p))
+            if missing and stage_state(flow, name, stage)[0] == "run":
+                need = " and ".join(f"{p} ({PURPOSE[p]})" for p in missing)
+                raise UserError(
+                    f"scene {name!r}: {stage} needs {need}, not installed. Remedy: {install_command(missing)}"
+                )
+
+
+def _stage(flow: Workflow, made: Plan, scene: str, stage: str) -> dict[str, Any]:
+    from nishiki.stages.table import CHAIN
+
+    state, reasons = stage_state(flow, scene, stage)
+    return {
+        "stage": stage,
+        "key": made.stages[stage].key,
+        "state": state,
+        "reasons": reasons,
+        "does": CHAIN[stage].does,
+        "memory_mb": flow.memory_mb(scene, stage),
+        "seconds": round(flow.seconds(scene, stage), 1),
+        "packages": list(made.packages[stage]),
+    }
+
+
+def described(facts: SceneFacts) -> str:
+    """One line on a capture: its size and how many lights, views, polariser states or pairs of directions it has."""
+    channels = f"{facts.channels} channel{'s' * (facts.channels > 1)}"
+    if facts.geometry == "goniometer":
+        of = "a table of" if facts.table else f"windows of {facts.pixels} pixels,"
+        lit = f"{facts.frontal} of them lit along the normal"
+        return f"{of} {facts.measurements} pairs of directions, {lit}, {channels}"
+    size = f"{facts.pixels / 1e6:.2f} Mpx" if facts.pixels >= 10_000 else f"{facts.pixels} pixels"
+    if facts.geometry != "turntable":
+        return f"{size}, {len(facts.lights)} lights, {channels}"
+    states = f", {len(facts.states)} polariser states" if len(facts.states) > 1 else ""
+    lights = f" under {len(facts.lights)} lights" if len(facts.lights) > 1 else ""
+    return f"{size}, {len(facts.views)} views{lights}{states}, {channels}"
+
+
+def text_of(summary: dict[str, Any]) -> str:
+    """The plan of a scene for reading."""
+    width = max(len(stage["stage"]) for stage in summary["stages"])
+    lines = [f"{summary['scene']}: {summary['what']}"]
+    for stage in summary["stages"]:
+        cost = f"{stage['memory_mb']:6} MiB {_duration(stage['seconds']):>7}"
+        lines.append(f"  {stage['stage']:{width}}  {stage['key']}  {stage['state']:4}  {cost}  {stage['does']}")
+    lines += (
+        _total_lines(summary["stages"]) + _read_lines(summary["reads"]) + _package_lines(summary["optional_packages"])
+    )
+    if summary["held_out"]:
+        lines.append(f"  held out of every fit and predicted instead: {', '.join(summary['held_out'])}")
+    lines += [f"  without {left}: {why}" for left, why in summary["left_out"].items()]
+    return "\n".join(lines)
+
+
+def _total_lines(stages: list[dict[str, Any]]) -> list[str]:
+    to_run = [stage for stage in stages if stage["state"] == "run"]
+    if not to_run:
+        return ["  nothing to run: every stage is done"]
+    memory, seconds = max(stage["memory_mb"] for stage in to_run), sum(stage["seconds"] for stage in to_run)
+    return [
+        f"  {len(to_run)} of {len(stages)} stages to run: at most {memory} MiB and {_duration(seconds)} of one core"
+    ]
+
+
+def _duration(seconds: float) -> str:
+    """Seconds, minutes or hours, whichever reads best."""
+    for unit, size in (("h", 3600), ("min", 60)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"
+
+
+def _read_lines(reads: dict[str, Any]) -> list[str]:
+    """Files, channels and tiles: how many of how many."""
+    rows = [*reads["files"], {**reads["total"], "what": "all files"}]
+    lines = [
+        f"  reads {row['read']:>5} of {row['of']:>5}  {row['what']:34} {_size(row['bytes_read'], row['bytes_of'])}"
+        for row in rows
+    ]
+    read, of = reads["channels"]
+    lines.append(f"  keeps {read:>5} of {of:>5}  channels")
+    if reads["tiles"]:
+        read, of = reads["tiles"]
+        lines.append(f"  keeps {read:>5} of {of:>5}  tiles (bands of rows times lights)")
+    return lines
+
+
+def _size(read: int, of: int) -> str:
+    unit, size = ("GB", 1e9) if of >= 1e9 else ("MB", 1e6) if of >= 1e5 else ("kB", 1e3)
+    return f"{read / size:.2f} of {of / size:.2f} {unit}"
+
+
+def _package_lines(packages: dict[str, Any]) -> list[str]:
+    loaded = [f"{name} ({PURPOSE[name]})" for name in packages["loaded"]]
+    lines = [f"  optional packages loaded: {', '.join(loaded) or 'none'}"]
+    if packages["not_loaded"]:
+        names = [f"{name} ({why})" for name, why in packages["not_loaded"].items()]
+        lines.append(f"  not loaded: {', '.join(names)}")
+    return lines + [f"  {name} is not installed. Remedy: {how}" for name, how in packages["missing"].items()]
 
 
 def stage_state(flow: Workflow, scene: str, stage: str) -> tuple[str, list[str]]:
     """State of a stage (done | run) and the reasons to run."""
+    from nishiki.artifacts.artifact import open_artifact
+    from nishiki.artifacts.provenance import differences
+
     path = Path(flow.artifact(scene, stage))
     if not path.is_file():
         return "run", [f"no artifact for key {path.parent.name}", *_nearest(path.parent, flow, scene, stage)]
@@ -36,6 +192,9 @@ def stage_state(flow: Workflow, scene: str, stage: str) -> tuple[str, list[str]]
 
 
 def _upstream_reasons(flow: Workflow, scene: str, stage: str, artifact: Artifact) -> list[str]:
+    from nishiki.artifacts.artifact import open_artifact
+    from nishiki.stages.table import CHAIN
+
     reasons = []
     for upstream in flow.plans[scene].stages[stage].upstream:
         if upstream not in CHAIN:
@@ -51,6 +210,9 @@ def _upstream_reasons(flow: Workflow, scene: str, stage: str, artifact: Artifact
 
 def _nearest(folder: Path, flow: Workflow, scene: str, stage: str) -> list[str]:
     """What differs from the newest artifact of the same stage."""
+    from nishiki.artifacts.artifact import MANIFEST
+    from nishiki.artifacts.provenance import differences
+
     others = sorted(folder.parent.glob(f"*/{MANIFEST}"), key=lambda path: path.stat().st_mtime)
     if not others:
         return []
@@ -65,14 +227,18 @@ def _nearest(folder: Path, flow: Workflow, scene: str, stage: str) -> list[str]:
     return [f"since {other['key']}: {text}" for text in changed]
 
 
-def explain(options: argparse.Namespace, rest: list[str]) -> int:
-    """Print why each stage would run or not; with --keys, what differs between two artifacts of a stage."""
-    flow = _workflow(options)
-    if options.keys:
-        return _explain_keys(flow.project.results, *options.keys)
+@command("explain altarpiece", "explain altarpiece --keys 1f3a 9c0d")
+@any_scene_argument
+@with_configuration
+@option("--keys KEY KEY", "two keys of one stage: what differs between them", nargs=2)
+def explain(scene: str | None, configfile: str, keys: tuple[str, str] | None) -> None:
+    """Say why each stage of a scene would run or not; or what differs between two results."""
+    flow = planned_workflow(configfile, scene)
+    if keys:
+        _explain_keys(flow.project.results, *keys)
+        return
     for name, made in flow.plans.items():
         _explain_scene(flow, name, made)
-    return 0
 
 
 def _explain_scene(flow: Workflow, name: str, made: Plan) -> None:
@@ -85,7 +251,10 @@ def _explain_scene(flow: Workflow, name: str, made: Plan) -> None:
         print(f"{name}/{left}: left out, {why}")
 
 
-def _explain_keys(results: Path, first: str, second: str) -> int:
+def _explain_keys(results: Path, first: str, second: str) -> None:
+    from nishiki.artifacts.artifact import MANIFEST
+    from nishiki.artifacts.provenance import differences
+
     manifests = []
     for key in (first, second):
         folders = [path for path in results.glob(f"*/*/{key}*") if (path / MANIFEST).is_file()]
@@ -97,9 +266,11 @@ def _explain_keys(results: Path, first: str, second: str) -> int:
     keys = ("stage", "scene", "format_version", "settings", "upstream", "code", "libraries")
     for text in differences({key: a.get(key) for key in keys}, {key: b.get(key) for key in keys}) or ["no difference"]:
         print(f"    {text}")
-    return 0
 
 
-def schema(options: argparse.Namespace, rest: list[str]) -> None:
-    """Print the JSON schema of the configuration."""
+@command("schema > settings.json")
+def schema() -> None:
+    """Print the JSON schema of config.yaml: every setting with its meaning."""
+    from nishiki.engine.project import Configuration
+
     print(json.dumps(Configuration.model_json_schema(), indent=1))

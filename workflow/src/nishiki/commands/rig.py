@@ -1,12 +1,17 @@
 """Commands for a capture rig: what is connected, and whether the rig that a description names works."""
 
-import argparse
+import os
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import click
+
+from nishiki.commands.declare import Group, option
+from nishiki.installation import COMMAND
 
 NOTHING_CONNECTED = """\
 no serial device on USB and no camera found. What helps:
@@ -15,8 +20,34 @@ no serial device on USB and no camera found. What helps:
   neither           simulated devices need no hardware: ./nishiki demo --rig"""
 
 
-def ports(options: argparse.Namespace, rest: list[str]) -> None:
-    """Print every serial port and camera, one a line, as the description of a rig names them."""
+@click.group(
+    "rig",
+    cls=Group,
+    epilog=f"""\
+  1. {COMMAND} rig ports              lists serial ports and cameras
+  2. write rig.yaml, which names the devices of your rig:
+
+       camera: {{kind: gphoto}}
+       lamps: {{kind: dome, port: /dev/serial/by-id/usb-1a86_USB_Serial-if00-port0, count: 64}}
+       axes:
+         turntable: {{kind: comxim, port: /dev/ttyUSB0}}
+
+  3. {COMMAND} rig test rig.yaml      moves every device once
+  4. write plan.yaml (docs/rig.md), then
+
+       {COMMAND} rig plan plan.yaml                          the frames, their time and size
+       {COMMAND} rig run rig.yaml plan.yaml captures/NAME    takes, checks and seals them
+
+Kinds of devices, their wiring and their keys, and devices of your own: docs/devices/README.md. Without hardware:
+{COMMAND} demo --rig""",
+)
+def rig() -> None:
+    """Take the photographs of a capture with cameras, lamps, turntables and goniometers."""
+
+
+@rig.command(examples=("rig ports",))
+def ports() -> None:
+    """List what is connected: serial ports with vendor and product, cameras."""
     from nishiki.packages import install_extras, installed
     from nishiki.rig.ports import camera_ports, serial_ports
 
@@ -30,14 +61,14 @@ def ports(options: argparse.Namespace, rest: list[str]) -> None:
         print(f"cameras are not listed: gphoto2 is not installed. Remedy: {install_extras('rig')}", file=sys.stderr)
 
 
-def plan(options: argparse.Namespace, rest: list[str]) -> None:
-    """Print the table of frames that a plan expands to, with duration and size; or save it."""
-    import os
-
+@rig.command(examples=("rig plan plan.yaml", "rig plan plan.yaml --table frames.tsv"))
+@click.argument("plan_file", metavar="PLAN", type=Path, help="plan of a dome, turntable or goniometer (YAML)")
+@option("--table FRAMES.tsv", "save the table there, to be edited", type=Path)
+def plan(plan_file: Path, table: Path | None) -> None:
+    """Print the table of frames that a plan expands to, with duration and size."""
     from nishiki.rig.frames_table import summary, table_text
     from nishiki.rig.plan import read_plan
 
-    plan_file, table = Path(options.plan), Path(options.table) if options.table else None
     frames = read_plan(plan_file).frames()
     folder = table.parent if table else Path()
     text = table_text(frames, os.path.relpath(plan_file, folder))
@@ -50,21 +81,32 @@ def plan(options: argparse.Namespace, rest: list[str]) -> None:
     print(summary(frames, folder))
 
 
-def run(options: argparse.Namespace, rest: list[str]) -> None:
-    """Take the photographs of a plan, or go on where an earlier run stopped, and seal the capture."""
+@rig.command(examples=("rig run rig.yaml plan.yaml captures/altarpiece --page",))
+@click.argument("rig_file", metavar="RIG", type=Path, help="description of the rig (YAML)")
+@click.argument("plan_file", metavar="PLAN", type=Path, help="plan (YAML), or a table of `rig plan --table` (.tsv)")
+@click.argument("capture", type=Path, help="capture folder to make, or to go on with")
+@option(
+    "--page [PORT]",
+    "show how far it is on a page for this computer's browser (default port 8377; 0: any that is free)",
+    type=int,
+    flag_value=8377,
+    is_flag=False,
+)
+@option("--dry-run", "print what would be taken; nothing moves")
+def run(rig_file: Path, plan_file: Path, capture: Path, page: int | None, dry_run: bool) -> None:
+    """Take the photographs of a plan, or go on where an earlier run stopped; they are checked and sealed."""
     from nishiki.rig.run import describe_run, run_capture
 
-    rig_file, plan_file, capture = Path(options.rig), Path(options.plan), Path(options.capture)
-    if options.dry_run:
+    if dry_run:
         print(describe_run(rig_file, plan_file, capture))
         return
     state = _teller(str(capture))
-    if options.page is None:
+    if page is None:
         digest = run_capture(rig_file, plan_file, capture, observer=state)
     else:
         from nishiki.rig.live_page import serve
 
-        with serve(state, capture.name, options.page) as address:
+        with serve(state, capture.name, page) as address:
             print(f"rig run {capture}: {address} shows how far it is", file=sys.stderr, flush=True)
             digest = run_capture(rig_file, plan_file, capture, observer=state)
     print(f"{capture}: complete, checked and sealed, digest {digest[:12]}")
@@ -91,21 +133,23 @@ def _teller(capture: str) -> Any:
     return Teller()
 
 
-def test(options: argparse.Namespace, rest: list[str]) -> int:
-    """Move every device of a rig once; a line each. Exit status 2 where one fails."""
+@rig.command(examples=("rig test rig.yaml",))
+@click.argument("rig_file", metavar="RIG", type=Path, help="description of the rig (YAML)")
+def test(rig_file: Path) -> int:
+    """Move every device of a rig once and take one photograph; exit status 2 where one fails."""
     from nishiki.rig.description import open_rig
     from nishiki.rig.device import DeviceError
 
     failures = 0
-    with open_rig(Path(options.rig)) as rig:
+    with open_rig(rig_file) as opened:
         checks: dict[str, Callable[[], str]] = {}
-        if rig.lamps is not None:
-            checks["lamps"] = lambda: _try_lamps(rig.lamps)
-        for name, axis in rig.axes.items():
+        if opened.lamps is not None:
+            checks["lamps"] = lambda: _try_lamps(opened.lamps)
+        for name, axis in opened.axes.items():
             checks[f"axis {name}"] = lambda axis=axis: _try_axis(axis)
-        for name, polariser in rig.polarisers.items():
+        for name, polariser in opened.polarisers.items():
             checks[f"polariser {name}"] = lambda polariser=polariser: _try_polariser(polariser)
-        checks["camera"] = lambda: _try_camera(rig.camera, rig.lamps)
+        checks["camera"] = lambda: _try_camera(opened.camera, opened.lamps)
         for name, check in checks.items():
             start = time.monotonic()
             try:
@@ -113,7 +157,7 @@ def test(options: argparse.Namespace, rest: list[str]) -> int:
             except DeviceError as error:
                 failures += 1
                 print(f"{name}: FAILED: {error}", flush=True)
-    print(f"{options.rig}: {'every device works' if not failures else f'{failures} of {len(checks)} devices failed'}")
+    print(f"{rig_file}: {'every device works' if not failures else f'{failures} of {len(checks)} devices failed'}")
     return 2 if failures else 0
 
 

@@ -1,81 +1,157 @@
-"""Commands that run something: the workflow, the demonstration, the simulator, the tests."""
+"""The command run: photographs, captures or scenes of the table, made with Snakemake."""
 
-import argparse
-import os
-import shutil
-import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterable
+import webbrowser
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from nishiki.errors import UserError
-from nishiki.installation import INSTALLED, PROFILES, PROJECT, SCRIPTS, SNAKEFILE
+import click
 
-DEMOS = {
-    "painting": ("painting", "config/config.yaml"),
-    "jar": ("object", "config/object.yaml"),
-    "satin": ("satin", "config/cloth.yaml"),
-    "painting-by-rig": ("painting", "config/painting_by_rig.yaml"),
-}
+from nishiki.commands.capturing import convert_options
+from nishiki.commands.declare import (
+    command,
+    names_of_scenes,
+    option,
+    with_configuration,
+    with_cores,
+    with_gone,
+    with_profile,
+)
+from nishiki.errors import UserError
+from nishiki.installation import PROFILES, SNAKEFILE
+
 NAMED = 20
 """Scenes that are told by name: unfinished ones, failed ones."""
-TINY = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
-"""A small simulated scene for each geometry."""
 
 
-SMALL_PICTURES = """\
-scenes: scenes.tsv
-render: {sequences: [{name: moving-light, frames: 2, columns: 48}]}
-object_render: {views: 4, between: 1, film: {frames_per_step: 1, columns: 48, supersampling: 1}}
-cloth_render: {view: {rows: 48, columns: 48}, supersampling: 1}
-"""
-"""Configuration of runs of which only the compiled kernels are wanted."""
+@command(
+    "run                                   # every scene of config/scenes.tsv",
+    "run altarpiece                        # one scene",
+    "run my-photographs/ --width-mm 320    # converted, checked, added to the table, digitised",
+    "run captures/altarpiece --open        # a capture; its page opens",
+    "run altarpiece --until normals        # further options are Snakemake's: --dry-run, --until, --forcerun, ...",
+    passed_on=True,
+)
+@click.argument(
+    "words",
+    nargs=-1,
+    type=click.UNPROCESSED,
+    metavar="[SCENE|FOLDER]...",
+    shell_complete=names_of_scenes,
+    help="scenes, captures, or folders of photographs, which are converted (default: every scene of the table)",
+)
+@with_configuration
+@with_cores
+@with_profile
+@with_gone
+@option(
+    "--stop-at-first-failure",
+    "end the run where a scene fails or cannot be planned (default: the other scenes are made)",
+)
+@option("--name SCENE", "name of the scene that a folder becomes (default: the folder's)")
+@option("--open", "open the page of the result in the browser", "open_page")
+@convert_options
+def run(words, configfile, cores, profile, gone, stop_at_first_failure, name, open_page, **given) -> int:
+    """Make scenes, or everything that the configuration asks for.
+
+    A folder of photographs is converted to captures/NAME, checked, and added to the scene table first; what was
+    assumed is listed with the option that changes it (the options of convert). An error that the check finds ends the
+    run before any work. Finished results are kept, and a run that was stopped goes on where it stopped.
+    """
+    from nishiki.commands.project import find_scenes
+
+    wanted, passed = split_words(words)
+    scenes = find_scenes(wanted, configfile, name=name, given=given)
+    return run_scenes(
+        configfile,
+        scenes,
+        passed,
+        cores=cores,
+        profile=profile,
+        gone=gone,
+        stop_at_first_failure=stop_at_first_failure,
+        open_page=open_page,
+    )
 
 
-def run(options: argparse.Namespace, rest: list[str]) -> int:
-    """Run the workflow on the configuration; the plan is checked first, so that bad input is told in one line.
+def split_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Divide arguments into scenes or folders, and options of Snakemake with their values.
+
+    Raises NoSuchOption for an option that neither knows, and UserError where Snakemake cannot read a value.
+    """
+    if not any(word.startswith("-") for word in words):
+        return list(words), []
+    from snakemake_logger_plugin_nishiki.arguments import parse_words
+
+    context = click.get_current_context()
+    known = [name for each in context.command.params for name in each.opts if name.startswith("--")]
+    try:
+        targets = parse_words(words)
+    except LookupError as unknown:
+        option, others = unknown.args
+        raise click.NoSuchOption(option, possibilities=[*known, *others], ctx=context) from None
+    passed = list(words)[::-1]
+    for target in targets:  # of equal words the last is the target, those before it may be values
+        passed.remove(target)
+    return targets, [word for word in passed[::-1] if word != "--"]
+
+
+def run_scenes(
+    configfile: str,
+    scenes: Sequence[str] = (),
+    passed: Sequence[str] = (),
+    *,
+    cores: str | None = None,
+    profile: str = "default",
+    gone: Sequence[str] = (),
+    stop_at_first_failure: bool = False,
+    open_page: bool = False,
+) -> int:
+    """Run the workflow on scenes, or on all of the configuration; the plan is checked first; the exit status.
 
     A scene that cannot be planned, or fails, does not stop the others; the exit status is 1 then.
     """
     from nishiki.commands.engine import LOOKS_ONLY, call_engine, names_targets
-    from nishiki.commands.planning import expect_packages
-    from nishiki.commands.viewing import write_index
+    from nishiki.commands.inspecting import expect_packages
+    from nishiki.commands.viewing import page_of, write_index
     from nishiki.engine.project import load_yaml
     from nishiki.engine.workflow import Workflow
 
-    values = load_yaml(options.configfile)
-    flow = Workflow(values, file=options.configfile, leave_out_refused=not options.stop_at_first_failure)
+    values = load_yaml(configfile)
+    flow = Workflow(values, only=scenes, file=configfile, leave_out_refused=not stop_at_first_failure)
     for message in list(flow.refused.values())[:NAMED]:
         print(f"nishiki run: left out: {message}", file=sys.stderr)
     expect_packages(flow)
+    by_name = profile_arguments(profile, cores, (map(Path, flow.artifacts(scene)) for scene in flow.plans))
+    targets_named = names_targets(passed, load_yaml(profile_folder(profile) / "config.yaml"))
+    # Snakemake hears of unfinished scenes by itself; where it decides, the named scenes are its targets.
+    targets = [f"{flow.results}/{scene}/current/index.json" for scene in flow.plans] if scenes else []
     command = [
-        sys.executable,
-        "-m",
-        "snakemake",
-        "--snakefile",
-        str(SNAKEFILE),
-        "--configfile",
-        options.configfile,
-        *profile_arguments(options.profile, options.cores, (map(Path, flow.artifacts(scene)) for scene in flow.plans)),
-        *([] if options.stop_at_first_failure else ["--keep-going"]),
-        *rest,
+        *(sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--configfile", configfile),
+        *by_name,
+        *([] if stop_at_first_failure else ["--keep-going"]),
+        *passed,
+        *(["--", *targets] if targets_named or LOOKS_ONLY & set(passed) else []),
     ]
     start = time.monotonic()
-    targets_named = names_targets(rest, load_yaml(profile_folder(options.profile) / "config.yaml"))
     failures: list[dict[str, str]] = []
-    status = call_engine(flow, command, gone=options.host_is_gone, unfinished_only=not targets_named, failures=failures)
+    status = call_engine(flow, command, gone=gone, unfinished_only=not targets_named, failures=failures)
     status = status or (1 if flow.refused else 0)
-    if not LOOKS_ONLY & set(rest):
+    if not LOOKS_ONLY & set(passed):
         seconds = time.monotonic() - start
-        index = write_index(flow, {failure["scene"]: f"{failure['name']}: {failure['why']}" for failure in failures})
+        whole = Workflow(values, file=configfile, leave_out_refused=True) if scenes else flow
+        page = write_index(whole, {failure["scene"]: f"{failure['name']}: {failure['why']}" for failure in failures})
         if len(flow.plans) + len(flow.refused) > 1:
-            print(f"all scenes: {index}")
+            print(f"all scenes: {page}")
+        elif not status:
+            page = page_of(flow, next(iter(flow.plans)), first="report.html")
         if status:
             _tell_unfinished(flow, seconds, failures)
         else:
             _tell(flow, seconds)
+        if open_page:
+            webbrowser.open(page.resolve().as_uri())
     return status if status in (0, 2) else 1  # 2: Snakemake does not know an option
 
 
@@ -152,152 +228,3 @@ def _some(texts: list[str], between: str) -> str:
     """The first of some texts, and how many there are beside them."""
     more = f"{between}and {len(texts) - NAMED} more" if len(texts) > NAMED else ""
     return between.join(texts[:NAMED]) + more
-
-
-def demo(options: argparse.Namespace, rest: list[str]) -> int:
-    """Simulate the painting, object or cloth, where it is not there yet; then run the configuration.
-
-    With --rig the painting is photographed once more, through a simulated dome, and that capture is digitised.
-
-    In the folder of the checkout; an installed package makes the folder `nishiki-demo` where it is called.
-    """
-    os.chdir(demo_folder() if INSTALLED else PROJECT)
-    name = "jar" if options.object else "satin" if options.cloth else "painting"
-    preset, configuration = DEMOS["painting-by-rig" if options.rig else name]
-    capture, truth = Path(f"captures/{name}"), Path(f"captures/{name}-truth")
-    if not capture.is_dir() or not truth.is_dir():
-        status = simulate(options, ["--output", str(capture), "--truth", str(truth), "--preset", preset])
-        if status:
-            return status
-    if options.rig:
-        status = photograph_by_rig(capture, Path("captures/rig"), Path("captures/painting-by-rig"))
-        if status:
-            return status
-    options = argparse.Namespace(
-        configfile=configuration, cores=None, profile="default", host_is_gone=[], stop_at_first_failure=False
-    )
-    return run(options, rest)
-
-
-def photograph_by_rig(by_hand: Path, folder: Path, capture: Path) -> int:
-    """Photograph the painting through a simulated dome, with the commands that a real dome is used with.
-
-    Parameters
-    ----------
-    by_hand : Path
-        The simulated capture whose photographs the simulated camera takes.
-    folder : Path
-        Folder of the rig: its description, the plan, the serial port and the folder of the camera's software. Kept, so
-        that both files can be read as examples.
-    capture : Path
-        Capture folder to make; one that is there is kept.
-
-    Returns
-    -------
-    int
-        Exit status of the capture run.
-    """
-    if capture.is_dir():
-        return 0
-    from nishiki.simulate.rig.bench import PaintingBench, run_at_terminal, write_rig
-
-    bench = PaintingBench(by_hand, folder)
-    try:
-        rig, plan = write_rig(bench, by_hand, folder)
-        command = ["rig", "run", str(rig), str(plan), str(capture)]
-        print(f"nishiki {' '.join(command)}", file=sys.stderr)
-        return run_at_terminal([sys.executable, "-m", "nishiki", *command], bench.obey)
-    finally:
-        bench.close()
-
-
-def demo_folder() -> Path:
-    """The folder of an installed package's demonstrations; the configuration is copied where it is not there yet."""
-    folder = Path("nishiki-demo").absolute()
-    shutil.copytree(PROJECT / "config", folder / "config", dirs_exist_ok=True, copy_function=_copy_new)
-    print(f"the demonstration's configuration, photographs and results: {folder}", file=sys.stderr)
-    return folder
-
-
-def _copy_new(source: str, target: str) -> None:
-    """Copy a file where there is none yet."""
-    if not os.path.lexists(target):
-        shutil.copyfile(source, target)
-
-
-def compile_kernels(options: argparse.Namespace, rest: list[str]) -> int:
-    """Run tiny simulated scenes in a temporary folder: every kernel that they need is compiled and kept."""
-    from nishiki.packages import installed
-
-    # The simulated object needs the extra mesh; whoever installs without it digitises no objects.
-    scenes = {name: preset for name, preset in TINY.items() if name != "turntable" or installed("scikit-image")}
-    scenes = {"plane": "tiny"} if options.plane else scenes
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        rows = "".join(f"{scene}\t{scene}\t{scene}-truth\n" for scene in scenes)
-        (folder / "scenes.tsv").write_text("scene\tcapture\ttruth\n" + rows)
-        (folder / "config.yaml").write_text(SMALL_PICTURES)
-        environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
-        for arguments in (
-            *(
-                ["simulate", "--output", scene, "--truth", f"{scene}-truth", "--preset", preset]
-                for scene, preset in scenes.items()
-            ),
-            # Compilation has one thread, stages ask for two: as many at a time as there are processors.
-            ["run", "--configfile", "config.yaml", "--cores", str(2 * (os.cpu_count() or 1))],
-        ):
-            done = subprocess.run(
-                [sys.executable, "-m", "nishiki", *arguments],
-                cwd=folder,
-                env=environment,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-            if done.returncode:
-                print(done.stdout + done.stderr, file=sys.stderr)
-                return 1
-    return 0
-
-
-def simulate(options: argparse.Namespace, rest: list[str]) -> int:
-    """Photograph a simulated painting."""
-    return subprocess.run([sys.executable, str(SCRIPTS / "simulate.py"), *rest], check=False).returncode
-
-
-def test(options: argparse.Namespace, rest: list[str]) -> int:
-    """Run one tier of the tests with pytest; without further arguments, test files run side by side.
-
-    tests/conftest.py says which tests belong to a tier.
-    """
-    if INSTALLED:
-        raise UserError("an installed package has no tests. Remedy: call the launcher of a checkout of the project")
-    try:
-        import pytest  # noqa: F401
-    except ImportError:
-        raise UserError("pytest is not installed; remove .venv and call ./nishiki test again") from None
-    install_for_meshlab()
-    tier = [option for option, given in (("--quick", options.quick), ("--long", options.long)) if given]
-    rest = rest or ["-n", str(min(os.cpu_count() or 1, 4)), "--dist", "loadfile", "--no-loadscope-reorder"]
-    return subprocess.run([sys.executable, "-m", "pytest", *tier, *rest], cwd=PROJECT, check=False).returncode
-
-
-def install_for_meshlab() -> None:
-    """Install the system libraries that pymeshlab's filters need, where that is allowed: as root on Debian or Ubuntu.
-
-    Elsewhere, or where it fails, a message names the command; the tests that need the filters are then skipped.
-    """
-    from nishiki.geometry.meshlab import APT_LINE, missing_filters
-
-    if not missing_filters():
-        return
-    apt = shutil.which("apt-get")
-    if apt and hasattr(os, "geteuid") and os.geteuid() == 0:
-        environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-        for arguments in (["update"], APT_LINE.split()[1:]):
-            command = [apt, "-qq", "-y", *arguments]
-            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-        if done.returncode == 0:
-            return
-        print(f"{APT_LINE} failed: {done.stderr.strip()}", file=sys.stderr)
-    print(f"pymeshlab lacks filters, tests of range scans are skipped. Remedy: {APT_LINE}", file=sys.stderr)

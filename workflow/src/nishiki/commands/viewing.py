@@ -1,6 +1,7 @@
 """The command view: a scene's interactive viewer or report, or the page of all scenes, in the browser."""
 
-import argparse
+from __future__ import annotations
+
 import functools
 import http.server
 import json
@@ -9,12 +10,15 @@ import urllib.parse
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from nishiki.artifacts.publish import INDEX
-from nishiki.engine.project import load_yaml
-from nishiki.engine.workflow import Workflow
-from nishiki.errors import UserError
+from nishiki.commands.declare import any_scene_argument, command, option, with_configuration
+from nishiki.commands.inspecting import planned_workflow
+from nishiki.errors import UserError, unknown_scene
 from nishiki.processes import owner
+
+if TYPE_CHECKING:
+    from nishiki.engine.workflow import Workflow
 
 PAGE = "index.html"
 """The page of all scenes, in the folder of the results."""
@@ -23,24 +27,39 @@ OPENED_FIRST = (*VIEWERS, "report.html")
 """What is opened of a scene: the first that is there, in its folder `current`."""
 
 
-def view(options: argparse.Namespace, rest: list[str]) -> int:
-    """Open a scene, or the page of all scenes; with --serve or --beside through a local server until interrupted."""
-    flow = Workflow(load_yaml(options.configfile), lazy=bool(options.scene), file=options.configfile,
-                    leave_out_refused=not options.scene)  # fmt: skip
-    page, query, port = page_of(flow, options.scene) if options.scene else write_index(flow), "", options.serve
-    if options.beside:
-        page, query = beside(flow, page, options)
-        port = 0 if port is None and not options.print else port  # programs that open files drop what follows a ?
+@command("view", "view altarpiece", "view altarpiece --beside icon", "view --serve 8000")
+@any_scene_argument
+@with_configuration
+@option(
+    "--serve [PORT]",
+    "through a server for this machine alone, until Ctrl-C (default port: any that is free)",
+    "port",
+    type=int,
+    flag_value=0,
+    is_flag=False,
+)
+@option("--print", "print the address only; open nothing", "print_only")
+@option(
+    "--beside OTHER",
+    "another scene, or a folder of its viewer's results, on the left of a divider, under the same lamps",
+    "other",
+)
+def view(scene, configfile, port, print_only, other) -> None:
+    """Open a scene's interactive viewer, or the page of all scenes, in the browser."""
+    flow = planned_workflow(configfile, lazy=bool(scene), leave_out_refused=not scene)
+    page, query = page_of(flow, scene) if scene else write_index(flow), ""
+    if other:
+        page, query = beside(flow, page, scene, other)
+        port = 0 if port is None and not print_only else port  # programs that open files drop what follows a ?
     if port is None:
         print(page.resolve().as_uri() + query if query else page)
-        if not options.print:
+        if not print_only:
             webbrowser.open(page.resolve().as_uri())
-        return 0
-    serve(Path(flow.results), page, port, open_browser=not options.print, query=query)
-    return 0
+        return
+    serve(Path(flow.results), page, port, open_browser=not print_only, query=query)
 
 
-def beside(flow: Workflow, page: Path, options: argparse.Namespace) -> tuple[Path, str]:
+def beside(flow: Workflow, page: Path, scene: str | None, other: str) -> tuple[Path, str]:
     """A viewer's page, and what its address needs so that the one which --beside names stands left of its divider.
 
     Raises
@@ -48,10 +67,10 @@ def beside(flow: Workflow, page: Path, options: argparse.Namespace) -> tuple[Pat
     UserError
         Where no scene is named to put it beside, either of the two has no viewer, or they cannot be served together.
     """
-    if not options.scene:
-        raise UserError(f"--beside {options.beside}: beside which scene? Remedy: ./nishiki view SCENE --beside OTHER")
-    named = Path(options.beside, PAGE)
-    both = (page, named if named.is_file() else page_of(flow, options.beside))
+    if not scene:
+        raise UserError(f"--beside {other}: beside which scene? Remedy: ./nishiki view SCENE --beside OTHER")
+    named = Path(other, PAGE)
+    both = (page, named if named.is_file() else page_of(flow, other))
     for each in both:
         if each.name != PAGE:
             raise UserError(f"{each.parent}: no viewer is there. Remedy: add viewer to the scene's products, and run")
@@ -60,15 +79,15 @@ def beside(flow: Workflow, page: Path, options: argparse.Namespace) -> tuple[Pat
         raise UserError(f"{both[1]}: a page of {stages[1]}, expected one of {stages[0]}. Remedy: a scene of this kind")
     results = Path(flow.results)
     try:
-        page, other = (results / each.resolve().relative_to(results.resolve()) for each in both)
+        page, left = (results / each.resolve().relative_to(results.resolve()) for each in both)
     except ValueError:
         raise UserError(f"{both[1]}: not within {results}. Remedy: name a result of this configuration") from None
-    address = Path(os.path.relpath(other, page.parent)).as_posix()
+    address = Path(os.path.relpath(left, page.parent)).as_posix()
     return page, "?" + urllib.parse.urlencode({"beside": address})
 
 
-def page_of(flow: Workflow, scene: str) -> Path:
-    """The viewer of a scene, else its report.
+def page_of(flow: Workflow, scene: str, *, first: str = "") -> Path:
+    """The page `first` of a scene, else its viewer, else its report.
 
     Raises
     ------
@@ -76,9 +95,9 @@ def page_of(flow: Workflow, scene: str) -> Path:
         Where the scene table has no such scene, or nothing of it can be opened yet.
     """
     if scene not in flow.plans:
-        raise UserError(f"no scene {scene!r} in the scene table; scenes: {', '.join(flow.project.scenes)}")
+        raise UserError(unknown_scene(scene, flow.project.scenes))
     current = Path(flow.results, scene, "current")
-    for name in OPENED_FIRST:
+    for name in (first, *OPENED_FIRST):
         if (current / name).is_file():
             return current / name
     raise UserError(f"{current}: neither viewer nor report of scene {scene!r} is there. Remedy: ./nishiki run")
@@ -117,6 +136,7 @@ def write_index(flow: Workflow, why: Mapping[str, str] | None = None) -> Path:
 
 def card_of(flow: Workflow, scene: str, why: str):
     """What the page shows of a planned scene (`nishiki.report.campaign_page.SceneCard`)."""
+    from nishiki.artifacts.publish import INDEX
     from nishiki.report.campaign_page import SceneCard
     from nishiki.report.page import Tile
 

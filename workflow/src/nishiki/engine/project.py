@@ -112,7 +112,7 @@ def load_yaml(path: Path) -> dict:
     try:
         return plain_yaml.load(read_text(path, "settings_bytes", name=str(path))) or {}
     except FileNotFoundError:
-        remedy = "Remedy: name the configuration with --configfile; ./nishiki demo makes one to try"
+        remedy = "Remedy: ./nishiki init makes one, or name it with --configfile; ./nishiki demo makes one to try"
         raise UserError(f"{path}: file not found" + (f". {remedy}" if str(path) == CONFIGURATION else "")) from None
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: expected UTF-8 text ({error.reason} at byte {error.start})") from None
@@ -122,7 +122,9 @@ def load_yaml(path: Path) -> dict:
         raise UserError(f"{path}{line}: not valid YAML ({getattr(error, 'problem', error)})") from None
 
 
-def load_project(values: dict | None = None, *, path: Path = Path(CONFIGURATION)) -> Project:
+def load_project(
+    values: dict | None = None, *, path: Path = Path(CONFIGURATION), may_be_empty: bool = False
+) -> Project:
     """Project from `values` (as parsed from `path`), or from the file itself where values are None.
 
     Raises UserError naming file, key or row, what was expected and found.
@@ -135,8 +137,8 @@ def load_project(values: dict | None = None, *, path: Path = Path(CONFIGURATION)
         if scene.name in scenes:
             raise UserError(f"{configuration.scenes}: scene {scene.name!r} stands in the table twice")
         scenes[scene.name] = scene
-    if not scenes:
-        raise UserError(f"{configuration.scenes}: no scene in the table. Remedy: add a row: name, capture folder")
+    if not scenes and not may_be_empty:
+        raise UserError(f"{configuration.scenes}: no scene in the table. Remedy: ./nishiki run PHOTOGRAPHS/ adds one")
     return Project(configuration, scenes)
 
 

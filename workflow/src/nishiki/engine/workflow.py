@@ -13,7 +13,7 @@ from nishiki.engine.plan import Outline, Plan, PlannedStage, make_plan
 from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project, scene_with_exports
 from nishiki.engine.scheduling import Scheduling
 from nishiki.engine.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
-from nishiki.errors import UserError, of_the_machine
+from nishiki.errors import UserError, of_the_machine, unknown_scene
 from nishiki.stages.base import SceneFacts
 from nishiki.stages.table import CHAIN
 
@@ -66,12 +66,12 @@ class Workflow(Scheduling):
         self,
         configuration: dict | None = None,
         *,
-        only: str | None = None,
+        only: Sequence[str] = (),
         lazy: bool = False,
         file: str | Path = CONFIGURATION,
         leave_out_refused: bool = False,
     ):
-        """Plan all scenes, or one of them.
+        """Plan all scenes, or `only` some of them.
 
         lazy: each when it is first asked for; file: where the configuration stands, for messages; leave_out_refused:
         scenes that cannot be planned are left out and noted in `refused`, as long as another one can. Raises UserError
@@ -79,13 +79,14 @@ class Workflow(Scheduling):
         """
         self.project = load_project(configuration, path=Path(file))
         self.results = str(self.project.results)
-        if only and only not in self.project.scenes:
-            raise UserError(f"no scene {only!r} in the scene table; scenes: {', '.join(self.project.scenes)}")
+        for name in only:
+            if name not in self.project.scenes:
+                raise UserError(unknown_scene(name, self.project.scenes))
         self.sweep: PlannedSweep | None = None
         self._swept: dict[tuple[str, str, str], PlannedStage] = {}
         self._outlines: dict[Hashable, Outline] = {}
         self._known_facts: dict[tuple[Path, Path | None], SceneFacts] = {}
-        plans = Plans([only] if only else list(self.project.scenes), self._plan)
+        plans = Plans(list(only or self.project.scenes), self._plan)
         self.plans: Mapping[str, Plan] = plans
         self.refused: dict[str, str] = {}
         if self.project.configuration.sweep:

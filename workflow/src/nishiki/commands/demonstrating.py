@@ -1,0 +1,111 @@
+"""Commands that simulate: the demonstrations, and captures of the simulator."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+
+from nishiki.commands.declare import command, option
+from nishiki.installation import INSTALLED, PROJECT, SCRIPTS
+
+DEMOS = {
+    "painting": ("painting", "config/config.yaml", "a simulated painting under 13 lamps: 1 to 3 minutes"),
+    "jar": ("object", "config/object.yaml", "a simulated jar, 36 views on a turntable: 5 to 12 minutes"),
+    "satin": ("satin", "config/cloth.yaml", "a simulated satin, 5,940 photographs: 3 to 8 minutes"),
+    "rig": ("painting", "config/painting_by_rig.yaml", "the painting through a simulated dome: 2 to 5 minutes"),
+}
+"""Preset of the simulator, configuration, and what is told beforehand; times of two processors, kernels included."""
+
+
+@command("demo", "demo --object", "demo --cloth", passed_on=True)
+@option("--object", "an object on a turntable instead", "jar")
+@option("--cloth", "a satin on a gonioreflectometer instead", "satin")
+@option("--rig", "the painting through a simulated dome, which takes its photographs (needs the extra rig)", "dome")
+@click.argument("rest", nargs=-1, type=click.UNPROCESSED, metavar="[SNAKEMAKE OPTION]...")
+def demo(jar: bool, satin: bool, dome: bool, rest: tuple[str, ...]) -> int:
+    """Simulate a painting, run the whole workflow on it, name the report.
+
+    In the folder of the checkout; an installed package makes the folder nishiki-demo where it is called. What is there
+    already is used again.
+    """
+    from nishiki.commands.running import run_scenes
+
+    if jar + satin + dome > 1:
+        raise click.UsageError("--object, --cloth and --rig: only one is allowed.")
+    name = "jar" if jar else "satin" if satin else "painting"
+    preset, configuration, told = DEMOS["rig" if dome else name]
+    print(f"nishiki demo: {told}, half of it the first time for compiling", file=sys.stderr, flush=True)
+    os.chdir(demo_folder() if INSTALLED else PROJECT)
+    capture, truth = Path(f"captures/{name}"), Path(f"captures/{name}-truth")
+    if not capture.is_dir() or not truth.is_dir():
+        status = call_simulator("--output", str(capture), "--truth", str(truth), "--preset", preset)
+        if status:
+            return status
+    if dome:
+        status = photograph_by_rig(capture, Path("captures/rig"), Path("captures/painting-by-rig"))
+        if status:
+            return status
+    return run_scenes(configuration, passed=rest)
+
+
+def photograph_by_rig(by_hand: Path, folder: Path, capture: Path) -> int:
+    """Photograph the painting through a simulated dome, with the commands that a real dome is used with.
+
+    Parameters
+    ----------
+    by_hand : Path
+        The simulated capture whose photographs the simulated camera takes.
+    folder : Path
+        Folder of the rig: its description, the plan, the serial port and the folder of the camera's software. Kept, so
+        that both files can be read as examples.
+    capture : Path
+        Capture folder to make; one that is there is kept.
+
+    Returns
+    -------
+    int
+        Exit status of the capture run.
+    """
+    if capture.is_dir():
+        return 0
+    from nishiki.simulate.rig.bench import PaintingBench, run_at_terminal, write_rig
+
+    bench = PaintingBench(by_hand, folder)
+    try:
+        rig, plan = write_rig(bench, by_hand, folder)
+        command = ["rig", "run", str(rig), str(plan), str(capture)]
+        print(f"nishiki {' '.join(command)}", file=sys.stderr)
+        return run_at_terminal([sys.executable, "-m", "nishiki", *command], bench.obey)
+    finally:
+        bench.close()
+
+
+def demo_folder() -> Path:
+    """The folder of an installed package's demonstrations; the configuration is copied where it is not there yet."""
+    folder = Path("nishiki-demo").absolute()
+    shutil.copytree(PROJECT / "config", folder / "config", dirs_exist_ok=True, copy_function=_copy_new)
+    print(f"the demonstration's configuration, photographs and results: {folder}", file=sys.stderr)
+    return folder
+
+
+def _copy_new(source: str, target: str) -> None:
+    """Copy a file where there is none yet."""
+    if not os.path.lexists(target):
+        shutil.copyfile(source, target)
+
+
+@command(
+    "simulate --output captures/small --truth captures/small-truth --preset tiny", passed_on=True, add_help_option=False
+)
+@click.argument("rest", nargs=-1, type=click.UNPROCESSED)
+def simulate(rest: tuple[str, ...]) -> int:
+    """Photograph a simulated painting, object or cloth; the truth is kept apart."""
+    return call_simulator(*rest)
+
+
+def call_simulator(*words: str) -> int:
+    """Run the simulator in a process of its own; its exit status."""
+    return subprocess.run([sys.executable, str(SCRIPTS / "simulate.py"), *words], check=False).returncode

@@ -1,0 +1,248 @@
+"""Commands for the folder of a project: init, add, status; and how `run` finds the scene of what it is given."""
+
+import hashlib
+import re
+import sys
+import unicodedata
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from nishiki.commands.capturing import OPTIONS, convert_source, examine, seal_folder
+from nishiki.commands.declare import CONFIGURATION, any_scene_argument, command, with_configuration
+from nishiki.errors import UserError, unknown_scene
+from nishiki.formats.problems import group_problems
+from nishiki.installation import PROJECT
+
+CAPTURES = Path("captures")
+HEADER = """\
+# One scene a row, columns separated by tabs. products and settings may be empty.
+scene\tcapture\ttruth\tproducts\tsettings
+"""
+IN_THE_LIST = ("encoding-assumed", "lights-in-order", "cameras-in-order")
+"""Kinds of warnings that the list of assumptions contains in its own lines."""
+
+
+@command("init", "init my-project")
+@click.argument("folder", default=".", help="folder of the project, which may exist")
+def init(folder: str) -> None:
+    """Make a project: a configuration, and a scene table without scenes."""
+    made = make_project(Path(folder))
+    if not made:
+        raise UserError(f"{Path(folder, CONFIGURATION)}: there is a project already. Remedy: ./nishiki status")
+    print(f"{made}: a project. Next, in that folder: ./nishiki run PHOTOGRAPHS/")
+
+
+@command("add captures/altarpiece", "add captures/altarpiece left-wing")
+@click.argument("capture", help="capture folder, as convert or a rig made it")
+@click.argument("name", required=False, help="name of the scene (default: name of the capture)")
+@with_configuration
+def add(capture: str, name: str | None, configfile: str) -> int:
+    """Add a capture to the scene table, after a check of its tables and headers."""
+    if not _is_capture(Path(capture)):
+        raise UserError(
+            f"{capture}: no capture folder. Remedy: ./nishiki run {capture}, or ./nishiki convert, makes one"
+        )
+    if examine(capture, quick=True):
+        return 2
+    print(f"{_add_scene(configfile, name or scene_name(Path(capture)), Path(capture))}: added to the scene table")
+    return 0
+
+
+@command("status", "status altarpiece")
+@any_scene_argument
+@with_configuration
+def status(scene: str | None, configfile: str) -> None:
+    """Show each scene: whether it is finished, what comes next, and where its page is."""
+    from nishiki.commands.inspecting import planned_workflow
+    from nishiki.commands.viewing import card_of
+
+    flow = planned_workflow(configfile, scene, leave_out_refused=True)
+    cards = {name: card_of(flow, name, "") for name in flow.plans}
+    rows = [(name, cards[name].state, cards[name].detail or cards[name].page) for name in cards]
+    rows += [(name, "refused", why) for name, why in flow.refused.items()]
+    width = max(len(row[0]) for row in rows)
+    for name, state, detail in rows:
+        page = f"{flow.results}/{detail}" if state == "finished" and detail else detail
+        print(f"{name:{width}}  {state:10}  {page}".rstrip())
+    finished = sum(row[1] == "finished" for row in rows)
+    print(f"{finished} of {len(rows)} scenes are finished")
+
+
+def make_project(folder: Path) -> Path | None:
+    """Make the configuration of a project and an empty scene table; None where there is a configuration."""
+    configuration = folder / CONFIGURATION
+    if configuration.exists():
+        return None
+    configuration.parent.mkdir(parents=True, exist_ok=True)
+    table = configuration.with_name("scenes.tsv")
+    if not table.exists():
+        table.write_text(HEADER, encoding="utf-8")
+    configuration.write_text((PROJECT / CONFIGURATION).read_text(encoding="utf-8"), encoding="utf-8")
+    return configuration
+
+
+def find_scenes(words: Sequence[str], configfile: str, *, name: str | None, given: dict) -> list[str]:
+    """Return the scenes that words of the command line mean: names, captures, or photographs, which are converted.
+
+    Raises UserError where a word means nothing, and where a check finds an error; the table is unchanged then.
+    """
+    used = sorted(option for option, value in given.items() if value)
+    folders = [word for word in words if Path(word).exists()]
+    if name and len(words) != 1:
+        raise UserError(f"--name {name}: expected one folder to name, found {len(words)}. Remedy: name one folder")
+    assumed = []
+    if folders and configfile == CONFIGURATION and make_project(Path()):
+        assumed.append(("project", f"this folder; {CONFIGURATION} was made", "init FOLDER"))
+    scenes = _captures_of(configfile) if words else {}
+    found = []
+    for word in words:
+        path = Path(word)
+        if word in scenes and not name:
+            found.append(word)
+        elif not path.exists():
+            kind = "no such folder. " if "/" in word else ""
+            raise UserError(f"{word}: {kind}{unknown_scene(word, scenes)}")
+        elif _is_capture(path):
+            if examine(word):
+                raise UserError(f"{word}: cannot be used, for the errors above. Remedy: mend them and run again")
+            found.append(_add_scene(configfile, name or scene_name(path), path))
+        else:
+            found.append(_from_photographs(path, configfile, name or scene_name(path), (given, used), assumed))
+            continue
+        if used:
+            raise UserError(
+                f"{word}: is no folder of photographs; {_flags(used)} belong to one. Remedy: leave them out"
+            )
+    if used and not words:
+        raise UserError(f"{_flags(used)}: expected a folder of photographs to convert. Remedy: name it")
+    return found
+
+
+def scene_name(source: Path) -> str:
+    """Return the name of a scene after that of a file or folder: letters, digits, - and _ only."""
+    text = unicodedata.normalize("NFKD", source.resolve().stem if source.is_file() else source.resolve().name)
+    text = text.replace("ß", "ss")
+    return re.sub(r"[^A-Za-z0-9_]+", "-", text.encode("ascii", "ignore").decode()).strip("-")[:100] or "scene"
+
+
+def _from_photographs(source: Path, configfile: str, name: str, options: tuple[dict, list[str]], assumed: list) -> str:
+    """Convert photographs into captures/NAME, or find that this was done before; the scene that was added."""
+    given, used = options
+    capture, scenes = CAPTURES / name, _captures_of(configfile)
+    if name in scenes and scenes[name].resolve() != capture.resolve():
+        raise UserError(f"{source}: the scene {name} is made of {scenes[name]}. Remedy: --name with another name")
+    if capture.exists():
+        if used:
+            why = f"{capture} exists, so that {_flags(used)} would change nothing"
+        elif not _holds_photographs(capture, source):
+            why = f"{capture} exists and was made of other photographs"
+        else:
+            print(f"{source}: converted before, as {capture}", file=sys.stderr)
+            return _add_scene(configfile, name, capture)
+        raise UserError(f"{source}: {why}. Remedy: --name with another name, or remove {capture} first")
+    print(f"{source}: reading, comparing and copying the photographs into {capture}", file=sys.stderr, flush=True)
+    CAPTURES.mkdir(exist_ok=True)
+    made = convert_source(source, capture, given, checked=True)
+    seal_folder(capture)
+    things = "measurements" if made.geometry == "goniometer" else "photographs"
+    print(f"{source}: {made.photographs} {things} ({made.layout}). What was assumed, and the option that changes it:")
+    rows = [*assumed, ("scene", f"{name}, from {capture}", "--name"), *list_assumptions(made, given)]
+    for label, value, flag in rows:
+        print(f"  {label:13}{value:51} {flag}".rstrip())
+    for problem in group_problems(problem for problem in made.warnings if problem.kind not in IN_THE_LIST):
+        print(f"  doubtful: {problem}")
+    assumed.clear()
+    return _add_scene(configfile, name, capture)
+
+
+def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
+    """List what a conversion assumed: label, value, option of `run` and `convert` that changes it."""
+    from nishiki.capture.folder import payload_of
+    from nishiki.capture.schema import read_capture_file
+
+    described = read_capture_file(payload_of(made.folder) / "capture.yaml")
+    kinds = {problem.kind for problem in made.warnings}
+    rows = [("title", described.title, "--title")]
+    if made.geometry == "goniometer":
+        values, azimuths = described.goniometer.values, described.goniometer.azimuths
+        return [*rows, ("values", str(values), "--values"), ("azimuths", f"of the view from {azimuths}", "--azimuths")]
+    stated = {"encoding-assumed": "8 bit say nothing of it"}.get(
+        next(iter(kinds & {"encoding-assumed"}), ""), "as stated"
+    )
+    other = "linear" if described.camera.encoding != "linear" else "srgb"
+    coding = "as each file states" if described.camera.encoding == "file" else f"{described.camera.encoding} ({stated})"
+    rows.append(("coding", coding, f"--encoding {other}"))
+    order = "given to the photographs in the order of their names" if kinds & set(IN_THE_LIST[1:]) else "by file name"
+    if made.geometry == "turntable":
+        mask = "none: outlines are taken from the photographs"
+        rows += [("cameras", order, "--turn, --camera-of"), ("outlines", given["mask"] or mask, "--mask FOLDER")]
+        return [*rows, ("white board", given["white"] or "none: colours are relative", "--white FOLDER")]
+    kind = described.lights.kind.replace("_mm", "s in mm")
+    width = getattr(described, "pixel_pitch_mm", None)
+    region = getattr(described, "region_of_interest", None)
+    rows += [
+        ("lamps", f"{kind}, {order}"[:51], "--lights, --lights-order, --lights-axes"),
+        ("scale", f"{width:g} mm a pixel" if width else "none: lengths are in pixels", "--width-mm MM"),
+        ("object", getattr(described, "mask", None) or "the whole picture: no mask", "--mask FILE"),
+        ("part", " ".join(map(str, region)) if region else "the whole picture", "--roi"),
+        ("white board", given["white"] or "none: colours are relative", "--white FOLDER"),
+        ("dark frames", given["dark"] or "none", "--dark FOLDER"),
+        ("room light", given["ambient"] or "no photograph of it", "--ambient FILE"),
+    ]
+    return rows
+
+
+def _is_capture(folder: Path) -> bool:
+    return any((folder / part / "capture.yaml").is_file() for part in (".", "data"))
+
+
+def _flags(options: Sequence[str]) -> str:
+    """Return options as they are written, by the names of their values."""
+    shared: dict = {}
+    for declare in OPTIONS:
+        declare(shared.setdefault("function", lambda: None))
+    flags = {each.name: each.opts[0] for each in shared["function"].__click_params__}
+    return ", ".join(flags[option] for option in options)
+
+
+def _captures_of(configfile: str) -> dict[str, Path]:
+    """Capture folder of each scene of the table, which may be empty."""
+    from nishiki.engine.project import load_project, load_yaml
+
+    values = load_yaml(Path(configfile))
+    project = load_project(values, path=Path(configfile), may_be_empty=True)
+    return {name: scene.capture for name, scene in project.scenes.items()}
+
+
+def _add_scene(configfile: str, name: str, capture: Path) -> str:
+    """Add a row to the scene table, unless it is there; the name. UserError where another scene has the name."""
+    from nishiki.engine.project import load_project, load_yaml
+
+    scenes = _captures_of(configfile)
+    if name in scenes:
+        if scenes[name].resolve() != capture.resolve():
+            raise UserError(f"{capture}: the scene {name} is made of {scenes[name]}. Remedy: give another name")
+        return name
+    table = Path(load_project(load_yaml(Path(configfile)), may_be_empty=True).configuration.scenes)
+    text = table.read_text(encoding="utf-8-sig")
+    header = next(line for line in text.splitlines() if line.strip() and not line.startswith("#")).split("\t")
+    row = "\t".join({"scene": name, "capture": str(capture)}.get(column, "") for column in header)
+    table.write_text(f"{text.rstrip(chr(10))}\n{row}\n", encoding="utf-8")
+    return name
+
+
+def _holds_photographs(capture: Path, source: Path) -> bool:
+    """Whether the photographs of a sealed capture are those of a folder, by their digests."""
+    try:
+        lines = (capture / "manifest-sha256.txt").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return False
+    kept = {line.split()[0] for line in lines if "data/frames/" in line}
+    files = [path for path in sorted(source.rglob("*")) if path.is_file()] if source.is_dir() else [source]
+    there = set()
+    for path in files:
+        with path.open("rb") as file:
+            there.add(hashlib.file_digest(file, "sha256").hexdigest())
+    return bool(kept) and kept <= there

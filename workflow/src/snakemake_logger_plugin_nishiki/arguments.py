@@ -1,0 +1,29 @@
+"""Which words of a command line are options of Snakemake, and which are its targets."""
+
+from collections.abc import Sequence
+
+from nishiki.errors import UserError
+
+
+def parse_words(words: Sequence[str]) -> list[str]:
+    """Return the words that Snakemake takes for targets.
+
+    Raises
+    ------
+    LookupError
+        For an option that Snakemake does not know; its arguments are the option and the options that it knows.
+    UserError
+        Where Snakemake cannot read the value of an option.
+    """
+    from snakemake.cli import get_argument_parser
+
+    def refuse(message: str) -> None:
+        raise UserError(f"{message}. Remedy: name scenes first; see ./nishiki run --help and snakemake --help")
+
+    parser = get_argument_parser()
+    parser.error = refuse
+    options, unknown = parser.parse_known_args(list(words))
+    for word in unknown:
+        if word.startswith("-"):
+            raise LookupError(word.split("=")[0], [name for name in parser._option_string_actions if name[:2] == "--"])
+    return [*options.targets, *unknown]
