@@ -263,4 +263,7 @@ def test_angles_that_do_not_explain_the_photographs(tmp_path):
         folder = tmp_path / str(number)
         folder.mkdir()
         told, _, _ = run(make(folder, states, noise=1e-4, labels=labels), folder, pictures=0)
-        assert ("unexplained" in beyond(told)) == bool(labels)
+        assert ("unexplained" in beyond(told)) == ("exchanged" in beyond(told)) == bool(labels)
+        found = [p for p in check_capture(folder / "capture", level="full") if p.kind == "states-exchanged"]
+        assert len(found) == bool(labels)
+        assert all("90 and 30" in problem.remedy or "30 and 90" in problem.remedy for problem in found)

@@ -13,12 +13,11 @@ import numpy as np
 
 from nishiki.formats.coarse_pictures import read_coarse
 from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.polarisation.series_order import fits_by_chance, series_design
 
 Kind = Literal["none", "circular", "linear", "generator"]
 FEWEST_ANGLES = 3
 LEAST_ALIKE = 0.3  # median correlation of photographs of one view; those of the measured badges have 0.997
-FEWEST_FITTED = 12  # photographs, for nine unknowns
-SHUFFLES, AS_GOOD = 19, 2  # other orders of them, and how many may fit as well: chance does so once in seven times
 COARSE = 24
 NO_SERIES = "Give the photographs other names if they are none, with --lights FILE or their cameras"
 MEANS = {
@@ -88,9 +87,7 @@ def state_problems(states: tuple[str, ...], file: str) -> list[Problem]:
 def state_warnings(photographs: Sequence[Path], states: Sequence[str], source: str) -> list[Problem]:
     """Warn where photographs do not vary with the angles of generator and analyser as behind polarisers.
 
-    Light behind both is a product of 1, cos 2g, sin 2g and 1, cos 2a, sin 2a; it must fit the angles better than the
-    same photographs in nearly all of SHUFFLES other orders (a small grid has orders that fit as well). CaptureError
-    (states-contradicted) where the photographs do not show one view, or not in one size.
+    CaptureError (states-contradicted) where the photographs do not show one view, or not in one size.
     """
     values = [read_coarse(path, COARSE, "linear") for path in photographs]
     if len({value.shape for value in values}) > 1:
@@ -101,16 +98,7 @@ def state_warnings(photographs: Sequence[Path], states: Sequence[str], source: s
     if len(varied) > 1 and (alike := float(np.median(np.corrcoef(varied)))) < LEAST_ALIKE:
         what, found = "named as states of one view, but they show different things", f"correlation {alike:.2f}"
         raise CaptureError(error("states-contradicted", source, what, found=found, remedy=NO_SERIES))
-    turns = np.radians([parse_state(state).angles_deg for state in states]).T * 2
-    parts = [np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)]) for turn in turns]
-    design = (parts[0][:, None] * parts[1][None]).reshape(9, -1).T
-    if len(stack) < FEWEST_FITTED:
-        return []
-    around = stack - stack.mean(axis=0)
-    orders = [np.arange(len(stack)), *(np.random.default_rng(i).permutation(len(stack)) for i in range(SHUFFLES))]
-    fits = [np.linalg.lstsq(design, around[order], rcond=None)[0] for order in orders]
-    left = [((around[order] - design @ fit) ** 2).sum() for order, fit in zip(orders, fits, strict=True)]
-    if sum(other <= left[0] for other in left[1:]) <= AS_GOOD:
+    if not fits_by_chance(stack, series_design(np.array([parse_state(state).angles_deg for state in states]))):
         return []
     what = "the photographs do not vary with these angles as light behind polarisers does"
     return [warning("states-unexplained", source, what, remedy="Check that the names are angles in degrees")]

@@ -1,20 +1,26 @@
-"""Polariser states against the photographs: light of a crossed state cannot exceed that of the parallel one."""
+"""Polariser states against the photographs: crossed states are darker, and turning polarisers follow their law."""
 
 from __future__ import annotations
+
+from collections import Counter
 
 import numpy as np
 
 from nishiki.capture.frames import Frame
+from nishiki.capture.polariser import parse_state
 from nishiki.errors import UserError
 from nishiki.formats.problems import Problem, error
 from nishiki.observations.frames import FrameReader
+from nishiki.polarisation.mueller import equal_steps
 from nishiki.polarisation.polariser_states import sums_of
+from nishiki.polarisation.series_order import SeriesOrder, find_order, remove_nuisance, series_design
 
 SIDE = 96
 """Pixels of the longer side to which photographs are averaged; noise counts little then."""
 EXCHANGED = 1.02
 """Light of the crossed over that of the parallel state from which the states are exchanged. Off and on give 0.3 to 0.5,
 angles 0.2 to 0.99, light never more than 1; a lamp that varies between photographs adds 1 %."""
+RETARDERS, MOST_NAMED = 25, 6  # terms of a series of retarders; views and photographs that a message names
 LIT = 0.1
 """Share of the brightest hundredth from which a pixel shows the object."""
 
@@ -24,6 +30,7 @@ class PolariserLevels:
 
     def __init__(self, reader: FrameReader):
         self.reader, self.pictures = reader, {}
+        self.files: dict[tuple[str, str, str], dict[str, str]] = {}
         self.compared = len(reader.capture.states) > 1
 
     def add(self, frame: Frame, codes: np.ndarray, inside: np.ndarray) -> None:
@@ -35,13 +42,64 @@ class PolariserLevels:
         step = max(1, max(codes.shape[:2]) // (4 * SIDE))
         some = codes[::step, ::step]
         linear = self.reader.table[some] if codes.dtype.kind == "u" else some
-        linear = (linear.mean(axis=2) - self.reader.black) * inside[::step, ::step] / (frame.exposure_s or 1.0)
+        linear = (linear.mean(axis=2) - self.reader.black) * inside[::step, ::step] / (frame.exposure or 1.0)
         factor = min(1.0, SIDE / max(linear.shape))
         size = tuple(max(1, round(n * factor)) for n in linear.shape[::-1])
         small = cv2.resize(np.nan_to_num(linear).astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        self.pictures.setdefault((frame.role, frame.light, frame.view), {})[frame.polariser] = small
+        key = frame.role, frame.light, frame.view
+        self.pictures.setdefault(key, {})[frame.polariser] = small
+        self.files.setdefault(key, {})[frame.polariser] = frame.file
 
     def problems(self) -> list[Problem]:
+        """States that contradict the photographs: exchanged parallel and crossed ones, angles in another order."""
+        return self._darker_parallel() + self._other_orders()
+
+    def _other_orders(self) -> list[Problem]:
+        """An error for each order of angles that explains the photographs of some views, unlike the stated one."""
+        found: list[tuple[tuple[str, str, str], SeriesOrder]] = []
+        for key, pictures in self.pictures.items():
+            angles = np.array([angles for state in pictures if (angles := parse_state(state).angles_deg)])
+            if key[0] != "sample" or len(angles) != len(pictures):
+                continue
+            angles = np.stack([equal_steps(column) for column in angles.T], axis=1)
+            design = series_design(angles)
+            if angles.shape[1] == 2 and self.reader.capture.calibration is not None and design.shape[1] < RETARDERS:
+                continue  # the stage knows by the calibration what so few states tell
+            order = find_order(remove_nuisance(np.stack(list(pictures.values())).astype(np.float64)), design)
+            if order is not None and not order.as_stated:
+                found.append((key, order))
+        problems = []
+        while found:
+            orders = Counter((tuple(self.pictures[key]), each) for key, order in found for each in order.all)
+            (states, commonest), _ = orders.most_common(1)[0]
+            views = [(key, order) for key, order in found if commonest in order.all]
+            found = [each for each in found if each not in views]
+            problems.append(self._order_problem(states, commonest, views))
+        return problems
+
+    def _order_problem(
+        self, states: tuple[str, ...], commonest: tuple[int, ...], views: list[tuple[tuple[str, str, str], SeriesOrder]]
+    ) -> Problem:
+        """The error of views whose photographs are explained by one other order."""
+        key, order = max(views, key=lambda each: each[1].unexplained)
+        files = self.files[key]
+        moved = [f"{files[states[k]]}: {states[i]}" for i, k in enumerate(commonest) if i != k]
+        more = f" and {len(moved) - MOST_NAMED} more" if len(moved) > MOST_NAMED else ""
+        remedy = f"State in the column polariser of frames.csv what they show ({', '.join(moved[:MOST_NAMED])}{more})"
+        if len(moved) == 2:
+            alike = set.intersection(*(set(each.all) for _, each in views)) - {commonest}
+            places = [np.flatnonzero(np.array(each) != range(len(states))) for each in (commonest, *sorted(alike))]
+            exchanges = ", or ".join(" and ".join(states[i] for i in pair) for pair in places[:MOST_NAMED])
+            remedy = f"Exchange the states {exchanges} in the column polariser of frames.csv"
+        if key[2]:
+            names = list(dict.fromkeys(view for (_, _, view), _ in views))
+            more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+            remedy += f" for the views {', '.join(names[:MOST_NAMED])}{more}"
+        what = f"the photographs of {len(moved)} of {len(states)} polariser states do not follow their angles"
+        shares = f"{100 * order.unexplained:.2g} % of the variation left, {100 * order.corrected:.2g} % with the remedy"
+        return error("states-exchanged", "frames.csv", what, expected="polarisers' law", found=shares, remedy=remedy)
+
+    def _darker_parallel(self) -> list[Problem]:
         """One error that names the views, or the white boards, that are brighter in the crossed state."""
         ratios = {key: _crossed_over_parallel(pictures) for key, pictures in self.pictures.items()}
         odd = {key: ratio for key, ratio in ratios.items() if ratio is not None and ratio > EXCHANGED}

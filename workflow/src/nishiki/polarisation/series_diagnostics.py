@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from nishiki.polarisation.polariser_states import StateSums
+from nishiki.polarisation.series_order import find_order, remove_nuisance
 
 MOST_VALUES = 1 << 19
 ROWS = 32
@@ -47,10 +48,10 @@ def diagnose(sums: StateSums, thinned: Thinned) -> dict:
 
     residual: root mean square of what the least squares leaves, relative to the mean of the photographs. unexplained:
     share of the variation between the states that it leaves, of means over 64 values so that noise counts little; 0
-    where it leaves less than 2 % of the light: what varies so little is the lamp. mueller: the
-    mean matrix relative to its first element. polarisance_median: median over the pixels of the root mean square of the
-    3 x 3 other elements (2 x 2 where only linear polarisation is known), 1 for a mirror, 0 where all polarisation is
-    lost. pixels_used: of the choice.
+    where it leaves less than 2 % of the light: what varies so little is the lamp. exchanged: number of states whose
+    photographs another order explains better beyond doubt. mueller: the mean matrix relative to its first element.
+    polarisance_median: median over the pixels of the root mean square of the 3 x 3 other elements (2 x 2 where only
+    linear polarisation is known), 1 for a mirror, 0 where all polarisation is lost. pixels_used: of the choice.
     """
     if not thinned.has_fit:
         return {}
@@ -69,9 +70,12 @@ def diagnose(sums: StateSums, thinned: Thinned) -> dict:
             ratios.append(np.sqrt((solved[inner][:, lit] ** 2).sum(axis=0) / np.sqrt(len(inner))) / solved[0, lit])
     if not count:
         return {"residual": None, "unexplained": None, "pixels_used": 0}
+    series = np.concatenate(means, axis=1)
+    order = find_order(remove_nuisance(series[:, None]), sums.design)
     diagnostics: dict = {
         "residual": float(np.sqrt(left / count) / (total / count)) if total > 0 else None,
-        "unexplained": _unexplained(sums, np.concatenate(means, axis=1)),
+        "unexplained": _unexplained(sums, series),
+        "exchanged": sum(i != k for i, k in enumerate(order.order)) if order else 0,
         "pixels_used": int(thinned.valid.sum()),
     }
     if sums.elements:
