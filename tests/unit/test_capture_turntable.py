@@ -10,6 +10,7 @@ import pytest
 from captures import edit_block, edit_yaml, make_turntable, ring_of_cameras, write_frame
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 from scipy.io import savemat
 
 from nishiki.capture.cameras import camera_centre, read_cameras
@@ -207,6 +208,24 @@ def test_a_repeated_last_matrix_is_left_out_with_its_photograph(tmp_path):
     capture = load_capture(tmp_path / "c")
     assert len(capture.views) == 4
     assert capture.settings.turntable.full_turn
+
+
+def test_recorded_exposures_are_taken_along_or_named(tmp_path):
+    """Views of a turntable whose camera chose its exposure; a table without these columns is named by the check."""
+    folder, times = tmp_path / "s", [1 / 50, 1 / 25, 1 / 50, 1 / 50]
+    folder.mkdir()
+    for i, seconds in enumerate(times):
+        exif = Image.Exif()
+        exif.get_ifd(0x8769).update({0x829A: seconds, 0x8827: 100})
+        Image.fromarray(np.full((20, 24, 3), 60 + i, np.uint8)).save(folder / f"{i}.jpg", exif=exif)
+    savemat(folder / "P.mat", {"P": cells(ring_of_cameras(4))})
+    made = convert(folder, tmp_path / "c")
+    assert "exposure-differs" in {p.kind for p in made.warnings}
+    assert [f.exposure_s for f in load_capture(tmp_path / "c").observed] == pytest.approx(times)
+    assert "exposure-differs" not in {p.kind for p in check_capture(tmp_path / "c")}
+    table = tmp_path / "c/frames.csv"
+    table.write_text("".join(line.rpartition(",")[0] + "\n" for line in table.read_text().splitlines()))
+    assert "exposure-differs" in {p.kind for p in check_capture(tmp_path / "c")}
 
 
 def test_an_arc_is_no_full_turn(tmp_path):

@@ -152,6 +152,21 @@ def test_a_movement_may_be_left_as_it_is(tmp_path):
     assert any("camera" in text for text in diagnostics.warnings)
 
 
+def test_a_stated_shift_is_undone(clean, tmp_path):
+    moves = [(4.0, -3.0) if j in (2, 7) else (0.0, 0.0) for j in range(LAMPS)]
+    source = write_set(tmp_path / "s", [seen(light, shift=move) for light, move in zip(lamps(), moves, strict=True)])
+    convert(source, tmp_path / "c")
+    table = (tmp_path / "c/frames.csv").read_text().splitlines()
+    stated = [f"{row},{x},{y}" for row, (x, y) in zip(table[1:], moves, strict=True)]
+    (tmp_path / "c/frames.csv").write_text("\n".join([table[0] + ",shift_x_px,shift_y_px", *stated]) + "\n")
+    settings = IngestSettings(correct={"registration": "never"})
+    diagnostics = write_observations(load_capture(tmp_path / "c"), tmp_path / "o", settings=settings)
+    assert np.abs([row["shift_px"] for row in diagnostics.corrections["photographs"].values()]).max() < 0.2
+    observed = nishiki.read_observations(tmp_path / "c")
+    field = nishiki.estimate_normals(observed.values.mean(axis=3), observed.directions, valid=observed.valid)
+    assert difference(field, clean, margin=14) < ACCURATE
+
+
 def test_unconnected_photographs_are_not_moved():
     """Photographs of noise have nothing in common."""
     noise = np.random.default_rng(1).random((6, 60, 80)).astype(np.float32)

@@ -87,6 +87,12 @@ def test_dark_level_white_board_and_exposures_divide_out(tmp_path):
         np.testing.assert_allclose(values, expected * 0.9 / (8 * 0.5), rtol=2e-3)
         assert valid.all()
     assert abs(result.white_level[0] - 0.5) < 1e-3
+    iso = [rows[0] + ",iso", *(f"{row},{100 * float(times.get(row.split(',')[0], 1) or 1):g}" for row in rows[1:])]
+    (folder / "frames.csv").write_text("\n".join(iso) + "\n")
+    (tmp_path / "iso").mkdir()
+    sensitive, _ = ingested(folder, tmp_path / "iso")
+    for i in range(5):
+        np.testing.assert_allclose(sensitive.read(i)[0], views.read(i)[0], rtol=1e-6)
 
 
 def test_boards_of_polariser_states_are_kept_as_means(tmp_path):

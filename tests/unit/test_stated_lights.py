@@ -224,6 +224,7 @@ def test_crop_shifts_and_scale_of_a_project(tmp_path):
     assert capture.settings.region_of_interest == (3, 5, 10, 20)
     assert capture.settings.pixel_pitch_mm == 0.05
     assert {"project-crop", "project-aligns"} <= told
+    assert [frame.shift_px for frame in capture.observed] == [(0, 0)] * 6 + [(3, 2)] * 6
     project(tmp_path / "s", crop=crop | {"left": 5, "top": 8, "width": 10, "height": 20, "angle": 90})
     capture, _ = captured(tmp_path / "s", tmp_path / "turned")  # the picture is 30 wide and 40 high then
     assert capture.settings.region_of_interest == (15, 8, 10, 20)

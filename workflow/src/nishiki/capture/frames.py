@@ -22,13 +22,15 @@ from nishiki.formats.text_tables import expect_rows, label_problems, reading, ta
 ROLES = ("sample", "check", "white", "dark", "flat", "ambient")
 LIT_ROLES = ("sample", "check", "white")
 EXPOSURE_COLUMNS = {"exposure_s": "seconds above 0", "f_number": "a number above 0", "iso": "a number above 0"}
-COLUMNS = ("file", "role", "light", *EXPOSURE_COLUMNS, "view", "band")
+SHIFT_COLUMNS = ("shift_x_px", "shift_y_px")
+COLUMNS = ("file", "role", "light", *EXPOSURE_COLUMNS, *SHIFT_COLUMNS, "view", "band")
 TURNTABLE_ROLES = ("sample", "white", "dark", "board")
-TURNTABLE_COLUMNS = ("file", "role", "view", "light", "polariser", "exposure_s", "silhouette")
+TURNTABLE_COLUMNS = ("file", "role", "view", "light", "polariser", *EXPOSURE_COLUMNS, "silhouette")
 GONIOMETER_ROLES = ("sample", "white", "dark")
 ANGLE_COLUMNS = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 RADIAN_COLUMNS = tuple(name.replace("_deg", "_rad") for name in ANGLE_COLUMNS)
 GONIOMETER_COLUMNS = ("file", "role", *ANGLE_COLUMNS, "exposure_s")
+LARGEST_SHIFT = 1e4  # pixels
 MOST_NAMED = 20  # unknown columns that are named
 DIALECTS = {
     "plane": (ROLES, COLUMNS),
@@ -50,6 +52,7 @@ class Frame:
     """One photograph. file: as written, relative to the payload; light: its lamp's name ('' where no lamp burns).
 
     f_number: focal length over aperture; iso: sensitivity; None where not stated.
+    shift_px: column and row at which it shows what the photograph without shift shows at 0, 0.
     bands: its channels, where each has a file of its own, of which `file` is the first; else empty.
     polariser: state of the polarisers ('' for none); silhouette: picture of the object's outline in this view, or '';
     angles_deg: theta_i, phi_i, theta_r, phi_r of a goniometer, None where not given.
@@ -69,6 +72,7 @@ class Frame:
     bands: tuple[Band, ...] = ()
     f_number: float | None = None
     iso: float | None = None
+    shift_px: tuple[float, float] = (0.0, 0.0)
 
     @property
     def parts(self) -> tuple[Band, ...]:
@@ -92,8 +96,8 @@ def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
     """Parse frames.csv of a plane, a turntable or a goniometer; CaptureError lists all mistakes.
 
     Kinds: frames-missing, frames-unreadable, frames-many, unknown-column, role-unknown, light-empty, name-unusable,
-    exposure-invalid, frame-duplicate, outside-folder, image-missing, frames-none, polariser-unknown, silhouette-role,
-    angle-invalid.
+    exposure-invalid, shift-invalid, frame-duplicate, outside-folder, image-missing, frames-none, polariser-unknown,
+    silhouette-role, angle-invalid.
     """
     with reading(table.name, "frames"):
         columns, *rows = [cells for _, cells in islice(table_rows(table, table.name), bound("frames") + 2)] or [[]]
@@ -211,12 +215,22 @@ def _frame(
                 exposure[column] = value
             else:
                 problems.append(error("exposure-invalid", where, column, expected=expected, found=text))
+    shifts = []
+    for column in SHIFT_COLUMNS:
+        try:
+            shifts.append(float(row.get(column) or 0))
+        except ValueError:
+            shifts.append(math.nan)
+        if not abs(shifts[-1]) < LARGEST_SHIFT:
+            expected = f"pixels, less than {LARGEST_SHIFT:g}"
+            problems.append(error("shift-invalid", where, column, expected=expected, found=row[column]))
     path = payload
     try:
         path = inside(payload, row["file"], where)
     except CaptureError as e:
         problems.extend(e.problems)
-    return Frame(row["file"], path, role, light, view=row.get("view", ""), row=number, **exposure)
+    shift = (shifts[0], shifts[1])
+    return Frame(row["file"], path, role, light, view=row.get("view", ""), row=number, shift_px=shift, **exposure)
 
 
 def _round_about(frame: Frame, row: dict[str, str], payload: Path, where: str, problems: list[Problem]) -> Frame:

@@ -48,7 +48,7 @@ class Layout(SourcePhotographs):
     """photographs[i] was taken under lights.names[i]; intensities (lights, channels) or None; mask or None.
 
     kind: what the lamps' vectors are, `direction` or `position_mm`; pitch_mm: width of a pixel on the object, 0 if it
-    is not known; region: row, column, rows, columns to use, None for all;
+    is not known; region: row, column, rows, columns to use, None for all; shifts (lights, 2): see `Frame.shift_px`;
     bands: names of the channels where each has a file of its own, and band_files[i] the files of photograph i;
     files: further files of the capture by name, of which `mask.png` is the mask where there is no other; notes: for
     capture.yaml.
@@ -63,6 +63,7 @@ class Layout(SourcePhotographs):
     kind: str = "direction"
     pitch_mm: float = 0.0
     region: tuple[int, int, int, int] | None = None
+    shifts: np.ndarray | None = None
     bands: tuple[str, ...] = ()
     band_files: tuple[tuple[Path, ...], ...] = ()
     files: Mapping[str, bytes] = field(default_factory=dict)
@@ -171,7 +172,7 @@ def _settled(layout: Layout, stated: StatedLights, file: Path, options: ConvertO
     """The layout with what the file states beside its lamps, and what the photographs decide."""
     sample = cache(lambda: sample_photographs(layout.photographs, options.encoding))
     if len(layout.lights.names) != len(stated.lights.names):  # a line a band
-        stated = replace(stated, intensities=None, rival=None)
+        stated = replace(stated, intensities=None, rival=None, shifts=None)
     stated, columns = replace(stated, lights=layout.lights), read_header(layout.photographs[0]).columns
     stated = decide(stated, file.name, sample, columns, options.width_mm)
     stated = decide_strengths(stated, file.name, sample)
@@ -185,6 +186,7 @@ def _settled(layout: Layout, stated: StatedLights, file: Path, options: ConvertO
         pitch_mm=stated.width_mm / columns or stated.pitch_mm,
         intensities=stated.intensities,
         region=stated.region,
+        shifts=stated.shifts,
         warnings=tuple(notes),
     )
 

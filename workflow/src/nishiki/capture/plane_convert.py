@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.bands import complete_bands, sort_bands
-from nishiki.capture.frames import EXPOSURE_COLUMNS
+from nishiki.capture.frames import SHIFT_COLUMNS
 from nishiki.capture.layouts import Layout, masks_in, photographs_in
 from nishiki.capture.lights import Lights, rearrange
 from nishiki.capture.options import ConvertOptions, file_problems
@@ -20,17 +20,15 @@ from nishiki.capture.taking import (
     choose_encoding,
     file_names,
     lights_text,
+    read_exposures,
     settings_text,
     table_text,
     take,
     take_mask,
     usual_header,
 )
-from nishiki.formats.exif import read_exif
 from nishiki.formats.masks import alpha_problems
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
-
-SAME_EXPOSURE = 0.01  # cameras that measure the exposure time write it with such differences
 
 
 def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOptions) -> list[Problem]:
@@ -100,7 +98,12 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     if region is not None:
         settings["region_of_interest"] = list(region)
     exposures, remarks = ({}, []) if layout.bands else read_exposures(folder, rows)
-    write_tables(folder, settings, rows, layout.lights, exposures)
+    further = dict(exposures)
+    if layout.shifts is not None and not layout.bands:
+        shifts = np.zeros((len(rows), 2))
+        shifts[: len(layout.shifts)] = layout.shifts
+        further |= {c: [f"{v:.9g}" for v in values] for c, values in zip(SHIFT_COLUMNS, shifts.T, strict=True)}
+    write_tables(folder, settings, rows, layout.lights, further)
     return [*notes, *remarks]
 
 
@@ -146,36 +149,6 @@ def _sorted_bands(folder: Path, bands: tuple[str, ...]) -> dict[str, dict[str, P
     return next(
         (found.files for found in sort_bands(folder, photographs_in) if set(found.channels) == set(bands)), None
     )
-
-
-def read_exposures(folder: Path, rows: list[tuple[str, ...]]) -> tuple[dict[str, list[str]], list[Problem]]:
-    """Read exposure time, f-number and ISO of the photographs of frames.csv, where cameras recorded them.
-
-    rows: file, role and light of each. Returns the cells of each column whose values differ between the lit
-    photographs by more than SAME_EXPOSURE, and a warning where there is one, or where some of them state nothing.
-    """
-    recorded = [read_exif(folder / row[0], name=row[0]) for row in rows]
-    lit = [i for i, row in enumerate(rows) if row[1] != "dark"]
-    columns: dict[str, list[str]] = {}
-    unknown, said = [], []
-    for column in EXPOSURE_COLUMNS:
-        values = [getattr(exif, column) for exif in recorded]
-        stated = [values[i] for i in lit if values[i] is not None]
-        if not stated or max(stated) <= min(stated) * (1 + SAME_EXPOSURE):
-            continue
-        said.append(f"{column} {min(stated):.4g} to {max(stated):.4g}")
-        if len(stated) < len(lit):
-            unknown += [rows[i][0] for i in lit if values[i] is None]
-        columns[column] = ["" if value is None else f"{value:.9g}" for value in values]
-    if unknown:
-        what, found = "photographs are differently exposed, and some do not state how", ", ".join(said)
-        remedy = f"Exposures are not divided out. Give them for {unknown[0]} too, in frames.csv of an open capture"
-        return {}, [warning("exposure-unstated", unknown[0], what, found=found, remedy=remedy)]
-    if not columns:
-        return {}, []
-    what, found = "photographs are differently exposed; the exposures that they record are divided out", ", ".join(said)
-    remedy = "Set the camera to manual exposure"
-    return columns, [warning("exposure-differs", "frames.csv", what, found=found, remedy=remedy)]
 
 
 def write_tables(

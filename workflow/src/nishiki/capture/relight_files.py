@@ -5,7 +5,8 @@ They lie in its `folder`. Directions stand with the photographs (`direction`) in
 `dome.directions`: one for each photograph that is not skipped. A dome, in a project or in a file of its own, has in
 millimetres `positionsSphere` where its `lightConfiguration` is `spherical` (else `domeDiameter` and `verticalOffset`
 give them), `positions3d` where it is `lights3d`, the width of the pictures in `imageWidth`, and in `ledAdjust` factors
-that even the lamps out. `crop` is in pixels, turned about the middle of the picture; `aligns` hold shifts.
+that even the lamps out. `crop` is in pixels, turned about the middle of the picture; `aligns` hold in `offsets` the
+place (column, row) in each photograph of what the first one shows at 0, 0; their mean counts.
 `info.json` of a relightable image holds `lights`, three numbers a photograph, without file names, and perhaps
 `pixelSizeInMM`. Axes as in `.lp`.
 """
@@ -111,7 +112,8 @@ def _of_project(content: dict, images: list, path: Path, kind: str | None, width
         what = "photographs that the project skips were left out"
         notes.append(warning("photograph-unlisted", path.name, what, found=f"{len(images) - len(used) - len(dark)}"))
     region, more = _crop(content, path.name)
-    notes += [*more, *_shifts(content, [stated[k] for k in used], path.name)]
+    shifts, remarks = _shifts(content, [stated[k] for k in used], path.name)
+    notes += [*more, *remarks]
     folder = content.get("folder")
     prefix = f"{folder.rstrip('/')}/" if isinstance(folder, str) and folder.strip("/") not in ("", ".") else ""
     files: list[str | None] = [f"{prefix}{names[stated[k]]}" for k in used]
@@ -119,7 +121,7 @@ def _of_project(content: dict, images: list, path: Path, kind: str | None, width
     lights = lights_from_vectors(files, lamps.vectors, file=path.name, kind=lamps.read_as)
     lights = replace(lights, warnings=(*lights.warnings, *notes))
     stated_lights = lamps.lights(lights, None if strengths is None else strengths[used])
-    return replace(stated_lights, pitch_mm=_positive(content, "pixelSize"), region=region)
+    return replace(stated_lights, pitch_mm=_positive(content, "pixelSize"), region=region, shifts=shifts)
 
 
 @dataclass(frozen=True)
@@ -144,9 +146,8 @@ class _DomeLamps:
 
     def lights(self, lights: Lights, strengths: np.ndarray | None) -> StatedLights:
         open_kind = self.directions is not None
-        return StatedLights(
-            lights, self.kind, self.width_mm, 0.0, strengths, None, open_kind, open_kind, self.directions
-        )
+        stated = StatedLights(lights, self.kind, self.width_mm, 0.0, strengths)
+        return replace(stated, open_kind=open_kind, scaled=open_kind, rival=self.directions)
 
 
 def _of_dome(dome: dict, path: Path, kind: str | None, width_mm: float | None) -> _DomeLamps:
@@ -215,17 +216,17 @@ def _crop(content: dict, file: str) -> tuple[tuple[int, int, int, int] | None, l
     return region, [warning(CROPPED, file, what, found=found)]
 
 
-def _shifts(content: dict, used: list[int], file: str) -> list[Problem]:
-    """What to tell of the shifts of photographs that a project states, which are not applied."""
+def _shifts(content: dict, used: list[int], file: str) -> tuple[np.ndarray | None, list[Problem]]:
+    """Return the shifts (used, 2) of photographs that a project states, None for none, and what to tell of them."""
     shifts = []
     for align in content.get("aligns") if isinstance(content.get("aligns"), list) else []:
         offsets = align.get("offsets") if isinstance(align, dict) else None
         if isinstance(offsets, list) and len(offsets) > max(used, default=-1):
             shifts.append([_vector(offsets[i][:2] if isinstance(offsets[i], list) else [], file) for i in used])
     if not shifts or np.abs(largest := np.mean(shifts, axis=0)).max(initial=0.0) < LEAST_SHIFT:
-        return []
-    what = "the project aligns its photographs; its shifts are not taken over, the photographs stay as they are"
-    return [warning("project-aligns", file, what, found=f"shifts of up to {np.abs(largest).max():.1f} pixels")]
+        return None, []
+    what = "the project aligns its photographs; they are moved back by its shifts"
+    return largest, [warning("project-aligns", file, what, found=f"shifts of up to {np.abs(largest).max():.1f} pixels")]
 
 
 def _read(path: Path) -> dict:

@@ -51,6 +51,8 @@ class StatedLights:
         Directions where the angles of the file are of another kind, `rival_kind`, or where lamps turn out to be far.
     open_strengths : bool
         Whether photographs have to tell what the intensities are, see `decide_strengths`.
+    shifts : (lights, 2) float64 or None
+        Columns and rows in pixels, see `Frame.shift_px`.
     """
 
     lights: Lights
@@ -64,6 +66,7 @@ class StatedLights:
     rival: np.ndarray | None = None
     rival_kind: str = ""
     open_strengths: bool = False
+    shifts: np.ndarray | None = None
 
 
 def read_lights_file(file: Path, kind: str | None, present: Collection[str]) -> StatedLights:

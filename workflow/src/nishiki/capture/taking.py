@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 import yaml
 
+from nishiki.capture.frames import EXPOSURE_COLUMNS, LIT_ROLES
 from nishiki.capture.lights import Lights
 from nishiki.formats.coding import coding_used
+from nishiki.formats.exif import Exif, read_exif
 from nishiki.formats.exr import several_layers
 from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.image_headers import read_header
@@ -25,6 +27,7 @@ from nishiki.formats.problems import CaptureError, Problem, error, warning
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 COLOUR = ("red", "green", "blue")
+SAME_EXPOSURE = 0.01  # cameras that measure the exposure time write it with such differences
 FOLDERS = ("frames", "white", "dark", "ambient", "silhouettes")
 
 
@@ -109,6 +112,43 @@ def take(origin: Path, place: Path, link: bool) -> str:
 def take_mask(origin: Path, place: Path, link: bool) -> tuple[str, list[Problem]]:
     """Copy or hard-link a mask or silhouette; returns its name in the capture, and warnings about how it is read."""
     return take(origin, place, link), list(examine_mask(origin).problems)
+
+
+def read_exposures(folder: Path, rows: list[tuple[str, ...]]) -> tuple[dict[str, list[str]], list[Problem]]:
+    """Read exposure time, f-number and ISO of the photographs of frames.csv, where cameras recorded them.
+
+    rows: file and role of each. Returns the cells of each column whose values differ between the lit photographs, and
+    a warning where there is one, or where some of them state nothing.
+    """
+    recorded = [read_exif(folder / row[0], name=row[0]) for row in rows]
+    lit = [i for i, row in enumerate(rows) if row[1] in (*LIT_ROLES, "ambient")]
+    said, unknown = compare_exposures([recorded[i] for i in lit])
+    found = ", ".join(said.values())
+    if unknown:
+        file = rows[lit[unknown[0]]][0]
+        what = "photographs are differently exposed, and some do not state how"
+        remedy = f"Exposures are not divided out. Give them for {file} too, in frames.csv of an open capture"
+        return {}, [warning("exposure-unstated", file, what, found=found, remedy=remedy)]
+    if not said:
+        return {}, []
+    what = "photographs are differently exposed; the exposures that they record are divided out"
+    values = {column: [getattr(exif, column) for exif in recorded] for column in said}
+    columns = {column: ["" if v is None else f"{v:.9g}" for v in each] for column, each in values.items()}
+    remedy = "Set the camera to manual exposure"
+    return columns, [warning("exposure-differs", "frames.csv", what, found=found, remedy=remedy)]
+
+
+def compare_exposures(recorded: Sequence[Exif]) -> tuple[dict[str, str], list[int]]:
+    """Say of each column of exposures that differs by more than SAME_EXPOSURE how much, and which state nothing."""
+    said: dict[str, str] = {}
+    unknown: set[int] = set()
+    for column in EXPOSURE_COLUMNS:
+        values = [getattr(exif, column) for exif in recorded]
+        stated = [value for value in values if value is not None]
+        if stated and max(stated) > min(stated) * (1 + SAME_EXPOSURE):
+            said[column] = f"{column} {min(stated):.4g} to {max(stated):.4g}"
+            unknown |= {i for i, value in enumerate(values) if value is None}
+    return said, sorted(unknown)
 
 
 def settings_text(settings: dict[str, Any]) -> str:

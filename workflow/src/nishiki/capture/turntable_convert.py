@@ -18,6 +18,7 @@ from nishiki.capture.taking import (
     channel_names,
     choose_encoding,
     file_names,
+    read_exposures,
     settings_text,
     table_text,
     take,
@@ -75,8 +76,9 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
     settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "turntable", "camera": camera}
     settings |= {"turntable": block} if block else {}
     (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
-    _write_frames(folder / "frames.csv", rows)
-    return list(notes)
+    exposures, doubts = read_exposures(folder, rows)
+    _write_frames(folder / "frames.csv", rows, exposures)
+    return [*notes, *doubts]
 
 
 def _match_silhouettes(layout: RoundLayout, folder: Path) -> tuple[dict[Path, Path], tuple[Problem, ...]]:
@@ -142,8 +144,9 @@ def _write_cameras(path: Path, layout: RoundLayout) -> None:
     path.write_text(table_text(rows), encoding="utf-8")
 
 
-def _write_frames(path: Path, rows: list[tuple[str, ...]]) -> None:
-    """The table without the columns that are empty throughout."""
+def _write_frames(path: Path, rows: list[tuple[str, ...]], exposures: dict[str, list[str]]) -> None:
+    """Write the table without the columns that are empty throughout."""
     names = ("file", "role", "view", "polariser", "silhouette")
-    kept = [i for i in range(len(names)) if i < 2 or any(row[i] for row in rows)]
-    path.write_text(table_text([[names[i] for i in kept], *([row[i] for i in kept] for row in rows)]), encoding="utf-8")
+    columns = dict(zip(names, zip(*rows, strict=True), strict=True)) | exposures
+    kept = {name: cells for name, cells in columns.items() if name in names[:2] or any(cells)}
+    path.write_text(table_text([list(kept), *zip(*kept.values(), strict=True)]), encoding="utf-8")

@@ -12,8 +12,9 @@ from typing import Literal
 import numpy as np
 
 from nishiki.capture.folder import Capture, examine
-from nishiki.capture.frames import Frame
+from nishiki.capture.frames import LIT_ROLES, Frame
 from nishiki.capture.seal import payload_files, verify_seal
+from nishiki.capture.taking import compare_exposures
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.coding import Coding
 from nishiki.formats.files import walk
@@ -169,7 +170,7 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
     severe = {p.file for p in problems}
     odd = _exceptions(kinds, "image-format", "format differs", "Export all photographs by one program")
     problems += [replace(p, severity="warning") for p in odd if p.file not in severe]
-    problems += _coding_problems(headers, capture.settings.camera.encoding)
+    problems += _coding_problems(headers, capture.settings.camera.encoding) + _exposure_problems(capture, headers)
     severe |= {p.file for p in problems if p.severity == "error"}
     usual = next((h for file, h in headers.items() if file not in severe), next(iter(headers.values())))
     bits, held = capture.settings.camera.bits, {"uint8": 8, "uint16": 16}.get(usual.sample, 16)
@@ -222,6 +223,26 @@ def _coding_problems(headers: dict[str, ImageHeader], encoding: str) -> list[Pro
         found = f"{len(odd)} of {len(turns)} photographs, such as this one with {turns[odd[0]]} in place of {usual}"
         problems.append(warning("orientation-differs", odd[0], what, found=found))
     return problems
+
+
+def _exposure_problems(capture: AnyCapture, headers: dict[str, ImageHeader]) -> list[Problem]:
+    """Warn where the files record differing exposures, frames.csv states none, and no board was exposed alike."""
+    lit = [f for f in capture.frames if f.role in (*LIT_ROLES, "ambient") and f.file in headers]
+    if not lit or any(f.exposure is not None or f.bands for f in lit):
+        return []
+    recorded = {f.file: headers[f.file].exif for f in lit}
+    boards = {f.light: recorded[f.file] for f in lit if f.role == "white" and not f.polariser}
+    samples = [f for f in lit if f.role in ("sample", "check")]
+    alike = [f.light in boards and not compare_exposures([recorded[f.file], boards[f.light]])[0] for f in samples]
+    if boards and all(alike):
+        return []
+    said, unknown = compare_exposures(list(recorded.values()))
+    if not said:
+        return []
+    what, found = "the files record differing exposures, and frames.csv states none", ", ".join(said.values())
+    remedy = f"Give the {'columns' if len(said) > 1 else 'column'} {', '.join(said)} in frames.csv"
+    remedy += ", or write the capture again with convert" if not unknown else f"; {lit[unknown[0]].file} records none"
+    return [warning("exposure-differs", "frames.csv", what, found=found, remedy=remedy)]
 
 
 def _exceptions(values: dict[str, str], kind: str, what: str, remedy: str) -> list[Problem]:

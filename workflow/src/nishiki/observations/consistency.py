@@ -71,7 +71,7 @@ class ReducedPhotographs:
         part = codes[np.ix_(self.rows, self.columns)]
         linear = part if part.dtype.kind == "f" else reader.table[part]
         dark = self.darks.at(frame.exposure_s).mean(axis=(0, 1))
-        values = (linear - dark).mean(axis=2) / (frame.exposure_s or 1.0)
+        values = (linear - dark).mean(axis=2) / (frame.exposure or 1.0)
         values[(part >= reader.saturated).any(axis=2) | ~self.inside] = np.nan
         shape = (len(self.rows) // self.side, self.side, len(self.columns) // self.side, self.side)
         reduced = values.reshape(shape).mean(axis=(1, 3)).astype(np.float32)

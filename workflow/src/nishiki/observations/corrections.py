@@ -219,8 +219,11 @@ def find_corrections(
         ambient, notes = _choose_ambient(left, found, values[kept], directions[kept], wishes)
         problems += notes
     motions = {frames[j].file: movement.matrix(j) for j in kept if moved[j] and wishes.registration == "auto"}
+    registered = [frame.light for frame in frames if frame.file in motions]
+    for file, stated in reader.motions.items():  # a stated shift is undone first
+        motions[file] = motions[file] + stated * (0, 0, 1) if file in motions else stated
     done = {
-        "registered": [frame.light for frame in frames if frame.file in motions],
+        "registered": registered,
         "left_out": {frames[j].light: reason for j, reason in reasons.items() if frames[j].file in out},
         "gains": {f.light: float(g) for f, g in zip(left.observed, gains, strict=True) if g != 1},
         "ambient": ambient.tolist() if ambient.any() else [],

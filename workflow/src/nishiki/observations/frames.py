@@ -98,7 +98,9 @@ class FrameReader:
         coding, bits = header.coding_used(camera.encoding), camera.bits or header.bits
         if coding.fault and camera.encoding == "file":
             raise CaptureError(unusable_coding(coding, first.file))
-        return cls(capture, channels, header.rows, header.columns, dtype, coding, bits, region, digests)
+        motions = {f.file: np.column_stack([np.eye(2), f.shift_px]) for f in capture.frames if any(f.shift_px)}
+        rows, columns = header.rows, header.columns
+        return cls(capture, channels, rows, columns, dtype, coding, bits, region, digests, motions=motions)
 
     @property
     def stored(self) -> tuple[str, ...]:

@@ -84,10 +84,10 @@ def _reference_problems(reader: FrameReader, tick: Tick) -> list[Problem]:
 
 
 def _complete(capture: TurntableCapture) -> bool:
-    """Whether white boards and exposure times are there for every light, or none; if not, it is reported already."""
+    """Whether white boards and exposures are there for every light, or none; if not, it is reported already."""
     lit = [f for f in capture.frames if f.role in ("sample", "white")]
     plain = {f.light for f in lit if f.role == "white" and not f.polariser}
-    timed = sum(f.exposure_s is not None for f in lit)
+    timed = sum(f.exposure is not None for f in lit)
     return timed in (0, len(lit)) and (not plain or plain >= set(capture.light_names))
 
 

@@ -23,7 +23,7 @@ Tick = Callable[[str], None]
 class Whites:
     """gain (lights, r, c, channels) float32 at the exposure of the board's light, NaN where the board cannot be used;
     ones (lights, 1, 1, channels) where none normalises. scale: factor of each observed frame for its exposure time;
-    longest: exposure time to which all are brought, s, or None; levels: of the boards, worst channel, by light.
+    longest: `Frame.exposure` to which all are brought, or None; levels: of the boards, worst channel, by light.
 
     defect (rows, columns) bool: dead pixels.
     """
@@ -40,10 +40,10 @@ class Whites:
 def measure_whites(reader: FrameReader, darks: DarkField, edges: Edges, tick: Tick) -> Whites:
     """Gain of each light from its white board without polariser, else 1.
 
-    Values are those at the longest exposure time of the sample frames; a board brings them to a perfect white.
+    Values are those at the longest exposure of the sample frames; a board brings them to a perfect white.
     """
     capture = reader.capture
-    times = [f.exposure_s for f in capture.observed]
+    times = [f.exposure for f in capture.observed]
     longest = max(times) if times[0] is not None else None
     scale = tuple(longest / t if longest else 1.0 for t in times)
     by_light = {f.light: f for f in capture.frames_of("white") if not f.polariser}
@@ -66,7 +66,7 @@ def measure_whites(reader: FrameReader, darks: DarkField, edges: Edges, tick: Ti
             clip=reader.clip,
             name=frame.file,
         )
-        ratio = frame.exposure_s / longest if longest else 1.0
+        ratio = frame.exposure / longest if longest else 1.0
         gains.append(field.gain * np.float32(ratio))
         levels.append(float(field.level.min()))
         problems += field.problems
@@ -105,7 +105,7 @@ def mean_boards(
         part, valid = np.empty_like(total), np.empty((rows, columns), bool)
         gain = whites.gain[reader.capture.light_names.index(light)]
         for frame, codes in reader.read_all(frames):
-            scale = np.float32(whites.longest / frame.exposure_s if whites.longest else 1.0)
+            scale = np.float32(whites.longest / frame.exposure if whites.longest else 1.0)
             fields = on_one_grid(gain * scale, darks.at(frame.exposure_s))
             grid = grid_of(fields[0].shape[:2], (rows, columns), edges)
             view_values(codes, reader.table, one_code, reader.saturated, *fields, *grid, usable, part, valid)
