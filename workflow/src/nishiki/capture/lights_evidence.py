@@ -1,14 +1,13 @@
 """What photographs say about the numbers of a lights file: far directions, near positions, angles, strengths.
 
-A pixel whose albedo times normal is b shows b . l_j under the far lamp j, and b . (p_j - x) / |p_j - x|^3 under a lamp
-at p_j (x: the pixel's place in the picture's plane). b has three unknowns; with more lamps than that, the residual of
-least squares tells which reading of the numbers is right, and how wide the picture is in their unit (Woodham, 1980).
+The photographs, reduced to a few hundred samples, are fitted by Lambert's law with a free strength of every lamp; what
+is left, the width of the picture in the unit of the lamps, and the strengths tell which reading is right.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,19 +15,20 @@ import numpy as np
 from nishiki.formats.coarse_pictures import read_coarse
 from nishiki.formats.exif import Exif
 from nishiki.formats.image_headers import read_header
+from nishiki.photometric.consistency import SURE, fit_lambert, none_where_undetermined, spread_pixels
+from nishiki.photometric.near_lamps import NearLamps, measure_width
 
 SIDE = 40  # samples along the longer side of the picture
 MOST_PHOTOGRAPHS = 32  # read, spread over the lamps
 FEWEST_PHOTOGRAPHS = 5
-DARK, BRIGHT = 0.05, 0.97  # of a sample's brightest value: shadow; of the largest value: saturation
-TRIMMED = 0.8  # share of the samples whose fit counts: the others hold cast shadows and gloss
-WIDTHS = np.geomspace(0.05, 4.0, 30)  # of the picture, in median distances of the lamps
-CLEARLY = 0.85  # ratio of residuals below which one reading is better, beyond noise and gloss
-AS_WELL = 0.97  # ratio of residuals above which one reading is no better
+BRIGHT = 0.97  # of the largest value: saturation
+CLEARLY = 0.85  # ratio of misfits below which one reading is better, beyond noise and gloss
 TRIED_WIDTH = 0.5  # of the lamps' distance: near lamps that would show if there were any
-DOUBT = 1.5  # factor by which a width must be wrong to fit clearly worse, for the photographs to show it
 MILLIMETRES = (40.0, 5000.0)  # distance of lamps whose unit is taken to be the millimetre
 UNITS = {"millimetres": 1.0, "centimetres": 10.0, "inches": 25.4, "metres": 1000.0}
+SAME_UNIT = 0.2  # by which a width may be off for its unit to be known
+OFF_UNIT = 0.1  # of lengths from 1: nearer, vectors state directions alone, and their unit is the lamps' distance
+LEAST_STRENGTH = 0.01  # by which strengths differ that can be told from noise
 
 
 @dataclass(frozen=True)
@@ -37,16 +37,13 @@ class Samples:
 
     Attributes
     ----------
-    values : (photographs, samples) float64
-        Linear mean of the channels, NaN where shadow or saturated.
-    places : (samples, 3) float64
-        From the centre of the picture, x right, y up, z 0; the picture is 1 wide.
+    values : (photographs, rows, columns) float64
+        Linear mean of the channels, NaN where saturated.
     chosen : (photographs,) int
         Number of each photograph among those given.
     """
 
     values: np.ndarray
-    places: np.ndarray
     chosen: np.ndarray
 
 
@@ -61,15 +58,12 @@ def sample_photographs(photographs: Sequence[Path], encoding: str | None) -> Sam
     pictures = [read_coarse(photographs[i], SIDE, encoding) for i in chosen]
     if len({picture.shape for picture in pictures}) > 1:
         return None
-    rows, columns = pictures[0].shape
-    stored = np.array(pictures).reshape(len(chosen), -1)
-    lit = (stored > DARK * stored.max(axis=0)) & (stored < BRIGHT * max(float(stored.max()), 1e-9))
-    row, column = np.divmod(np.arange(stored.shape[1]), columns)
-    places = np.column_stack([(column + 0.5) / columns - 0.5, (rows / 2 - row - 0.5) / columns, np.zeros(len(row))])
+    stored = np.array(pictures, np.float64)
+    values = np.where(stored < BRIGHT * max(float(stored.max()), 1e-9), stored, np.nan)
     exposures = [_exposure(read_header(photographs[i]).exif) for i in chosen]
     if all(exposures):
-        stored = stored / np.array(exposures)[:, None] * np.median(exposures)
-    return Samples(np.where(lit, stored, np.nan), places, chosen)
+        values = values / np.array(exposures)[:, None, None] * np.median(exposures)
+    return Samples(values, chosen)
 
 
 def _exposure(exif: Exif) -> float:
@@ -77,31 +71,13 @@ def _exposure(exif: Exif) -> float:
     return (exif.exposure_s or 0.0) * (exif.iso or 1.0) / (exif.f_number or 1.0) ** 2
 
 
-def residual_of(samples: Samples, lights: np.ndarray) -> float:
-    """Relative residual of least squares under lights (photographs, 3), or (photographs, samples, 3) where they are
-    near; infinite where too few samples are lit."""
-    lights = lights[samples.chosen]
-    field = np.broadcast_to(lights[:, None] if lights.ndim == 2 else lights, (*samples.values.shape, 3))
-    lit = np.isfinite(samples.values)
-    usable = lit.sum(axis=0) >= FEWEST_PHOTOGRAPHS - 1
-    if usable.sum() < FEWEST_PHOTOGRAPHS:
-        return np.inf
-    weights, values = lit[:, usable].astype(float), np.nan_to_num(samples.values[:, usable])
-    field = field[:, usable]
-    normal = np.einsum("js,jsa,jsb->sab", weights, field, field)
-    normal += 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    body = np.linalg.solve(normal, np.einsum("js,js,jsa->sa", weights, values, field)[..., None])[..., 0]
-    left = ((weights * (values - np.einsum("jsa,sa->js", field, body))) ** 2).sum(axis=0)
-    relative = np.sort(left / np.maximum((weights * values**2).sum(axis=0), 1e-12))
-    return float(np.sqrt(relative[: max(int(TRIMMED * len(relative)), 1)].mean()))
-
-
-def near_field(vectors: np.ndarray, places: np.ndarray, width: float) -> np.ndarray:
-    """Irradiance vectors (lights, samples, 3) of lamps at positions (lights, 3), in their unit like the width; 1 where
-    a lamp at the median distance shines on the middle."""
-    to_lamp = vectors[:, None] - width * places
-    distance = np.linalg.norm(to_lamp, axis=2)[..., None]
-    return to_lamp * (np.median(np.linalg.norm(vectors, axis=1)) ** 2 / distance**3)
+@none_where_undetermined
+def misfit_of(samples: Samples, directions: np.ndarray) -> float | None:
+    """Median misfit relative to the albedo under lamps in these directions (lights, 3)."""
+    places, patches = spread_pixels(samples.values)
+    values = samples.values.reshape(len(samples.values), -1)[:, places]
+    fit = fit_lambert(values, directions[samples.chosen], patches)
+    return float(np.nanmedian(np.abs(fit.residuals) / np.linalg.norm(fit.normals, axis=1)))
 
 
 @dataclass(frozen=True)
@@ -127,41 +103,57 @@ class Verdict:
     unit: str = ""
 
 
-def judge(
-    samples: Samples, vectors: np.ndarray, strengths: np.ndarray | None, columns: int, width_mm: float | None
-) -> Verdict:
-    """Compare vectors (lights, 3) as directions and as positions, also where the lamps have strengths or factors.
+def judge(samples: Samples, vectors: np.ndarray, columns: int, width_mm: float | None) -> Verdict:
+    """Compare vectors (lights, 3) as directions and as positions, of lamps of any strength.
 
     columns : of the photographs; width_mm : on the object, where the user states it.
     """
-    from scipy.optimize import minimize_scalar
-
-    powers = (0,) if strengths is None or not (strengths > 0).all() else (0, 1, -1)
-    mean = np.ones(len(vectors)) if strengths is None else strengths.mean(axis=1)
-    trials = [samples.values * mean[samples.chosen, None] ** power for power in powers]
+    vectors = vectors[samples.chosen]
     lengths = np.linalg.norm(vectors, axis=1)
-    distance = float(np.median(lengths))
-
-    def misfit(width: float) -> float:
-        field = near_field(vectors, samples.places, width) if width else vectors / lengths[:, None]
-        return min(residual_of(replace(samples, values=values), field) for values in trials)
-
-    far_fit = misfit(0.0)
+    found, distance = measure_width(samples.values, vectors), float(np.median(lengths))
+    if found is None:
+        return Verdict(False, False)
+    if not found.shown:
+        return Verdict(False, found.width + SURE * found.sigma < TRIED_WIDTH * distance)
     if width_mm:
+        exact = width_mm / found.width
         units = {**UNITS, "pixels": width_mm / columns}
-        fits = {name: misfit(width_mm / factor) for name, factor in units.items()}
-        unit = min(fits, key=lambda name: fits[name])
-        unit = "millimetres" if fits["millimetres"] * AS_WELL <= fits[unit] else unit
-        near_fit, width, factor = fits[unit], width_mm, units[unit]
-    else:
-        best = int(np.argmin([misfit(distance * each) for each in WIDTHS]))
-        around = np.log(WIDTHS[[max(best - 1, 0), min(best + 1, len(WIDTHS) - 1)]])
-        found = minimize_scalar(
-            lambda log: misfit(distance * float(np.exp(log))), bounds=around, method="bounded", options={"xatol": 1e-3}
-        )
-        near_fit, width = float(found.fun), distance * float(np.exp(found.x))
-        shown = min(misfit(width / DOUBT), misfit(width * DOUBT)) * AS_WELL > near_fit
-        known = MILLIMETRES[0] <= distance <= MILLIMETRES[1] and abs(width / columns - 1) > 0.15
-        unit, factor = ("millimetres", 1.0) if known and shown else ("", 0.0)
-    far = near_fit > AS_WELL * far_fit and misfit(TRIED_WIDTH * distance) * CLEARLY > far_fit
-    return Verdict(near_fit < CLEARLY * far_fit, far, width if factor else 0.0, factor, unit)
+        unit = min(units, key=lambda name: (abs(np.log(exact / units[name])), name))
+        if abs(np.log(exact / units[unit])) < SAME_UNIT and np.abs(lengths - 1).max() > OFF_UNIT:
+            return Verdict(True, False, width_mm, units[unit], unit)
+        return Verdict(True, False, width_mm, exact, f"units of {exact:.4g} mm")
+    known = MILLIMETRES[0] <= distance <= MILLIMETRES[1] and abs(found.width / columns - 1) > SAME_UNIT
+    return Verdict(True, False, found.width, 1.0, "millimetres") if known else Verdict(True, False)
+
+
+def choose_strengths(
+    samples: Samples, vectors: np.ndarray, candidates: dict[str, np.ndarray], *, near: bool
+) -> tuple[str, dict[str, float]]:
+    """Choose the strengths (lights,) of the lamps that the photographs show, by name, and tell what each leaves.
+
+    near: vectors (lights, 3) are positions, at which a lamp of strength 1 lights the middle by the inverse square of
+    its distance. A course of strengths that is linear over the directions is like a tilt of the object, and left out.
+    """
+    found = measure_gains(samples, vectors, near=near)
+    if found is None:
+        return "", {}
+    lengths = np.linalg.norm(vectors[samples.chosen], axis=1)
+    course = np.column_stack([np.ones(len(lengths)), vectors[samples.chosen] / lengths[:, None]])
+    left = {}
+    for name, strengths in candidates.items():
+        rest = np.log(found / strengths[samples.chosen])
+        rest = rest - course @ np.linalg.lstsq(course, rest, rcond=None)[0]
+        left[name] = float(np.hypot(LEAST_STRENGTH, np.sqrt(np.mean(rest**2))))
+    return min(left, key=lambda name: left[name]), left
+
+
+@none_where_undetermined
+def measure_gains(samples: Samples, vectors: np.ndarray, *, near: bool) -> np.ndarray | None:
+    """Strengths (photographs,) of the lamps, see `choose_strengths`."""
+    lamps = vectors[samples.chosen]
+    if near:
+        found: NearLamps | None = measure_width(samples.values, lamps)
+        return None if found is None else found.gains
+    places, patches = spread_pixels(samples.values)
+    directions = lamps / np.linalg.norm(lamps, axis=1, keepdims=True)
+    return fit_lambert(samples.values.reshape(len(lamps), -1)[:, places], directions, patches).gains

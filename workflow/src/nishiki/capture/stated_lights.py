@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.lights import Lights, from_angles, is_unicode, light_name, lights_from_vectors, read_numbers
-from nishiki.capture.lights_evidence import AS_WELL, CLEARLY, Samples, Verdict, judge, near_field, residual_of
+from nishiki.capture.lights_evidence import CLEARLY, OFF_UNIT, Samples, Verdict, choose_strengths, judge, misfit_of
 from nishiki.capture.options import ANGLES
 from nishiki.formats.files import same_name
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 
 CODE_PAGES = "cp932 gbk big5 cp949 euc_jp cp1251 cp1253 cp1250 cp1252 mac_roman cp850 cp437 latin-1".split()
-EVEN, OFF_UNIT = 0.05, 0.1  # spread of the lengths of one set of directions; their distance from 1
+EVEN = 0.05  # spread of the lengths of one set of directions
 SCALED = (0.1, 10.0)  # lengths of directions that were not normalised; equal ones beyond may be the radius of a dome
 Sampler = Callable[[], Samples | None]
 
@@ -148,8 +148,8 @@ def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, widt
     other kind.
     """
     if stated.rival is not None and stated.rival_kind and (taken := samples()) is not None:
-        own, other = residual_of(taken, stated.lights.directions), residual_of(taken, stated.rival)
-        if other < CLEARLY * own:
+        own, other = (misfit_of(taken, directions) for directions in (stated.lights.directions, stated.rival))
+        if own is not None and other is not None and other < CLEARLY * own:
             what = "the photographs contradict the kind of these angles"
             found = f"residual {own:.3g}, and {other:.3g} with the other kind"
             remedy = f"Give the other kind: --lights-kind {stated.rival_kind}"
@@ -159,14 +159,11 @@ def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, widt
     if stated.kind == "position_mm" and stated.width_mm:  # as the file says itself
         return stated
     vectors, taken = stated.lights.vectors, samples()
-    verdict = (
-        judge(taken, vectors, stated.intensities, columns, width_mm or stated.width_mm)
-        if taken
-        else Verdict(False, False)
-    )
+    width = width_mm or stated.width_mm
+    verdict = judge(taken, vectors, columns, width) if taken else Verdict(False, False)
     if verdict.near and verdict.factor:
         return _as_positions(stated, file, verdict, told=bool(width_mm))
-    if stated.kind == "position_mm" and width_mm:
+    if stated.kind == "position_mm" and width_mm and not _are_unit(vectors):
         return replace(stated, width_mm=width_mm)
     if stated.open_kind and not verdict.near and (verdict.far or stated.scaled):
         far = vectors if stated.rival is None else stated.rival
@@ -174,7 +171,10 @@ def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, widt
         return replace(stated, lights=lights, open_kind=False, width_mm=width_mm or stated.width_mm)
     lengths = np.linalg.norm(vectors, axis=1)
     found = f"lengths {lengths.min():.4g} to {lengths.max():.4g}"
-    if verdict.near or stated.kind == "position_mm":
+    if stated.kind == "position_mm" and width_mm:
+        what, expected = "the photographs do not show how far away the lamps are", "positions in millimetres"
+        remedy = "List the positions of the lamps in millimetres, or give --lights-kind direction"
+    elif verdict.near or stated.kind == "position_mm":
         what, expected = "the unit of the lamps' positions is not known", "the width of the photographs"
         remedy = (
             "Give the width of the whole photographs on the object in millimetres: --width-mm WIDTH. If the numbers "
@@ -212,15 +212,13 @@ def decide_strengths(stated: StatedLights, file: str, samples: Sampler) -> State
     positive = np.isfinite(stated.intensities).all() and (stated.intensities > 0).all()
     if taken is not None and positive:
         strengths = stated.intensities / np.median(stated.intensities, axis=0)
-        mean = strengths.mean(axis=1)[taken.chosen, None]
-        field = stated.lights.directions
-        if stated.kind == "position_mm":
-            field = near_field(stated.lights.vectors, taken.places, stated.width_mm)
-        trials = {"": 1.0, "strengths of the lamps": 1 / mean, "factors that even the lamps out": mean}
-        left = {name: residual_of(replace(taken, values=taken.values * by), field) for name, by in trials.items()}
-        best = min(left, key=lambda name: left[name])
-        if best and left[best] < AS_WELL * left[""]:
-            chosen = strengths if "strengths" in best else 1 / strengths
+        mean = strengths.mean(axis=1)
+        names = ("", "strengths of the lamps", "factors that even the lamps out")
+        candidates = dict(zip(names, (np.ones_like(mean), mean, 1 / mean), strict=True))
+        near = stated.kind == "position_mm"
+        best, left = choose_strengths(taken, stated.lights.vectors, candidates, near=near)
+        if best and left[best] < CLEARLY * left[""]:
+            chosen = strengths if best == names[1] else 1 / strengths
             note = f"are read as {best}"
     what = f"the further numbers of each line {note}"
     lights = replace(stated.lights, warnings=(*stated.lights.warnings, warning("lights-further-numbers", file, what)))
@@ -239,9 +237,9 @@ def scale_to_middle(stated: StatedLights, file: str, samples: Sampler) -> Stated
     light = (np.median(lengths) / lengths[:, None]) ** 2
     given = np.ones_like(light) if stated.intensities is None else stated.intensities
     if (taken := samples()) is not None:
-        values = replace(taken, values=taken.values / given.mean(axis=1)[taken.chosen, None])
-        field = near_field(stated.lights.vectors, taken.places, stated.width_mm)
-        if residual_of(values, field / light[..., None]) < CLEARLY * residual_of(values, field):
+        candidates = {"equal": given.mean(axis=1), "alike": given.mean(axis=1) / light[:, 0]}
+        best, left = choose_strengths(taken, stated.lights.vectors, candidates, near=True)
+        if best == "alike" and left["alike"] < CLEARLY * left["equal"]:
             return stated
     what = "lamps at different distances are assumed equally strong; intensities.csv lists their light on the middle"
     note = warning("lights-equal", file, what, found=f"{lengths.min():.4g} to {lengths.max():.4g} mm")

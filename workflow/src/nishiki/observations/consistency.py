@@ -13,6 +13,7 @@ from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField, board_cosine
 from nishiki.photometric.arrangement import Arrangement, arrange
 from nishiki.photometric.consistency import LEAST_AMBIENT, SURE, Consistency, examine_photographs
+from nishiki.photometric.near_lamps import NearLamps, measure_width
 
 LONGEST = 256  # pixels of a reduced photograph along its longer side: relief is coarser, texture mostly finer
 SUBSAMPLES = 3  # pixels a side that are averaged to one: noise falls to a third, and few are decoded
@@ -24,7 +25,8 @@ class Judgement:
 
     lights: places of the lamps in the lights file; names: of the photographs' files; values (lights, rows, columns):
     reduced photographs, divided by their boards or strengths where there are any; directions (lights, 3) as stated;
-    consistency, arrangement: None where nothing can be told.
+    consistency, arrangement: None where nothing can be told; near: what the fall-off of directed lamps without boards
+    shows, in widths of these pictures.
     """
 
     lights: tuple[int, ...]
@@ -33,6 +35,7 @@ class Judgement:
     directions: np.ndarray
     consistency: Consistency | None
     arrangement: Arrangement | None
+    near: NearLamps | None = None
 
 
 @dataclass
@@ -97,7 +100,10 @@ class ReducedPhotographs:
         consistency, arrangement = examine_photographs(values, lamps), arrange(values, lamps)
         names = tuple(self.files[place] for place in places)
         directions = capture.lights.directions[list(places)]
-        return Judgement(places, names, values, directions, consistency, arrangement)
+        near = None
+        if lamps.ndim == 2 and not self.boards and (arrangement is None or arrangement.as_stated):
+            near = measure_width(values, lamps)
+        return Judgement(places, names, values, directions, consistency, arrangement, near)
 
     def _board_cosine(self, place: int) -> np.ndarray:
         """cos(theta_W) at each pixel of the reduced picture, or one for all."""
@@ -133,6 +139,7 @@ def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Pr
     found = judgement.consistency
     if found is None or any(problem.severity == "error" for problem in problems):
         return problems
+    problems += near_problems(judgement.near, capture)
     for j in found.failed:
         what, remedy = "the photograph shows no light of its lamp", "Take this photograph again, or leave it out"
         said = f"{100 * found.gain[j]:.1f} % of the light of the others"
@@ -146,6 +153,22 @@ def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Pr
         remedy = "Darken the room, or photograph the object once without a lamp (role ambient)"
         problems.append(warning("ambient-light", "frames.csv", what, found=said, remedy=remedy))
     return problems
+
+
+def near_problems(near: NearLamps | None, capture: Capture) -> list[Problem]:
+    """Warn of lamps that are taken to be far, although their light falls off across the photographs."""
+    if near is None or not near.matters:
+        return []
+    what = "the light falls off across the photographs as that of lamps near the object, and far lamps are stated"
+    said = (
+        f"lamps at {1 / near.width:.2g} ± {near.sigma / near.width**2:.1g} times the width of the object; far lamps "
+        f"turn the normals by {near.turn_deg:.1f} degrees and bend a flat object by {100 * near.bow:+.1f} % of it"
+    )
+    remedy = (
+        "Convert the photographs again with --lights-kind position_mm --width-mm WIDTH (of the whole photographs on "
+        "the object, in millimetres), or photograph a white board under every lamp"
+    )
+    return [warning("lamps-near", capture.settings.lights.file, what, found=said, remedy=remedy)]
 
 
 def _arrangement_problems(judgement: Judgement, capture: Capture) -> list[Problem]:

@@ -21,7 +21,7 @@ from nishiki.formats.problems import Problem, raise_errors, warning
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField
 from nishiki.observations.registration import MARGIN, Movement, Window, align_window, choose_places, measure_movement
-from nishiki.photometric.consistency import LEAST_AMBIENT, SURE, Consistency, examine_photographs
+from nishiki.photometric.consistency import LARGEST_MISFIT, LEAST_AMBIENT, SURE, Consistency, examine_photographs
 
 COARSE = 384  # pixels of the longer side of a reduced picture
 BAND = 64  # rows of a reduced picture that are made at a time
@@ -32,7 +32,6 @@ ODD_EXPOSURE = 0.1  # of the brightness that a recorded exposure may be off: cam
 LARGE_MOVEMENT = 1.5  # pixels, from which a movement is believed where the photographs cannot be predicted
 LEAST_IMPROVEMENT = 0.07  # of the misfit that undoing a movement takes away: 0.11 and more for shifts of 1.2 pixels of
 # the measured sets, 0.055 on the fossil, whose low lamps shift the texture of its relief
-LARGEST_MISFIT = 0.1  # of the brightness: where the photographs are predicted worse, nothing is concluded from them
 LEAST_MISFIT = 0.02  # of a photograph that repeats another one: an even object looks alike under many lamps
 MOST_NAMED = 8
 

@@ -40,6 +40,8 @@ MOST_PIXELS, MOST_VALUES = 1500, 40_000  # fitted; the errors are those of 64 pa
 FAINT = 0.1  # gain below which a photograph shows the room and the noise, not its lamp
 LEAST_AMBIENT = 0.02  # of the albedo: less turns normals by less than half a degree, and lenses and walls give as much
 REPEATED = 0.25  # of the difference that two lamps should make: the same lamp twice leaves the noise of the camera
+LARGEST_STEP, WIDEST, NEAREST = 0.3, 4.0, 0.05  # of the width in distances of the lamps: a round, fitted; of a lamp
+LARGEST_MISFIT = 0.1  # of the brightness: where the photographs are predicted worse, nothing is concluded from them
 SURE = 5.0  # standard errors at which a difference counts: once in two million by chance
 
 
@@ -101,6 +103,8 @@ class Fit:
         Inverse normal matrices M.
     scale : (pixels,) float64
         Robust standard deviation of the residuals.
+    width, width_sigma : float
+        Of the picture, in the unit of the lamps' positions, and its standard error; 0 of lamps that are far.
     """
 
     normals: np.ndarray
@@ -113,6 +117,8 @@ class Fit:
     alone: np.ndarray
     inverses: np.ndarray
     scale: np.ndarray
+    width: float
+    width_sigma: float
 
 
 @contextmanager
@@ -189,7 +195,7 @@ def take_ambient(values: np.ndarray, directions: np.ndarray, patches: np.ndarray
     lit = fit
     for _ in range(3):
         reference = np.linalg.norm(lit.normals, axis=1)
-        lit = fit_lambert(values, directions, patches, reference)
+        lit = fit_lambert(values, directions, patches, reference=reference)
         albedo = np.linalg.norm(lit.normals, axis=1)
     ratio = float(np.median(reference / albedo))
     ambient, sigma = lit.ambient * ratio, lit.ambient_sigma * ratio
@@ -230,11 +236,18 @@ def spread_pixels(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fit_lambert(
-    values: np.ndarray, directions: np.ndarray, patches: np.ndarray, reference: np.ndarray | None = None
+    values: np.ndarray,
+    directions: np.ndarray,
+    patches: np.ndarray,
+    *,
+    reference: np.ndarray | None = None,
+    places: np.ndarray | None = None,
+    width: float = 0.0,
 ) -> Fit:
     """Fit Lambert's law and the gains to values (lights, pixels), NaN where unusable.
 
-    reference (pixels,): image of the ambient light, which is fitted too where it is given.
+    reference (pixels,): image of the ambient light, which is fitted too where it is given; places (pixels, 3): of the
+    pixels, with which the width of the picture is fitted too, from a first value on.
     """
     known = np.isfinite(values)
     filled, lights = np.where(known, values, 0.0), len(values)
@@ -244,6 +257,8 @@ def fit_lambert(
     shade = np.zeros(values.shape)
     vectors = directions.reshape(lights, -1, 3)
     for turn in range(ROUNDS):
+        if places is not None:
+            vectors, slope = near_field(directions, places, width)
         lamps = gains[:, None, None] * vectors
         direct = filled - ambient * ambience
         normals, inverse = solve_normals(weights, direct, lamps)
@@ -252,26 +267,31 @@ def fit_lambert(
         lit, dark = lit_and_dark(known, filled, cosine, albedo)
         residual = direct - np.where(dark, 0.0, gains[:, None] * cosine)
         if turn:
-            # derivatives after the gains and, last, after the ambient light, by those after the normal
-            of_ambient = ambience[:, None] * np.einsum("js,jsa->sa", weights, lamps)
-            mixed = np.concatenate([(weights * cosine)[:, :, None] * lamps, of_ambient[None]])
-            solved = np.einsum("jsa,sab->jsb", mixed, inverse).reshape(lights + 1, -1)
-            mixed = mixed.reshape(lights + 1, -1)
+            # derivatives after the ambient light and the width, then, with those after the gains, by the normal
+            further = np.broadcast_to(ambience, (1, *values.shape))
+            if places is not None:
+                further = np.stack([further[0], gains[:, None] * np.einsum("jsa,sa->js", slope, normals)])
+            of_further = np.einsum("js,kjs,jsa->ksa", weights, further, np.broadcast_to(lamps, (*values.shape, 3)))
+            mixed = np.concatenate([(weights * cosine)[:, :, None] * lamps, of_further])
+            solved = np.einsum("jsa,sab->jsb", mixed, inverse).reshape(len(mixed), -1)
+            mixed = mixed.reshape(len(mixed), -1)
             # a prior of 1 for all of them keeps what is not determined at 1 and 0
-            system = np.eye(lights + 1) - multiply(solved, mixed)
-            system[:-1, :-1] += np.diag((weights * cosine**2).sum(axis=1))
-            coupled = (weights * cosine) @ ambience
-            system[:-1, -1] += coupled
-            system[-1, :-1] += coupled
-            system[-1, -1] += ((weights + shade) * ambience**2).sum()
+            system = np.eye(len(mixed)) - multiply(solved, mixed)
+            system[:lights, :lights] += np.diag((weights * cosine**2).sum(axis=1))
+            coupled = np.einsum("js,kjs->jk", weights * cosine, further)
+            system[:lights, lights:] += coupled
+            system[lights:, :lights] += coupled.T
+            system[lights:, lights:] += np.einsum("js,kjs,ljs->kl", weights, further, further)
+            system[lights, lights] += (shade * ambience**2).sum()
             # a common factor is no gain: the normals take it
-            system[:-1, :-1] += np.outer(gains, gains) * np.trace(system) / (gains @ gains)
-            scores = np.concatenate(
-                [weights * cosine * residual, ((weights + shade) * residual).sum(axis=0)[None] * ambience]
-            )
+            system[:lights, :lights] += np.outer(gains, gains) * np.trace(system) / (gains @ gains)
+            scores = np.concatenate([weights * cosine * residual, np.einsum("js,kjs->ks", weights * residual, further)])
+            scores[lights] += (shade * residual).sum(axis=0) * ambience
             inverse_system = np.linalg.inv(system)
             step = inverse_system @ scores.sum(axis=1)
-            gains, ambient = np.clip(gains + step[:-1], 1e-4, 1e4), float(ambient + step[-1])
+            gains, ambient = np.clip(gains + step[:lights], 1e-4, 1e4), float(ambient + step[lights])
+            if places is not None:
+                width = float(np.clip(width + np.clip(step[-1], -LARGEST_STEP, LARGEST_STEP), -1, WIDEST))
             norm = np.median(gains)
             gains, normals, albedo, cosine = gains / norm, normals * norm, albedo * norm, cosine * norm
             residual = filled - ambient * ambience - np.where(dark, 0.0, gains[:, None] * cosine)
@@ -280,13 +300,46 @@ def fit_lambert(
             last = scale
             trust = 1 / ((1 + (residual / (KINK * scale)) ** 2) * scale**2)
             weights, shade = lit * trust, dark * trust
-    groups = np.zeros((patches.max() + 1, lights + 1))
+    groups = np.zeros((patches.max() + 1, len(scores)))
     np.add.at(groups, patches, scores.T)
     covariance = inverse_system @ (groups.T @ groups) @ inverse_system
-    sigma = np.sqrt(np.maximum(np.diag(covariance), np.diag(inverse_system)))
+    variance = np.maximum(np.diag(covariance), np.diag(inverse_system))
+    # ambient light and width are those of all lamps: what single photographs say of them varies more than by patches
+    at, pull = inverse_system[lights:], weights * residual
+    own = at[:, :lights] * (pull * cosine).sum(axis=1) + at[:, lights:] @ np.einsum("js,kjs->kj", pull, further)
+    own += np.outer(at[:, lights], (shade * residual) @ ambience)
+    through = np.tensordot(at, solved.reshape(len(at.T), -1, 3), 1)
+    own -= np.einsum("js,ksa,jsa->kj", pull, through, np.broadcast_to(lamps, (*values.shape, 3)))
+    variance[lights:] += (own**2).sum(axis=1)
+    sigma = np.sqrt(variance)
     leverage = weights * np.einsum("jsa,sab,jsb->js", lamps, inverse, lamps)
     alone = residual / np.maximum(1 - leverage, 1e-2)
-    return Fit(normals, gains, sigma[:-1], ambient, float(sigma[-1]), weights * last**2, residual, alone, inverse, last)
+    return Fit(
+        normals,
+        gains,
+        sigma[:lights],
+        ambient,
+        float(sigma[lights]),
+        weights * last**2,
+        residual,
+        alone,
+        inverse,
+        last,
+        width,
+        float(sigma[-1]) if places is not None else 0.0,
+    )
+
+
+def near_field(vectors: np.ndarray, places: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Compute irradiance vectors (lights, pixels, 3) of lamps at positions (lights, 3), and their slope by the width.
+
+    places (pixels, 3): in a picture that is 1 wide; width: of the picture, in the unit of the positions. A lamp at
+    distance 1 lights the middle by 1.
+    """
+    to_lamp = vectors[:, None] - width * places
+    distance = np.maximum(np.linalg.norm(to_lamp, axis=2)[..., None], NEAREST)
+    approach = np.einsum("jsa,sa->js", to_lamp, places)[..., None]
+    return to_lamp / distance**3, (3 * approach * to_lamp / distance**2 - places) / distance**3
 
 
 def multiply(first: np.ndarray, second: np.ndarray) -> np.ndarray:
