@@ -106,10 +106,10 @@ def export_context(painting: SmallPainting, folder: Path, settings) -> Context:
 
 
 @contextmanager
-def exported_painting(folder: Path, formats: tuple[str, ...]) -> Iterator[SimpleNamespace]:
+def exported_painting(folder: Path, formats: tuple[str, ...], **settings) -> Iterator[SimpleNamespace]:
     """The painting, the folder of its exports in `formats`, and what the stage reports."""
     painting = small_painting(folder)
-    context = export_context(painting, folder / "export", ExportSettings(formats=formats))
+    context = export_context(painting, folder / "export", ExportSettings(formats=formats, **settings))
     with context.output as output:
         reported = run(context)
         expect_finite(output.folder, "export")

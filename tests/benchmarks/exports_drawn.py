@@ -118,9 +118,9 @@ def paintings(program: str, folder: Path) -> Iterator[dict]:
                 for number, direction in enumerate(directions):
                     formulas = coded(material.shown(base, normals, direction)).reshape(rows, columns, 3)
                     for band, values, valid in strips:
-                        counted = valid[:, number] & covered[number, band].ravel()
+                        counted = valid[number] & covered[number, band].ravel()
                         drawn, own = (each[band].reshape(-1, 3) for each in (pictures[number], formulas))
-                        pairs = ((drawn, values[:, number]), (own, values[:, number]), (drawn, own))
+                        pairs = ((drawn, values[number].T), (own, values[number].T), (drawn, own))
                         for errors, (shown, other) in zip(found.values(), pairs, strict=True):
                             errors.add(number, shown, other, counted)
                 result[group] = {against: errors.decibels() for against, errors in found.items()}

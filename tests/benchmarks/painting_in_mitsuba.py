@@ -129,7 +129,7 @@ def against_photographs(
             for band in frames.bands():
                 for rows, values, valid in Photographs(frames, exported).strips(band, lights[number : number + 1]):
                     for name, picture in shown.items():
-                        errors[name].add(number, picture[rows].reshape(-1, 3), values[:, 0], valid[:, 0])
+                        errors[name].add(number, picture[rows].reshape(-1, 3), values[0].T, valid[0])
         found[group] = {name: round(each.decibels()["all"], 2) for name, each in errors.items() if len(lights)}
         found[group]["lights"] = len(lights)
     return found

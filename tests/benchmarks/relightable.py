@@ -119,8 +119,8 @@ def scene_of(data: Path, folder: Path, name: str) -> Scene:
     return Scene(
         frames.shape,
         frames.directions,
-        np.concatenate([values for _, values, _ in strips]),
-        np.concatenate([valid for _, _, valid in strips]),
+        np.concatenate([values.transpose(2, 0, 1) for _, values, _ in strips]),
+        np.concatenate([valid.T for _, _, valid in strips]),
         frames.mask.ravel(),
         fitted,
         unseen,
@@ -132,21 +132,24 @@ def scene_of(data: Path, folder: Path, name: str) -> Scene:
 
 def ours(scene: Scene, kind: str, planes: int) -> Made:
     """By the stage export."""
-    seen, values, valid = scene.photographs, scene.values[:, scene.fitted], scene.valid[:, scene.fitted]
+    seen = scene.photographs
+    values, valid = scene.values[:, scene.fitted].transpose(1, 2, 0), scene.valid[:, scene.fitted].T
     if kind == "bilinear":
         seen = scene.drawn
         strips = [strip for band in seen.frames.bands() for strip in seen.strips(band, scene.fitted)]
-        values, valid = (np.concatenate([strip[place] for strip in strips]) for place in (1, 2))
+        values, valid = (np.concatenate([strip[place] for strip in strips], axis=-1) for place in (1, 2))
     samples = seen.samples(scene.fitted, SAMPLES)
     model = model_of(kind, scene.directions[scene.fitted], *samples, planes=planes)
     stored = StoredModel.of(model, scene.directions[scene.fitted], *samples)
-    codes = stored.codes(model.fit(values, valid))
+    codes = stored.codes(model.fit(values, valid)).T
     shown, table = [model.transfer], []
     if isinstance(model, PrincipalModel):
         shown.append(OpenLimeModel.like(model).transfer)
     if isinstance(model, TabulatedModel):
         table = np.concatenate([model.mean_code[None], model.codes]).ravel().tolist()
-    return Made(kind, model.colour_space, codes, stored.coefficients, tuple(shown), table)
+    return Made(
+        kind, model.colour_space, codes, lambda codes: (codes / 255 - stored.bias) * stored.scale, tuple(shown), table
+    )
 
 
 def theirs(scene: Scene, kind: str, planes: int, brightness: int | None = None) -> Made:

@@ -82,9 +82,9 @@ def test_normals_survive_our_own_export(tmp_path):
     colour = np.array([0.5, 0.35, 0.2])
     lights = dome(24, 0)
     values = np.maximum(normals.reshape(-1, 3) @ lights.T, 0)[..., None] * colour
-    coded = srgb_encode(values)
-    model = HarmonicModel.of("ptm", lights, coded, np.ones(coded.shape[:2], bool))
-    fitted = model.fit(coded, np.ones(coded.shape[:2], bool)).reshape(rows, columns, 6, 3)
+    coded = srgb_encode(values).transpose(1, 2, 0)
+    model = HarmonicModel.of("ptm", lights, coded, np.ones((24, rows * columns), bool))
+    fitted = model.fit(coded, np.ones((24, rows * columns), bool)).T.reshape(rows, columns, 6, 3)
     low, span = fitted.min(axis=(0, 1)), np.ptp(fitted, axis=(0, 1))
     planes = np.rint(255 * (fitted - low) / span).astype(np.uint8)
     write_ptm(tmp_path / "relief.ptm", [planes[:, :, term] for term in range(6)], span, -low / span)

@@ -2,12 +2,10 @@
 
 import os
 import re
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 from nishiki.archive.crate_entities import METADATA
 from nishiki.archive.damage import Damage
@@ -16,15 +14,13 @@ from nishiki.archive.references import References
 from nishiki.archive.survey import Survey, read_portion, survey_artifact
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import MANIFEST
+from nishiki.threads import in_order
 
 ARTIFACT_NAME = re.compile(r"[0-9a-f]{12}(\.superseded-[0-9a-f]{8})?")
 UNFINISHED = (".partial", ".pruned")
 CURRENT = "current"
 SWEEPS = "sweeps"
 """Pages and timings of sweeps: no artifacts, though some folders there are named by keys."""
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 @dataclass
@@ -147,16 +143,3 @@ def _counted(damages: Iterable[Damage], counts: Counts) -> Iterator[Damage]:
     for damage in damages:
         counts.problems += 1
         yield damage
-
-
-def in_order(
-    pool: ThreadPoolExecutor, work: Callable[[Item], Result], items: Iterable[Item], ahead: int
-) -> Iterator[Result]:
-    """Results of `work` in the order of the items, of which at most `ahead` are under way."""
-    waiting: deque[Future[Result]] = deque()
-    for item in items:
-        waiting.append(pool.submit(work, item))
-        if len(waiting) > ahead:
-            yield waiting.popleft().result()
-    while waiting:
-        yield waiting.popleft().result()

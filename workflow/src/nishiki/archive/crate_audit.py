@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from zipfile import BadZipFile
 
-from nishiki.archive.audit import in_order
 from nishiki.archive.crate_entities import METADATA
 from nishiki.archive.crate_names import MANIFEST, parse_manifest_text
 from nishiki.archive.damage import Damage
@@ -23,6 +22,7 @@ from nishiki.archive.tree import FolderTree, Listing, Tree, ZipTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import is_inside
 from nishiki.formats.files import name_fault
+from nishiki.threads import in_order
 
 ARTIFACT_FOLDER = re.compile(r"(artifacts/[a-z_0-9]+/([0-9a-f]{12}))/")
 SEAL = "capture/manifest-sha256.txt"

@@ -75,7 +75,7 @@ def write_deep_zoom(folder: Path, name: str, picture: Samples, scratch: Path, qu
         for row, column, window in _tiles(*present.shape[:2]):
             (here / f"{column}_{row}.jpg").write_bytes(jpeg_bytes(present[window], quality))
         if level:
-            present = _halved(present, scratch / f"level_{level - 1}")
+            present = _halved(present, scratch / f"{name}_{level - 1}")
 
 
 def write_iiif_image(folder: Path, address: str, picture: Samples, scratch: Path, quality: int) -> None:
@@ -166,12 +166,14 @@ def _window(number: int, size: int) -> slice:
 
 
 def _halved(picture: Samples, path: Path) -> Samples:
-    """Half the size, rounded up: means of squares of four."""
+    """Return half the size, rounded up: means of squares of four."""
+    import cv2
+
     rows, columns = picture.shape[:2]
     half = picture_on_disk(path, -(-rows // 2), -(-columns // 2))
     for top in range(0, rows, ROWS_AT_A_TIME):
-        band = np.asarray(picture[top : top + ROWS_AT_A_TIME]).astype(np.uint16)
-        band = np.pad(band, ((0, len(band) % 2), (0, columns % 2), (0, 0)), mode="edge")
-        means = (band[::2, ::2] + band[1::2, ::2] + band[::2, 1::2] + band[1::2, 1::2] + 2) // 4
+        band = np.asarray(picture[top : top + ROWS_AT_A_TIME])
+        band = cv2.copyMakeBorder(band, 0, len(band) % 2, 0, columns % 2, cv2.BORDER_REPLICATE)
+        means = cv2.resize(band, (band.shape[1] // 2, len(band) // 2), interpolation=cv2.INTER_AREA)
         half[top // 2 : top // 2 + len(means)] = means
     return half

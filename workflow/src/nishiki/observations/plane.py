@@ -13,6 +13,7 @@ from nishiki.formats.stored import open_bands, open_made_by, understood
 from nishiki.formats.zarr_chunks import chunk_path, read_chunk, read_chunk_into
 from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid, positions
 from nishiki.observations.linearise import straight_scale
+from nishiki.threads import over_rows
 
 FORMAT = 1
 STRIP_BYTES = 8 << 20
@@ -162,9 +163,9 @@ class Observations:
         usable = self._usable[start : start + rows, left : left + width]
         out = np.empty((*codes.shape[:3], last - first if channel is None else 1), np.float32)
         valid = np.empty(codes.shape[:3], bool)
-        decode(
-            codes, self.table, self._scale, gain, dark, place_rows, row_weights, between, column_weights, usable,
-            *self.limits, first, last, channel is not None, out, valid,
+        over_rows(
+            decode, len(codes) * rows, codes, self.table, self._scale, gain, dark, place_rows, row_weights, between,
+            column_weights, usable, *self.limits, first, last, channel is not None, out, valid,
         )  # fmt: skip
         return (out if channel is None else out[..., 0]), valid
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange, types
+from numba import njit, types
 from numba.extending import overload
 
 from nishiki.observations.block_kernels import linear_value
@@ -12,8 +12,10 @@ RUN = 255  # values that are counted in a counter of eight bits
 LARGEST_GAIN, LARGEST_DARK = np.float32(1e30), np.float32(1e6)  # of values that are at most 1 where codes are integers
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def decode(
+    start,
+    stop,
     codes,
     table,
     scale,
@@ -32,7 +34,7 @@ def decode(
     out,
     valid,
 ):
-    """Fill observations `I' = (linear(code) - dark) * gain` and their validity.
+    """Fill rows start .. stop - 1 of all lights together: `I' = (linear(code) - dark) * gain`, and their validity.
 
     codes (lights, n, m, channels) uint8 | uint16 | float32; scale > 0: linear(code) = code * scale, otherwise by the
     table; gain, dark (lights, r, c, channels) float32 on block centres, interpolated bilinearly; rows: lower node of
@@ -43,9 +45,9 @@ def decode(
     valid (lights, n, m) bool: inside the mask, gain known, finite, saturated in none of *all* channels, above the clip
     in at least one of the channels decoded. Samples that cannot be formed are 0 and not valid.
     """
-    lights, n, m, _ = codes.shape
+    _, n, m, _ = codes.shape
     share = np.float32(1.0 / (last - first)) if reduced else np.float32(1.0)
-    for job in prange(lights * n):
+    for job in range(start, stop):
         j, y = job // n, job % n
         _mark_valid(codes[j, y], usable[y], saturated, clip, first, last, valid[j, y])
         if one_value(gain[j], dark[j], first, last):

@@ -138,7 +138,7 @@ def shade_channels(
         table,
         gloss.refractive_index,
         gloss.transmission,
-        _entering(gloss),
+        _entering(gloss) if ambient_level else np.ones(len(gloss.refractive_index)),
         lamps[sequence],
         rank[sequence],
         groups.matrices[order],

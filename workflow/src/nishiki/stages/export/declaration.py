@@ -36,6 +36,7 @@ class RelightSettings(Closed):
     )
     planes: int = Field(18, ge=3, le=60, multiple_of=3, description="of rbf and bilinear; three planes a picture")
     jpeg_quality: int = Field(97, ge=50, le=100, description="of the planes")
+    single_file: bool = Field(False, description="write painting.ptm beside the planes of ptm, one large file")
 
 
 class GltfSettings(Closed):
@@ -58,7 +59,7 @@ class ExportSettings(Guarded):
     """Files of the results for other programs."""
 
     STAGE: ClassVar[str] = "export"
-    VERSION: ClassVar[int] = 7
+    VERSION: ClassVar[int] = 8
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     formats: tuple[Format, ...] = Field(
@@ -100,6 +101,5 @@ STAGE = Stage(
     libraries=("numpy", "scipy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless", "usd-core", "materialx"),
     idle={"usd-core": no_format("export", "usd"), "materialx": no_format("export", "materialx")},
     deliverables=("exports",),
-    threads=1,
-    cost=lambda facts: Cost(mib=620, bytes_per_pixel=40, seconds=5, us_per_pixel=50, us_per_sample=3),
+    cost=lambda facts: Cost(mib=620, bytes_per_pixel=40, seconds=5, us_per_pixel=20, us_per_sample=0.5),
 )

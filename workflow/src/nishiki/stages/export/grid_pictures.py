@@ -41,22 +41,23 @@ class GridPictures(Photographs):
         between = np.stack([gaussian_weights(captured, node, WIDTH) for node in drawn])
         shown, every = grid_weights(captured), np.eye(len(nodes))
         correction = np.linalg.solve(shown.T @ shown + STIFFNESS * every, shown.T)
-        self._of_model = np.concatenate([correction, every - correction @ shown], axis=1)
-        self._of_rest = correction + between - correction @ shown @ between
+        of_model = np.concatenate([correction, every - correction @ shown], axis=1)
+        of_rest = correction + between - correction @ shown @ between
+        self._of_both = np.concatenate([of_model, of_rest], axis=1).astype(np.float32)
 
     def seen(
         self, rows: slice, pixels: slice | np.ndarray, values: np.ndarray, valid: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(n, nodes, 3) values and (n, nodes) bool of some pixels, known or photographed under every light."""
-        drawn, photographs, usable = self.drawn(rows, pixels), values[pixels], valid[pixels]
-        rest = np.where(usable[..., None], photographs - drawn[:, : photographs.shape[1]], 0)
-        nodes = np.einsum("gm,nmk->ngk", self._of_model, drawn, optimize=True)
-        nodes += np.einsum("gl,nlk->ngk", self._of_rest, rest, optimize=True)
-        known = self._scene.known(rows).ravel()[pixels] | usable.all(axis=1)
-        return np.clip(nodes, -BEYOND, 1 + BEYOND), np.repeat(known[:, None], nodes.shape[1], axis=1)
+        """(nodes, 3, n) values and (nodes, n) bool of some pixels, known or photographed under every light."""
+        drawn = self.drawn(rows, pixels)
+        rest = (values - drawn[: len(values)]) * valid[:, None]
+        both = np.concatenate([drawn, rest]).reshape(self._of_both.shape[1], -1)
+        nodes = (self._of_both @ both).reshape(-1, *drawn.shape[1:])
+        known = self._scene.known(rows).ravel()[pixels] | valid.all(axis=0)
+        return np.clip(nodes, -BEYOND, 1 + BEYOND, out=nodes), np.broadcast_to(known, (len(nodes), len(known)))
 
     def drawn(self, rows: slice, pixels: slice | np.ndarray) -> np.ndarray:
-        """(n, captured lights and nodes, 3) of the fitted model."""
+        """(captured lights and nodes, 3, n) of the fitted model."""
         model = self._scene.fitted_model(rows)
 
         def some(maps: np.ndarray | None) -> np.ndarray | None:
@@ -68,4 +69,4 @@ class GridPictures(Photographs):
         seen = predict_observations(
             normals, reflectance, self._lamps, shading=shading, slopes=slopes, gloss=model.gloss, labels=labels
         )
-        return np.stack([self.coded(each.observations)[0] for each in seen], axis=1)
+        return np.stack([self.coded(each.observations[0]) for each in seen])

@@ -46,7 +46,7 @@ class LightModel(Protocol):
         ...
 
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-        """(n, planes) coefficients of pixels with values (n, lights, 3) where valid (n, lights) bool."""
+        """(planes, n) coefficients of pixels with values (lights, 3, n) where valid (lights, n) bool."""
         ...
 
 
@@ -65,7 +65,7 @@ class HarmonicModel:
 
     @classmethod
     def of(cls, kind: str, lights: np.ndarray, values: np.ndarray, valid: np.ndarray) -> "HarmonicModel":
-        """With the ridge that predicts left-out lights best, on sample pixels (n, lights, 3)."""
+        """Choose the ridge that predicts left-out lights best, on sample pixels (lights, 3, n)."""
         design = WEIGHTS[kind](lights)
         return cls(kind, design, chosen_ridge(design, values, valid))
 
@@ -78,7 +78,7 @@ class HarmonicModel:
         return np.zeros(3), np.kron(weights[:, None], np.eye(3))
 
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-        return solve(self.design, values, valid, penalty(self.design, self.ridge)).reshape(len(values), -1)
+        return solve(self.design, values, valid, penalty(self.design, self.ridge)).reshape(self.planes, -1)
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class PrincipalModel(TabulatedModel):
 
     @classmethod
     def of(cls, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, planes: int) -> "PrincipalModel":
-        """Components of sample pixels (n, lights, 3) at which all lights are valid, or of all pixels without any."""
+        """Take components of sample pixels (lights, 3, n) at which all lights are valid, or of all without any."""
         rows = whole_pixels(values, valid, planes)
         mean_code = coded_mean(rows)
         components = principal_components((rows - mean_code / 255).reshape(len(rows), -1), planes)
@@ -143,8 +143,8 @@ class PrincipalModel(TabulatedModel):
 
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
         design = self.components.reshape(self.planes, -1).T
-        rows = (values - self.mean).reshape(len(values), -1, 1)
-        return solve(design, rows, np.repeat(valid, 3, axis=1), SLIGHT * np.eye(self.planes))[..., 0]
+        rows = (values - np.float32(self.mean)[..., None]).reshape(len(design), 1, -1)
+        return solve(design, rows, valid, SLIGHT * np.eye(self.planes))[:, 0]
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ class GridModel(TabulatedModel):
 
     @classmethod
     def of(cls, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, planes: int) -> "GridModel":
-        """Components of sample pixels (n, nodes, 3) that err least under captured lights (L, 3), and little at nodes.
+        """Find components of sample pixels (nodes, 3, n) that err least under captured lights (L, 3), little at nodes.
 
         C C' = A'A + n I, with A the weights of the nodes under the lights.
         """
@@ -177,9 +177,12 @@ class GridModel(TabulatedModel):
         return bilinear_weights(GRID_SIDE, light)
 
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-        design = np.einsum("gh,pgk->hkp", self.metric, self.components).reshape(-1, self.planes)
-        rows = np.einsum("ngk,gh->nhk", values - self.mean, self.metric, optimize=True).reshape(len(values), -1, 1)
-        return solve(design, rows, np.repeat(valid, 3, axis=1), SLIGHT * np.eye(self.planes))[..., 0]
+        weighted = np.einsum("gh,pgk->phk", self.metric, self.components).reshape(self.planes, -1)
+        normal = weighted @ weighted.T + SLIGHT * np.eye(self.planes)
+        design = np.einsum("phk,gh->pgk", weighted.reshape(self.components.shape), self.metric, optimize=True)
+        shared = np.linalg.solve(normal, design.reshape(self.planes, -1)).astype(np.float32)
+        rows = (values - np.float32(self.mean)[..., None]).reshape(shared.shape[1], -1)
+        return np.where(valid.any(axis=0), shared @ rows, 0)
 
 
 def grid_weights(lights: np.ndarray) -> np.ndarray:
@@ -188,9 +191,9 @@ def grid_weights(lights: np.ndarray) -> np.ndarray:
 
 
 def whole_pixels(values: np.ndarray, valid: np.ndarray, planes: int) -> np.ndarray:
-    """Values (n, lights, 3) of the pixels at which all lights are valid; of all pixels where these are too few."""
-    whole = valid.all(axis=1)
-    return values[whole] if whole.sum() > planes else values
+    """Values (n, directions, 3) of the pixels where all lights are valid; of all pixels where these are too few."""
+    whole = valid.all(axis=0)
+    return (values[..., whole] if whole.sum() > planes else values).transpose(2, 0, 1).astype(np.float64)
 
 
 def coded_mean(rows: np.ndarray) -> np.ndarray:
@@ -234,8 +237,8 @@ class OpenLimeModel(PrincipalModel):
 
 def chosen_ridge(design: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:
     """The ridge of RIDGES with the smallest squared error of lights left out one at a time (closed form)."""
-    whole = valid.all(axis=1)
-    samples = (values[whole] if whole.any() else values).transpose(1, 0, 2).reshape(len(design), -1)
+    whole = valid.all(axis=0)
+    samples = (values[..., whole] if whole.any() else values).reshape(len(design), -1).astype(np.float64)
     errors = []
     for ridge in RIDGES:
         hat = design @ np.linalg.pinv(design.T @ design + penalty(design, ridge)) @ design.T
@@ -247,8 +250,8 @@ def chosen_ridge(design: np.ndarray, values: np.ndarray, valid: np.ndarray) -> f
 
 def chosen_width(lights: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:
     """The width of WIDTHS with which the others predict a light best."""
-    samples = values.transpose(1, 0, 2).reshape(len(lights), -1)
-    counted = np.repeat(valid.T, 3, axis=1)
+    samples = values.reshape(len(lights), -1).astype(np.float64)
+    counted = np.tile(valid, (1, 3))
     others = ~np.eye(len(lights), dtype=bool)
     errors = []
     for width in WIDTHS:
@@ -265,18 +268,43 @@ def penalty(design: np.ndarray, ridge: float) -> np.ndarray:
 
 
 def solve(design: np.ndarray, values: np.ndarray, valid: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """(n, bases, channels): least squares of values (n, rows, channels) over the rows (n, rows) that are valid.
+    """Solve least squares of pixels over their valid lights: one matrix for each set of lights that are valid.
 
-    below : (bases, bases) added to the normal matrix.
+    Parameters
+    ----------
+    design : (lights, bases) or (lights * colours, bases) ndarray
+    values : (rows of the design, channels, n) ndarray of float32
+    valid : (lights, n) ndarray of bool
+    below : (bases, bases) ndarray
+        Added to the normal matrix.
+
+    Returns
+    -------
+    (bases, channels, n) ndarray of float64; 0 for pixels without a valid light.
     """
-    shared = np.linalg.solve(design.T @ design + below, design.T)
-    fitted = np.einsum("br,nrk->nbk", shared, values, optimize=True)
-    fitted[~valid.any(axis=1)] = 0
-    partial = np.flatnonzero(valid.any(axis=1) & ~valid.all(axis=1))
+    counts = valid.sum(axis=0)
+    partial = np.flatnonzero((counts > 0) & (counts < len(valid)))
+    colours = len(design) // len(valid)
+    if len(partial) or not counts.all():
+        values = (values.reshape(len(valid), -1, valid.shape[1]) * valid[:, None]).reshape(values.shape)
+    right = np.float32(design).T @ values.reshape(len(values), -1)
+    fitted = (np.linalg.inv(design.T @ design + below) @ right).reshape(-1, *values.shape[1:])
     if len(partial):
-        weight = valid[partial].astype(np.float64)
+        first, member = distinct_sets(valid[:, partial])
+        counted = np.repeat(valid[:, partial[first]].T, colours, axis=1).astype(np.float64)
         outer = (design[:, :, None] * design[:, None, :]).reshape(len(design), -1)
-        normal = (weight @ outer).reshape(-1, *below.shape) + below + 1e-9 * np.eye(len(below))
-        right = np.einsum("rb,nrk->nbk", design, values[partial] * weight[..., None], optimize=True)
-        fitted[partial] = np.linalg.solve(normal, right)
+        normal = (counted @ outer).reshape(-1, *below.shape) + below + 1e-9 * np.eye(len(below))
+        sums = right.reshape(fitted.shape)[..., partial].transpose(2, 0, 1)
+        fitted[..., partial] = (np.linalg.inv(normal)[member] @ sums).transpose(1, 2, 0)
     return fitted
+
+
+def distinct_sets(valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return one column of valid (lights, n) bool for each distinct column, and the number of each column's set."""
+    first, member = np.zeros(1, np.int64), np.zeros(valid.shape[1], np.int64)
+    for start in range(0, len(valid), 32):
+        bits = valid[start : start + 32]
+        words = (1 << np.arange(len(bits))) @ bits.astype(np.float64)
+        keys = member << 32 | words.astype(np.int64)
+        _, first, member = np.unique(keys, return_index=True, return_inverse=True)
+    return first, member

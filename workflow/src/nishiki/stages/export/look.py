@@ -206,7 +206,7 @@ def errors(
                 material = gloss.of(texels.rows, texels.columns)
                 for number, light in enumerate(lights):
                     shown = material.shown(texels.colours, texels.normals, frames.directions[light])
-                    found[each].add(number, encode(shown, "srgb"), values[:, number], valid[:, number])
+                    found[each].add(number, encode(shown, "srgb"), values[number].T, valid[number])
         for name, gloss in glosses.items():
             result[name][group] = found[id(gloss)].decibels()
     return result

@@ -1,10 +1,12 @@
 """The photographs as a screen would show them, and errors of what a viewer shows against them."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
-from nishiki.colour.colour import srgb_encode, xyz_to_srgb_linear
+from nishiki.colour.colour import xyz_to_srgb_linear
+from nishiki.colour.encoding import encode
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.scene import ExportedScene
 
@@ -21,11 +23,12 @@ class Photographs:
         self.matrix = xyz_to_srgb_linear(colour.matrix.T, white=colour.white).T
 
     def coded(self, observations: np.ndarray) -> np.ndarray:
-        """sRGB-coded colours (..., 3), 0 to 1, of observations in the camera's channels (..., channels)."""
-        return srgb_encode(observations @ self.matrix.T)
+        """Code observations (..., pixels, channels) as sRGB: (..., 3, pixels) float32, 0 to 1."""
+        linear = np.float32(self.matrix) @ np.swapaxes(observations, -1, -2)
+        return encode(np.clip(linear, 0, 1, out=linear), "srgb")
 
     def strips(self, band: slice, lights: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Some rows of a band at a time: (n, lights, 3) values in 0 to 1 and (n, lights) bool of their pixels."""
+        """Yield some rows of a band at a time: (lights, 3, n) values in 0 to 1 and (lights, n) bool of their pixels."""
         for rows, values, valid in self.frames.strips(band, lights=lights):
             step = max(self.pixels // values.shape[2], 1) if self.pixels else values.shape[1]
             for top in range(0, values.shape[1], step):
@@ -36,44 +39,63 @@ class Photographs:
     def seen(
         self, rows: slice, pixels: slice | np.ndarray, values: np.ndarray, valid: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What is fitted of some pixels of rows, of the photographs' values (n, lights, 3) and validity there."""
-        return values[pixels], valid[pixels]
+        """Return what is fitted of some pixels of rows; values (lights, 3, n) and validity of the photographs there."""
+        return values, valid
 
     def _by_pixel(self, values: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(n, lights, 3) coded and (n, lights) bool of observations (lights, rows, columns, channels)."""
-        coded = self.coded(values).reshape(len(values), -1, 3).transpose(1, 0, 2)
-        return coded.astype(np.float64), valid.reshape(len(values), -1).T
+        count = len(values)
+        return self.coded(values.reshape(count, -1, values.shape[-1])), valid.reshape(count, -1)
 
     def samples(self, lights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Values and validity of about `count` pixels evenly spread over the object."""
+        """Return values and validity of about `count` pixels evenly spread over the object."""
         step = max(1, int(np.count_nonzero(self.frames.mask)) // count)
+        apart = math.isqrt(step)  # rows
+        step //= apart
         values, valid, passed = [], [], 0
-        for band in self.frames.bands():
-            for rows, each, usable in self.frames.strips(band, lights=lights):
-                of_object = np.flatnonzero(self.frames.mask[rows])
-                chosen = of_object[-passed % step :: step]
-                passed += len(of_object)
-                if len(chosen):
-                    sampled = self.seen(rows, chosen, *self._by_pixel(each, usable))
-                    values.append(sampled[0])
-                    valid.append(sampled[1])
-        return np.concatenate(values), np.concatenate(valid)
+        for row in range(apart // 2, self.frames.shape[0], apart):
+            of_object = np.flatnonzero(self.frames.mask[row])
+            chosen = of_object[-passed % step :: step]
+            passed += len(of_object)
+            if len(chosen):
+                rows = slice(row, row + 1)
+                each, usable = self.frames.read(rows, lights=lights)
+                sampled = self.seen(rows, chosen, *self._by_pixel(each[:, :, chosen], usable[:, :, chosen]))
+                values.append(sampled[0])
+                valid.append(sampled[1])
+        return np.concatenate(values, axis=-1), np.concatenate(valid, axis=-1)
 
 
 class CodedErrors:
     """Squared errors of coded pictures against photographs, by light."""
 
     def __init__(self, lights: int):
-        self._squares, self._counts = np.zeros(lights), np.zeros(lights)
+        self._squares, self._counts = np.zeros(lights), np.zeros(lights, np.int64)
 
     def add(self, number: int, shown: np.ndarray, values: np.ndarray, valid: np.ndarray) -> None:
-        """Pixels (n, 3) under one light: what a viewer shows, the photograph, and where it counts (n,) bool."""
+        """Add pixels (n, 3) under one light: what a viewer shows, the photograph, and where it counts (n,) bool."""
         self._squares[number] += np.sum((np.clip(shown[valid], 0, 1) - values[valid]) ** 2)
         self._counts[number] += 3 * np.count_nonzero(valid)
 
-    def decibels(self) -> dict[str, float]:
-        """PSNR, dB, peak 1, at most 120: all lights together and the worst; the number of lights."""
-        means = self._squares / np.maximum(self._counts, 1)
-        together = self._squares.sum() / max(self._counts.sum(), 1)
+    @classmethod
+    def of_strip(cls, shown: np.ndarray, values: np.ndarray, valid: np.ndarray) -> "CodedErrors":
+        """Compare pixels (lights, 3, n) under all lights where valid (lights, n); `shown` is overwritten."""
+        errors = cls(len(values))
+        np.clip(shown, 0, 1, out=shown)
+        shown -= values
+        shown *= valid[:, None]
+        errors._squares[:] = np.einsum("lkn,lkn->l", shown, shown)
+        errors._counts[:] = 3 * valid.sum(axis=1)
+        return errors
+
+    def include(self, others: "CodedErrors") -> None:
+        """Add the errors of other pixels."""
+        self._squares += others._squares
+        self._counts += others._counts
+
+    def decibels(self, lights: slice = slice(None)) -> dict[str, float]:
+        """Return the PSNR, dB, peak 1, at most 120: some lights together and the worst; the number of lights."""
+        squares, counts = self._squares[lights], self._counts[lights]
+        means = squares / np.maximum(counts, 1)
+        together = squares.sum() / max(counts.sum(), 1)
         all_db, worst_db = -10 * np.log10(np.maximum([together, means.max()], 1e-12))
         return {"all": float(all_db), "worst": float(worst_db), "lights": len(means)}

@@ -1,9 +1,10 @@
 """Relightable images as relight writes them and OpenLIME shows them, fitted to the photographs."""
 
+import itertools
 import json
 import tempfile
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections import deque
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ from nishiki.stages.export.light_models import (
 )
 from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.scene import ExportedScene
+from nishiki.threads import in_threads
 
 PTM = "painting.ptm"
 SAMPLES = 10_000
@@ -40,40 +42,37 @@ ENDS = 0.05  # percent of the samples beyond each end of a plane's range
 MARGIN = 0.05  # of that range, added at each end
 OWN_RANGE = 0.5  # share of a plane's own range in its scale
 LARGEST_SINGLE = 2048  # pixels of the longer side up to which a plane is one file
-DecodedRows = tuple[slice, Callable[[slice], np.ndarray]]
-"""Rows, and a function from some of them to their coefficients (rows, columns, planes), which are large."""
+DecodedRows = tuple[slice, np.ndarray]
+"""Rows, and codes (planes, rows, columns) of their coefficients."""
 
 
 def write(context: Context, scene: ExportedScene) -> dict:
-    """A folder `relight_KIND` for every kind; their errors against photographs."""
+    """Write a folder `relight_KIND` for every kind; return their errors against photographs."""
     frames = Observations(context.inputs["ingest"].folder)
-    fitted = frames.fit_lights(context.settings.hold_out)
-    checked = frames.check_lights(context.settings.hold_out)
+    settings = context.settings.relight
+    hold_out = context.settings.hold_out
+    fitted = frames.fit_lights(hold_out)
     photographs = Photographs(frames, scene)
     samples = photographs.samples(fitted, SAMPLES)
     kinds, files = {}, []
-    for kind in context.settings.relight.kinds:
+    for kind in settings.kinds:
         folder = context.output.path(f"exports/relight_{kind}/info.json").parent
         seen = GridPictures(frames, scene, fitted) if kind == "bilinear" else photographs
         chosen = samples if seen is photographs else seen.samples(fitted, SAMPLES)
-        model = model_of(kind, frames.directions[fitted], *chosen, planes=context.settings.relight.planes)
+        model = model_of(kind, frames.directions[fitted], *chosen, planes=settings.planes)
         stored = StoredModel.of(model, frames.directions[fitted], *chosen)
         with tempfile.TemporaryDirectory(dir=context.output.folder) as scratch:
             stored.write(folder, Path(scratch), seen, fitted, context)
-        groups = {name: lights for name, lights in (("fitted", fitted), ("check", checked)) if len(lights)}
-        kinds[kind] = {
-            "planes": model.planes,
-            "width": getattr(model, "width", None),
-            "ridge": getattr(model, "ridge", None),
-            "psnr_db": {name: stored.errors(folder, photographs, lights) for name, lights in groups.items()},
-        }
-        if kind == "ptm":
-            errors = {name: stored.file_errors(folder, photographs, lights) for name, lights in groups.items()}
-            kinds["ptm file"] = {"planes": model.planes, "psnr_db": errors}
+        shown = {kind: model}
         if isinstance(model, PrincipalModel):
-            there = stored.shown_by(OpenLimeModel.like(model))
-            errors = {name: there.errors(folder, photographs, lights) for name, lights in groups.items()}
-            kinds["rbf in OpenLIME 1.2"] = {"planes": model.planes, "psnr_db": errors}
+            shown["rbf in OpenLIME 1.2"] = OpenLimeModel.like(model)
+        errors = stored.errors(stored.decoded(folder, frames), photographs, hold_out, shown)
+        if kind == "ptm" and settings.single_file:
+            exact = StoredModel(model, np.full(model.planes, 255.0), np.zeros(model.planes))
+            errors |= exact.errors(file_rows(folder / PTM, frames), photographs, hold_out, {"ptm file": model})
+        for name, psnr_db in errors.items():
+            kinds[name] = {"planes": model.planes, "psnr_db": psnr_db}
+        kinds[kind] |= {"width": getattr(model, "width", None), "ridge": getattr(model, "ridge", None)}
         write_layers(folder, scene, context)
         files += sorted(
             path.relative_to(context.output.folder).as_posix() for path in folder.rglob("*") if path.is_file()
@@ -105,7 +104,7 @@ class StoredModel:
         divided by the plane's root mean square weight under the lights; that costs fewest bytes for an error, but
         leaves slight planes few of 256 codes. The scale is half of that and half of the plane's own range.
         """
-        low, high = np.percentile(model.fit(values, valid), [ENDS, 100 - ENDS], axis=0)
+        low, high = np.percentile(model.fit(values, valid), [ENDS, 100 - ENDS], axis=1)
         span = np.maximum(high - low, 1e-6)
         weight = np.sqrt(np.mean([(model.transfer(light)[1] ** 2).sum(axis=1) for light in lights], axis=0))
         weight = np.maximum(weight, 1e-6)
@@ -113,32 +112,42 @@ class StoredModel:
         return cls(model, scale, -(low - MARGIN * span) / scale)
 
     def codes(self, coefficients: np.ndarray) -> np.ndarray:
-        """(n, planes) uint8 of coefficients."""
-        return np.rint(255 * np.clip(coefficients / self.scale + self.bias, 0, 1)).astype(np.uint8)
+        """Return (planes, n) uint8 of coefficients."""
+        values = coefficients / self.scale[:, None] + self.bias[:, None]
+        return np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
-    def coefficients(self, codes: np.ndarray) -> np.ndarray:
-        """Of codes, as viewers compute them."""
-        return (codes / 255 - self.bias) * self.scale
+    def transfer(self, model: LightModel, lights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return o (3 n, 1) and T (3 n, planes), float32: a viewer shows o + T codes under unit vectors (n, 3)."""
+        transfers = [model.transfer(light) for light in lights]
+        offsets = np.concatenate([offset for offset, _ in transfers])
+        weights = np.concatenate([each.T for _, each in transfers])
+        offsets = offsets - weights @ (self.bias * self.scale)
+        return np.float32(offsets)[:, None], np.float32(weights * self.scale / 255)
 
     def write(
         self, folder: Path, scratch: Path, photographs: Photographs, lights: np.ndarray, context: Context
     ) -> None:
-        """info.json and the planes, three to a picture."""
+        """Write info.json and the planes, three to a picture."""
         frames, settings = photographs.frames, context.settings.relight
         rows, columns = frames.shape
         pictures = [picture_on_disk(scratch / f"plane_{n}", rows, columns) for n in range(self.model.planes // 3)]
-        for part, values, valid in (strip for band in frames.bands() for strip in photographs.strips(band, lights)):
-            coefficients = self.model.fit(values, valid)
-            codes = self.codes(coefficients)
-            for number, picture in enumerate(pictures):
-                picture[part] = codes[:, 3 * number : 3 * number + 3].reshape(-1, columns, 3)
-        self.layout = "deepzoom" if max(rows, columns) > LARGEST_SINGLE else "image"
-        for number, picture in enumerate(pictures):
+
+        def fit(band: slice) -> None:
+            for part, values, valid in photographs.strips(band, lights):
+                codes = self.codes(self.model.fit(values, valid)).reshape(len(pictures), 3, -1, columns)
+                for picture, each in zip(pictures, codes, strict=True):
+                    picture[part] = each.transpose(1, 2, 0)
+
+        def store(number: int) -> None:
             if self.layout == "image":
-                write_jpeg(folder / f"plane_{number}.jpg", picture, settings.jpeg_quality)
+                write_jpeg(folder / f"plane_{number}.jpg", pictures[number], settings.jpeg_quality)
             else:
-                write_deep_zoom(folder, f"plane_{number}", picture, scratch, settings.jpeg_quality)
-        if self.model.kind == "ptm":
+                write_deep_zoom(folder, f"plane_{number}", pictures[number], scratch, settings.jpeg_quality)
+
+        deque(in_threads(fit, frames.bands()), 0)
+        self.layout = "deepzoom" if max(rows, columns) > LARGEST_SINGLE else "image"
+        deque(in_threads(store, range(len(pictures))), 0)
+        if self.model.kind == "ptm" and settings.single_file:
             write_ptm(folder / PTM, pictures, self.scale.reshape(-1, 3), self.bias.reshape(-1, 3))
         text = json.dumps(self.info(photographs.frames, lights, context), indent=1) + "\n"
         (folder / "info.json").write_text(text, encoding="utf-8")
@@ -172,7 +181,7 @@ class StoredModel:
         return content
 
     def decoded(self, folder: Path, frames: Observations) -> Iterator[DecodedRows]:
-        """Some rows at a time, at most a band, and what gives the coefficients of some of them from the files."""
+        """Yield some rows at a time, at most a band, of the files."""
         names = [f"plane_{number}" for number in range(self.model.planes // 3)]
         if self.layout == "image":
             bands = iter([[(slice(0, frames.shape[0]), read_jpeg(folder / f"{name}.jpg")) for name in names]])
@@ -181,37 +190,50 @@ class StoredModel:
         for parts in bands:
             start, stop = parts[0][0].start, parts[0][0].stop
             for top in range(start, stop, frames.band_rows):
-                rows = slice(top, min(top + frames.band_rows, stop))
-                inner = slice(top - start, rows.stop - start)
-                yield rows, partial(self._of_codes, np.concatenate([each[inner] for _, each in parts], axis=-1), rows)
+                inner = slice(top - start, min(top + frames.band_rows, stop) - start)
+                codes = np.concatenate([each[inner].transpose(2, 0, 1) for _, each in parts])
+                yield slice(top, top + codes.shape[1]), codes
 
-    def _of_codes(self, codes: np.ndarray, rows: slice, part: slice) -> np.ndarray:
-        return self.coefficients(codes[part.start - rows.start : part.stop - rows.start])
+    def errors(
+        self,
+        decoded: Iterator[DecodedRows],
+        photographs: Photographs,
+        hold_out: Collection[str],
+        models: dict[str, LightModel],
+    ) -> dict[str, dict[str, dict[str, float]]]:
+        """Return the PSNR of what viewers show of decoded codes against the coded photographs, by model and group."""
+        frames = photographs.frames
+        fitted, checked = frames.fit_lights(hold_out), frames.check_lights(hold_out)
+        lights = np.concatenate([fitted, checked])
+        transfers = {name: self.transfer(model, frames.directions[lights]) for name, model in models.items()}
 
-    def shown_by(self, model: LightModel) -> "StoredModel":
-        """The same planes under another interpolation between the lights."""
-        other = StoredModel(model, self.scale, self.bias)
-        other.layout = self.layout
-        return other
+        def compare(part: DecodedRows) -> list[dict[str, CodedErrors]]:
+            rows, codes = part
+            found = []
+            for strip, values, valid in photographs.strips(rows, lights):
+                here = codes[:, strip.start - rows.start : strip.stop - rows.start]
+                here = here.reshape(len(codes), -1).astype(np.float32)
+                shown = {
+                    name: (weights @ here + offset).reshape(values.shape)
+                    for name, (offset, weights) in transfers.items()
+                }
+                found.append({name: CodedErrors.of_strip(each, values, valid) for name, each in shown.items()})
+            return found
 
-    def errors(self, folder: Path, photographs: Photographs, lights: np.ndarray) -> dict[str, float]:
-        """PSNR of what a viewer shows of the folder against the coded photographs."""
-        return self._errors(self.decoded(folder, photographs.frames), photographs, lights)
+        errors = {name: CodedErrors(len(lights)) for name in models}
+        for found in itertools.chain.from_iterable(in_threads(compare, decoded)):
+            for name, each in found.items():
+                errors[name].include(each)
+        groups = {"fitted": slice(0, len(fitted))} | ({"check": slice(len(fitted), None)} if len(checked) else {})
+        return {name: {group: each.decibels(part) for group, part in groups.items()} for name, each in errors.items()}
 
-    def file_errors(self, folder: Path, photographs: Photographs, lights: np.ndarray) -> dict[str, float]:
-        """PSNR of what a viewer shows of the .ptm file against the coded photographs."""
-        coefficients = read_ptm(folder / PTM)
-        return self._errors(((band, coefficients) for band in photographs.frames.bands()), photographs, lights)
 
-    def _errors(self, bands: Iterator[DecodedRows], photographs: Photographs, lights: np.ndarray) -> dict[str, float]:
-        errors = CodedErrors(len(lights))
-        transfers = [self.model.transfer(photographs.frames.directions[light]) for light in lights]
-        for rows, decoded in bands:
-            for part, values, valid in photographs.strips(rows, lights):
-                coefficients = decoded(part).reshape(-1, self.model.planes)
-                for number, (offset, weights) in enumerate(transfers):
-                    errors.add(number, offset + coefficients @ weights, values[:, number], valid[:, number])
-        return errors.decibels()
+def file_rows(path: Path, frames: Observations) -> Iterator[DecodedRows]:
+    """Yield a band at a time of a .ptm file, in units of its coefficients."""
+    coefficients = read_ptm(path)
+    for band in frames.bands():
+        values = coefficients(band)
+        yield band, values.reshape(*values.shape[:2], -1).transpose(2, 0, 1)
 
 
 def write_layers(folder: Path, scene: ExportedScene, context: Context) -> None:
