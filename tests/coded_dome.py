@@ -16,7 +16,7 @@ from nishiki.codec.training import train
 from nishiki.geometry.camera import Camera, look_at
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.stages.texels.declaration import TexelsSettings
+from nishiki.stages.texels import TexelsSettings
 from nishiki.stages.texels.run import lay_out
 
 VIEWS, TILE = 10, 32

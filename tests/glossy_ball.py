@@ -10,8 +10,7 @@ from unit.test_patches_atlas import atlas_of
 from unit.test_patches_charts import around, ball
 
 from nishiki.brdf.texels.lighting import Lighting
-from nishiki.stages.object_export.look import ObjectLook
-from nishiki.stages.object_export.texture_atlas import texture_atlas
+from nishiki.stages.export.object_look import ObjectLook, texture_atlas
 
 PLACE = (0.3, 0.2, 0.1)  # of the lamp, in the camera's frame
 

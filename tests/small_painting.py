@@ -22,13 +22,13 @@ from nishiki.capture.folder import load_capture
 from nishiki.observations.plane_store import write_observations
 from nishiki.packages import installed
 from nishiki.progress import Progress
-from nishiki.stages.brdf.declaration import BrdfSettings
-from nishiki.stages.export.declaration import ExportSettings, Format
-from nishiki.stages.export.run import run
-from nishiki.stages.height.declaration import HeightSettings
-from nishiki.stages.ingest.declaration import IngestSettings
-from nishiki.stages.normals.declaration import NormalsSettings
-from nishiki.stages.spectra.declaration import SpectraSettings
+from nishiki.stages.brdf import BrdfSettings
+from nishiki.stages.export import ExportSettings, Format
+from nishiki.stages.export.painting import run
+from nishiki.stages.height import HeightSettings
+from nishiki.stages.ingest import IngestSettings
+from nishiki.stages.normals import NormalsSettings
+from nishiki.stages.spectra import SpectraSettings
 
 ROWS, COLUMNS, PITCH_MM, BAND_ROWS = 45, 60, 0.25, 16
 STAMP = {"scene": "small", "stage": "export", "key": "0123456789ab", "version": "1"}

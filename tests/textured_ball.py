@@ -8,8 +8,7 @@ from unit.test_patches_charts import around, ball
 
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.formats.textured_surface import TexturedMesh
-from nishiki.stages.object_export.look import ObjectLook, object_mesh
-from nishiki.stages.object_export.texture_atlas import texture_atlas
+from nishiki.stages.export.object_look import ObjectLook, object_mesh, texture_atlas
 
 
 def textured_ball(*, rows: int = 120, columns: int = 160) -> tuple[ObjectLook, TexturedMesh]:

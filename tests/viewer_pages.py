@@ -33,13 +33,11 @@ from nishiki.render.object.free_lamps import FreeLamp, FreeLighting
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
 from nishiki.render.plane.shadow import cast_shadows
-from nishiki.stages.cloth_render.declaration import DYES, MeshSettings
-from nishiki.stages.cloth_viewer.scene import shape_of, surfaces
-from nishiki.stages.render.declaration import LightSettings
-from nishiki.stages.render.requests import direction, white_sheet
-from nishiki.stages.render.run import load_scene, seen
-from nishiki.stages.viewer import run as viewer_run
-from nishiki.stages.viewer.declaration import ViewerSettings
+from nishiki.stages.render import DYES, LightSettings, MeshSettings
+from nishiki.stages.render.painting import direction, load_scene, seen, white_sheet
+from nishiki.stages.viewer import ViewerSettings
+from nishiki.stages.viewer import painting as viewer_run
+from nishiki.stages.viewer.cloth import shape_of, surfaces
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]

@@ -14,6 +14,7 @@ from mkdocs.structure.files import File, Files
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "workflow" / "src"))
 
+from nishiki.artifacts.provenance import program_of
 from nishiki.stages.table import CHAIN, chain_of
 
 ROOT = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
@@ -50,7 +51,8 @@ def on_files(files: Files, config: Any) -> Files:
         files.append(File.generated(config, page, content=text))
     for name, stage in CHAIN.items():
         if files.get_file_from_path(f"stages/{name}.md") is None:
-            line = f"Declared in [declaration.py](../../workflow/src/nishiki/stages/{name}/declaration.py)."
+            package = program_of(name).parent.name
+            line = f"Declared in [{name}](../../workflow/src/nishiki/stages/{package}/__init__.py)."
             files.append(File.generated(config, f"stages/{name}.md", content=f"# {name}: {stage.does}\n\n{line}\n"))
     return files
 

@@ -1,6 +1,6 @@
 """Reference tables of the stages, written from their declarations (a hook of mkdocs; see mkdocs.yml).
 
-A page of a stage says `Declared in [declaration.py](../../workflow/.../stages/NAME/declaration.py).`, a link that
+A page of a stage says `Declared in [NAME](../../workflow/.../stages/PACKAGE/__init__.py).`, a link that
 readers of the repository can follow. On the site the tables of settings, limits, inputs and cost replace it. The
 line `Declared in [table.py](...).` becomes the list of all stages, `Declared in [project.py](...).` the settings that
 stand beside the stages' own.
@@ -24,7 +24,7 @@ from nishiki.stages.base import SceneFacts, Stage
 from nishiki.stages.table import CHAIN, PRODUCTS, chain_of
 
 LINE = re.compile(
-    r"^Declared in \[[^]]*\]\((?:\.\./)((?:\.\./)*)workflow/src/nishiki/([a-z_/]+)\.py\)\.$", re.MULTILINE
+    r"^Declared in \[([^]]*)\]\((?:\.\./)((?:\.\./)*)workflow/src/nishiki/[a-z_/]+\.py\)\.$", re.MULTILINE
 )
 PAGE = re.compile(r"\bdocs/((?:\w+/)*([\w-]+)\.md)")
 GEOMETRIES = {"plane": "flat scenes", "turntable": "objects on a turntable", "goniometer": "cloths on a goniometer"}
@@ -48,16 +48,16 @@ EXAMPLE_WORDS = {
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Replace the lines of a page that name a declaration by its tables; pages that these name become links."""
-    return LINE.sub(lambda line: PAGE.sub(rf"[\2]({line[1]}\1)", tables(line[2])), markdown)
+    return LINE.sub(lambda line: PAGE.sub(rf"[\2]({line[2]}\1)", tables(line[1])), markdown)
 
 
-def tables(module: str) -> str:
-    """Markdown that stands for a module of declarations, named by its path below the package."""
-    if module == "stages/table":
+def tables(name: str) -> str:
+    """Markdown that stands for a stage, or for the module that lists the stages or the settings beside theirs."""
+    if name == "table.py":
         return "\n".join(f"\n### {INDEX[geometry]}\n\n{stage_list(geometry)}" for geometry in INDEX)
-    if module == "engine/project":
+    if name == "project.py":
         return settings_table(Configuration, without=set(CHAIN))
-    stage = CHAIN[module.removeprefix("stages/").removesuffix("/declaration")]
+    stage = CHAIN[name]
     parts = [settings_table(stage.settings), facts_table(stage)]
     if any(limit.stated for limit in stage.limits):
         parts += [

@@ -26,10 +26,9 @@ from nishiki.brdf.torrance_sparrow import specular
 from nishiki.brdf.trowbridge_reitz import isotropic_lobe
 from nishiki.colour.encoding import decode, encode
 from nishiki.report.files import read_json
-from nishiki.stages.export.declaration import ExportSettings
-from nishiki.stages.export.gltf_material import ANGLES, GltfMaterial
+from nishiki.stages.export import ExportSettings
+from nishiki.stages.export.gloss import ANGLES, GltfMaterial, RegionGloss
 from nishiki.stages.export.look import errors, painting_look, textures
-from nishiki.stages.export.region_gloss import RegionGloss
 from nishiki.stages.export.scene import ExportedScene
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -31,11 +31,10 @@ from nishiki.artifacts.artifact import Artifact, open_artifact
 from nishiki.brdf.trowbridge_reitz import anisotropic_lobe, widened_roughness
 from nishiki.colour.colour import srgb_encode
 from nishiki.observations.plane import Observations
-from nishiki.stages.export.declaration import ExportSettings
-from nishiki.stages.export.gltf_material import GltfMaterial
+from nishiki.stages.export import ExportSettings
+from nishiki.stages.export.gloss import GltfMaterial, RegionGloss
 from nishiki.stages.export.look import PaintingLook, painting_look
 from nishiki.stages.export.photographs import CodedErrors, Photographs
-from nishiki.stages.export.region_gloss import RegionGloss
 from nishiki.stages.export.scene import ExportedScene, block_mean
 
 STAGES = ("ingest", "normals", "height", "spectra", "brdf")

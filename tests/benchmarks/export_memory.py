@@ -24,8 +24,8 @@ import small_painting
 
 import _project  # noqa: F401
 from nishiki.artifacts.artifact import Artifact
-from nishiki.stages.export.declaration import ExportSettings
-from nishiki.stages.export.run import run
+from nishiki.stages.export import ExportSettings
+from nishiki.stages.export.painting import run
 
 COLUMNS, FITTED, BAND_ROWS = 1500, 6, 64
 

@@ -32,7 +32,7 @@ from npm_packages import gltf_problems
 
 from nishiki.engine.project import load_yaml
 from nishiki.engine.workflow import Workflow
-from nishiki.stages.export.report import lost
+from nishiki.stages.report.capture import lost
 from nishiki.stages.table import chain_of
 
 PROJECT = Path(__file__).resolve().parents[2]

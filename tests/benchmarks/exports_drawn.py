@@ -38,15 +38,14 @@ from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.scene import ClothScene
 from nishiki.render.cloth.studio import Lighting, framed
 from nishiki.render.display import three_channels
-from nishiki.stages.cloth_export.against_model import LAMPS, VIEWS
-from nishiki.stages.cloth_export.gltf_cloth import fitted_cloth
-from nishiki.stages.cloth_export.scene import ExportedCloth
-from nishiki.stages.export.declaration import ExportSettings
+from nishiki.stages.export import ExportSettings
+from nishiki.stages.export.cloth import LAMPS, VIEWS, ExportedCloth
+from nishiki.stages.export.cloth_material import fitted_cloth
 from nishiki.stages.export.look import painting_look
+from nishiki.stages.export.object_look import METRES, object_look, object_mesh
+from nishiki.stages.export.object_surface import SeenPoints, shown_in
 from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.scene import ExportedScene
-from nishiki.stages.object_export.errors import SeenPoints, shown_in
-from nishiki.stages.object_export.look import METRES, object_look, object_mesh
 
 FORMATS = {"three": ("gltf",), "materialx": ("materialx",), "blender": ("gltf", "usd")}
 FILES = {"gltf": "{}.glb", "usd": "{}.usdz", "materialx": "materialx/{}.mtlx"}

@@ -22,8 +22,8 @@ from nishiki.brdf.texels.model import GRAZING
 from nishiki.brdf.torrance_sparrow import fresnel, specular
 from nishiki.brdf.trowbridge_reitz import isotropic_lobe
 from nishiki.colour.encoding import encode
-from nishiki.stages.export.gltf_material import GltfMaterial, best_material, coded_errors
-from nishiki.stages.object_export.look import ALPHA_PER_SIGMA
+from nishiki.stages.export.gloss import GltfMaterial, best_material, coded_errors
+from nishiki.stages.export.object_look import ALPHA_PER_SIGMA
 
 UP = np.array([0.0, 0.0, 1.0])
 VIEWS = (0, 15, 30, 50, 65)

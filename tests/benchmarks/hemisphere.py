@@ -28,7 +28,7 @@ from nishiki.goniometry.directions import disc, unit  # noqa: E402
 from nishiki.goniometry.hemisphere import gathered  # noqa: E402
 from nishiki.goniometry.scattered import fit_linear, fit_spline  # noqa: E402
 from nishiki.goniometry.symmetry import images, reduced  # noqa: E402
-from nishiki.stages.goniometer_samples.declaration import GoniometerSamplesSettings  # noqa: E402
+from nishiki.stages.goniometer_samples import GoniometerSamplesSettings  # noqa: E402
 
 FEWEST = 60
 SHARES = (0.3, 0.7)

@@ -31,10 +31,9 @@ from nishiki.brdf.texels.model import predict
 from nishiki.colour.encoding import decode, encode
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.stages.object_export.errors import SeenPoints
-from nishiki.stages.object_export.look import METRES
-from nishiki.stages.object_export.mitsuba import model_textures
-from nishiki.stages.object_export.texture_atlas import TextureAtlas, sample, texture_atlas
+from nishiki.stages.export.object_look import METRES, TextureAtlas, sample, texture_atlas
+from nishiki.stages.export.object_mitsuba import model_textures
+from nishiki.stages.export.object_surface import SeenPoints
 
 DARK = 1e-6
 

@@ -139,8 +139,8 @@ def timing(ingested, settings):
     from nishiki.observations.parcels import Parcel
     from nishiki.observations.plane import Observations
     from nishiki.photometric.light_selection import select_diffuse
+    from nishiki.stages.normals import NormalsSettings
     from nishiki.stages.normals.choice import choose_fit, scene_gloss
-    from nishiki.stages.normals.declaration import NormalsSettings
     from nishiki.stages.normals.parcel import solve
 
     frames = Observations(ingested)

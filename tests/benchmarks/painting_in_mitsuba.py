@@ -33,7 +33,7 @@ from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Light, PlaneScene
 from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.scene import ExportedScene
-from nishiki.stages.render.run import load_scene
+from nishiki.stages.render.painting import load_scene
 
 STAGES = ("ingest", "normals", "height", "spectra", "brdf")
 ELEVATIONS = (60, 20)

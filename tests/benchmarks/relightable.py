@@ -42,9 +42,8 @@ import relight_planes as relight
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.formats.picture_tiles import jpeg_bytes
 from nishiki.observations.plane import Observations
-from nishiki.stages.export.grid_pictures import GridPictures
 from nishiki.stages.export.light_models import OpenLimeModel, PrincipalModel, TabulatedModel
-from nishiki.stages.export.photographs import Photographs
+from nishiki.stages.export.photographs import GridPictures, Photographs
 from nishiki.stages.export.relight import SAMPLES, StoredModel, model_of
 from nishiki.stages.export.scene import ExportedScene
 

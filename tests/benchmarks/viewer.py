@@ -28,7 +28,7 @@ from nishiki.artifacts.artifact import open_artifact  # noqa: E402
 from nishiki.render.cloth.models import ClothModels  # noqa: E402
 from nishiki.render.display import encoded  # noqa: E402
 from nishiki.render.object.decoded_object import DecodedObject  # noqa: E402
-from nishiki.stages.cloth_viewer.scene import SHAPES  # noqa: E402
+from nishiki.stages.viewer.cloth import SHAPES  # noqa: E402
 
 STATES = {
     "D65 45°": {"lamps": [lamp(90, 45)], "ambient": 0.05},

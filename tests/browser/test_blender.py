@@ -11,11 +11,11 @@ from textured_ball import textured_ball
 from nishiki.colour.encoding import decode, encode
 from nishiki.formats.usd import write_usdz
 from nishiki.packages import installed
-from nishiki.stages.export.declaration import ExportSettings
+from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.look import painting_look
-from nishiki.stages.export.run import run
+from nishiki.stages.export.object_surface import SeenPoints, shown_in
+from nishiki.stages.export.painting import run
 from nishiki.stages.export.scene import ExportedScene
-from nishiki.stages.object_export.errors import SeenPoints, shown_in
 
 pytestmark = pytest.mark.skipif(blender_scene.missing() is not None, reason=str(blender_scene.missing()))
 LAMPS = [np.array(lamp) / np.linalg.norm(lamp) for lamp in ((0.5, 0.3, 0.81), (-0.6, 0.1, 0.8), (0.1, 0.1, 1))]

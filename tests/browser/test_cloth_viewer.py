@@ -13,9 +13,8 @@ from nishiki.brdf.cloth.store import save_brdf
 from nishiki.progress import Progress
 from nishiki.render.cloth.models import ClothModels
 from nishiki.report.viewer.page import Blocks
-from nishiki.stages.cloth_render.declaration import DYES, MeshSettings
-from nishiki.stages.cloth_viewer import scene
-from nishiki.stages.cloth_viewer.run import write_cloth
+from nishiki.stages.render import DYES, MeshSettings
+from nishiki.stages.viewer import cloth
 
 pytestmark = [
     pytest.mark.slow,
@@ -63,13 +62,13 @@ def shown(tmp_path_factory):
     text = json.dumps({"default": "ward", "regions": ["cloth"], "models": {"cloth": told}})
     (folder / "cloth_brdf.json").write_text(text)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(scene, "SIDE", 65)
-        patch.setattr(scene, "SIZE", {"rows": 180, "columns": 240})
+        patch.setattr(cloth, "SIDE", 65)
+        patch.setattr(cloth, "SIZE", {"rows": 180, "columns": 240})
         blocks = Blocks(SimpleNamespace(path=lambda name: folder / name), inline_bytes=10**8)
         about = {"title": "Satin", "scene": "satin", "key": "", "version": ""}
         (folder / "roof.obj").write_text(ROOF)
         mesh = MeshSettings(file=str(folder / "roof.obj"))
-        write_cloth(ClothModels(folder), blocks, about, dyes=DYES, mesh=mesh, progress=Progress("test"))
+        cloth.write_cloth(ClothModels(folder), blocks, about, dyes=DYES, mesh=mesh, progress=Progress("test"))
         with viewer_pages.opened(folder / "index.html", width=500, height=300) as page:
             yield SimpleNamespace(models=ClothModels(folder), mesh=mesh, page=page)
 

@@ -10,7 +10,7 @@ from npm_packages import npm_folder
 
 from nishiki.formats.picture_tiles import write_iiif_image
 from nishiki.stages.export.iiif import LAYERS, canvas, image, manifest, manifest_of, write_manifest
-from nishiki.stages.object_export.iiif import BEHAVIOR
+from nishiki.stages.export.object import BEHAVIOR
 
 NODE_FOLDER = npm_folder("tify/dist/tify.js")
 TIFY = NODE_FOLDER / "tify" / "dist" if NODE_FOLDER else None

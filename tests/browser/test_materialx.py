@@ -12,7 +12,7 @@ from nishiki.colour.encoding import decode, encode
 from nishiki.formats.materialx import write_materialx
 from nishiki.formats.textured_surface import SurfaceLook
 from nishiki.packages import installed
-from nishiki.stages.object_export.errors import SeenPoints, shown_in
+from nishiki.stages.export.object_surface import SeenPoints, shown_in
 
 pytestmark = [
     pytest.mark.slow,  # a software rasteriser compiles a shader of 100,000 characters

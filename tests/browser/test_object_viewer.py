@@ -13,7 +13,7 @@ from nishiki.geometry.camera import look_at
 from nishiki.render.display import encoded
 from nishiki.render.object.shots import Shot, neighbours
 from nishiki.report.viewer.page import Blocks
-from nishiki.stages.object_viewer.run import write_object
+from nishiki.stages.viewer.object import write_object
 
 pytestmark = pytest.mark.skipif(viewer_pages.missing() is not None, reason=str(viewer_pages.missing()))
 

@@ -7,9 +7,9 @@ import viewer_pages
 from small_painting import PITCH_MM, export_context, small_painting
 
 from nishiki.colour.encoding import decode, encode
-from nishiki.stages.export.declaration import ExportSettings
+from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.look import painting_look
-from nishiki.stages.export.run import run
+from nishiki.stages.export.painting import run
 from nishiki.stages.export.scene import ExportedScene
 
 pytestmark = [

@@ -16,7 +16,7 @@ from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
 from nishiki.observations.plane_store import write_observations
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 
 ROWS, COLUMNS = 24, 32
 CAMERA = {"channels": ["red", "green", "blue"], "encoding": "linear", "bits": 12, "saturation": 0.98}

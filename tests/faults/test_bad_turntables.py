@@ -11,7 +11,7 @@ from nishiki.capture.seal import seal
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
 from nishiki.observations.views_store import write_views
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 
 ROWS, COLUMNS = 20, 24
 BOARD = {"squares_x": 5, "squares_y": 7, "square_mm": 20.0, "marker_mm": 15.0, "dictionary": "DICT_4X4_50"}

@@ -16,7 +16,7 @@ from nishiki.artifacts.artifact import open_artifact
 from nishiki.artifacts.finite import NotFinite, problems
 from nishiki.artifacts.limits import Limit, at, check, limit_checks
 from nishiki.artifacts.stage import run_stage
-from nishiki.stages.height.declaration import HeightSettings
+from nishiki.stages.height import HeightSettings
 from nishiki.stages.table import LIMITS
 
 CODECS = {

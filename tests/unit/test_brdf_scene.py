@@ -21,9 +21,9 @@ from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.progress import Progress
-from nishiki.stages.brdf.declaration import BrdfSettings
-from nishiki.stages.brdf.run import fit_regions, gather
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.brdf import BrdfSettings
+from nishiki.stages.brdf.painting import fit_regions, gather
+from nishiki.stages.ingest import IngestSettings
 
 VIEW = np.array([0.0, 0.0, 1.0])
 INDEX = 1.45

@@ -16,9 +16,9 @@ from nishiki.geometry.cameras_file import load_cameras
 from nishiki.observations.views_attributes import geometry_sources
 from nishiki.observations.views_store import write_views
 from nishiki.progress import Progress
+from nishiki.stages.cameras import CamerasSettings
 from nishiki.stages.cameras import run as stage
-from nishiki.stages.cameras.declaration import CamerasSettings
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 
 MIDDLE = np.array([70.0, 50.0, 0.0])
 TILT = turned(32, 8, 5)

@@ -20,7 +20,7 @@ from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
 from nishiki.observations.goniometer_store import write_goniometer
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 
 OBLIQUE = [(30.0, 90.0, t, p) for t in (0.0, 30.0) for p in (0.0, 90.0, 270.0)]
 

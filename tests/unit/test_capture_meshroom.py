@@ -16,9 +16,9 @@ from nishiki.formats.problems import CaptureError
 from nishiki.geometry.cameras_file import load_cameras
 from nishiki.observations.views_store import write_views
 from nishiki.progress import Progress
+from nishiki.stages.cameras import CamerasSettings
 from nishiki.stages.cameras import run as stage
-from nishiki.stages.cameras.declaration import CamerasSettings
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 
 FX, FY, CX, CY = 40.0, 41.0, 16.0, 10.5  # pixels, from the centre of the first one
 SENSOR_MM = 36.0

@@ -21,7 +21,7 @@ from nishiki.geometry.camera import Camera
 from nishiki.observations.views import Views
 from nishiki.observations.views_store import write_views
 from nishiki.stages.cameras.run import given
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 
 FLIP = np.diag([1.0, -1.0, -1.0])
 POINTS = np.random.default_rng(3).uniform(-0.6, 0.6, (20, 3))

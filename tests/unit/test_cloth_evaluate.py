@@ -18,7 +18,7 @@ from nishiki.goniometry.directions import unit
 from nishiki.goniometry.store import write_reflectances
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.progress import Progress
-from nishiki.stages.cloth_evaluate.declaration import ClothEvaluateSettings
+from nishiki.stages.evaluate import ClothEvaluateSettings
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "cloth_evaluate", "key": "0" * 12, "version": "0.1.0"}
@@ -93,7 +93,7 @@ def test_views_in_a_plane_are_sorted_and_signed():
 
 def script():
     """The stage's module."""
-    return importlib.import_module("nishiki.stages.cloth_evaluate.run")
+    return importlib.import_module("nishiki.stages.evaluate.cloth")
 
 
 def artifact(root, stage, fill):

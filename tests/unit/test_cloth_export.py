@@ -29,15 +29,13 @@ from nishiki.render.cloth.drape import read_drape
 from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.scene import ClothScene, Lamp, Matte
 from nishiki.render.cloth.studio import framed, paper_below
-from nishiki.stages.cloth_export.against_model import errors
-from nishiki.stages.cloth_export.declaration import ClothExportSettings, Format
-from nishiki.stages.cloth_export.gltf_cloth import GltfCloth, coded_error, fitted_cloth, pairs, sheen_albedo
-from nishiki.stages.cloth_export.mitsuba import camera_of
-from nishiki.stages.cloth_export.run import run
-from nishiki.stages.cloth_export.scene import ExportedCloth
-from nishiki.stages.cloth_render.declaration import ClothRenderSettings
-from nishiki.stages.cloth_render.scene import lights_of
-from nishiki.stages.export.report import export_section
+from nishiki.stages.export import ClothExportSettings
+from nishiki.stages.export import ClothFormat as Format
+from nishiki.stages.export.cloth import ExportedCloth, camera_of, errors, run
+from nishiki.stages.export.cloth_material import GltfCloth, coded_error, fitted_cloth, pairs, sheen_albedo
+from nishiki.stages.render import ClothRenderSettings
+from nishiki.stages.render.draping import lights_of
+from nishiki.stages.report.capture import export_section
 
 STAMP = {"scene": "small", "stage": "cloth_export", "key": "0" * 12, "version": "0.1.0"}
 WARD = Ward(diffuse=np.array([0.05, 0.04, 0.1]), specular=np.full(3, 0.2), alpha_x=0.5, alpha_y=0.2)

@@ -21,11 +21,11 @@ from nishiki.render.cloth.frame import ClothPicture
 from nishiki.render.cloth.mesh_store import read_surface
 from nishiki.render.cloth.models import ClothModels
 from nishiki.render.display import developed, shoulder
-from nishiki.stages.cloth_render.declaration import ClothRenderSettings
-from nishiki.stages.cloth_render.run import exposed
-from nishiki.stages.cloth_viewer.declaration import ClothViewerSettings
-from nishiki.stages.cloth_viewer.scene import SHAPES, shape_of, surfaces
+from nishiki.stages.render import ClothRenderSettings
+from nishiki.stages.render.cloth import exposed
 from nishiki.stages.table import CHAIN
+from nishiki.stages.viewer import ClothViewerSettings
+from nishiki.stages.viewer.cloth import SHAPES, shape_of, surfaces
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "cloth_render", "key": "0" * 12, "version": "0.1.0"}
@@ -50,7 +50,7 @@ f 1/1 3/3 4/4
 
 def script():
     """The stage's module."""
-    return importlib.import_module("nishiki.stages.cloth_render.run")
+    return importlib.import_module("nishiki.stages.render.cloth")
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import pytest
 from pages import make_artifact, parsed
 
 from nishiki.artifacts.artifact import ArtifactWriter
+from nishiki.artifacts.provenance import module_of
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.models import MODELS
 from nishiki.brdf.cloth.peers import Ward
@@ -21,13 +22,12 @@ from nishiki.goniometry.store import write_reflectances
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.progress import Progress
 from nishiki.report.svg import BOTTOM
-from nishiki.stages.cloth_brdf.report import disc_directions, disc_picture, lobes_plot
-from nishiki.stages.cloth_evaluate.declaration import ClothEvaluateSettings
-from nishiki.stages.cloth_evaluate.report import error_chart, plane_chart
-from nishiki.stages.cloth_render.declaration import ClothRenderSettings
-from nishiki.stages.cloth_report.declaration import ClothReportSettings
-from nishiki.stages.goniometer_samples.declaration import GoniometerSamplesSettings
-from nishiki.stages.weave.declaration import WeaveSettings
+from nishiki.stages.evaluate import ClothEvaluateSettings
+from nishiki.stages.goniometer_samples import GoniometerSamplesSettings
+from nishiki.stages.render import ClothRenderSettings
+from nishiki.stages.report import ClothReportSettings
+from nishiki.stages.report.cloth_reflection import disc_directions, disc_picture, error_chart, lobes_plot, plane_chart
+from nishiki.stages.weave import WeaveSettings
 from nishiki.stages.weave.report import (
     YARN_MEANINGS,
     curve,
@@ -51,7 +51,7 @@ ROW |= {"peak_direction_deg": None, "peak_value_rel": None, "noise_rel": 0.004}
 
 def script(name="cloth_report"):
     """A stage's module."""
-    return importlib.import_module(f"nishiki.stages.{name}.run")
+    return importlib.import_module(f"nishiki.stages.{module_of(name)}")
 
 
 def artifact(root, stage, settings, fill):

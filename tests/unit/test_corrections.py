@@ -20,8 +20,8 @@ from nishiki.observations.linearise import code_table
 from nishiki.observations.plane_store import write_observations
 from nishiki.observations.registration import Window, choose_pairs, solve_movement
 from nishiki.observations.resampling import move_codes, region_behind, subtract_light
-from nishiki.stages.ingest.declaration import IngestSettings
-from nishiki.stages.ingest.report import capture_section
+from nishiki.stages.ingest import IngestSettings
+from nishiki.stages.report.capture import capture_section
 
 ROWS, COLUMNS, LAMPS = 96, 128, 10
 ACCURATE = 0.5  # degrees from the normals of the clean set

@@ -31,9 +31,9 @@ from nishiki.commands.exporting import FORMATS
 from nishiki.errors import UserError
 from nishiki.formats.exr_bands import ExrWriter, read_blocks
 from nishiki.formats.tiff_bands import write_tiff
-from nishiki.stages.export.declaration import ExportSettings, Format
-from nishiki.stages.export.report import export_section
-from nishiki.stages.export.run import run
+from nishiki.stages.export import ExportSettings, Format
+from nishiki.stages.export.painting import run
+from nishiki.stages.report.capture import export_section
 
 
 @pytest.fixture(scope="module")

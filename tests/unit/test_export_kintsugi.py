@@ -12,11 +12,10 @@ from PIL import Image
 
 from nishiki.brdf.texels.model import predict
 from nishiki.colour.encoding import decode, encode
-from nishiki.stages.object_export import kintsugi
-from nishiki.stages.object_export.errors import SeenPoints
-from nishiki.stages.object_export.kintsugi import LobeBasis, lobes
-from nishiki.stages.object_export.look import object_mesh
-from nishiki.stages.object_export.texture_atlas import sample
+from nishiki.stages.export import kintsugi
+from nishiki.stages.export.kintsugi import LobeBasis, lobes
+from nishiki.stages.export.object_look import object_mesh, sample
+from nishiki.stages.export.object_surface import SeenPoints
 
 STAMP = {"version": "1", "scene": "ball", "key": "0123456789ab"}
 
@@ -33,7 +32,7 @@ def exported(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kintsugi, "model_textures", lambda *_: model)
         patch.setattr(kintsugi, "against_photographs", lambda _, __, found: asked.update(found) or {})
-        reported = kintsugi.write(context, surface)
+        reported = kintsugi.write_kintsugi(context, surface)
     assert sorted(reported["files"]) == sorted(f"exports/kintsugi/{each.name}" for each in folder.rglob("*.*"))
     return SimpleNamespace(look=look, model=model, folder=folder / "exports/kintsugi", shown=asked)
 

@@ -16,12 +16,11 @@ from nishiki.brdf.texels.model import predict
 from nishiki.formats.mitsuba_xml import Parameter, write_scene
 from nishiki.geometry.camera import Camera
 from nishiki.report.numbers import figure
-from nishiki.stages.export.report import lost
-from nishiki.stages.object_export import mitsuba_principled as principled
-from nishiki.stages.object_export.errors import SeenPoints
-from nishiki.stages.object_export.look import object_mesh
-from nishiki.stages.object_export.mitsuba import by_principled, falloff, lamp_facts, nearest_pinhole, write_folder
-from nishiki.stages.object_export.texture_atlas import sample
+from nishiki.stages.export import renderers as principled
+from nishiki.stages.export.object_look import object_mesh, sample
+from nishiki.stages.export.object_mitsuba import by_principled, falloff, lamp_facts, nearest_pinhole, write_folder
+from nishiki.stages.export.object_surface import SeenPoints
+from nishiki.stages.report.capture import lost
 
 STAMP = {"scene": "ball", "key": "0123456789ab"}
 UNIT = 0.001

@@ -16,10 +16,10 @@ from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import illuminant, white_xyz, xyz_to_srgb_linear
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Light, View
-from nishiki.stages.export.declaration import ExportSettings
-from nishiki.stages.export.run import run
+from nishiki.stages.export import ExportSettings
+from nishiki.stages.export.painting import run
 from nishiki.stages.export.scene import ExportedScene
-from nishiki.stages.render.run import load_scene
+from nishiki.stages.render.painting import load_scene
 
 LABELS = np.zeros((ROWS, COLUMNS), np.uint8)
 LABELS[10:30, 20:51] = 1

@@ -13,10 +13,10 @@ from small_painting import COLUMNS, ROWS, export_context, small_painting
 
 from nishiki.colour.colour import srgb_encode
 from nishiki.packages import installed
-from nishiki.stages.export.declaration import ExportSettings
-from nishiki.stages.export.gltf_material import STRENGTH, coded_errors
+from nishiki.stages.export import ExportSettings
+from nishiki.stages.export.gloss import STRENGTH, coded_errors
 from nishiki.stages.export.look import most_frequent, painting_look
-from nishiki.stages.export.run import run
+from nishiki.stages.export.painting import run
 from nishiki.stages.export.scene import ExportedScene
 
 FORMATS = ("gltf", *(("usd",) if installed("usd-core") else ()), *(("materialx",) if installed("materialx") else ()))

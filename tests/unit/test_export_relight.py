@@ -13,7 +13,6 @@ from nishiki.colour.colour import srgb_encode
 from nishiki.formats.picture_tiles import read_full_resolution, read_jpeg, write_deep_zoom
 from nishiki.formats.relight_weights import gaussian_weights, grid_directions
 from nishiki.observations.plane import Observations
-from nishiki.stages.export.grid_pictures import GridPictures
 from nishiki.stages.export.light_models import (
     WIDTHS,
     GridModel,
@@ -23,7 +22,7 @@ from nishiki.stages.export.light_models import (
     ptm_weights,
     solve,
 )
-from nishiki.stages.export.photographs import Photographs
+from nishiki.stages.export.photographs import GridPictures, Photographs
 from nishiki.stages.export.scene import ExportedScene
 
 

@@ -9,7 +9,7 @@ from nishiki.formats.materialx import write_materialx
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.formats.usd import write_usdz
 from nishiki.packages import MODULES
-from nishiki.stages.export.gltf_material import GltfMaterial, white_at_grazing
+from nishiki.stages.export.gloss import GltfMaterial, white_at_grazing
 
 RANDOM = np.random.default_rng(5)
 PICTURE = RANDOM.integers(0, 256, (12, 20, 3)).astype(np.uint8)

@@ -10,9 +10,9 @@ from small_painting import COLUMNS, ROWS, small_painting
 
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.brdf.trowbridge_reitz import isotropic_lobe
-from nishiki.stages.export.declaration import ExportSettings
+from nishiki.stages.export import ExportSettings
+from nishiki.stages.export.gloss import slopes_widen
 from nishiki.stages.export.look import painting_look
-from nishiki.stages.export.region_gloss import slopes_widen
 from nishiki.stages.export.scene import ExportedScene
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -23,9 +23,9 @@ from nishiki.goniometry.windows import regions_in_view
 from nishiki.observations.goniometer import Measurements
 from nishiki.observations.goniometer_store import write_goniometer
 from nishiki.progress import Progress
-from nishiki.stages.goniometer_samples.declaration import GoniometerSamplesSettings
+from nishiki.stages.goniometer_samples import GoniometerSamplesSettings
 from nishiki.stages.goniometer_samples.run import run
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 
 PROJECT = Path(__file__).resolve().parents[2]
 NORMAL = [(0.0, 0.0, t, p) for t, p in quarter_views()]

@@ -11,9 +11,9 @@ from nishiki.artifacts.limits import check, limit_warnings
 from nishiki.artifacts.maps import Maps
 from nishiki.artifacts.stage import Context
 from nishiki.progress import Progress
-from nishiki.stages.height.declaration import LIMITS, HeightSettings
+from nishiki.stages.height import LIMITS, HeightSettings
 from nishiki.stages.height.run import run
-from nishiki.stages.normals.declaration import NormalsSettings
+from nishiki.stages.normals import NormalsSettings
 from nishiki.stages.normals.run import create_maps
 
 STAMP = {"scene": "small", "stage": "height", "key": "0123456789ab", "version": "1"}

@@ -13,7 +13,7 @@ import yaml
 
 import nishiki
 from nishiki.artifacts.closed import Closed
-from nishiki.artifacts.provenance import SOURCE
+from nishiki.artifacts.provenance import SOURCE, program_of
 from nishiki.artifacts.syntax import syntax_of
 from nishiki.engine.project import Configuration
 from nishiki.stages.table import CHAIN
@@ -40,21 +40,22 @@ def test_exported_requirements_are_those_of_the_lock():
 @pytest.mark.parametrize(("name", "stage"), CHAIN.items(), ids=CHAIN)
 def test_every_stage_has_a_folder_a_page_and_its_own_block_of_settings(name, stage):
     assert stage.name == name
-    folder = PACKAGE / "stages" / name
-    assert (folder / "declaration.py").is_file()
-    assert (folder / "run.py").is_file()
+    assert program_of(name).parent.parent == PACKAGE / "stages"
     assert (PROJECT / "docs/stages" / f"{name}.md").is_file()
     assert name in Configuration.model_fields
 
 
 def test_every_folder_of_stages_is_in_the_table():
-    folders = {path.parent.name for path in (PACKAGE / "stages").glob("*/declaration.py")}
-    assert folders == set(CHAIN)
+    packages = {path.parent.name for path in (PACKAGE / "stages").glob("*/__init__.py")}
+    assert packages == {program_of(name).parent.name for name in CHAIN}
 
 
 def imports() -> dict[str, set[str]]:
     """Modules of the package by the names of those that they import, late imports included."""
-    paths = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path for path in PACKAGE.rglob("*.py")}
+    paths = {
+        ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in PACKAGE.rglob("*.py")
+    }
     return {name: {other for other in syntax_of(path).names if other in paths} for name, path in paths.items()}
 
 
@@ -74,13 +75,15 @@ def test_no_folder_imports_one_that_imports_it():
 
 def test_what_modules_take_from_a_declaration_is_a_model_of_settings():
     """A declaration is no part of a code digest, so nothing that decides a result may stand in one."""
-    declared = {f"nishiki.stages.{name}.declaration" for name in CHAIN}
-    taken = set()
-    for module, others in imports().items():
-        for path in [SOURCE.joinpath(*module.split(".")).with_suffix(".py")] if others & declared else []:
+    declared = {f"nishiki.stages.{program_of(name).parent.name}" for name in CHAIN}
+    taken, imported = set(), imports()
+    for module, others in imported.items():
+        if others & declared and module not in declared:
+            path = SOURCE.joinpath(*module.split(".")).with_suffix(".py")
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.ImportFrom) and node.module in declared and not module.endswith(".declaration"):
-                    taken |= {(node.module, alias.name) for alias in node.names}
+                if isinstance(node, ast.ImportFrom) and node.module in declared:
+                    names = {alias.name for alias in node.names}
+                    taken |= {(node.module, name) for name in names if f"{node.module}.{name}" not in imported}
     assert len(taken) > 10
     for module, name in taken:
         model = getattr(import_module(module), name)
@@ -95,9 +98,11 @@ def test_every_setting_says_what_it_means(stage):
     assert not silent
 
 
-def test_packages_are_empty_so_that_one_stage_does_not_import_all():
-    root = PACKAGE / "__init__.py"
-    assert not [path for path in PACKAGE.rglob("__init__.py") if path != root and path.read_text().strip()]
+def test_packages_are_empty_but_for_declarations_so_that_one_stage_does_not_import_all():
+    root, declared = PACKAGE / "__init__.py", {program_of(name).with_name("__init__.py") for name in CHAIN}
+    assert not [path for path in PACKAGE.rglob("__init__.py") if path not in {root, *declared} and path.stat().st_size]
+    heavy = {"numpy", "scipy", "numba", "zarr", "trimesh", "nishiki.stages.table"}
+    assert not [path for path in declared if heavy & set(syntax_of(path).names)]
     # That of the package names what is public and imports nothing by itself; the block is for type checkers.
     statements = [node for node in ast.parse(root.read_text()).body if not isinstance(node, ast.If | ast.FunctionDef)]
     assert not [node for node in statements if isinstance(node, ast.Import | ast.ImportFrom)]

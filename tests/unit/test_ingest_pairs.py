@@ -10,7 +10,7 @@ from nishiki.capture.folder import load_capture
 from nishiki.observations.check import check_capture
 from nishiki.observations.pairs_check import find_exchanges, level_problems
 from nishiki.observations.plane_store import write_observations
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 
 
 def dome(lamps=16, seed=0):

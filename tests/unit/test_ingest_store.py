@@ -18,7 +18,7 @@ from nishiki.observations.check import check_capture
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
 from nishiki.observations.tiles import rows_of_band
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 
 ROWS, COLUMNS = 24, 32
 TEXTURE = 0.5 * (0.8 + 0.2 * np.random.default_rng(1).random((ROWS, COLUMNS, 3)))
@@ -363,7 +363,7 @@ import sys
 from nishiki.artifacts.run_facts import peak_memory_kib
 from nishiki.capture.folder import load_capture
 from nishiki.observations.plane_store import write_observations
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 write_observations(load_capture(sys.argv[1]), sys.argv[2], settings=IngestSettings(channels="luminance"))
 print(peak_memory_kib() / 1024)
 """

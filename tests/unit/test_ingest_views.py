@@ -21,7 +21,7 @@ from nishiki.observations.linearise import code_table, straight_scale
 from nishiki.observations.views import Views, decode, encode
 from nishiki.observations.views_decode import view_values
 from nishiki.observations.views_store import write_views
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 
 ROWS, COLUMNS, TOP = 20, 24, 4095
 PROJECT = Path(__file__).resolve().parents[2]

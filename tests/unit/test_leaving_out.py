@@ -20,7 +20,7 @@ from nishiki.observations.plane_store import write_observations
 from nishiki.observations.tiles import bands_with_object
 from nishiki.observations.views import Views
 from nishiki.observations.views_store import write_views
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 
 WHOLE = slice(0, 24)
 

@@ -18,7 +18,7 @@ from nishiki.geometry.placement import AXES, measure_placement, move_mesh
 from nishiki.observations.check import check_capture
 from nishiki.observations.views import Views
 from nishiki.observations.views_store import write_views
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 from nishiki.stages.mesh.run import read_file
 
 CAMERAS = turn(8)

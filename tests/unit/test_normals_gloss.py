@@ -25,7 +25,7 @@ from nishiki.photometric.gloss_scene import GlossTile, fit_scene_gloss
 from nishiki.photometric.light_selection import select_diffuse
 from nishiki.photometric.reflectance import diffuse_reflectance
 from nishiki.photometric.solve import estimate_normals
-from nishiki.stages.normals.declaration import NormalsSettings
+from nishiki.stages.normals import NormalsSettings
 
 VIEW = np.array([0.0, 0.0, 1.0])
 VARNISH = GlossProfile(np.array([9.0, 0.8]), np.array([0.09, 0.25]))

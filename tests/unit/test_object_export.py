@@ -13,12 +13,11 @@ from unit.test_patches_charts import around, ball
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
 from nishiki.brdf.trowbridge_reitz import isotropic_lobe
-from nishiki.stages.object_export import iiif
-from nishiki.stages.object_export.declaration import LIMITS
-from nishiki.stages.object_export.errors import direction_to
-from nishiki.stages.object_export.iiif import pitch_mm
-from nishiki.stages.object_export.look import ALPHA_PER_SIGMA, ObjectLook
-from nishiki.stages.object_export.texture_atlas import fill_gaps, sample, texture_atlas
+from nishiki.stages.export import OBJECT_LIMITS as LIMITS
+from nishiki.stages.export import object as object_export
+from nishiki.stages.export.object import pitch_mm
+from nishiki.stages.export.object_look import ALPHA_PER_SIGMA, ObjectLook, fill_gaps, sample, texture_atlas
+from nishiki.stages.export.object_surface import direction_to
 
 
 @pytest.fixture(scope="module")
@@ -116,10 +115,12 @@ def test_addresses_of_views_are_those_of_their_files_whatever_the_views_are_call
     decoded = SimpleNamespace(
         views=names, mesh=mesh, encoding="srgb", numbers=lambda left_out: [], renderer=lambda **_: renderer
     )
-    pictures = {name: np.full((4, 6, 3), 99, np.uint8) for name in iiif.LAYERS}
-    monkeypatch.setattr(iiif.DecodedObject, "open", lambda inputs: decoded)
-    monkeypatch.setattr(iiif, "Photographs", lambda inputs: SimpleNamespace(read=lambda *_: (grey, everywhere)))
-    monkeypatch.setattr(iiif, "layers", lambda *_: pictures)
+    pictures = {name: np.full((4, 6, 3), 99, np.uint8) for name in object_export.LAYERS}
+    monkeypatch.setattr(object_export.DecodedObject, "open", lambda inputs: decoded)
+    monkeypatch.setattr(
+        object_export, "Photographs", lambda inputs: SimpleNamespace(read=lambda *_: (grey, everywhere))
+    )
+    monkeypatch.setattr(object_export, "layers", lambda *_: pictures)
     (tmp_path / "exports/iiif").mkdir(parents=True)
     context = SimpleNamespace(
         inputs={
@@ -130,7 +131,7 @@ def test_addresses_of_views_are_those_of_their_files_whatever_the_views_are_call
         output=SimpleNamespace(folder=tmp_path, path=lambda file: tmp_path / file),
         stamp={"version": "1", "scene": "jar", "key": "0"},
     )
-    iiif.write(context, None)
+    object_export.write_iiif(context, None)
     canvases = json.loads((tmp_path / "exports/iiif/manifest.json").read_text())["items"]
     assert [each["label"]["en"] for each in canvases] == [[f"View {name}"] for name in names]
     assert len({each["id"] for each in canvases}) == len(names)

@@ -18,23 +18,28 @@ from nishiki.brdf.texels.store import ParameterMaps, ParameterWriter
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import save_cameras
 from nishiki.progress import Progress
-from nishiki.stages.cameras.declaration import CamerasSettings
-from nishiki.stages.cameras.report import facts, turn_plot
-from nishiki.stages.ingest.declaration import IngestSettings
-from nishiki.stages.ingest.report import facts_of_object
-from nishiki.stages.mesh.declaration import MeshSettings
-from nishiki.stages.mesh.report import rows as rows_of_mesh
-from nishiki.stages.object_brdf.declaration import ObjectBrdfSettings
-from nishiki.stages.object_brdf.report import GAP, averaged, packed, parameter_figures, sheet
-from nishiki.stages.object_evaluate.declaration import ObjectEvaluateSettings
-from nishiki.stages.object_render.declaration import ObjectRenderSettings
-from nishiki.stages.object_report.declaration import ObjectReportSettings
-from nishiki.stages.object_report.run import at_a_glance
-from nishiki.stages.polarise.declaration import PolariseSettings
-from nishiki.stages.polarise.report import sentences
-from nishiki.stages.residual.declaration import ResidualSettings
-from nishiki.stages.residual.report import bytes_bars, rate_curve
-from nishiki.stages.texels.declaration import TexelsSettings
+from nishiki.stages.brdf import ObjectBrdfSettings
+from nishiki.stages.cameras import CamerasSettings
+from nishiki.stages.evaluate import ObjectEvaluateSettings
+from nishiki.stages.ingest import IngestSettings
+from nishiki.stages.mesh import MeshSettings
+from nishiki.stages.polarise import PolariseSettings
+from nishiki.stages.render import ObjectRenderSettings
+from nishiki.stages.report import ObjectReportSettings
+from nishiki.stages.report.capture import facts_of_object
+from nishiki.stages.report.object import at_a_glance, facts, sentences, turn_plot
+from nishiki.stages.report.object import rows as rows_of_mesh
+from nishiki.stages.report.object_reflection import (
+    GAP,
+    averaged,
+    bytes_bars,
+    packed,
+    parameter_figures,
+    rate_curve,
+    sheet,
+)
+from nishiki.stages.residual import ResidualSettings
+from nishiki.stages.texels import TexelsSettings
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "object_report", "key": "0" * 12, "version": "0.1.0"}
@@ -44,7 +49,7 @@ VIEWS = ["000", "001", "002", "003"]
 
 def script():
     """The stage's module."""
-    return importlib.import_module("nishiki.stages.object_report.run")
+    return importlib.import_module("nishiki.stages.report.object")
 
 
 def artifact(root, settings, fill):

@@ -12,8 +12,8 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import look_at
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.object.free_lamps import FreeLamp, FreeLighting, LitObject, disc_points
-from nishiki.stages.object_render.declaration import ObjectRenderSettings
-from nishiki.stages.object_render.run import own_lamps
+from nishiki.stages.render import ObjectRenderSettings
+from nishiki.stages.render.object import own_lamps
 
 LAMP = FreeLamp(azimuth=0.7, elevation=0.1, radius=0.4)
 

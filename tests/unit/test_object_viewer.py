@@ -13,7 +13,7 @@ from nishiki.codec.store import STORE
 from nishiki.codec.transform import Block
 from nishiki.formats.stored import open_array
 from nishiki.report.viewer.arrays import pack_arrays
-from nishiki.stages.object_viewer.scene import CHART_STEPS, decoder_arrays, object_manifest, stream_parts
+from nishiki.stages.viewer.object import CHART_STEPS, decoder_arrays, object_manifest, stream_parts
 
 
 @pytest.fixture(scope="module")

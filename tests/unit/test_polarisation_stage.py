@@ -16,9 +16,9 @@ from nishiki.observations.views_attributes import geometry_sources
 from nishiki.observations.views_store import write_views
 from nishiki.polarisation.components import Components
 from nishiki.progress import Progress
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
+from nishiki.stages.polarise import LIMITS, PolariseSettings
 from nishiki.stages.polarise import run as stage
-from nishiki.stages.polarise.declaration import LIMITS, PolariseSettings
 
 ROWS, COLUMNS = 48, 64
 BETA = np.array([0.42, 0.36, 0.3])

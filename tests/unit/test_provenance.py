@@ -141,9 +141,8 @@ def test_a_page_is_made_again_where_a_module_that_it_holds_changes_and_nowhere_e
         for stage in ("viewer", "object_viewer", "cloth_viewer")
     }
     assert {stage for stage, names in used.items() if f"{module}.js" in names} == remade
-    assert all(
-        {"page.js", "main.js", "style.css", "texts.en.json", "index.html.j2"} <= names for names in used.values()
-    )
+    assert all({"main.js", "style.css", "texts.en.json", "index.html.j2"} <= names for names in used.values())
+    assert all(program_of(stage).with_suffix(".js").name in names for stage, names in used.items())
 
 
 def test_a_module_that_a_page_imports_and_nobody_has_is_named(tmp_path):

@@ -8,7 +8,7 @@ from nishiki.brdf.gloss_profile import GlossProfile
 from nishiki.model_selection.refinement import decided
 from nishiki.model_selection.relighting import ERRORS, MARGIN, Fitted, Sampled, choose_model, left_out_errors
 from nishiki.observations.parcels import Parcel
-from nishiki.stages.normals.declaration import NormalsSettings
+from nishiki.stages.normals import NormalsSettings
 from nishiki.stages.normals.parcel import relit, solve
 
 PIXELS = 300

@@ -9,8 +9,8 @@ from nishiki.brdf.parameters import parameters_at_bounds
 from nishiki.render.display import adapted_exposure, display_image
 from nishiki.render.plane.camera import screen_to_plane
 from nishiki.render.plane.scene import PlaneScene
-from nishiki.stages.render.declaration import LightSettings, SequenceSettings, ViewSettings
-from nishiki.stages.render.requests import film_view, outline, view_of, white_sheet
+from nishiki.stages.render import LightSettings, SequenceSettings, ViewSettings
+from nishiki.stages.render.painting import film_view, outline, view_of, white_sheet
 
 FRAMES = {
     "fills the maps": ((300, 400), (0, 0, 300, 400)),

@@ -13,6 +13,7 @@ from pages import make_artifact, parsed
 
 from nishiki.artifacts.artifact import Artifact, open_artifact
 from nishiki.artifacts.maps import Maps, MapWriter
+from nishiki.artifacts.provenance import module_of
 from nishiki.artifacts.stage import Context
 from nishiki.capture.folder import load_capture
 from nishiki.colour.sampling import WAVELENGTHS_NM
@@ -21,14 +22,14 @@ from nishiki.errors import UserError
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
 from nishiki.progress import Progress
-from nishiki.stages.brdf.declaration import BrdfSettings
-from nishiki.stages.evaluate.declaration import EvaluateSettings
-from nishiki.stages.height.declaration import HeightSettings
-from nishiki.stages.ingest.declaration import IngestSettings
-from nishiki.stages.normals.declaration import NormalsSettings
-from nishiki.stages.render.declaration import RenderSettings
-from nishiki.stages.report.declaration import ReportSettings
-from nishiki.stages.spectra.declaration import SpectraSettings
+from nishiki.stages.brdf import BrdfSettings
+from nishiki.stages.evaluate import EvaluateSettings
+from nishiki.stages.height import HeightSettings
+from nishiki.stages.ingest import IngestSettings
+from nishiki.stages.normals import NormalsSettings
+from nishiki.stages.render import RenderSettings
+from nishiki.stages.report import ReportSettings
+from nishiki.stages.spectra import SpectraSettings
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "report", "key": "0" * 12, "version": "0.1.0"}
@@ -37,7 +38,7 @@ TITLE = 'Tea caddy <b>&"quoted"</b>'
 
 def script(name: str):
     """A stage's module."""
-    return importlib.import_module(f"nishiki.stages.{name}.run")
+    return importlib.import_module(f"nishiki.stages.{module_of(name)}")
 
 
 def artifact(root: Path, settings, fill) -> Artifact:

@@ -17,7 +17,7 @@ from nishiki.codec.pursuit import Pursuit
 from nishiki.codec.store import STORE, Residual, write_residual
 from nishiki.codec.tile_code import Effort, Pixels, Typical, decode_residual
 from nishiki.errors import UserError
-from nishiki.stages.residual.declaration import ResidualSettings
+from nishiki.stages.residual import ResidualSettings
 from nishiki.stages.residual.run import goal_of
 
 VIEWS = 12

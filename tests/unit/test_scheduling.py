@@ -18,7 +18,7 @@ from nishiki.engine.scheduling import SHORT_SECONDS, Scheduling
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
 from nishiki.stages.base import SceneFacts
-from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest import IngestSettings
 from nishiki.stages.table import CHAIN, chain_of
 
 PLANE = tuple(chain_of("plane"))

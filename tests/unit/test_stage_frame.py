@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from nishiki.artifacts.stage import run_stage
-from nishiki.stages.height.declaration import HeightSettings
+from nishiki.stages.height import HeightSettings
 from nishiki.stages.runner import main
 
 

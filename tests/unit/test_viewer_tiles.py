@@ -129,7 +129,7 @@ def test_heights_take_less_than_deflated_differences():
 @pytest.mark.parametrize("stage", ["viewer", "object_viewer", "cloth_viewer"])
 def test_a_page_holds_every_module_that_its_modules_name(tmp_path, stage):
     blocks = Blocks(SimpleNamespace(path=lambda name: tmp_path / name), inline_bytes=100)
-    write_page(blocks, {"title": "T", "version": ""}, program_of(stage).with_name("page.js"))
+    write_page(blocks, {"title": "T", "version": ""}, program_of(stage).with_suffix(".js"))
     page = (tmp_path / "index.html").read_text()
     modules = json.loads(re.search(r'<script type="importmap"[^>]*>(.*?)</script>', page, re.S).group(1))["imports"]
     named = {"viewer/page", "viewer/main"}

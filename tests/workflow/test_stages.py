@@ -8,7 +8,6 @@ pytestmark = pytest.mark.slow
 
 DECLARATION = '''"""Declaration of the stage `brightness`."""
 
-from typing import ClassVar
 
 from pydantic import Field
 
@@ -19,12 +18,8 @@ from nishiki.stages.base import Cost, Stage
 LIMITS = (Limit("dark", "brightness of the object", at("brightness"), least=1e-6, remedy="expose longer", why="black"),)
 
 
-class BrightnessSettings(Guarded):
+class BrightnessSettings(Guarded, stage="brightness", version=1, limits=LIMITS):
     """How bright the object is."""
-
-    STAGE: ClassVar[str] = "brightness"
-    VERSION: ClassVar[int] = 1
-    LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     percentile: float = Field(50, ge=0, le=100, description="of the albedo")
 
@@ -59,7 +54,7 @@ def test_a_new_stage_is_a_folder_and_a_line(site):
     before = site.run_facts()
     folder = site.folder / "workflow/src/nishiki/stages/brightness"
     folder.mkdir()
-    for name, text in (("__init__.py", ""), ("declaration.py", DECLARATION), ("run.py", RUN)):
+    for name, text in (("__init__.py", DECLARATION), ("run.py", RUN)):
         (folder / name).write_text(text)
     table = site.folder / "workflow/src/nishiki/stages/table.py"
     table.write_text(table.read_text().replace('    "height",\n', '    "brightness",\n    "height",\n'))
@@ -85,7 +80,7 @@ def test_a_new_stage_is_a_folder_and_a_line(site):
 
 
 def test_a_changed_cost_limit_or_text_of_a_declaration_runs_nothing(site):
-    path = site.folder / "workflow/src/nishiki/stages/normals/declaration.py"
+    path = site.folder / "workflow/src/nishiki/stages/normals/__init__.py"
     text = path.read_text()
     changed = text.replace("mib=400", "mib=401").replace("most=45", "most=44").replace("degrees", "deg")
     assert changed != text

@@ -19,9 +19,9 @@ from nishiki.artifacts.stage import Context
 from nishiki.evaluate.prediction import light_of, predict_light
 from nishiki.observations.plane import Observations
 from nishiki.progress import Progress
-from nishiki.stages.evaluate.run import EvaluatedScene
-from nishiki.stages.viewer import photographs
-from nishiki.stages.viewer.painting import PaintingMaps
+from nishiki.stages.evaluate.painting import EvaluatedScene
+from nishiki.stages.viewer import painting_maps
+from nishiki.stages.viewer.painting_maps import PaintingMaps
 
 pytestmark = [
     pytest.mark.slow,
@@ -85,9 +85,9 @@ def test_photographs_of_large_paintings_are_sampled_around_the_middle(viewed, mo
     current = viewed.folder / "results/tiny/current"
     inputs = {name: open_artifact(current / name) for name in ("ingest", "normals", "height", "spectra", "brdf")}
     frames = Observations(inputs["ingest"].folder)
-    monkeypatch.setattr(photographs, "MOST_CODES", 20_000)
+    monkeypatch.setattr(painting_maps, "MOST_CODES", 20_000)
     blocks = {}
-    told = photographs.photographs_of(
+    told = painting_maps.photographs_of(
         PaintingMaps.of(inputs), frames, SimpleNamespace(add=blocks.__setitem__), Progress("")
     )
     shape = (2, len(frames.lights), told["rows"], told["columns"])

@@ -13,7 +13,7 @@ from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shadow import cast_shadows
 from nishiki.report.viewer import pyramid
 from nishiki.report.viewer.heights import height_block
-from nishiki.stages.viewer import run as stage
+from nishiki.stages.viewer import painting as stage
 
 pytestmark = [
     pytest.mark.slow,

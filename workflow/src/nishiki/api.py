@@ -104,7 +104,7 @@ def read_observations(capture: str | Path, *, white_block: int = 16) -> Observed
     from nishiki.capture.folder import load_capture
     from nishiki.observations.plane import Observations
     from nishiki.observations.plane_store import write_observations
-    from nishiki.stages.ingest.declaration import IngestSettings
+    from nishiki.stages.ingest import IngestSettings
 
     described = load_capture(capture)
     if described.geometry != "plane":

@@ -22,7 +22,7 @@ class Closed(BaseModel):
 
 
 class Guarded(Closed):
-    """Base of the settings of a stage: its name, the version of its output, and the limits of its result."""
+    """Base of the settings of a stage; a subclass states its name, the version of its output and its limits."""
 
     STAGE: ClassVar[str]
     VERSION: ClassVar[int]
@@ -31,6 +31,13 @@ class Guarded(Closed):
     allow: tuple[str, ...] = Field(
         (), description="names of limits (docs/stability.md) that the result may exceed; otherwise the run stops there"
     )
+
+    def __init_subclass__(
+        cls, *, stage: str = "", version: int = 1, limits: tuple[Limit, ...] = (), **options: Any
+    ) -> None:
+        super().__init_subclass__(**options)
+        if stage:
+            cls.STAGE, cls.VERSION, cls.LIMITS = stage, version, limits
 
     @field_validator("allow")
     @classmethod

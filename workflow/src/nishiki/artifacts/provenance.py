@@ -2,7 +2,7 @@
 
 The key of a stage is the start of the SHA-256 of a canonical text of everything that decides its result, apart from the
 code: stage name and format version, exactly the settings that it reads, and the keys of its upstream artifacts.
-The code digest covers the syntax trees of the stage's `run.py` and of every module of this project that it imports,
+The code digest covers the syntax trees of the stage's program and of every module of this project that it imports,
 directly or not, without comments and docstrings; declarations of stages are left out, because the settings stand in the
 key as values, and costs, texts and limits change no byte of a result. So is the package's own `__init__.py`, which only
 names what users call. Tables and templates beside these modules count too, and of the JavaScript of pages the modules
@@ -27,8 +27,8 @@ from nishiki.installation import SCRIPTS, SOURCE
 KEY_DIGITS = 12
 PACKAGE = "nishiki"
 STAGES = SOURCE / PACKAGE / "stages"
-DECLARATIONS = ("declaration.py", "table.py")
-"""Modules below `stages/` that only planning reads."""
+GEOMETRIES = ("object", "cloth")
+"""Prefixes of stages that several geometries have: `object_render` is the module `object` of the package `render`."""
 
 
 def canonical(value: Any) -> str:
@@ -82,19 +82,27 @@ def differences(first: dict, second: dict, path: str = "") -> list[str]:
     return texts
 
 
+def module_of(stage: str) -> str:
+    """Return the dotted name of the module that runs a stage, below `nishiki.stages`."""
+    geometry, _, rest = stage.partition("_")
+    if geometry in GEOMETRIES:
+        return f"{rest}.{geometry}"
+    return f"{stage}.painting" if (STAGES / stage / "painting.py").is_file() else f"{stage}.run"
+
+
 def stage_program(stage: str) -> str:
     """Path of a stage's code below the folder of a checkout, as in a packed crate."""
-    return f"workflow/src/{PACKAGE}/stages/{stage}/run.py"
+    return f"workflow/src/{PACKAGE}/stages/{module_of(stage).replace('.', '/')}.py"
 
 
 def program_of(name: str) -> Path:
     """The file that runs a stage of this name; for other names a script of the project."""
-    program = STAGES / name / "run.py"
+    program = STAGES.joinpath(*module_of(name).split(".")).with_suffix(".py")
     return program if program.is_file() else SCRIPTS / f"{name}.py"
 
 
 def code_digest(script: Path) -> str:
-    """Digest of the code that a script (or a stage's `run.py`) runs: itself, every module of this project that it
+    """Digest of the code that a script (or a stage's program) runs: itself, every module of this project that it
     imports, directly or not, and their tables."""
     digest = hashlib.sha256()
     script = Path(script).resolve()
@@ -140,7 +148,7 @@ def _imports(path: Path) -> tuple[Path, ...]:
             modules |= set(_module_files(name))
         elif len(parts) == 1 and local.is_file() and not _is_module(path):
             modules.add(local.resolve())  # a script's neighbour in scripts/
-    declared = {module for module in modules if module.name in DECLARATIONS and STAGES in module.parents}
+    declared = {STAGES / "table.py", *STAGES.glob("*/__init__.py")}
     return tuple(sorted(modules - {path, SOURCE / PACKAGE / "__init__.py"} - declared))
 
 
@@ -154,8 +162,8 @@ def _module_files(name: str) -> list[Path]:
 
 def data_files(modules: list[Path]) -> list[Path]:
     """Tables and templates that lie in the folders of the modules, and in a folder that has the name of a module beside
-    it: they decide the result as code does. JavaScript in a folder of the latter kind counts where JavaScript that lies
-    beside a module imports it, directly or not."""
+    it: they decide the result as code does. Of the JavaScript there, that which has the name of a module counts, and
+    what it imports from a folder of the latter kind, directly or not."""
     own = [path for path in modules if SOURCE / PACKAGE in path.parent.parents and _is_module(path)]
     beside = {path.parent for path in own}
     named = {path.with_suffix("") for path in own if path.with_suffix("").is_dir()}
@@ -166,7 +174,7 @@ def data_files(modules: list[Path]) -> list[Path]:
         if item.is_file() and item.suffix not in (".py", ".md")
     }
     scripts = {item for item in files if item.suffix == ".js"}
-    entries = [item for item in scripts if item.parent in beside]
+    entries = [item for item in scripts if item.with_suffix(".py") in own]
     imported = {item for entry in entries for item in modules_of(entry, sorted(named))}
     return sorted((files - scripts) | (scripts & imported))
 

@@ -56,7 +56,7 @@ class CaptureUsage:
 def usage_of(
     capture: AnyCapture, *, without: Collection[str], channels: str, tile_mib: int, white_block: int = 16
 ) -> CaptureUsage:
-    """What ingest reads with these settings (see `stages/ingest/declaration.py`); no file is decoded but a mask."""
+    """What ingest reads with these settings (see `stages/ingest/__init__.py`); no file is decoded but a mask."""
     unopened = chosen(capture, without).files
     stored = len(capture.settings.camera.channels)
     if getattr(capture, "table", None) is not None:

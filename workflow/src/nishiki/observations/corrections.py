@@ -39,7 +39,7 @@ Choice = Literal["auto", "never"]
 
 
 class Wishes(Protocol):
-    """Which corrections a user allows, see `nishiki.stages.ingest.declaration.Correct`."""
+    """Which corrections a user allows, see `nishiki.stages.ingest.Correct`."""
 
     registration: Choice
     ambient: Choice

@@ -24,7 +24,7 @@ Tick = Callable[[str], None]
 
 
 class Settings(Protocol):
-    """What ingest reads of its settings (`nishiki.stages.ingest.declaration.IngestSettings`)."""
+    """What ingest reads of its settings (`nishiki.stages.ingest.IngestSettings`)."""
 
     channels: str
     white_block: int

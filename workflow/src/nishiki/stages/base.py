@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -9,7 +10,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit
-from nishiki.artifacts.provenance import file_digest
+from nishiki.artifacts.provenance import file_digest, module_of
 from nishiki.errors import UserError
 
 Lights = Literal["all", "auto"] | Annotated[int, Field(ge=4, le=4096)]
@@ -210,6 +211,12 @@ class Stage:
     def serves(self, geometry: str) -> bool:
         """Whether captures of this geometry have the stage."""
         return self.geometry in (None, geometry)
+
+
+def declaration_of(name: str) -> Stage:
+    """Return the declaration of a stage from its package, without importing that of any other stage."""
+    package = import_module(f"nishiki.stages.{module_of(name).partition('.')[0]}")
+    return next(value for value in vars(package).values() if isinstance(value, Stage) and value.name == name)
 
 
 def no_method(facts: SceneFacts, settings: Any) -> str | None:

@@ -7,8 +7,9 @@ import traceback
 import warnings
 from importlib import import_module
 
-from nishiki.artifacts.provenance import STAGES
+from nishiki.artifacts.provenance import STAGES, module_of, program_of
 from nishiki.artifacts.stage import run_stage
+from nishiki.stages.base import declaration_of
 
 
 def main() -> None:
@@ -21,7 +22,7 @@ def main() -> None:
     if name in ("-h", "--help"):
         print(_usage())
         return
-    if not name.isidentifier() or not (STAGES / name / "run.py").is_file():
+    if not name.isidentifier() or program_of(name).parent.parent != STAGES:
         print(f"nishiki: unknown stage {name!r}. {_usage()}", file=sys.stderr)
         raise SystemExit(2)
     who = _who(name, arguments[1:])
@@ -29,8 +30,8 @@ def main() -> None:
         f"nishiki {who}: warning: {category.__name__}: {' '.join(str(text).split())} ({file}:{line})\n"
     )
     try:
-        declared = import_module(f"nishiki.stages.{name}.declaration").STAGE
-        module = import_module(f"nishiki.stages.{name}.run")
+        declared = declaration_of(name)
+        module = import_module(f"nishiki.stages.{module_of(name)}")
         gc.freeze()
         gc.enable()
         run_stage(

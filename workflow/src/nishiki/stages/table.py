@@ -1,9 +1,7 @@
 """The one table of all stages, in the order of the flow: plan, keys, rules and documentation derive from it."""
 
-from importlib import import_module
-
 from nishiki.artifacts.limits import Limit
-from nishiki.stages.base import Stage
+from nishiki.stages.base import Stage, declaration_of
 
 NAMES = (
     "ingest",
@@ -37,9 +35,9 @@ NAMES = (
     "cloth_export",
     "cloth_report",
 )
-"""A stage is a folder of this package with `declaration.py` and `run.py`, and one line here."""
+"""A stage is a package here, whose `__init__.py` declares it and whose `run.py` runs it, and one line in this table."""
 
-CHAIN: dict[str, Stage] = {name: import_module(f"nishiki.stages.{name}.declaration").STAGE for name in NAMES}
+CHAIN: dict[str, Stage] = {name: declaration_of(name) for name in NAMES}
 PRODUCTS = tuple(dict.fromkeys(stage.asked_as for stage in CHAIN.values() if stage.name != "ingest"))
 FORMER_NAMES = {stage.formerly: name for name, stage in CHAIN.items() if stage.formerly}
 LIMITS: dict[str, tuple[Limit, ...]] = {name: stage.limits for name, stage in CHAIN.items()}

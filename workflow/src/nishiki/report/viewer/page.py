@@ -51,7 +51,8 @@ def write_page(blocks: Blocks, manifest: dict[str, Any], entry: Path) -> dict[st
     from jinja2 import Environment, FileSystemLoader
     from markupsafe import Markup
 
-    modules = {f"viewer/{path.stem}": _module(path) for path in modules_of(entry, [PAGE])}
+    paths = {"page" if path == entry else path.stem: path for path in modules_of(entry, [PAGE])}
+    modules = {f"viewer/{name}": _module(path, name) for name, path in paths.items()}
     manifest = {**manifest, "data": {"inline": blocks.kept is not None}}
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, keep_trailing_newline=True)
     html = environment.get_template("index.html.j2").render(
@@ -72,9 +73,9 @@ def write_page(blocks: Blocks, manifest: dict[str, Any], entry: Path) -> dict[st
     }
 
 
-def _module(path: Path) -> str:
+def _module(path: Path, name: str) -> str:
     """A module as an address that holds it; errors name it as `viewer/...`."""
-    text = path.read_bytes() + f"\n//# sourceURL=viewer/{path.name}\n".encode("ascii")
+    text = path.read_bytes() + f"\n//# sourceURL=viewer/{name}.js\n".encode("ascii")
     return f"data:text/javascript;base64,{base64.b64encode(text).decode('ascii')}"
 
 

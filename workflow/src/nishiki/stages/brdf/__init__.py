@@ -1,0 +1,199 @@
+"""Declare the stages of paintings, objects and cloths that fit a reflection model."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.limits import Limit, at, extreme
+from nishiki.stages.base import Asked, Cost, Measurements, SceneFacts, Stage
+
+PAINTING_LIMITS = (
+    Limit("samples", "samples of the gloss, least region", extreme("samples", min)),
+    Limit("residual", "rms residual of the gloss, worst region", extreme("residual")),
+)
+
+
+class BrdfSettings(Guarded, stage="brdf", version=3, limits=PAINTING_LIMITS):
+    """Torrance-Sparrow parameters of a scene or of each region."""
+
+    method: Literal["robust", "paper"] = Field("robust", description="paper: brightest light, Levenberg-Marquardt")
+    smoothing_px: float = Field(
+        0.4, ge=0, le=16, description="paper: Gaussian that smooths the normals, standard deviation"
+    )
+    refractive_index: float = Field(
+        1.45, gt=1, le=3, description="of the varnish or binder (Tominaga and Tanaka: 1.45)"
+    )
+    max_slope_deg: float = Field(50, gt=0, le=90, description="steeper pixels are left out of the fit")
+    lobes: Literal["ladder", 1, 2] = Field(
+        "ladder",
+        description="specular lobes; ladder: the 11 widths of the joint fit of normals; paper: always 1",
+    )
+    specular: Literal["auto", "keep", "drop"] = Field(
+        "auto", description="auto: left out where a sample shows no gloss (docs/economy.md); method paper: always kept"
+    )
+    hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
+
+
+PAINTING = Stage(
+    settings=BrdfSettings,
+    does="Torrance-Sparrow parameters",
+    requires=("ingest", "normals"),
+    needs_colour=True,
+    libraries=("numpy", "scipy", "numba", "zarr"),
+    cost=lambda facts: Cost(mib=260, tiles=0.9, seconds=2.2, us_per_pixel=6, us_per_sample=0.02),
+)
+
+
+OBJECT_LIMITS = (
+    Limit(
+        "unseen_share",
+        "share of the texels that no view shows",
+        at("unseen_share"),
+        most=0.5,
+        doubt=0.2,
+        remedy="views from more sides, or a mesh without inner surfaces",
+        why="captures gave 0.02 to 0.07; a misplaced mesh gave 0.98",
+    ),
+    Limit(
+        "psnr",
+        "PSNR of the model over the samples, dB",
+        at("psnr_db"),
+        least=12,
+        doubt=18,
+        remedy="check object_brdf.lighting and the capture's lamp; cameras and mesh",
+        why="captures gave 22 to 41; cameras in the reverse order gave 30 in place of 39.5 on an almost round jar",
+    ),
+    Limit("once_share", "share of the texels that one observation shows", at("once_share")),
+    Limit("filled_share", "share of the texels whose gloss is their neighbours'", at("filled_share")),
+    Limit("highlight_share", "share of the texels with a highlight of their own", at("highlight_share")),
+)
+
+
+class ObjectBrdfSettings(Guarded, stage="object_brdf", version=2, limits=OBJECT_LIMITS):
+    """Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
+
+    width: Literal["smooth", "texel", "object"] = Field(
+        "smooth",
+        description="sigma and K_s: drawn towards the neighbours' as far as the data allow; each texel's own, filled "
+        "where no highlight was observed (the paper's); one sigma for the object",
+    )
+    method: Literal["projection", "levenberg_marquardt"] = Field(
+        "projection", description="fit of a texel's lobe; levenberg_marquardt: the paper's, slow"
+    )
+    lighting: Literal["auto", "camera", "fitted"] = Field(
+        "auto",
+        description="auto: the capture's lamps, fitted where it states none; camera: a lamp at the camera; fitted: an "
+        "irradiance over the normal whatever the capture states",
+    )
+    components: Literal["auto", "apart", "total"] = Field(
+        "auto",
+        description="where polarisation separated them: auto: sigma from the specular part, strengths from the total; "
+        "apart: K_d from the diffuse, K_s from the specular part (the paper's); total: not used",
+    )
+    specular: Literal["auto", "keep", "drop"] = Field(
+        "auto", description="auto: Lambert alone where a sample of texels shows no gloss (docs/economy.md)"
+    )
+    falloff: Literal["auto", "none", "inverse_square"] = Field(
+        "auto", description="of a lamp at a place, over the depth of the object; auto: whichever fits better"
+    )
+    hold_out: tuple[str, ...] = Field((), description="views left out of the fit; filled in by the plan")
+
+
+OBJECT = Stage(
+    settings=ObjectBrdfSettings,
+    does="Lambert and Torrance-Sparrow parameters of every texel",
+    formerly="reflection",
+    geometry="turntable",
+    requires=("ingest", "texels"),
+    needs_colour=True,
+    libraries=("numpy", "scipy", "numba", "zarr"),
+    # with polarisers diffuse and specular part
+    cost=lambda facts: Cost(
+        mib=330, bytes_per_sample=40, seconds=3.5, us_per_sample=6.8 if len(facts.states) > 1 else 3.4
+    ),
+)
+
+
+def _cloth_error(diagnostics: Mapping[str, Any]) -> float | None:
+    """At the incidences that the default model was fitted to."""
+    chosen = diagnostics.get("default")
+    models = [region.get(chosen) or {} for region in (diagnostics.get("regions") or {}).values()]
+    return extreme("all")({"all": [(model.get("rms_rel_used") or {}) for model in models]})
+
+
+CLOTH_LIMITS = (
+    Limit(
+        "misfit",
+        "relative rms error of the default model at the incidences that it was fitted to, worst region",
+        _cloth_error,
+        most=1.5,
+        doubt=1.0,
+        remedy="set cloth_brdf.model, and check directions and regions of the capture",
+        why="models gave 0.0003 to 0.95 where they were fitted; at 1.5 the errors are larger than the light",
+    ),
+)
+
+
+Model = Literal[
+    "yarn_facets",
+    "facets",
+    "bard_linear",
+    "bard_great_circle",
+    "bard_scaled",
+    "ward",
+    "ashikhmin_shirley",
+    "ggx",
+    "weave",
+]
+
+
+class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=2, limits=CLOTH_LIMITS):
+    """The BRDF of the whole hemisphere of every region, from normal incidence and a few oblique measurements."""
+
+    model: Model = Field("yarn_facets", description="the model that stands for the cloth")
+    compare: tuple[Model, ...] = Field(
+        ("facets", "bard_linear", "bard_great_circle", "bard_scaled", "ward", "ashikhmin_shirley", "ggx"),
+        description="models fitted beside it; weave: where the stage weave has run",
+    )
+    oblique: int = Field(
+        20,
+        ge=0,
+        le=2000,
+        description="most oblique measurements that a fit may use, best ones first; 0: normal incidence alone",
+    )
+    measurements: Measurements = Field(
+        "auto",
+        description="views of normal incidence that a fit uses: all; so many, evenly spread; auto: as many as predict "
+        "the others within 1 % (docs/economy.md)",
+    )
+    index: float = Field(1.5, gt=1, le=3, description="refractive index of the model facets, which takes it as given")
+    export: tuple[Literal["table", "csv", "utia"], ...] = Field(
+        ("csv",), description="table: sampled 4-D table (npz); csv: rows of angles and values; utia: .bin of doubles"
+    )
+
+
+EVERY_OBLIQUE = {"bard_scaled"}
+"""Models that use every oblique measurement, whatever the setting `oblique` says."""
+
+
+def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -> tuple[str, ...]:
+    cloth = settings["cloth_brdf"]
+    return ("oblique",) if cloth.oblique or not EVERY_OBLIQUE.isdisjoint((cloth.model, *cloth.compare)) else ()
+
+
+CLOTH = Stage(
+    settings=ClothBrdfSettings,
+    does="reflectance for every direction of light and view",
+    formerly="fabric",
+    geometry="goniometer",
+    requires=("goniometer_samples",),
+    wants=lambda settings: ("weave",) * ("weave" in (settings.model, *settings.compare)),
+    needs_colour=True,
+    looks_at=_looks_at,
+    libraries=("numpy", "scipy", "numba"),
+    deliverables=("*.npz", "*.csv"),
+    # it reads one reflectance of a photograph, whatever the photograph's size
+    cost=lambda facts: Cost(mib=400, seconds=12 + 0.0025 * facts.measurements),
+)

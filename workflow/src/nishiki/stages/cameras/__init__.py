@@ -1,0 +1,90 @@
+"""Declaration of the stage `cameras`: settings, inputs, limits of its result, cost."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.limits import Limit, at
+from nishiki.stages.base import Asked, Cost, SceneFacts, Stage, poses_of
+
+
+def _pose_outliers(diagnostics: Mapping[str, Any]) -> float | None:
+    kept, lost = diagnostics.get("points") or {}, diagnostics.get("outliers") or {}
+    shares = [lost[view] / (lost[view] + kept[view]) for view in lost if lost[view] + kept.get(view, 0)]
+    return max(shares) if shares else None
+
+
+LIMITS = (
+    Limit(
+        "reprojection",
+        "reprojection error of the worst view, px",
+        at("reprojection_worst_px"),
+        most=10,
+        doubt=4,
+        remedy="check the correspondences and the board of that view, and that cameras and points are of one world",
+        why="boards gave 0.05, points with noise of 1 pixel gave 1; at 10 pixels texels are smeared over others",
+    ),
+    Limit(
+        "calibration",
+        "rms error of the lens calibration, px",
+        at("calibration.rms_px"),
+        most=2,
+        doubt=1,
+        remedy="photograph the board again, flat, sharp and without gloss; or cameras.distortion with more terms",
+        why="boards gave 0.05 to 0.3; at 2 pixels the board or the lens is not the one that is described",
+    ),
+    Limit(
+        "outlier_share",
+        "share of the points that no pose explains, worst view",
+        _pose_outliers,
+        most=0.4,
+        doubt=0.34,
+        remedy="pick the points of that view again",
+        why="a third wrong was mended in simulated views; with half of the points wrong another half could be as right",
+    ),
+)
+
+
+class CamerasSettings(Guarded, stage="cameras", version=1, limits=LIMITS):
+    """Where each view's camera stood, and its lens."""
+
+    source: Literal["auto", "matrices", "boards", "correspondences"] = Field(
+        "auto", description="what gives the poses; auto: the first of these that the capture has"
+    )
+    distortion: Literal["none", "radial", "tangential", "full"] = Field(
+        "tangential",
+        description="terms fitted in a calibration: radial k1, k2; tangential: p1, p2 too; full: k3 too",
+    )
+    outlier_factor: float = Field(
+        3.0, gt=1, description="calibration pictures with more than this times the median error are left out"
+    )
+    outlier_px: float | None = Field(
+        None, gt=0, description="correspondences further off are left out, pixels; none: 0.005 of the longer side"
+    )
+    turntable: Literal["auto", "on", "off"] = Field(
+        "auto", description="one axis for all views (boards, correspondences); auto: where left-out points gain by it"
+    )
+    steps: Literal["free", "equal"] = Field("free", description="turntable: one angle a view, or one step for all")
+
+
+def _no_poses(facts: SceneFacts, settings: Closed) -> str | None:
+    return None if facts.has_poses else "the capture has no camera matrices, no board pictures and no correspondences"
+
+
+def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -> tuple[str, ...]:
+    return () if poses_of(facts, settings) == "matrices" else ("calibration",)
+
+
+STAGE = Stage(
+    settings=CamerasSettings,
+    does="where each view was taken from",
+    geometry="turntable",
+    requires=("ingest",),
+    lacks=_no_poses,
+    looks_at=_looks_at,
+    libraries=("numpy", "scipy", "zarr", "opencv-contrib-python-headless"),
+    threads=1,
+    cost=lambda facts: Cost(mib=200, seconds=1.5),
+)

@@ -17,7 +17,7 @@ from nishiki.geometry.pose import Pose, Sight, estimate_pose
 from nishiki.geometry.turn import turn_of
 from nishiki.geometry.turntable_poses import choose_poses
 from nishiki.observations.views import Views
-from nishiki.stages.cameras.declaration import CamerasSettings
+from nishiki.stages.cameras import CamerasSettings
 
 
 def run(context: Context) -> dict:

@@ -1,0 +1,109 @@
+"""Declare the stages that compare paintings, objects and cloths with truth and with unseen photographs."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.stages.base import Cost, SceneFacts, Stage, photographs_or_states
+
+
+class EvaluateSettings(Guarded, stage="evaluate", version=1):
+    """Comparison with truth where there is one, otherwise with lights that the fit never saw."""
+
+    cast_shadows: bool = Field(True, description="predict cast shadows from the integrated height")
+    lamp_diameter_deg: float = Field(
+        1.0, ge=0, le=20, description="size of the lamps seen from the object, for the edges of cast shadows"
+    )
+    hold_out: tuple[str, ...] = Field((), description="lights to predict; filled in by the plan")
+    truth_sha256: str = Field("", description="digest of the truth; filled in by the plan")
+
+
+def _nothing_to_compare(facts: SceneFacts, settings: Closed) -> str | None:
+    if facts.truth_sha256 or facts.check_lights or settings.hold_out:
+        return None
+    return "there is no truth, the capture has no check lights and no light is held out (set hold_out)"
+
+
+def _evaluate_cost(facts: SceneFacts) -> Cost:
+    if facts.truth_sha256:
+        return Cost(mib=390, bytes_per_pixel=160, seconds=2.8, us_per_pixel=16)
+    return Cost(mib=225, bytes_per_pixel=195, seconds=2.4, us_per_pixel=16)
+
+
+PAINTING = Stage(
+    settings=EvaluateSettings,
+    does="errors against truth, or on lights that the fit never saw",
+    requires=("ingest", "normals"),
+    wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
+    lacks=_nothing_to_compare,
+    needs_colour=True,
+    looks_at=lambda facts, settings, asked: ("check",),
+    libraries=("numpy", "scipy", "numba", "zarr"),
+    cost=_evaluate_cost,
+)
+
+
+class ObjectEvaluateSettings(Guarded, stage="object_evaluate", version=2):
+    """The decoded object against its photographs, and what it costs."""
+
+    pictures: int = Field(3, ge=0, le=64, description="captured views shown beside their photographs, evenly spread")
+    columns: int = Field(480, ge=64, le=4096, description="largest width of those pictures")
+    left_out: Literal["best", "interpolated", "slot"] = Field(
+        "best",
+        description="prediction of left-out views: from the neighbours' residual, from what the decoder filled into "
+        "their own slot, or whichever predicts them better on average",
+    )
+    interpolation: Literal["linear", "cubic", "nearest"] = Field(
+        "cubic", description="of the residual between captured views, from four or two of them; linear: as the paper"
+    )
+    rim_px: int = Field(2, ge=0, le=8, description="pixels by which values are carried on beyond the surface's edge")
+    similarity: bool = Field(True, description="also structural similarity")
+    hold_out: tuple[str, ...] = Field((), description="views left out of the fit; filled in by the plan")
+    truth_sha256: str = Field("", description="digest of the truth; filled in by the plan")
+
+
+OBJECT = Stage(
+    settings=ObjectEvaluateSettings,
+    does="errors of rendered views against photographs, truth and views left out",
+    geometry="turntable",
+    product="evaluate",
+    requires=("ingest", "mesh", "cameras", "texels", "object_brdf", "residual"),
+    wants=lambda settings: ("polarise",),
+    needs_colour=True,
+    looks_at=photographs_or_states,
+    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "opencv-contrib-python-headless", "dracopy"),
+    cost=lambda facts: Cost(mib=380, bytes_per_sample=90, seconds=5, us_per_sample=3),
+)
+
+
+class ClothEvaluateSettings(Guarded, stage="cloth_evaluate", version=1):
+    """The cloth's models against measurements that their fits did not see."""
+
+    curves: int = Field(
+        12, ge=0, le=200, description="incidences of each region whose plane is drawn, measured beside predicted"
+    )
+    regions: tuple[str, ...] = Field((), description="regions to judge; none named: all")
+
+
+def _seen_from_one_light_only(facts: SceneFacts, settings: Closed) -> str | None:
+    if facts.measurements > facts.frontal or facts.truth_sha256:
+        return None
+    return "the light stood at the normal of the cloth in every measurement: none is left to compare with"
+
+
+CLOTH = Stage(
+    settings=ClothEvaluateSettings,
+    does="errors of the predicted against the measured reflectance",
+    formerly="fabric_evaluate",
+    geometry="goniometer",
+    product="evaluate",
+    requires=("goniometer_samples", "cloth_brdf"),
+    lacks=_seen_from_one_light_only,
+    needs_colour=True,
+    looks_at=lambda facts, settings, asked: ("oblique",),
+    libraries=("numpy", "scipy", "numba"),
+    deliverables=("*.csv",),
+    threads=1,
+    cost=lambda facts: Cost(mib=230, seconds=2, us_per_sample=0.05),
+)

@@ -60,7 +60,7 @@ LAYERS: dict[str, tuple[str, Callable[[ExportedScene, slice], np.ndarray]]] = {
 }
 
 
-def write(context: Context, scene: ExportedScene) -> dict:
+def write_iiif(context: Context, scene: ExportedScene) -> dict:
     """Folder `iiif`: `manifest.json`, and a folder of tiles for each layer."""
     address = context.settings.iiif.address.rstrip("/")
     folder = context.output.path("exports/iiif/manifest.json").parent

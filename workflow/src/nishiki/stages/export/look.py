@@ -1,22 +1,23 @@
-"""How a painting looks to formats of scenes: textures of colour and normals, and a lobe of gloss for each region."""
+"""How a painting looks to formats of scenes: displaced plane, textures, gloss by region; binary glTF."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import srgb_encode
 from nishiki.colour.encoding import decode, encode
+from nishiki.formats.glb import Glb
+from nishiki.formats.picture_tiles import png_bytes
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.observations.plane import Observations
+from nishiki.stages.export.gloss import PaintingGloss, RegionGloss, painting_gloss, slopes_widen
 from nishiki.stages.export.photographs import CodedErrors, Photographs
-from nishiki.stages.export.region_gloss import PaintingGloss, RegionGloss, painting_gloss, slopes_widen
-from nishiki.stages.export.relief_mesh import reliefs
-from nishiki.stages.export.scene import ExportedScene, block_mean
-from nishiki.stages.export.surface import ExportedSurface
+from nishiki.stages.export.registry import ExportedSurface, software
+from nishiki.stages.export.scene import ExportedScene, block_mean, reliefs
 
 METRES = 1e-3  # of a millimetre; of a pixel where the capture states no scale
 
@@ -81,12 +82,12 @@ class PaintingSurface(ExportedSurface):
     @cached_property
     def look(self) -> PaintingLook:
         """Material and textures."""
-        return painting_look(self._context, self.scene)
+        return painting_look(self.context, self.scene)
 
     @cached_property
     def mesh(self) -> TexturedMesh:
         """The plane displaced by the height."""
-        return painting_mesh(self._context, self.scene)
+        return painting_mesh(self.context, self.scene)
 
     @property
     def unit(self) -> str:
@@ -107,7 +108,7 @@ class PaintingSurface(ExportedSurface):
     def _errors(self) -> dict[str, dict]:
         """PSNR of every format that is asked for; the photographs are read once."""
         asked = {name: getattr(self.look.gloss, name) for name in self.formats}
-        return errors(self._context, self.scene, self.look, asked)
+        return errors(self.context, self.scene, self.look, asked)
 
 
 def painting_look(context: Context, scene: ExportedScene) -> PaintingLook:
@@ -210,3 +211,57 @@ def errors(
         for name, gloss in glosses.items():
             result[name][group] = found[id(gloss)].decibels()
     return result
+
+
+def write_gltf(context: Context, surface: PaintingSurface) -> dict:
+    """`painting.glb`; the error of its material against photographs."""
+    write_glb(context, surface)
+    return {
+        "files": ["exports/painting.glb"],
+        "vertices": len(surface.mesh.positions),
+        "faces": len(surface.mesh.triangles),
+        **surface.losses("gltf"),
+    }
+
+
+def write_glb(context: Context, surface: PaintingSurface) -> None:
+    """The file."""
+    mesh, look = surface.mesh, surface.look
+    glb = Glb(extensions={"KHR_materials_ior", "KHR_materials_specular"})
+    tangents = np.broadcast_to(np.float32([1, 0, 0, 1]), (len(mesh.positions), 4))
+    attributes = {
+        "POSITION": glb.vertices(mesh.positions, bounds=True),
+        "NORMAL": glb.vertices(mesh.normals),
+        "TANGENT": glb.vertices(tangents),
+        "TEXCOORD_0": glb.vertices(mesh.texture),
+    }
+    colours = {"index": glb.texture(png_bytes(look.colours), mime="image/png")}
+    normals = {"index": glb.texture(png_bytes(look.normals), mime="image/png")}
+    roughness, specular = gloss_properties(glb, look.gloss.gltf)
+    number = glb.add(
+        "materials",
+        pbrMetallicRoughness={"baseColorTexture": colours, "metallicFactor": 0, **roughness},
+        normalTexture=normals,
+        extensions={
+            "KHR_materials_ior": {"ior": look.gloss.gltf.materials[0].index},
+            "KHR_materials_specular": specular,
+        },
+    )
+    primitive = {"attributes": attributes, "indices": glb.corners(mesh.triangles), "material": number}
+    glb.add("nodes", mesh=glb.add("meshes", primitives=[primitive]), name=context.stamp["scene"])
+    extras = {**context.stamp, "unit": surface.unit}
+    glb.write(context.output.path("exports/painting.glb"), generator=software(context), extras=extras)
+
+
+def gloss_properties(glb: Glb, gloss: RegionGloss) -> tuple[dict, dict]:
+    """Properties of roughness and of KHR_materials_specular: textures where they differ from texel to texel."""
+    material, roughness, weight = gloss.materials[0], gloss.roughness, gloss.weight
+    rough: dict[str, Any] = {"roughnessFactor": roughness}
+    specular: dict[str, Any] = {"specularFactor": float(material.weight)}
+    if isinstance(roughness, np.ndarray):
+        green = np.stack([np.zeros_like(roughness), roughness, np.zeros_like(roughness)], axis=-1)
+        rough = {"metallicRoughnessTexture": {"index": glb.texture(png_bytes(green), mime="image/png")}}
+    if weight is not None:
+        alpha = np.stack([*[np.full_like(weight, 255)] * 3, weight], axis=-1)
+        specular = {"specularTexture": {"index": glb.texture(png_bytes(alpha), mime="image/png")}}
+    return rough, {**specular, "specularColorFactor": [float(material.factor)] * 3}

@@ -21,7 +21,6 @@ from nishiki.formats.picture_tiles import (
 from nishiki.formats.ptm import read_ptm, write_ptm
 from nishiki.observations.plane import Observations
 from nishiki.render.display import normals_as_colours
-from nishiki.stages.export.grid_pictures import GridPictures
 from nishiki.stages.export.light_models import (
     GRID_SIDE,
     GridModel,
@@ -31,7 +30,7 @@ from nishiki.stages.export.light_models import (
     PrincipalModel,
     TabulatedModel,
 )
-from nishiki.stages.export.photographs import CodedErrors, Photographs
+from nishiki.stages.export.photographs import CodedErrors, GridPictures, Photographs
 from nishiki.stages.export.scene import ExportedScene
 from nishiki.threads import in_threads
 

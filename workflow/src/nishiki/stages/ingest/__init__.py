@@ -1,0 +1,94 @@
+"""Declaration of the stage `ingest`: settings, inputs, limits of its result, cost."""
+
+from collections.abc import Mapping
+from typing import Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.limits import Limit, at
+from nishiki.formats.image_header import RAW_SUFFIXES
+from nishiki.stages.base import Cost, SceneFacts, Stage, only_files
+
+LIMITS = (
+    Limit(
+        "object_pixels",
+        "pixels inside the mask",
+        at("mask_pixels"),
+        least=1,
+        remedy="give a mask or a region of interest that shows the object",
+        why="an empty mask leaves nothing to compute",
+    ),
+    Limit("defect_pixels", "hot or dead pixels", at("defects")),
+)
+
+
+class Correct(Closed):
+    """What is put right where the photographs show it against each other; never: measured, and warned of."""
+
+    registration: Literal["auto", "never"] = Field(
+        "auto", description="auto: photographs are moved back where the camera moved; never: they stay"
+    )
+    ambient: Literal["auto", "never"] = Field(
+        "auto", description="auto: light of the room that no frame of role ambient shows is estimated and subtracted"
+    )
+    gains: Literal["auto", "never"] = Field(
+        "auto", description="auto: strengths of the lamps from the photographs, where no board or table has them"
+    )
+    leave_out: Literal["auto", "never"] = Field(
+        "auto", description="auto: without photographs whose lamp failed, or that repeat another one"
+    )
+
+
+class IngestSettings(Guarded, stage="ingest", version=3, limits=LIMITS):
+    """Photographs to linear, white-normalised observations."""
+
+    channels: str = Field(
+        "auto",
+        min_length=1,
+        max_length=100,
+        description="auto: all where a stage of the plan uses colour, as normals do; all; luminance; green; or the "
+        "name of one channel of the capture",
+    )
+    white_block: int = Field(
+        16,
+        ge=1,
+        le=256,
+        description="white board averaged over blocks of this many pixels; 1: per pixel (Tominaga and Tanaka 2004, "
+        "eq. 3)",
+    )
+    correct: Correct = Field(
+        Correct(), description="plane: what is put right where the photographs do not agree with each other"
+    )
+    tile_mib: int = Field(128, ge=8, le=4096, description="memory for one tile of all lights as float32, MiB")
+    compression: Literal["none", "zstd"] = Field("none", description="zstd: a third of the bytes, twice the time")
+    without: tuple[str, ...] = Field(
+        (), description="parts of the capture that no stage of the plan looks at, not opened; filled in by the plan"
+    )
+
+
+def _ingest_cost(facts: SceneFacts) -> Cost:
+    """Decoding: JPEG is quick; a flat object has a white and a dark photograph to most of its lights."""
+    if set(facts.suffixes) & {".jpg", ".jpeg"}:
+        return Cost(mib=400, seconds=2.2, us_per_sample=0.05)
+    each = {"plane": 0.65, "turntable": 2.0, "goniometer": 0.42}[facts.geometry]
+    return Cost(mib=400, seconds=2.2, us_per_sample=each)
+
+
+def _no_pictures(facts: SceneFacts, settings: Mapping[str, Closed]) -> str | None:
+    decoded_elsewhere = RAW_SUFFIXES | {".exr"}
+    return None if set(facts.suffixes) - decoded_elsewhere else "no PNG, JPEG or TIFF is read"
+
+
+STAGE = Stage(
+    settings=IngestSettings,
+    does="photographs to linear, white-normalised observations",
+    geometry=None,
+    libraries=("numpy", "scipy", "numba", "zarr", "opencv-contrib-python-headless", "OpenEXR", "rawpy"),
+    idle={
+        "rawpy": only_files(RAW_SUFFIXES, "camera raw"),
+        "OpenEXR": only_files(frozenset({".exr"}), "an EXR file"),
+        "opencv-contrib-python-headless": _no_pictures,
+    },
+    cost=_ingest_cost,
+)

@@ -1,0 +1,139 @@
+"""Declaration of the stage `mesh`: settings, inputs, limits of its result, cost."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.limits import Limit, at, extreme
+from nishiki.observations.turntable_coherence import DOUBTFUL, INCOHERENT
+from nishiki.stages.base import Asked, Cost, Reason, SceneFacts, Stage, surface_of
+
+
+def _scan_residual(diagnostics: Mapping[str, Any]) -> float | None:
+    """Of the registration, relative to the size of the surface."""
+    worst, area = extreme("scans.residual")(diagnostics), at("area")(diagnostics)
+    return None if worst is None or not area else worst / area**0.5
+
+
+LIMITS = (
+    Limit(
+        "contradiction",
+        "share of the outlines that misses the hull of the other views, mean over the views",
+        at("coherence.contradiction"),
+        most=INCOHERENT,
+        doubt=DOUBTFUL,
+        remedy="check the cameras, whether the camera or the object was moved, and the silhouettes; ./nishiki check "
+        "names the mistake where one explains it",
+        why="captures gave 0 with given silhouettes and up to 0.037 with silhouettes found in photographs; a turn the "
+        "other way gave 0.15 to 0.70, a camera moved by 4 % of the object after half of the views 0.08 to 0.16",
+    ),
+    Limit(
+        "silhouette_overlap",
+        "mean intersection over union of the mesh's outline and the outlines as they were given or first found",
+        at("fit.iou_mean"),
+        least=0.9,
+        doubt=0.95,
+        remedy="check that mesh and cameras are of one world and unit; mesh.overlap (scans), mesh.background",
+        why="captures gave 0.977 and more; cameras in the reverse order gave 0.84 and 0.92, scans that were registered "
+        "wrongly 0.26",
+    ),
+    Limit(
+        "registration",
+        "residual of the scans' registration over the size of the surface",
+        _scan_residual,
+        most=0.01,
+        doubt=0.002,
+        remedy="scans that overlap more, or mesh.overlap",
+        why="scans gave 5e-5; a hundredth of the object is no registration",
+    ),
+    Limit("open_edges", "edges of one triangle only", at("open_edges")),
+    Limit("crowded_edges", "edges of more than two triangles", at("crowded_edges")),
+    Limit("degenerate_triangles", "triangles without area that were left out", at("cleaned.degenerate")),
+)
+
+
+class MeshSettings(Guarded, stage="mesh", version=6, limits=LIMITS):
+    """Where the object's surface comes from, and how many triangles it gets."""
+
+    source: Literal["auto", "file", "scans", "silhouettes"] = Field(
+        "auto", description="of the surface; auto: the first of these that the capture has"
+    )
+    background: Literal["capture", "auto", "dark", "bright", "blue", "green"] = Field(
+        "capture", description="silhouettes: what is behind the object; capture: as the capture says"
+    )
+    cells: int = Field(256, ge=16, le=768, description="silhouettes: grid cells along the object's longest side")
+    misses: int = Field(
+        0, ge=0, le=4, description="silhouettes: views that may wrongly see background where the object is"
+    )
+    consistency: bool = Field(
+        True, description="silhouettes: segment once more with what the other views say (not for given masks)"
+    )
+    narrow_gap: float = Field(
+        0.06,
+        ge=0,
+        le=0.5,
+        description="silhouettes: dark gaps between parts of the object up to this width, of the root of the "
+        "silhouette's area, may be shadow: the other views decide (not for given masks)",
+    )
+    smooth: float = Field(
+        0.5, ge=0, le=10, description="silhouettes: pixels by which smoothing may move the hull's surface; 0: none"
+    )
+    concavities: bool = Field(
+        True,
+        description="silhouettes: sink large regions that show different points of the object in different views "
+        "(hollows that no outline shows), as deep as the photographs agree best",
+    )
+    merge_cells: int = Field(256, ge=16, le=1024, description="scans: detail of the merged surface, cells along a side")
+    overlap: float = Field(0.5, gt=0, le=1, description="scans: part of a scan that the nearest other scans share")
+    smallest_part: float = Field(
+        0.05, ge=0, le=1, description="parts smaller than this are left out, of the largest part's diagonal"
+    )
+    deviation_px: float = Field(
+        0.5,
+        ge=0,
+        description="as few triangles as keep 99 % of the surface within so many pixels; 0: all triangles",
+    )
+    most_triangles: int | None = Field(None, ge=16, description="no more triangles than this, whatever the deviation")
+    grid_px: float = Field(
+        0.05, ge=0, le=1, description="vertices are put on a grid that moves them no further; 0: none"
+    )
+    hold_out: tuple[str, ...] = Field((), description="views that take no part in carving; filled in by the plan")
+
+
+def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -> tuple[str, ...]:
+    # The preview shows the surface beside photographs, so these are looked at whatever the surface comes from.
+    given = {"file": ("mesh",), "scans": ("scans",), "silhouettes": ()}[surface_of(facts, settings)]
+    return ("silhouettes", "photographs", *given)
+
+
+def _only_surface(source: tuple[str, ...], reason: str) -> Reason:
+    return lambda facts, settings: None if surface_of(facts, settings) in source else reason
+
+
+STAGE = Stage(
+    settings=MeshSettings,
+    does="the surface, from a file, range scans or silhouettes",
+    geometry="turntable",
+    requires=("ingest", "cameras"),
+    needs_colour=True,
+    looks_at=_looks_at,
+    libraries=(
+        "numpy",
+        "scipy",
+        "numba",
+        "zarr",
+        "opencv-contrib-python-headless",
+        "scikit-image",
+        "trimesh",
+        "pymeshlab",
+    ),
+    idle={
+        "trimesh": _only_surface(("file", "scans"), "the surface comes from silhouettes"),
+        "pymeshlab": _only_surface(("scans",), "there are no range scans to merge"),
+        "scikit-image": _only_surface(("silhouettes",), "the surface does not come from silhouettes"),
+    },
+    deliverables=("*.ply",),
+    cost=lambda facts: Cost(mib=700, bytes_per_sample=1, seconds=35, us_per_sample=3.4),
+)

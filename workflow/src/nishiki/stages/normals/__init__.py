@@ -1,0 +1,98 @@
+"""Declaration of the stage `normals`: settings, inputs, limits of its result, cost."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Guarded
+from nishiki.artifacts.limits import Limit, at, flagged, share
+from nishiki.stages.base import Cost, Lights, SceneFacts, Stage
+
+LIMITS = (
+    Limit(
+        "estimated_share",
+        "share of the object's pixels that have a normal",
+        share("valid_pixels", "object_pixels"),
+        least=0.8,
+        doubt=0.95,
+        remedy="more lights, other exposures, separate.method none, or normals.max_condition for lights in a plane",
+        why="captures gave 0.9997 and more; without a fifth, height and reflectance are guessed over wide areas",
+    ),
+    Limit(
+        "sigma",
+        "median expected error of a normal, degrees",
+        at("sigma_median_deg"),
+        most=30,
+        doubt=20,
+        remedy="more lights, from other sides; check that the light directions belong to these photographs",
+        why="captures gave 0.4 to 13; a random normal is wrong by 57 degrees on average",
+    ),
+    *(
+        flagged(name, f"share of the object's pixels flagged {words}", "object_pixels")
+        for name, words in (
+            ("too_few_lights", "too few lights"),
+            ("coplanar_lights", "lights in one plane"),
+            ("ill_conditioned", "badly conditioned"),
+            ("no_redundancy", "no redundancy"),
+            ("no_signal", "no signal"),
+            ("faces_away", "faces away"),
+            ("fallback", "without the joint fit"),
+        )
+    ),
+)
+
+
+class NormalsSettings(Guarded, stage="normals", version=3, limits=LIMITS):
+    """Photometric stereo on the selected lights (Tominaga and Tanaka 2004, section 3.3); reflectance of each
+    channel."""
+
+    solver: Literal["default", "lobe", "least_squares"] = Field(
+        "default",
+        description="least_squares: Lambert's law on the selected samples (Woodham 1980); lobe, the default: from "
+        "there, a diffuse fall-off and a gloss lobe, with the samples chosen again by their residuals",
+    )
+    lights: Lights = Field(
+        "auto",
+        description="lights of the fit (separate follows): all; so many evenly spread ones; auto: as many as normals "
+        "need, in captures of some size (docs/economy.md)",
+    )
+    refine: Literal["auto", "gloss", "none"] = Field(
+        "auto", description="fit normals, reflectance and gloss together; auto: where few lights show gloss that counts"
+    )
+    refractive_index: float = Field(
+        1.45, gt=1, le=3, description="of the varnish or binder, for refine (Tominaga and Tanaka: 1.45)"
+    )
+    reflectance: Literal["least_squares", "mean"] = Field(
+        "least_squares",
+        description="of each channel, without refine; mean: of I / cos over the lights (Tominaga and Tanaka 2004, "
+        "eq. 6)",
+    )
+    relighting: Literal["auto", "plain", "directional"] = Field(
+        "auto",
+        description="model that predicts lamps, without refine; auto: the one that predicts captured lamps left out "
+        "of the fit in turn",
+    )
+    max_condition: float = Field(1e4, gt=1, description="pixels with a worse conditioned light matrix are flagged")
+    hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
+
+
+FEW_LIGHTS = 24  # as in nishiki.photometric.gloss_scene, which is not loaded for planning
+
+
+def _normals_cost(facts: SceneFacts) -> Cost:
+    """With few lights the gloss is fitted together with the normals."""
+    if len(facts.lights) <= FEW_LIGHTS:
+        return Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=9, us_per_sample=0.02)
+    return Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=1, us_per_sample=0.2)
+
+
+STAGE = Stage(
+    settings=NormalsSettings,
+    does="normals and diffuse reflectance",
+    requires=("ingest",),
+    wants=lambda settings: ("separate",),
+    needs_colour=True,  # normals from luminance alone are others, so that they would depend on the products
+    libraries=("numpy", "scipy", "numba", "zarr"),
+    cost=_normals_cost,
+    scatter=True,
+)

@@ -13,7 +13,7 @@ from nishiki.observations.parcels import Parcel, parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.relighting import MODELS
-from nishiki.stages.normals.declaration import NormalsSettings
+from nishiki.stages.normals import NormalsSettings
 from nishiki.stages.normals.parcel import relit, scaled, solve
 
 if TYPE_CHECKING:

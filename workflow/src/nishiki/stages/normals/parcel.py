@@ -18,7 +18,7 @@ from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channel
 from nishiki.photometric.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
 from nishiki.photometric.relighting import fit_relighting
 from nishiki.photometric.solve import estimate_normals, shading_of_mean
-from nishiki.stages.normals.declaration import NormalsSettings
+from nishiki.stages.normals import NormalsSettings
 
 if TYPE_CHECKING:
     from nishiki.brdf.gloss_profile import GlossProfile

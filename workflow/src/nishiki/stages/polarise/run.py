@@ -25,7 +25,7 @@ from nishiki.polarisation.series_diagnostics import Thinned, diagnose
 from nishiki.polarisation.smoothing import smooth_planes
 from nishiki.polarisation.statistics import SeparationStatistics, select_lit, statistics_of
 from nishiki.render.output import write_png
-from nishiki.stages.polarise.declaration import PolariseSettings
+from nishiki.stages.polarise import PolariseSettings
 
 
 def run(context: Context) -> dict:

@@ -1,0 +1,73 @@
+"""Declare the stages of paintings, objects and cloths for pages on a scene."""
+
+from pydantic import Field
+
+from nishiki.report.settings import PageSettings
+from nishiki.stages.base import Cost, Stage
+
+
+class ReportSettings(PageSettings, stage="report", version=1):
+    """One HTML file that opens offline."""
+
+
+PAINTING = Stage(
+    settings=ReportSettings,
+    does="HTML report of the scene",
+    requires=("ingest", "normals"),
+    uses=("separate", "height", "spectra", "brdf", "render", "evaluate", "viewer", "export"),
+    libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
+    deliverables=("*.html", "thumbnail.jpg"),
+    threads=1,
+    cost=lambda facts: Cost(mib=230, bytes_per_pixel=16, seconds=2, us_per_pixel=8),
+)
+
+
+class ObjectReportSettings(PageSettings, stage="object_report", version=1):
+    """One HTML file on a turntable scene that opens offline."""
+
+
+OBJECT = Stage(
+    settings=ObjectReportSettings,
+    does="HTML report of the scene",
+    geometry="turntable",
+    product="report",
+    requires=("ingest",),
+    wants=lambda settings: ("polarise",),
+    uses=(
+        "cameras",
+        "mesh",
+        "texels",
+        "object_brdf",
+        "residual",
+        "object_render",
+        "object_evaluate",
+        "object_export",
+        "object_viewer",
+    ),
+    libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
+    deliverables=("*.html", "thumbnail.jpg"),
+    threads=1,
+    cost=lambda facts: Cost(mib=230, bytes_per_sample=1, seconds=1.8, us_per_sample=0.2),
+)
+
+
+class ClothReportSettings(PageSettings, stage="cloth_report", version=1):
+    """One HTML file on a cloth that opens offline."""
+
+    region: str = Field("", description="region whose lobes and curves are drawn; empty: the first")
+
+
+CLOTH = Stage(
+    settings=ClothReportSettings,
+    does="HTML report of the scene",
+    formerly="fabric_report",
+    geometry="goniometer",
+    product="report",
+    requires=("ingest", "goniometer_samples"),
+    wants=lambda settings: ("weave",),
+    uses=("cloth_brdf", "cloth_render", "cloth_evaluate", "cloth_export", "cloth_viewer"),
+    libraries=("numpy", "scipy", "jinja2", "numba", "opencv-contrib-python-headless"),
+    deliverables=("*.html", "thumbnail.jpg"),
+    threads=1,
+    cost=lambda facts: Cost(mib=260, seconds=5.5),
+)

@@ -1,0 +1,78 @@
+"""Declaration of the stage `residual`: settings, inputs, limits of its result, cost."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Guarded
+from nishiki.artifacts.limits import Limit, at
+from nishiki.stages.base import Cost, Stage
+
+
+def _residual_loss(diagnostics: Mapping[str, Any]) -> float | None:
+    psnr, model = at("psnr_db")(diagnostics), at("model_psnr_db")(diagnostics)
+    return None if psnr is None or model is None else model - psnr
+
+
+LIMITS = (
+    Limit(
+        "loss",
+        "how much worse the stored result is than the model that it refines, dB",
+        _residual_loss,
+        most=1,
+        doubt=0,
+        remedy="a finer residual.amount, or leave the stage out",
+        why="a residual adds 0.4 to 17 dB; a step so coarse that it costs 1 is worse than none",
+    ),
+    Limit("empty_tiles", "tiles for which the model suffices", at("empty_tiles")),
+)
+
+
+class ResidualSettings(Guarded, stage="residual", version=5, limits=LIMITS):
+    """What the reflection model does not explain, as wavelet coefficients."""
+
+    target: Literal["bits_per_pixel", "bytes", "total_bytes", "psnr", "kept", "kept_of_all", "step"] = Field(
+        "bits_per_pixel",
+        description="what `amount` means: bits for each object pixel of each picture; bytes of the store; bytes of "
+        "all that a renderer needs (mesh, charts, cameras and lamps too); dB inside the silhouette; coefficients kept "
+        "as a fraction of the visible samples, or of all; the quantiser step itself",
+    )
+    amount: float = Field(0.5, gt=0, description="the target's value; parameters and start states count")
+    sufficient: Literal["auto", "never"] = Field(
+        "auto", description="auto: no residual where the model reaches `psnr`, or leaves only noise (docs/economy.md)"
+    )
+    tolerance: float = Field(0.02, gt=0, lt=1, description="relative error of bytes or kept, in dB / 8.7 of psnr")
+    passes: int = Field(6, ge=1, le=20, description="passes over all tiles that the search may take")
+    components: Literal["auto", "total"] = Field(
+        "total", description="auto: diffuse and specular coded apart where polarisation separated them; total: together"
+    )
+    model: bool = Field(True, description="false: image-based, nothing is subtracted (a baseline)")
+    wavelet: str = Field("bior4.4", description="of the tile's planes: haar, db2 (the paper's), sym4, bior4.4, ...")
+    levels: int = Field(4, ge=0, le=8, description="halvings of the tile's planes")
+    mirrored: bool = Field(False, description="mirrored ends in place of periodic ones (bior2.2, bior4.4)")
+    view_transform: str = Field(
+        "db2", description="along the views: an orthonormal wavelet, cosine, fourier, or none (2-D coding of each view)"
+    )
+    light_transform: str = Field("cosine", description="along the lights, likewise")
+    arcs: bool = Field(True, description="a tile's block spans only the views that see it")
+    rounds: int = Field(6, ge=0, le=100, description="of the solver, per tile and pass: choices of the coefficients")
+    inner: int = Field(5, ge=0, le=100, description="conjugate gradient steps of the solver after each choice")
+    price: float = Field(
+        0.05, ge=0, le=4, description="squared error that a bit is worth, in squared quantiser steps at a typical pixel"
+    )
+    refinements: int = Field(12, ge=0, le=500, description="of the parameters in the pictures; 0: as fitted to texels")
+    threshold: float = Field(0.6, ge=0, le=4, description="smallest coefficient of the parameters, in their steps")
+    parameter_share: float = Field(1.2, gt=0, description="parameter steps against those of equal effect on pictures")
+    hold_out: tuple[str, ...] = Field((), description="views left out of the residual; filled in by the plan")
+
+
+STAGE = Stage(
+    settings=ResidualSettings,
+    does="captured minus model, as coded wavelet coefficients",
+    geometry="turntable",
+    requires=("mesh", "cameras", "texels", "object_brdf"),
+    needs_colour=True,
+    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "dracopy"),
+    cost=lambda facts: Cost(mib=340, bytes_per_sample=22, seconds=14, us_per_sample=20),
+)

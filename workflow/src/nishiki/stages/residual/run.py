@@ -36,7 +36,7 @@ from nishiki.geometry.cameras_file import load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.model_selection.decision import economy
 from nishiki.model_selection.sufficient import Left, decided, model_suffices, what_is_left
-from nishiki.stages.residual.declaration import ResidualSettings
+from nishiki.stages.residual import ResidualSettings
 from nishiki.threads import threads
 
 SAMPLE_TILES = 24  # that decide whether the model suffices

@@ -10,7 +10,7 @@ from nishiki.model_selection.fit_lights import choose_lights
 from nishiki.observations.parcels import Parcel, parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric.light_selection import pack_lights, select_diffuse
-from nishiki.stages.separate.declaration import SeparateSettings
+from nishiki.stages.separate import SeparateSettings
 
 
 def map_tiles(context: Context) -> dict:

@@ -1,0 +1,73 @@
+"""Declaration of the stage `texels`: settings, inputs, limits of its result, cost."""
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Guarded
+from nishiki.artifacts.limits import Limit, at
+from nishiki.stages.base import Cost, Stage, photographs_or_states
+
+LIMITS = (
+    Limit(
+        "object_pixels",
+        "pixels of all views that show the mesh",
+        at("object_pixels"),
+        least=1,
+        remedy="mesh and cameras must be of one world; look at the mesh stage's preview",
+        why="no pixel: nothing to fit",
+    ),
+    Limit(
+        "visible_share",
+        "share of the texels that a view shows, mean over the views",
+        at("visible_share"),
+        least=0.05,
+        doubt=0.15,
+        remedy="check mesh and cameras; texels.depth_tolerance and grazing_deg",
+        why="captures gave 0.32 to 0.38; a mesh that stood wrong gave 0.003",
+    ),
+    Limit(
+        "uncovered_share",
+        "share of the silhouettes that the mesh does not cover",
+        at("silhouette_uncovered_share"),
+        most=0.1,
+        doubt=0.04,
+        remedy="check mesh and cameras, and the silhouettes of the capture",
+        why="captures gave 0.0015 to 0.013; scans that were registered wrongly gave 0.74",
+    ),
+    Limit("degenerate_triangles", "triangles without area that get no texels", at("degenerate_triangles")),
+)
+
+
+class TexelsSettings(Guarded, stage="texels", version=1, limits=LIMITS):
+    """How the surface is cut into charts and tiles, how densely it is sampled, and what counts as visible."""
+
+    texels_per_pixel: float = Field(
+        1.0, gt=0, le=8, description="linear: texels for one pixel of the views that see a place best"
+    )
+    density_percentile: float = Field(
+        90.0, ge=0, le=100, description="over the views, of a triangle's area in pixels: which of them see it best"
+    )
+    tile: int = Field(64, ge=4, le=1024, description="texels along a tile's side; a tile is the unit of random access")
+    normal_range: float = Field(
+        0.02, ge=0, le=1, description="range over which normals are averaged to choose charts, of the object's extent"
+    )
+    smallest_chart: float = Field(0.01, ge=0, le=1, description="smaller charts are merged, of the surface's area")
+    steepest_deg: float = Field(80.0, gt=0, lt=90, description="largest angle between a triangle and its chart")
+    depth_tolerance: float = Field(
+        1.0, gt=0, description="visible where the depth agrees within so many pixels of the tangent plane"
+    )
+    grazing_deg: float = Field(80.0, gt=0, le=90, description="texels seen at more than this from their normal are not")
+    hold_out: tuple[str, ...] = Field((), description="views that take no part; filled in by the plan")
+
+
+STAGE = Stage(
+    settings=TexelsSettings,
+    does="what every view shows of every patch of the surface",
+    geometry="turntable",
+    requires=("ingest", "cameras", "mesh"),
+    wants=lambda settings: ("polarise",),
+    needs_colour=True,
+    looks_at=photographs_or_states,
+    libraries=("numpy", "numba", "zarr", "opencv-contrib-python-headless"),
+    # with polarisers all light, diffuse and specular part
+    cost=lambda facts: Cost(mib=320, bytes_per_sample=16, seconds=4.5, us_per_sample=5 if len(facts.states) > 1 else 2),
+)

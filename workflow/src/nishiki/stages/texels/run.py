@@ -17,7 +17,7 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.observations.views import Views, encode
-from nishiki.stages.texels.declaration import TexelsSettings
+from nishiki.stages.texels import TexelsSettings
 
 
 def run(context: Context) -> dict:

@@ -1,0 +1,80 @@
+"""Declare the stages of paintings, objects and cloths for interactive pages."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Guarded
+from nishiki.stages.base import Cost, Stage
+from nishiki.stages.render import DYES, Colour, MeshSettings, Name, with_digest_of_mesh
+
+
+class ViewerSettings(Guarded, stage="viewer", version=3):
+    """A page on which the lamp moves, offline."""
+
+    step: Literal["auto"] | Annotated[float, Field(ge=0.1, le=8)] = Field(
+        "auto",
+        description="of the codes of colour, in CIELAB; auto: 0.35 up to two megapixels, 0.95 above; others follow",
+    )
+    inline_mb: float = Field(4, ge=0, le=100, description="up to this size the page is one file")
+
+
+PAINTING = Stage(
+    settings=ViewerSettings,
+    does="interactive page: moving lamps, spectra, layers",
+    requires=("ingest", "normals"),
+    wants=lambda settings: ("height", "spectra", "brdf"),
+    uses=("evaluate",),
+    needs_colour=True,
+    libraries=("numpy", "numba", "jinja2", "zarr", "opencv-contrib-python-headless"),
+    threads=1,
+    cost=lambda facts: Cost(mib=300, bytes_per_pixel=60, seconds=3, us_per_pixel=5, us_per_sample=0.03),
+)
+
+
+class ObjectViewerSettings(Guarded, stage="object_viewer", version=1):
+    """A page on which the object turns, offline."""
+
+    inline_mb: float = Field(6, ge=0, le=100, description="up to this size the page is one file")
+    hold_out: tuple[str, ...] = Field((), description="views left out of the fit; filled in by the plan")
+
+
+OBJECT = Stage(
+    settings=ObjectViewerSettings,
+    does="interactive page: the decoded object from any view",
+    geometry="turntable",
+    product="viewer",
+    requires=("ingest", "mesh", "cameras", "texels", "object_brdf", "residual"),
+    needs_colour=True,
+    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "jinja2", "opencv-contrib-python-headless"),
+    threads=1,
+    cost=lambda facts: Cost(mib=270, seconds=4),
+)
+
+
+class ClothViewerSettings(Guarded, stage="cloth_viewer", version=1):
+    """A page on which cloth, lamps and eye move, offline."""
+
+    dyes: dict[Name, Colour] = Field(DYES, description="dyes to choose from, sRGB colour; others are mixed on the page")
+    mesh: MeshSettings | None = Field(
+        None, description="a surface from a file beside the others; that of `cloth_render`, filled in by the plan"
+    )
+    inline_mb: float = Field(6, ge=0, le=100, description="up to this size the page is one file")
+
+
+CLOTH = Stage(
+    settings=ClothViewerSettings,
+    does="interactive page: the cloth draped, flat and on cylinders",
+    geometry="goniometer",
+    product="viewer",
+    requires=("ingest", "cloth_brdf"),
+    needs_colour=True,
+    filled=lambda block, settings: (
+        with_digest_of_mesh(block.mesh, "cloth_viewer")
+        if block.mesh
+        else with_digest_of_mesh(settings.cloth_render.mesh, "cloth_render")
+    ),
+    libraries=("numpy", "scipy", "numba", "trimesh", "jinja2"),
+    idle={"trimesh": lambda facts, settings: None if settings["cloth_viewer"].mesh else "no mesh file is shown"},
+    cost=lambda facts: Cost(mib=340, seconds=40),
+)

@@ -1,183 +1,211 @@
-"""What the viewer of a painting is made from: its maps by bands of rows, their codes, and what the page has to know.
-
-A record of a pixel holds, in this order: known (1 or 0), normal (3), coefficients (K), terms of the body shading (0, 3
-or 5), region.
-"""
+"""Viewer: a page on which a painting is seen under moving lamps, its data beside it or inside it."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
-from nishiki.brdf.body_shading import transmittance
-from nishiki.brdf.parameters import gloss_table, is_facets
-from nishiki.colour.colour import srgb_matrix
-from nishiki.evaluate.camera_colour import displayed_colours
-from nishiki.photometric.flags import NO_ESTIMATE
-from nishiki.report.viewer.encoding import (
-    ColourCode,
-    NormalCode,
-    PrincipalCode,
-    Steps,
-    colour_matrices,
-    shading_features,
-)
-from nishiki.report.viewer.pyramid import filled
+from nishiki.artifacts.maps import Maps
+from nishiki.artifacts.stage import Context
+from nishiki.colour.colour import cie_1931_cmfs
+from nishiki.colour.colour import illuminant as cie_illuminant
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.formats.stored import load_arrays
+from nishiki.observations.plane import Observations
+from nishiki.report.viewer.encoding import Steps
+from nishiki.report.viewer.heights import height_block
+from nishiki.report.viewer.page import Blocks, write_page
+from nishiki.report.viewer.pictures import webp, webp_stack
+from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid
+from nishiki.stages.viewer.painting_maps import UNKNOWN_REGION, PaintingCode, PaintingMaps, gloss_of, photographs_of
 
-SAMPLES = 60_000
-"""Pixels, about, that the codes are fitted to."""
-UNKNOWN_REGION = 255
-FULL_TURN = 48  # nodes of the mean over the half space
-
-
-@dataclass(frozen=True)
-class PaintingMaps:
-    """The maps of a painting, read by bands of rows."""
-
-    normals: Maps
-    spectra: Maps | None
-    brdf: Maps | None
-    parameters: dict[str, Any] | None
-
-    @classmethod
-    def of(cls, inputs: dict[str, Artifact]) -> PaintingMaps:
-        """The maps of the upstream artifacts."""
-        brdf = inputs.get("brdf")
-        return cls(
-            Maps(inputs["normals"].folder),
-            Maps(inputs["spectra"].folder) if "spectra" in inputs else None,
-            Maps(brdf.folder) if brdf and brdf.path("maps.zarr").is_dir() else None,
-            json.loads(brdf.path("parameters.json").read_text()) if brdf else None,
-        )
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, columns)."""
-        return self.normals.group["normals"].shape[:2]
-
-    @property
-    def basis(self) -> np.ndarray | None:
-        """(K, 61) of the coefficients; None where they are channels of a camera."""
-        return None if self.spectra is None else np.array(self.spectra.attributes("coefficients")["basis"])
-
-    @property
-    def terms(self) -> int:
-        """Terms of the body shading: 0, 3 or 5."""
-        return self.normals.group["shading"].shape[-1] if "shading" in self.normals else 0
-
-    @property
-    def casts_shadows(self) -> bool:
-        """Whether the height casts shadows: not where the body shading holds them."""
-        return not directional_shading(self.normals)
-
-    def read(self, rows: slice) -> np.ndarray:
-        """Records (rows, columns, 1 + 3 + K + terms + 1) float32 of some rows; 0 where nothing is known."""
-        normals = shading_normals(self.normals, rows)
-        if self.spectra is None:
-            to_srgb = self.normals.group.attrs.get("to_srgb")
-            colours = displayed_colours(self.normals.read("reflectance", rows), to_srgb)
-        else:
-            colours = self.spectra.read("coefficients", rows)
-        known = (self.normals.read("flags", rows) & NO_ESTIMATE) == 0
-        known &= np.isfinite(colours).all(axis=-1) & (np.abs((normals**2).sum(axis=-1) - 1) < 0.02)
-        parts = [known[..., None], normals, colours]
-        parts += [self.normals.read("shading", rows)] if self.terms else []
-        values = np.concatenate(parts, axis=-1, dtype=np.float32)
-        regions = self.brdf.read("labels", rows) if self.brdf else np.zeros(known.shape)
-        values = np.where(known[..., None], values, 0)
-        return np.concatenate([values, regions[..., None].astype(np.float32)], axis=-1)
-
-    def sample(self, band_rows: int) -> np.ndarray:
-        """(n, fields) records of known pixels, evenly spread."""
-        rows, columns = self.shape
-        step = max(1, round(np.sqrt(rows * columns / SAMPLES)))
-        taken = []
-        for first in range(0, rows, band_rows):
-            start = -first % step
-            taken.append(self.read(slice(first, min(first + band_rows, rows)))[start::step, ::step])
-        values = np.concatenate(taken).reshape(-1, taken[0].shape[-1])
-        return values[values[:, 0] > 0]
+PAGE = Path(__file__).with_suffix(".js")
+ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5")
+BAND_ROWS = 256
+FINE, COARSE, FINE_PIXELS = Steps(0.35, 0.00116, 0.0046), Steps(0.95, 0.011, 0.019), 2_000_000
+"""Steps of the codes, and the size of a map up to which the finer are taken. With the coarse ones each kind of code
+costs about the same difference of the picture for a bit; the steps of tilts are below the noise of the normals of
+photographs of that size."""
+RELIEFS = ((1_200_000, 0.002), (16_000_000, 0.03))
+"""Sizes above which the heights that cast the shadows are averaged, and steps of their codes, in pixels. A sweep over
+the first takes about a tenth of a second, so that its shadows follow a lamp that is dragged; those of the second come
+when the lamp rests. Neighbours that differ by a step of 0.03 make a horizon of 1.7 degrees."""
 
 
-@dataclass(frozen=True)
-class PaintingCode:
-    """Codes of the planes of a painting, in the order in which a tile holds them: normal, colour, body shading."""
+def run(context: Context) -> dict:
+    """Write tiles, heights and layers, then the page around them."""
+    maps = PaintingMaps.of(context.inputs)
+    rows, columns = maps.shape
+    blocks = Blocks(context.output, inline_bytes=int(context.settings.inline_mb * 1e6))
+    steps, step = FINE if rows * columns <= FINE_PIXELS else COARSE, context.settings.step
+    code = PaintingCode.of(maps, BAND_ROWS, steps if step == "auto" else steps.scaled(step))
 
-    normal: NormalCode
-    colour: ColourCode
-    shading: PrincipalCode | None
-    channels: int
+    regions: set[bool] = set()
 
-    @classmethod
-    def of(cls, maps: PaintingMaps, band_rows: int, steps: Steps) -> PaintingCode:
-        """Fit to a sample of the maps."""
-        values = maps.sample(band_rows)
-        channels = values.shape[1] - 5 - maps.terms
-        matrices = colour_matrices(maps.basis, np.linalg.inv(srgb_matrix()))
-        shading = None
-        if maps.terms:
-            terms = values[:, 4 + channels : -1]
-            # backwards, because a picture of the last planes of colour and the smallest of shading takes fewer bytes
-            shading = PrincipalCode.of(terms, shading_features(maps.terms), steps.shading).backwards()
-        return cls(
-            NormalCode.of(values[:, 1:4], steps.tilt),
-            ColourCode.of(values[:, 4 : 4 + channels], matrices, maps.basis, steps.colour),
-            shading,
-            channels,
-        )
+    def write(level: int, row: int, column: int, values: np.ndarray) -> None:
+        planes = code.encode(values)
+        regions.add(bool(planes[-1].any()))
+        blocks.add(f"tile-{level}-{row}-{column}", webp_stack(planes))
 
-    def encode(self, values: np.ndarray) -> list[np.ndarray]:
-        """Planes of codes (rows, columns) uint8; the last is the region of a pixel, or `UNKNOWN_REGION`.
-
-        values : (rows, columns, fields) float32, records or means of them.
-        """
-        known = values[..., 0] >= 0.5
-        content = filled(values[..., 1:-1], values[..., 0] > 0)
-        normals = content[..., :3]
-        length = np.sqrt((normals**2).sum(axis=-1, keepdims=True))
-        normals = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), np.float32([0, 0, 1]))
-        planes = self.normal.encode(normals) + self.colour.encode(content[..., 3 : 3 + self.channels])
-        planes += self.shading.encode(content[..., 3 + self.channels :]) if self.shading else []
-        return [*planes, np.where(known, values[..., -1], UNKNOWN_REGION).astype(np.uint8)]
-
-    def decode(self, planes: list[np.ndarray]) -> np.ndarray:
-        """(rows, columns, 3 + K + terms) normals, coefficients and terms of planes of codes, without the region."""
-        colours = 1 + len(self.colour.chroma.planes)
-        parts = [self.normal.decode(planes[:2]), self.colour.decode(planes[2 : 2 + colours])]
-        if self.shading:
-            terms = self.shading.decode(planes[2 + colours :])
-            parts.append(np.broadcast_to(terms, (*parts[0].shape[:-1], terms.shape[-1])))
-        return np.concatenate(parts, axis=-1)
-
-    def described(self) -> dict[str, Any]:
-        """For the manifest."""
-        return {
-            "normal": self.normal.described(),
-            "colour": self.colour.described(),
-            "shading": self.shading.described() if self.shading else None,
-        }
+    pyramid = Pyramid(rows, columns, maps.read(slice(0, 1)).shape[-1], write)
+    for first in context.progress.over(range(0, rows, BAND_ROWS), "band"):
+        pyramid.push(maps.read(slice(first, min(first + BAND_ROWS, rows))))
+    height = Maps(context.inputs["height"].folder) if "height" in context.inputs else None
+    pitch = maps.normals.group.attrs.get("pixel_pitch_mm")
+    shadows = []
+    if height is not None and maps.casts_shadows:
+        smaller = [most for most, _ in RELIEFS if most < rows * columns]
+        for number, (most, step) in enumerate(RELIEFS[: len(smaller) + 1]):
+            block, described = height_block(
+                lambda band: height.read("height", band), (rows, columns), pitch or 1.0, most, step
+            )
+            blocks.add(f"height-{number}", block)
+            shadows.append({"block": f"height-{number}", **described})
+    manifest = {
+        "format": 1,
+        "chain": "painting",
+        **context.stamp,
+        "title": context.inputs["ingest"].diagnostics["capture"]["title"],
+        "rows": rows,
+        "columns": columns,
+        "pitch_mm": pitch,
+        "wavelengths_nm": WAVELENGTHS_NM.tolist(),
+        "basis": None if maps.basis is None else maps.basis.tolist(),
+        "cmf": cie_1931_cmfs().T.tolist(),
+        "illuminants": illuminants(context.inputs["ingest"]),
+        "gloss": gloss_of(maps),
+        "code": code.described(),
+        "tiles": {
+            "size": TILE,
+            "border": BORDER,
+            "levels": [{"rows": shape[0], "columns": shape[1], "factor": factor} for factor, shape in pyramid.levels()],
+            "regions": True in regions,
+            "unknown": UNKNOWN_REGION,
+        },
+        "shadows": shadows,
+        "layers": layers_of(context.inputs, blocks),
+        "photographs": photographs_of(maps, Observations(context.inputs["ingest"].folder), blocks, context.progress),
+    }
+    return write_page(blocks, manifest, PAGE)
 
 
-def gloss_of(maps: PaintingMaps) -> dict[str, Any]:
-    """The gloss of every region, for the manifest. entering: what the surface lets in of light from all sides."""
-    if maps.parameters is None:
-        return {"beta": [[]], "gamma": [[]], "refractive_index": [1.0], "transmission": 0.0, "entering": [1.0],
-                "blurred": False}  # fmt: skip
-    beta, gamma, index, transmission = gloss_table(maps.parameters)
-    used = beta.max(axis=0) > 0
-    nodes, weights = np.polynomial.legendre.leggauss(FULL_TURN)
-    cosine = (nodes + 1) / 2
-    mean = np.array([weights @ (cosine * transmittance(cosine, each)) for each in index])
+def illuminants(ingest: Artifact) -> dict[str, dict[str, list[float]]]:
+    """Spectra on offer, {name: {nm, power}}; `capture`: that of the lamp, where the capture states it."""
+    powers = {name: cie_illuminant(name) for name in ILLUMINANTS}
+    path = ingest.path("curves.npz")
+    curves = load_arrays(path) if path.is_file() else {}
+    if "illuminant" in curves:
+        powers["capture"] = curves["illuminant"]
+    return {name: {"nm": WAVELENGTHS_NM.tolist(), "power": power.tolist()} for name, power in powers.items()}
+
+
+MOST_PIXELS = 1_000_000
+LARGEST, UNKNOWN = 254, 255
+"""Largest code, and that of an unknown value."""
+FARTHEST = 99.5  # percentile of a measured map that its colours reach to
+
+
+def layers_of(inputs: dict[str, Artifact], blocks: Blocks) -> list[dict[str, Any]]:
+    """Write the maps that there are; what the page has to know of each. Normals come with the appearance."""
+    layers = [
+        {"name": "appearance", "label_key": "layer.appearance", "unit": "", "range": [0, 1], "map": "grey"},
+        {"name": "normals", "label_key": "layer.normals", "unit": "", "range": [-1, 1], "map": "normal"},
+    ]
+    normals = Maps(inputs["normals"].folder)
+    sources = [
+        ("sigma", "°", "grey", normals, "sigma", np.degrees(1.0)),
+        ("residual", "", "grey", normals, "residual", 1.0),
+    ]
+    if "height" in inputs:
+        height = Maps(inputs["height"].folder)
+        sources.insert(0, ("height", height.attributes("height")["unit"], "grey", height, "height", 1.0))
+    if "spectra" in inputs:
+        sources.append(("sigma_spectrum", "", "grey", Maps(inputs["spectra"].folder), "sigma", 1.0))
+    for name, unit, colours, maps, key, factor in sources:
+        layers.append(_measured(name, unit, colours, _reduced(maps, key, factor), blocks))
+    if "evaluate" in inputs and inputs["evaluate"].path("maps.zarr").is_dir():
+        difference = _mean_difference(Maps(inputs["evaluate"].folder), len(inputs["ingest"].diagnostics["lights"]))
+        if difference is not None:
+            layers.append(_measured("delta_e", "CIEDE2000", "grey", difference, blocks))
+    layers.append(_counted("lights_used", "lights", "grey", normals, blocks))
+    layers.append(_counted("flags", "", "flags", normals, blocks))
+    return layers
+
+
+def _averaged(shape: tuple[int, ...]) -> int:
+    return int(np.ceil(np.sqrt(shape[0] * shape[1] / MOST_PIXELS)))
+
+
+def _reduced(maps: Maps, key: str, factor: float = 1.0) -> np.ndarray:
+    """A map averaged over blocks to at most `MOST_PIXELS`, NaN where nothing is known; read by bands."""
+    shape = maps.group[key].shape
+    step = _averaged(shape)
+    bands = []
+    for first in range(0, shape[0], step * 64):
+        values = maps.read(key, slice(first, min(first + step * 64, shape[0]))).astype(np.float32) * factor
+        pad = ((0, -values.shape[0] % step), (0, -values.shape[1] % step))
+        blocks = np.pad(values, pad, constant_values=np.nan)
+        blocks = blocks.reshape(blocks.shape[0] // step, step, blocks.shape[1] // step, step)
+        known = np.isfinite(blocks)
+        count = known.sum(axis=(1, 3))
+        total = np.where(known, blocks, 0).sum(axis=(1, 3))
+        bands.append(np.divide(total, count, out=np.full(total.shape, np.nan, np.float32), where=count > 0))
+    return np.concatenate(bands)
+
+
+def _mean_difference(maps: Maps, lights: int) -> np.ndarray | None:
+    """Mean colour difference over the lights left out, NaN where none was compared."""
+    names = [name for name in (f"de00_{light:03d}" for light in range(lights)) if name in maps]
+    if not names:
+        return None
+    total, count = 0, 0
+    for name in names:
+        values = _reduced(maps, name)
+        total, count = total + np.nan_to_num(values), count + np.isfinite(values)
+    return np.divide(total, count, out=np.full(total.shape, np.nan, np.float32), where=count > 0)
+
+
+def _measured(name: str, unit: str, colours: str, values: np.ndarray, blocks: Blocks) -> dict[str, Any]:
+    """Codes of the range of the values; those beyond its ends take its ends."""
+    known = np.isfinite(values)
+    low, high = np.percentile(values[known], (100 - FARTHEST, FARTHEST)) if known.any() else (0.0, 1.0)
+    low, high = float(low), float(max(high, low + 1e-9))
+    codes = np.where(
+        known, np.clip(np.rint((np.nan_to_num(values) - low) * (LARGEST / (high - low))), 0, LARGEST), UNKNOWN
+    )
+    return _written(name, unit, colours, codes.astype(np.uint8), low, high, blocks)
+
+
+def _counted(name: str, unit: str, colours: str, maps: Maps, blocks: Blocks) -> dict[str, Any]:
+    """Whole numbers, the pixel in the middle of every block."""
+    step = _averaged(maps.group[name].shape)
+    rows = maps.group[name].shape[0]
+    band = step * 64
+    parts = [
+        maps.read(name, slice(first, min(first + band, rows)))[step // 2 :: step, step // 2 :: step]
+        for first in range(0, rows, band)
+    ]
+    values = np.minimum(np.concatenate(parts), LARGEST).astype(np.uint8)
+    high = LARGEST if colours == "flags" else max(int(values.max()), 1)
+    return {**_written(name, unit, colours, values, 0, LARGEST, blocks), "range": [0, high]}
+
+
+def _written(
+    name: str, unit: str, colours: str, codes: np.ndarray, low: float, high: float, blocks: Blocks
+) -> dict[str, Any]:
+    block = f"layer-{name}"
+    blocks.add(block, webp([codes] * 3))
     return {
-        "beta": beta[:, used].tolist(),
-        "gamma": gamma[:, used].tolist(),
-        "refractive_index": index.tolist(),
-        "transmission": transmission,
-        "entering": (1 - transmission * (1 - mean)).tolist(),
-        "blurred": is_facets(maps.parameters),
+        "name": name,
+        "label_key": f"layer.{name}",
+        "unit": unit,
+        "range": [low, high],
+        "map": colours,
+        "block": block,
+        "code": {"low": low, "high": high, "top": LARGEST, "nothing": UNKNOWN},
+        "rows": codes.shape[0],
+        "columns": codes.shape[1],
     }

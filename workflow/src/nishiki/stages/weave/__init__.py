@@ -1,0 +1,87 @@
+"""Declaration of the stage `weave`: settings, inputs, limits of its result, cost."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.limits import Limit, extreme
+from nishiki.stages.base import Cost, SceneFacts, Stage
+
+
+def _regions(diagnostics: Mapping[str, Any], name: str) -> list[Any]:
+    """One entry of every region of a cloth."""
+    return [region.get(name) for region in (diagnostics.get("regions") or {}).values() if isinstance(region, Mapping)]
+
+
+def _weave_error(diagnostics: Mapping[str, Any]) -> float | None:
+    return extreme("all")({"all": _regions(diagnostics, "rms_rel")})
+
+
+LIMITS = (
+    Limit(
+        "misfit",
+        "relative rms error of the cross-section's fit, worst yarn and region",
+        _weave_error,
+        most=0.25,
+        doubt=0.12,
+        remedy="set weave.harness, or take the stage from the products",
+        why="cloths gave 0.009 to 0.06; at a quarter the section explains little of what was measured",
+    ),
+)
+
+
+class WeaveSettings(Guarded, stage="weave", version=2, limits=LIMITS):
+    """Cross-sections of a cloth from its reflectances in the planes of warp and weft."""
+
+    yarns: bool = Field(
+        True,
+        description="fit interlaced elliptical yarns to the whole hemisphere, every harness and step in turn; "
+        "false: the sections alone, in the planes of weft and warp",
+    )
+    reading: Literal["paper", "shaded", "yarns"] = Field(
+        "shaded",
+        description="what the section does with light: paper: masking alone (Takeda and Tanaka, eq. 15); shaded: each "
+        "visible piece reflects by its own slope; yarns: and warp and weft scatter along and across their own way",
+    )
+    lobe: Literal["gauss", "ggx"] = Field(
+        "gauss", description="form of the gloss: gauss: the paper's exp(-x²/a²); ggx: long tails"
+    )
+    contact_deg: float | None = Field(
+        90.0, gt=8.0, le=90.0, description="steepest slope where yarns touch; 90: circles, as the paper; null: fitted"
+    )
+    refractive_index: float | None = Field(
+        1.5, gt=1.2, lt=2.2, description="of the fibres; null: fitted (strongly correlated with k_s)"
+    )
+    oblique: bool = Field(False, description="use lamps off the normal as well, where they lie in the planes")
+    relative_error: float = Field(
+        0.02, gt=0.0, le=1.0, description="error of the data and of the model, relative to the value, beside the noise"
+    )
+    confidence: float = Field(0.95, gt=0.5, lt=1.0, description="of the intervals")
+    harness: int | None = Field(
+        None,
+        ge=2,
+        le=16,
+        description="yarns of a repeat (n = harness - 1); null: searched among those of the weave",
+    )
+    spacing_ratio: float | None = Field(
+        None, gt=0.1, lt=10.0, description="spacing of weft yarns over warp yarns; null: valleys equally deep"
+    )
+
+
+def _no_normal_incidence(facts: SceneFacts, settings: Closed) -> str | None:
+    return None if facts.frontal else "no measurement has its light at the normal of the cloth"
+
+
+STAGE = Stage(
+    settings=WeaveSettings,
+    does="cross-sections of warp and weft, from how they hide each other",
+    geometry="goniometer",
+    requires=("goniometer_samples",),
+    lacks=_no_normal_incidence,
+    needs_colour=True,
+    libraries=("numpy", "scipy", "numba", "opencv-contrib-python-headless"),
+    deliverables=("*.ply", "*.png", "*.svg"),
+    cost=lambda facts: Cost(mib=480, seconds=60),
+)

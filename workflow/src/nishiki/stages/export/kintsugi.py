@@ -1,0 +1,250 @@
+"""An object as binary glTF, alone and for Kintsugi 3D Viewer, whose gloss is a sum of weighted tables.
+
+Reflectance there (source: the shader BasisIBR-ORM of the viewer, and the serialiser of its Builder):
+
+    f = d / pi + D(phi) G,    D(phi) = sum_b w_b T_b(u),    u = sqrt(3 phi / pi)
+
+d: diffuse colour; phi: angle of normal and half vector; T_b: a table for each of eight functions and three channels,
+even steps of u from 0 to 1 (60 degrees), linear between; w_b: weights in 0 to 1; G: masking over 4 n.l n.v.
+
+Our lobe K_s / n.v exp(-phi^2 / (2 sigma^2)), relative to a white that faces the lamp, is D = 4 K_s / pi exp(..) without
+masking. The tables are such lobes of eight widths, and the weights of a texel the least squares of its own lobe.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.colour.colour import srgb_encode
+from nishiki.colour.encoding import decode
+from nishiki.formats.glb import Glb
+from nishiki.formats.picture_tiles import png_bytes
+from nishiki.stages.export.object_look import INDEX, NORMAL_REFLECTANCE, ObjectLook, coded, sample
+from nishiki.stages.export.object_mitsuba import model_textures
+from nishiki.stages.export.object_surface import ObjectSurface, SeenPoints, Shown, against_photographs
+from nishiki.stages.export.registry import software
+
+EXTENSIONS = ("KHR_materials_ior", "KHR_materials_specular")
+
+
+def write_gltf(context: Context, surface: ObjectSurface) -> dict:
+    """`object.glb`; its error against photographs."""
+    write_glb(context, surface)
+    return {
+        "files": ["exports/object.glb"],
+        "vertices": len(surface.mesh.positions),
+        **surface.losses("gltf"),
+    }
+
+
+def write_glb(context: Context, surface: ObjectSurface) -> None:
+    """The file."""
+    glb = Glb(extensions=set(EXTENSIONS))
+    add_object(glb, context, surface, lambda _, picture: glb.texture(png_bytes(picture), mime="image/png"))
+    extras = {**context.stamp, "unit": surface.unit}
+    glb.write(context.output.path("exports/object.glb"), generator=software(context), extras=extras)
+
+
+def add_object(
+    glb: Glb,
+    context: Context,
+    surface: ObjectSurface,
+    texture: Callable[[str, np.ndarray], int],
+    *,
+    extras: Mapping[str, Any] | None = None,
+) -> None:
+    """Mesh and material of the object; texture: number of a named picture; extras: of the material."""
+    mesh, look = surface.mesh, surface.look
+    attributes = {
+        "POSITION": glb.vertices(mesh.positions, bounds=True),
+        "NORMAL": glb.vertices(mesh.normals),
+        "TEXCOORD_0": glb.vertices(mesh.texture),
+    }
+    nothing, full = np.zeros_like(look.roughness), np.full_like(look.roughness, 255)
+    pictures = {
+        "albedo": look.colour,
+        "orm": np.stack([full, look.roughness, nothing], axis=-1),
+        "strength": np.stack([full, full, full, look.specular], axis=-1),
+    }
+    colour, roughness, strength = ({"index": texture(*each)} for each in pictures.items())
+    material = glb.add(
+        "materials",
+        pbrMetallicRoughness={
+            "baseColorTexture": colour,
+            "metallicRoughnessTexture": roughness,
+            "metallicFactor": 0,
+        },
+        extensions={
+            "KHR_materials_ior": {"ior": INDEX},
+            "KHR_materials_specular": {"specularTexture": strength, "specularColorFactor": [look.factor] * 3},
+        },
+        extras=extras,
+    )
+    primitive = {"attributes": attributes, "indices": glb.corners(mesh.triangles), "material": material}
+    glb.add("nodes", mesh=glb.add("meshes", primitives=[primitive]), name=context.stamp["scene"])
+
+
+FOLDER = "exports/kintsugi"
+TABLES = "basisFunctions.csv"
+BASES = 8  # as many as the viewer's shader adds up
+SAMPLES = 91  # of a table, as the Builder writes them
+NARROWEST, WIDEST = 0.01, 1.0  # radians; a table ends at 60 degrees
+FIRST_STEP = (
+    1 / 255
+)  # of light from behind: in the shader 0 would be divided by, and this adds nothing that 8 bits show
+
+
+@dataclass(frozen=True)
+class LobeBasis:
+    """Gloss as tables and weights.
+
+    Attributes
+    ----------
+    tables : (8, 3, 91) float64 ndarray
+        D of each function, for red, green and blue.
+    weights : (rows, columns, 8) uint8 ndarray
+        Shares of 255 of the functions at texels.
+    """
+
+    tables: np.ndarray
+    weights: np.ndarray
+
+    @classmethod
+    def of(cls, ks: np.ndarray, sigma: np.ndarray) -> LobeBasis:
+        """Of lobes at texels: ks (rows, columns, 3), relative to a lamp of strength 1; sigma (rows, columns), radians.
+
+        All texels have the mean colour of the gloss. The strongest 0.1 % of the weights of a function are clipped.
+        """
+        strength, width = ks.mean(axis=-1), np.clip(sigma, NARROWEST, WIDEST)
+        glossy = width[strength > 0] if (strength > 0).any() else width
+        low, high = np.percentile(glossy, (0.5, 99.5))
+        widths = np.geomspace(low, max(high, 1.1 * low), BASES)
+        own = np.geomspace(widths[0], widths[-1], 8 * BASES)
+        shares = _shares(own, widths)
+        peak, colour = 4 / np.pi * strength, ks.mean(axis=(0, 1)) / max(strength.mean(), 1e-12)
+        tables, weights = np.empty((BASES, 3, SAMPLES)), np.empty((*strength.shape, BASES), np.uint8)
+        for number, lobe in enumerate(lobes(widths)):
+            wanted = peak * np.interp(width, own, shares[:, number])
+            largest = float(np.percentile(wanted[wanted > 0], 99.9)) if (wanted > 0).any() else 0.0
+            tables[number] = largest * colour[:, None] * lobe
+            weights[..., number] = coded(wanted / max(largest, 1e-12))
+        return cls(tables, weights)
+
+    def text(self) -> str:
+        """The tables as the viewer reads them: three rows a function."""
+        rows = [
+            ", ".join([f"{channel}#{number}", *(f"{value:.9f}" for value in table)])
+            for number, tables in enumerate(self.tables)
+            for channel, table in zip(("Red", "Green", "Blue"), tables, strict=True)
+        ]
+        return "\n".join(rows) + "\n"
+
+
+def lobes(widths: np.ndarray) -> np.ndarray:
+    """(k, 91) exp(-phi^2 / (2 sigma^2)) at the samples of a table, of widths sigma (k,) in radians."""
+    phi = np.pi / 3 * np.linspace(0, 1, SAMPLES) ** 2
+    return np.exp(-(phi**2) / (2 * np.square(widths)[:, None]))
+
+
+def _shares(own: np.ndarray, widths: np.ndarray) -> np.ndarray:
+    """(n, k) nonnegative shares of lobes of `widths` (k,) whose sum is next to a lobe of each width in `own` (n,)."""
+    from scipy.optimize import nnls
+
+    basis = lobes(widths).T
+    return np.array([nnls(basis, lobe)[0] for lobe in lobes(own)])
+
+
+def write_kintsugi(context: Context, surface: ObjectSurface) -> dict:
+    """The folder `kintsugi`; its error against photographs."""
+    look = surface.look
+    model = model_textures(look.decoded, look.layout)
+    basis = LobeBasis.of(model["ks"] / look.scale, model["sigma"][..., 0])
+    glb, files = Glb(extensions=set(EXTENSIONS)), []
+
+    def put(name: str, data: bytes) -> str:
+        context.output.path(f"{FOLDER}/{name}").write_bytes(data)
+        files.append(f"{FOLDER}/{name}")
+        return name
+
+    def texture(name: str, picture: np.ndarray) -> int:
+        return glb.texture_beside(put(f"{name}.png", png_bytes(picture)))
+
+    normal = srgb_encode(look.specular[..., None] / 255 * look.normal_reflectance * np.ones(3))
+    weights = [texture(f"weights{b:02}{b + 3:02}", basis.weights[..., b : b + 4]) for b in range(0, BASES, 4)]
+    extras = {
+        "diffuseTexture": {"index": texture("diffuse", look.colour)},
+        "diffuseConstantTexture": {"index": texture("constant", coded(np.full((1, 1, 3), FIRST_STEP)))},
+        "specularTexture": {"index": texture("specular", coded(normal))},
+        "basisFunctionsUri": put(TABLES, basis.text().encode("ascii")),
+        "specularWeights": {"stride": 4, "textures": [{"index": each} for each in weights]},
+    }
+    add_object(glb, context, surface, texture, extras=extras)
+    document = {**context.stamp, "unit": surface.unit}
+    glb.write(context.output.path(f"{FOLDER}/object.glb"), generator=software(context), extras=document)
+    asked = {
+        "by the Builder's formulas": shown_by(look, basis, viewer=False),
+        "by the viewer's shader": shown_by(look, basis, viewer=True),
+    }
+    found = against_photographs(context, look, asked)
+    return {
+        "files": [f"{FOLDER}/object.glb", *files],
+        "vertices": len(surface.mesh.positions),
+        **look.figures(),
+        "kinds": {name: {"psnr_db": figures} for name, figures in found.items()},
+    }
+
+
+def shown_by(look: ObjectLook, basis: LobeBasis, *, viewer: bool) -> Shown:
+    """What these textures show of seen points: by the shader of the viewer, or by the Builder's formulas."""
+    colour, reflected = decode(look.colour / 255, "srgb"), viewer_gloss if viewer else builder_gloss
+
+    def shown(points: SeenPoints) -> np.ndarray:
+        body = sample(colour, points.places)
+        weights, roughness = (sample(each, points.places) / 255 for each in (basis.weights, look.roughness[..., None]))
+        irradiance, strength = points.factors()
+        cosines = points.cosines()
+        gloss = reflected(distribution(basis.tables, weights, cosines[0]), roughness[:, 0], cosines)
+        return look.scale * (body * irradiance + np.pi * gloss * strength[:, None])
+
+    return shown
+
+
+def distribution(tables: np.ndarray, weights: np.ndarray, cos_phi: np.ndarray) -> np.ndarray:
+    """(n, 3) D of tables (k, 3, samples) and weights (n, k). Beyond 60 degrees the viewer's shader reads outside of its
+    texture; 0 stands for that."""
+    last = tables.shape[-1] - 1
+    place = np.sqrt(3 * np.arccos(np.clip(cos_phi, 0, 1)) / np.pi) * last
+    before = np.minimum(place.astype(np.int64), last + 1)
+    share = np.minimum(place - before, 1)
+    padded = np.pad(tables, ((0, 0), (0, 0), (0, 2)))
+    return np.einsum("nb,bcn->nc", weights, padded[..., before] * (1 - share) + padded[..., before + 1] * share)
+
+
+def builder_gloss(found: np.ndarray, roughness: np.ndarray, cosines: tuple[np.ndarray, ...]) -> np.ndarray:
+    """(n, 3) f n.l of the gloss, 1 / sr, of D (n, 3): masking of Smith, correlated by height, in G."""
+    _, cos_i, cos_r, _ = cosines
+    light, view = (np.sqrt(_square(cosine, roughness)) for cosine in (cos_i, cos_r))
+    return found * (0.5 / np.maximum(cos_r * light + cos_i * view, 1e-9) * cos_i)[:, None]
+
+
+def viewer_gloss(found: np.ndarray, roughness: np.ndarray, cosines: tuple[np.ndarray, ...]) -> np.ndarray:
+    """The same by the viewer's shader: Fresnel's rise from 0.04 to 1, and one root over both terms of the masking.
+
+    G = 0.5 / max(0.05, n.v sqrt(S(l)^2 + n.l S(v))) is, on a smooth surface, by sqrt(2 n.l / (n.l + n.v)) too strong:
+    1.41 with the lamp at the camera.
+    """
+    _, cos_i, cos_r, cos_q = cosines
+    grazing = found.mean(axis=1, keepdims=True) / NORMAL_REFLECTANCE
+    rising = found + (grazing - found) * ((1 - cos_q) ** 5)[:, None]
+    root = np.sqrt(_square(cos_i, roughness) + cos_i * np.sqrt(_square(cos_r, roughness)))
+    return rising * (0.5 / np.maximum(cos_r * root, 0.05) * cos_i)[:, None]
+
+
+def _square(cosine: np.ndarray, roughness: np.ndarray) -> np.ndarray:
+    """S^2 of a direction; roughness is the square root of alpha."""
+    return cosine**2 + roughness**4 * (1 - cosine**2)

@@ -1,0 +1,224 @@
+"""Normals, height, diffuse colour and spectra of a painting as pictures of high depth and as a mesh."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.colour.colour import srgb_encode
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.errors import UserError
+from nishiki.formats.envi import EnviWriter
+from nishiki.formats.exr_bands import ExrWriter
+from nishiki.formats.icc import ROMM, icc_profile
+from nishiki.formats.tiff_bands import strips, write_tiff
+from nishiki.render.display import normals_as_colours
+from nishiki.stages.export.registry import software
+from nishiki.stages.export.scene import ExportedScene, Relief, reliefs
+
+AXES = "x right, y up, z out of the surface towards the camera; row 0 is the top"
+
+
+def write_normals(context: Context, scene: ExportedScene) -> dict:
+    """`normals.tif` and `normals.exr`; the angle that 16 bits lose."""
+    down = context.settings.normals_y == "down"
+    convention = (
+        f"Unit normals, {'DirectX (y down)' if down else 'OpenGL (y up)'}: value = (n + 1) / 2 * 65535 of x right, "
+        f"y {'down' if down else 'up'}, z out of the surface towards the camera; 0, 0, 0: no estimate. Linear data, no "
+        "colour."
+    )
+    path = context.output.path
+    largest = squares = count = 0.0
+    header = {**{f"nishiki.{name}": text for name, text in context.stamp.items()}, "comments": f"Unit normals, {AXES}"}
+
+    def bands(exr: ExrWriter) -> Iterator[np.ndarray]:
+        nonlocal largest, squares, count
+        for rows in scene.bands():
+            normals = scene.normals(rows)
+            coded = normals_as_colours(normals)
+            exr.write(normals)
+            angles = lost_angles(normals, coded)
+            largest = max(largest, float(angles.max(initial=0)))
+            squares, count = squares + float(np.sum(angles**2)), count + angles.size
+            if down:
+                coded[..., 1] = np.where(coded.any(axis=-1), 65535 - coded[..., 1], 0)
+            yield coded
+
+    with ExrWriter(path("exports/normals.exr"), ("N.X", "N.Y", "N.Z"), *scene.shape, header) as exr:
+        write_tiff(
+            path("exports/normals.tif"),
+            bands(exr),
+            (*scene.shape, 3),
+            description=f"{convention} {stamped(context)}",
+            software=software(context),
+            pitch_mm=scene.pitch_mm,
+        )
+    return {
+        "files": ["exports/normals.tif", "exports/normals.exr"],
+        "largest_deg": largest,
+        "rms_deg": (squares / count) ** 0.5 if count else 0.0,
+    }
+
+
+def lost_angles(normals: np.ndarray, coded: np.ndarray) -> np.ndarray:
+    """(n,) degrees between normals (r, columns, 3) and what their 16-bit code says, where there is one."""
+    known = coded.any(axis=-1)
+    exact = normals[known].astype(np.float64)
+    read = coded[known] / 65535 * 2 - 1
+    across = np.linalg.norm(np.cross(exact, read), axis=-1)
+    return np.degrees(np.arctan2(across, np.sum(exact * read, axis=-1)))
+
+
+def stamped(context: Context) -> str:
+    """The stamp of an artifact in words."""
+    return "; ".join(f"nishiki.{name}={text}" for name, text in context.stamp.items())
+
+
+VERTEX = np.dtype([("place", "<f4", 3), ("normal", "<f4", 3), ("colour", "u1", 3)])
+FACE = np.dtype([("count", "u1"), ("corner", "<i4", 3)])
+
+
+def write_height(context: Context, scene: ExportedScene) -> dict:
+    """`height.tif` and `height.ply`."""
+    path = context.output.path
+    description = (
+        f"Height in {scene.unit}, towards the camera; NaN: none. Integrated from normals: parts that do not touch have "
+        f"each its own zero. {stamped(context)}"
+    )
+    write_tiff(
+        path("exports/height.tif"),
+        (scene.height(rows).astype(np.float32) for rows in scene.bands()),
+        (*scene.shape, 1),
+        description=description,
+        software=software(context),
+        pitch_mm=scene.pitch_mm,
+        nodata="nan",
+    )
+    step, vertices, faces = write_ply(context, scene)
+    return {
+        "files": ["exports/height.tif", "exports/height.ply"],
+        "pixels_a_vertex": step * step,
+        "vertices": vertices,
+        "faces": faces,
+    }
+
+
+def write_ply(context: Context, scene: ExportedScene) -> tuple[int, int, int]:
+    """The mesh, row by row of vertices: pixels along the side of a vertex, vertices, faces."""
+    most = context.settings.mesh_vertices
+    step = counted = corners = 0
+    for relief in reliefs(scene, most, colours=None):
+        step, counted, corners = relief.step, counted + len(relief.places), corners + len(relief.triangles)
+    comments = [f"comment nishiki.{name} {text}" for name, text in context.stamp.items()]
+    heading = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *comments,
+        f"comment unit {scene.unit}; x right, y up, z towards the camera; origin: middle of the picture",
+        f"element vertex {counted}",
+        *(f"property float {axis}" for axis in ("x", "y", "z", "nx", "ny", "nz")),
+        *(f"property uchar {name}" for name in ("red", "green", "blue")),
+        f"element face {corners}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    colours = scene.to_srgb()
+    with open(context.output.path("exports/height.ply"), "wb") as file:
+        file.write(("\n".join(heading) + "\n").encode("ascii", "replace"))
+        for relief in reliefs(scene, most, colours=colours):
+            file.write(vertex_bytes(relief))
+        for relief in reliefs(scene, most, colours=None):
+            faces = np.empty(len(relief.triangles), FACE)
+            faces["count"], faces["corner"] = 3, relief.triangles
+            file.write(faces.tobytes())
+    return step, counted, corners
+
+
+def vertex_bytes(relief: Relief) -> bytes:
+    """Vertices of a band as the PLY holds them."""
+    points = np.empty(len(relief.places), VERTEX)
+    points["place"], points["normal"] = relief.places, relief.normals
+    points["colour"] = np.floor(255 * srgb_encode(relief.colours) + 0.5)
+    return points.tobytes()
+
+
+def write_albedo(context: Context, scene: ExportedScene) -> dict:
+    """`albedo.tif`; the share of its samples that are outside of the space."""
+    matrix, how = scene.to_xyz_d50()
+    matrix = np.linalg.inv(ROMM.to_xyz()) @ matrix
+    description = (
+        f"Diffuse colour of the surface under D50, relative to a perfect white diffuser, without shading and gloss; "
+        f"0, 0, 0 where there is no estimate. {ROMM.name}, from {how}. {stamped(context)}"
+    )
+    clipped = count = 0
+
+    def bands() -> Iterator[np.ndarray]:
+        nonlocal clipped, count
+        for rows in scene.bands():
+            known = scene.known(rows)[..., None]
+            linear = np.where(known, np.nan_to_num(scene.coefficients(rows)) @ matrix.T, 0)
+            clipped += int(np.count_nonzero((linear < 0) | (linear > 1)))
+            count += 3 * int(np.count_nonzero(known))
+            yield np.floor(65535 * np.clip(linear, 0, 1) ** (1 / ROMM.gamma) + 0.5).astype(np.uint16)
+
+    write_tiff(
+        context.output.path("exports/albedo.tif"),
+        bands(),
+        (*scene.shape, 3),
+        description=description,
+        software=software(context),
+        pitch_mm=scene.pitch_mm,
+        icc=icc_profile(ROMM),
+    )
+    return {"files": ["exports/albedo.tif"], "clipped": clipped / max(count, 1), "colour_from": how}
+
+
+REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+ROWS_AT_A_TIME = 32
+
+
+def channel(wavelength_nm: float) -> str:
+    """Name of a band of a reflective picture: T, the wavelength with a decimal comma, its unit."""
+    return f"T.{wavelength_nm:.6f}".replace(".", ",").replace("T,", "T.", 1) + "nm"
+
+
+def write_spectral(context: Context, scene: ExportedScene) -> dict:
+    """`spectra.exr`, and `spectra.img` with its `spectra.hdr`."""
+    basis = scene.basis
+    if basis is None:
+        raise UserError(
+            "export: spectral needs spectra, which this scene has none of. Remedy: give the capture spectra of camera "
+            "and lamp, or leave spectral out of export.formats"
+        )
+    to_rgb = scene.to_srgb().T
+    path = context.output.path
+    names = [channel(float(wavelength)) for wavelength in WAVELENGTHS_NM]
+    header = {
+        "spectralLayoutVersion": "1.0",
+        "chromaticities": REC_709,
+        "comments": "Reflectance relative to a perfect white diffuser; R, G, B: the same under D65 for looking",
+        **{f"nishiki.{name}": text for name, text in context.stamp.items()},
+    }
+    outside = count = 0
+    with (
+        ExrWriter(path("exports/spectra.exr"), [*names, "R", "G", "B"], *scene.shape, header) as exr,
+        EnviWriter(
+            path("exports/spectra.img"),
+            scene.shape,
+            WAVELENGTHS_NM,
+            description=f"Reflectance relative to a perfect white diffuser, 0: no estimate. {stamped(context)}",
+            pitch_mm=scene.pitch_mm,
+        ) as envi,
+    ):
+        for rows in strips(scene.shape[0], ROWS_AT_A_TIME):
+            known = scene.known(rows)[..., None]
+            coefficients = np.where(known, np.nan_to_num(scene.coefficients(rows)), 0)
+            spectra = (coefficients @ basis).astype(np.float32)
+            exr.write(np.concatenate([spectra, coefficients @ to_rgb], axis=-1))
+            envi.write(spectra)
+            outside += int(np.count_nonzero((spectra < 0) | (spectra > 1)))
+            count += spectra.shape[-1] * int(np.count_nonzero(known))
+    return {
+        "files": ["exports/spectra.exr", "exports/spectra.img", "exports/spectra.hdr"],
+        "outside": outside / max(count, 1),
+    }

@@ -1,0 +1,257 @@
+"""How an object looks to formats of scenes: one texture for all charts, colour, roughness and strength of the gloss.
+
+The simplified Torrance-Sparrow lobe K_s / n.v exp(-a^2 / (2 s^2)) (Miyazaki et al., 2007, eq. 8), relative to a white
+that faces the lamp, becomes the lobe of Trowbridge and Reitz with the same peak and the same width at half of it:
+
+    alpha = s sqrt(2 ln 2) / sqrt(sqrt 2 - 1),      w F0 = 4 alpha^2 K_s
+
+Without a white board albedo is relative to a lamp of unknown strength and may be above 1: `lamp_strength` divides it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.atlas.atlas import Atlas
+from nishiki.atlas.store import Texels
+from nishiki.brdf.texels.model import factors, predict
+from nishiki.colour.colour import srgb_encode
+from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
+from nishiki.render.display import three_channels
+from nishiki.render.object.decoded_object import DecodedObject
+
+GAP = 2  # texels between two charts
+
+
+@dataclass(frozen=True)
+class TextureAtlas:
+    """One texture for all charts.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        Rows and columns of the texture.
+    origin : (tiles, 2) int64 ndarray
+        Row and column of the first texel of each tile.
+    corners : (f, 3, 2) float64 ndarray
+        Row and column of the corners of each triangle, in texels from the texture's first; NaN where it has no place.
+    """
+
+    shape: tuple[int, int]
+    origin: np.ndarray
+    corners: np.ndarray
+
+    @property
+    def placed(self) -> np.ndarray:
+        """(f,) bool: triangles that have a place."""
+        return np.isfinite(self.corners).all(axis=(1, 2))
+
+    def uv(self) -> np.ndarray:
+        """(f, 3, 2) places as glTF counts them: from the left and from the top, texel centres at halves."""
+        return (self.corners[..., ::-1] + 0.5) / np.array(self.shape[::-1])
+
+
+def texture_atlas(atlas: Atlas) -> TextureAtlas:
+    """Each chart whole, so that look-ups inside a triangle never cross a seam; charts on shelves, highest first."""
+    stride = atlas.size - 1
+    first, shared = np.unique(atlas.chart_grid[:, 0], return_inverse=True)
+    blocks = np.zeros((len(first), 2), np.int64)
+    np.maximum.at(blocks, shared, atlas.chart_grid[:, 1:].astype(np.int64) * stride + 1)
+    width = int(max(blocks[:, 1].max(), np.ceil(np.sqrt(1.15 * np.prod(blocks + GAP, axis=1).sum()))))
+    place = np.zeros_like(blocks)
+    top = left = height = 0
+    for block in np.lexsort((-blocks[:, 1], -blocks[:, 0])):
+        rows, columns = blocks[block]
+        if left + columns > width:
+            top, left, height = top + height + GAP, 0, 0
+        place[block] = top, left
+        left, height = left + columns + GAP, max(height, rows)
+    of_chart = place[shared]
+    corners = np.full(atlas.corners.shape, np.nan)
+    inside = atlas.chart >= 0
+    corners[inside] = atlas.corners[inside] + of_chart[atlas.chart[inside]][:, None, :]
+    origin = of_chart[atlas.tile_chart] + atlas.tile_place.astype(np.int64) * stride
+    return TextureAtlas((int(top + height), width), origin, corners)
+
+
+def fill_gaps(texture: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """The texture (rows, columns, channels) with the nearest known texel where none is known."""
+    if known.all() or not known.any():
+        return texture
+    from scipy import ndimage
+
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return texture[tuple(nearest)]
+
+
+def sample(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(n, channels) bilinear look-ups at places (n, 2), row and column in texels."""
+    rows, columns = texture.shape[:2]
+    y, x = (np.clip(places[:, k], 0, size - 1) for k, size in enumerate((rows, columns)))
+    i, j = (np.minimum(v.astype(np.int64), max(size - 2, 0)) for v, size in ((y, rows), (x, columns)))
+    below, right = np.minimum(i + 1, rows - 1), np.minimum(j + 1, columns - 1)
+    fy, fx = (y - i)[:, None], (x - j)[:, None]
+    upper = texture[i, j] * (1 - fx) + texture[i, right] * fx
+    lower = texture[below, j] * (1 - fx) + texture[below, right] * fx
+    return upper * (1 - fy) + lower * fy
+
+
+ALPHA_PER_SIGMA = float(np.sqrt(2 * np.log(2) / (np.sqrt(2) - 1)))
+INDEX = 1.5
+NORMAL_REFLECTANCE = ((INDEX - 1) / (INDEX + 1)) ** 2
+METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+PRIOR = 0.04  # squared irradiance that the model's own albedo counts as
+LEAST_ALPHA = 0.03**2  # roughness below which viewers show nothing of distant lamps
+
+
+@dataclass(frozen=True)
+class ObjectLook:
+    """Textures of an object.
+
+    Attributes
+    ----------
+    decoded, layout
+        The object, and the places of its charts in the textures.
+    colour, roughness, specular : (rows, columns, 3) or (rows, columns) uint8 ndarray
+        Base colour, sRGB; square root of alpha; share of the reflectance along the normal.
+    factor : float
+        The reflectance of share 1, as a factor of that of glass (0.04).
+    scale : float
+        Strength of the lamp with which albedo is at most 1.
+    clipped : float
+        Share of the texels that are brighter than white nevertheless.
+    """
+
+    decoded: DecodedObject
+    layout: TextureAtlas
+    colour: np.ndarray
+    roughness: np.ndarray
+    specular: np.ndarray
+    factor: float
+    scale: float
+    clipped: float
+
+    @property
+    def normal_reflectance(self) -> float:
+        """F0 where the share is 1."""
+        return min(self.factor * NORMAL_REFLECTANCE, 1.0)
+
+    def surface(self) -> SurfaceLook:
+        """The same in the words of USD and MaterialX."""
+        return SurfaceLook(self.colour, self.roughness, self.normal_reflectance, weight=self.specular)
+
+    def of_one_strength(self) -> ObjectLook:
+        """With the mean of the strength everywhere, which is what USD can say.
+
+        Roughness keeps the height of each texel's highlight, w F0 / (4 alpha^2): a weaker gloss is a wider one.
+        """
+        mean = np.rint(self.specular.mean())
+        wider = np.sqrt(np.sqrt(mean / np.maximum(self.specular, 0.5))) if mean else 1.0
+        roughness = np.clip(self.roughness * wider, 255 * np.sqrt(LEAST_ALPHA), 255)
+        return replace(self, roughness=np.rint(roughness).astype(np.uint8), specular=np.full_like(self.specular, mean))
+
+    def figures(self) -> dict:
+        """What the diagnostics say of it."""
+        placed = self.layout.placed
+        return {
+            "faces": int(placed.sum()),
+            "placed": float(placed.mean()),
+            "texture": list(self.layout.shape),
+            "clipped": self.clipped,
+            "lamp_strength": self.scale,
+        }
+
+
+def object_look(context: Context) -> ObjectLook:
+    """Textures from the decoded parameters."""
+    decoded = DecodedObject.open(context.inputs)
+    layout = texture_atlas(decoded.atlas)
+    albedo, alpha, reflectance = textures(decoded, Texels(context.inputs["texels"].folder), layout)
+    scale = max(float(np.percentile(albedo.max(axis=-1), 99.5)), 1.0)
+    albedo, reflectance = albedo / scale, reflectance / scale
+    factor = max(float(np.percentile(reflectance, 99.5)) / NORMAL_REFLECTANCE, 1.0)
+    colour, roughness = coded(srgb_encode(albedo)), coded(np.sqrt(alpha))
+    specular = coded(np.clip(reflectance / NORMAL_REFLECTANCE / factor, 0, 1))
+    clipped = float(np.mean((albedo > 1).any(axis=-1)))
+    return ObjectLook(decoded, layout, colour, roughness, specular, factor, scale, clipped)
+
+
+def object_mesh(context: Context, look: ObjectLook) -> TexturedMesh:
+    """The mesh in metres where its unit is known; a vertex once for each place in the textures."""
+    layout, mesh = look.layout, look.decoded.mesh
+    placed = layout.placed
+    flat = np.column_stack([mesh.triangles[placed].ravel(), layout.corners[placed].reshape(-1, 2)])
+    unique, numbers = np.unique(flat, axis=0, return_inverse=True)
+    vertex = unique[:, 0].astype(np.int64)
+    normals = mesh.normals[vertex] / np.linalg.norm(mesh.normals[vertex], axis=1, keepdims=True)
+    positions = mesh.vertices[vertex] * METRES.get(context.inputs["mesh"].diagnostics.get("unit"), 1.0)
+    places = (unique[:, :0:-1] + 0.5) / np.array(layout.shape[::-1])
+    return TexturedMesh(positions, normals, places, numbers.reshape(-1, 3))
+
+
+def unit_of(context: Context) -> str:
+    """What a length of 1 in the file means."""
+    unit = context.inputs["mesh"].diagnostics.get("unit")
+    return "metres" if unit in METRES else f"{unit} of the cameras"
+
+
+def coded(values: np.ndarray) -> np.ndarray:
+    """Eight bits of values in 0 to 1."""
+    return np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
+
+
+def textures(decoded: DecodedObject, texels: Texels, layout: TextureAtlas) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Albedo (rows, columns, 3), alpha and w F0 (rows, columns) of the whole texture, from the decoded parameters."""
+    albedo = np.zeros((*layout.shape, 3), np.float32)
+    alpha, reflectance = (np.zeros(layout.shape, np.float32) for _ in range(2))
+    known = np.zeros(layout.shape, bool)
+    for tile, (row, column) in enumerate(layout.origin):
+        kd, ks, sigma = decoded.residual.parameters(tile)
+        positions, normals, inside = texels.geometry(tile)
+        kd = body_colour(decoded, texels, tile, (kd, ks, sigma), (positions, normals))
+        window = (slice(row, row + len(kd)), slice(column, column + len(kd)))
+        width = np.clip(ALPHA_PER_SIGMA * sigma, LEAST_ALPHA, 1)
+        for texture, values in (
+            (albedo, three_channels(kd)),
+            (alpha, width),
+            (reflectance, 4 * width**2 * ks.mean(axis=-1)),
+        ):
+            texture[window][inside] = values[inside]
+        known[window] |= inside
+    stacked = np.concatenate([albedo, alpha[..., None], reflectance[..., None]], axis=-1)
+    filled = fill_gaps(stacked, known)
+    return filled[..., :3], filled[..., 3], filled[..., 4]
+
+
+def body_colour(
+    decoded: DecodedObject,
+    texels: Texels,
+    tile: int,
+    parameters: tuple[np.ndarray, np.ndarray, np.ndarray],
+    surface: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """(T, T, channels) albedo of a tile by least squares from all views that see a texel: from the diffuse light where
+    polarisers separated it, else from all light less the model's gloss.
+
+    The model's own K_d is smooth where the residual holds the detail. It stands where no view sees a texel, and weighs
+    as much as a view that is lit to a fifth. parameters: kd, ks, sigma; surface: positions and normals.
+    """
+    kd, ks, sigma = parameters
+    above, below = PRIOR * kd, np.full(kd.shape, PRIOR)
+    separated = "diffuse" in texels.components
+    values = texels.read("diffuse" if separated else "total", tile)
+    for number, seen in enumerate(texels.visible(tile)):
+        if not seen.any():
+            continue
+        light, view = divmod(number, len(decoded.views))
+        camera = decoded.cameras[view]
+        lamp = decoded.lighting.lamp(camera, light)
+        points = (surface[0][seen], surface[1][seen], camera.centre, lamp)
+        irradiance, _ = factors(*points, kd.shape[-1])
+        gloss = 0 if separated else predict(kd[seen], ks[seen], sigma[seen], *points)[1]
+        above[seen] += irradiance * (values[number][seen] - gloss)
+        below[seen] += irradiance**2
+    return np.maximum(above / below, 0)

@@ -1,0 +1,257 @@
+"""An object as a scene of Mitsuba 3: mesh, textures of the fitted model, captured views and lamps, and two materials:
+our reflection model in Python, and `principled` for scenes without Python.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.texels.lighting import DISTANT, POINT, Lamp
+from nishiki.brdf.texels.model import predict
+from nishiki.colour.encoding import decode
+from nishiki.formats.exr_bands import ExrWriter
+from nishiki.formats.mitsuba_xml import Parameter, write_scene
+from nishiki.formats.picture_tiles import png_bytes
+from nishiki.formats.textured_ply import faces, heading, vertices
+from nishiki.formats.textured_surface import TexturedMesh
+from nishiki.geometry.camera import NO_DISTORTION, Camera
+from nishiki.render.display import three_channels
+from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.stages.export import mitsuba_object
+from nishiki.stages.export import renderers as principled
+from nishiki.stages.export.object_look import METRES, ObjectLook, TextureAtlas, fill_gaps, sample
+from nishiki.stages.export.object_surface import ObjectSurface, SeenPoints, Shown, against_photographs
+
+FITTED_POINTS = 1000  # of the mesh, to which a pinhole is fitted
+
+
+def write_mitsuba(context: Context, surface: ObjectSurface) -> dict:
+    """The folder `mitsuba`; its errors against photographs, and how far its cameras are from the capture's."""
+    look = surface.look
+    parameters = model_textures(look.decoded, look.layout)
+    unit = METRES.get(context.inputs["mesh"].diagnostics.get("unit"), 1.0)
+    middle = surface.mesh.positions.mean(axis=0) / unit
+    folder = context.output.path("exports/mitsuba/scene.json").parent
+    figures = write_folder(folder, look, surface.mesh, parameters, unit=unit, stamp=context.stamp)
+    return {
+        "files": sorted(f"exports/mitsuba/{path.relative_to(folder)}" for path in folder.rglob("*") if path.is_file()),
+        **look.figures(),
+        **figures,
+        "kinds": {name: {"psnr_db": found} for name, found in errors(context, look, parameters, middle).items()},
+    }
+
+
+def write_folder(
+    folder: Path,
+    look: ObjectLook,
+    mesh: TexturedMesh,
+    parameters: dict[str, np.ndarray],
+    *,
+    unit: float,
+    stamp: Mapping[str, str],
+) -> dict:
+    """Write the files; parameters: as of `model_textures`; unit: metres of a length of 1 in the cameras' world.
+
+    Returns the number of vertices, `camera_px` as `scene_facts` has it, and `lamp_falloff`.
+    """
+    decoded = look.decoded
+    (folder / "object.ply").write_bytes(
+        heading(len(mesh.positions), len(mesh.triangles))
+        + vertices(mesh.positions, mesh.normals, mesh.texture)
+        + faces(mesh.triangles)
+    )
+    header = {f"nishiki.{name}": text for name, text in stamp.items()}
+    for name, values in parameters.items():
+        channels = "RGB" if values.shape[2] == 3 else "Y"
+        with ExrWriter(folder / f"{name}.exr", channels, *values.shape[:2], header) as exr:
+            exr.write(values)
+    for name, picture in look.surface().pictures().items():
+        (folder / f"{name}.png").write_bytes(png_bytes(picture))
+    facts, apart = scene_facts(decoded, mesh.positions, unit)
+    facts |= {"colour_scale": look.scale, "stamp": dict(stamp)}
+    (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
+    (folder / "nishiki_object.py").write_text(Path(mitsuba_object.__file__).read_text(encoding="utf-8"))
+    write_plain_scene(folder, look, facts)
+    falloffs = [falloff(decoded.lighting.lamp(camera), mesh.positions / unit) for camera in decoded.cameras]
+    return {"vertices": len(mesh.positions), "camera_px": apart, "lamp_falloff": max(falloffs)}
+
+
+def model_textures(decoded: DecodedObject, layout: TextureAtlas) -> dict[str, np.ndarray]:
+    """kd, ks (rows, columns, 3) and sigma (rows, columns, 1) of the decoded model, float32, gaps filled."""
+    stacked = np.zeros((*layout.shape, 7), np.float32)
+    known = np.zeros(layout.shape, bool)
+    for tile, (row, column) in enumerate(layout.origin):
+        kd, ks, sigma = decoded.residual.parameters(tile)
+        window = (slice(row, row + len(kd)), slice(column, column + len(kd)))
+        inside = decoded.surface.triangle[tile] >= 0
+        stacked[window][inside] = np.concatenate(
+            [three_channels(kd), three_channels(ks), np.asarray(sigma)[..., None]], axis=-1
+        )[inside]
+        known[window] |= inside
+    filled = np.maximum(np.nan_to_num(fill_gaps(stacked, known)), 0)
+    return {"kd": filled[..., :3], "ks": filled[..., 3:6], "sigma": filled[..., 6:]}
+
+
+def scene_facts(decoded: DecodedObject, positions: np.ndarray, unit: float) -> tuple[dict, float]:
+    """Cameras and lamps of every captured view, lengths times `unit`; the largest distance in pixels between what the
+    pinholes with square pixels show of `positions` and what the capture's cameras do."""
+    middle, views, apart = positions.mean(axis=0), {}, 0.0
+    points = positions / unit
+    for name, camera in zip(decoded.views, decoded.cameras, strict=True):
+        pinhole = nearest_pinhole(camera, points)
+        apart = max(apart, float(np.linalg.norm(pinhole.project(points)[0] - camera.project(points)[0], axis=1).max()))
+        lamps = {
+            light: lamp_facts(decoded.lighting.lamp(camera, number), middle, unit)
+            for number, light in enumerate(decoded.lights)
+        }
+        views[name] = {"camera": camera_facts(pinhole, positions, unit), "lamps": lamps}
+    return {"views": views}, apart
+
+
+def nearest_pinhole(camera: Camera, points: np.ndarray) -> Camera:
+    """The pinhole with square pixels at the camera's place that shows world points (n, 3) nearest to where the camera
+    has them (least squares of the distances in pixels); the camera itself where it is one.
+
+    Matrices without metric calibration, such as projective ones, have oblong pixels and an axis far off the picture.
+    """
+    k, middle = camera.intrinsics, np.array([camera.columns - 1, camera.rows - 1]) / 2
+    if not any(camera.distortion) and abs(k[0, 1]) + abs(k[0, 0] - k[1, 1]) < 1e-9 * k[0, 0]:
+        return camera
+    points = points[:: max(len(points) // FITTED_POINTS, 1)]
+    seen = camera.project(points)[0]
+    ahead = np.linalg.solve(k, [*middle, 1]) @ camera.rotation  # the first guess looks along the middle pixel
+    ahead /= np.linalg.norm(ahead)
+    right = camera.rotation[0] - ahead * (ahead @ camera.rotation[0])
+    right /= np.linalg.norm(right)
+    guess = np.stack([right, np.cross(ahead, right), ahead])
+
+    def pinhole(unknowns: np.ndarray) -> Camera:
+        rotation = Rotation.from_rotvec(unknowns[:3]).as_matrix() @ guess
+        focal, (column, row) = k[0, 0] * np.exp(unknowns[3]), middle + k[0, 0] * unknowns[4:]
+        square = np.array([[focal, 0, column], [0, focal, row], [0, 0, 1]])
+        return replace(
+            camera,
+            intrinsics=square,
+            rotation=rotation,
+            translation=-rotation @ camera.centre,
+            distortion=NO_DISTORTION,
+        )
+
+    found = least_squares(lambda unknowns: (pinhole(unknowns).project(points)[0] - seen).ravel(), np.zeros(6))
+    return pinhole(found.x)
+
+
+def camera_facts(camera: Camera, positions: np.ndarray, unit: float) -> dict:
+    """A pinhole as Mitsuba says it: camera to world with x to the left, y up and z ahead; `principal_offset`: of the
+    picture's middle from the optical axis, as shares of its width and height."""
+    k, centre = camera.intrinsics, camera.centre * unit
+    to_world = np.eye(4)
+    to_world[:3] = np.column_stack([-camera.rotation[0], -camera.rotation[1], camera.rotation[2], centre])
+    away = np.linalg.norm(positions - centre, axis=1)
+    return {
+        "to_world": to_world.tolist(),
+        "field_of_view_deg": float(2 * np.degrees(np.arctan(camera.columns / (2 * k[0, 0])))),
+        "principal_offset": [0.5 - (k[0, 2] + 0.5) / camera.columns, 0.5 - (k[1, 2] + 0.5) / camera.rows],
+        "rows": camera.rows,
+        "columns": camera.columns,
+        "near": float(0.1 * away.min()),
+        "far": float(10 * away.max()),
+    }
+
+
+def lamp_facts(lamp: Lamp, middle: np.ndarray, unit: float) -> dict:
+    """A lamp as scene.json says it. `distance` of a near one: at which a white that faces it shows 1; where it shows
+    that at any distance (`falloff` false), that of the object's middle (3,), metres. Surroundings of unknown lamps are
+    even light of their mean strength."""
+    if lamp.form == POINT:
+        position, known = np.asarray(lamp.vector, np.float64) * unit, lamp.reference > 0
+        distance = lamp.reference * unit if known else float(np.linalg.norm(position - middle))
+        return {"kind": "point", "position": position.tolist(), "distance": distance, "falloff": known}
+    if lamp.form == DISTANT:
+        return {"kind": "directional", "direction": (-np.asarray(lamp.vector, np.float64)).tolist()}
+    mean = np.maximum(three_channels(lamp.harmonics[:1])[0], 0)
+    return {"kind": "around", "radiance": mean.astype(float).tolist()}
+
+
+def falling(lamp: Lamp, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """(n,) by how much a near lamp whose distance does not count in the capture is stronger at points (n, 3) for a
+    renderer, where it always counts; it is right at the object's middle (3,)."""
+    if lamp.form != POINT or lamp.reference > 0:
+        return np.ones(len(points))
+    distance = np.linalg.norm(points - lamp.vector, axis=1)
+    return (np.linalg.norm(middle - lamp.vector) / distance) ** 2
+
+
+def falloff(lamp: Lamp, points: np.ndarray) -> float:
+    """Largest share by which such a lamp is stronger or weaker at points (n, 3)."""
+    return float(np.abs(falling(lamp, points, points.mean(axis=0)) - 1).max())
+
+
+def write_plain_scene(folder: Path, look: ObjectLook, facts: dict) -> None:
+    """scene.xml with the material `principled`, and camera and lamp of every view and light in the folder views."""
+    material = principled.material(
+        principled.texture("colour.png", raw=False),
+        principled.texture("roughness.png"),
+        look.normal_reflectance,
+        principled.texture("specular.png"),
+    )
+    objects = {
+        "integrator": {"type": "path", "max_depth": Parameter("max_depth", "integer"), "hide_emitters": True},
+        "object": {"type": "ply", "filename": "object.ply", "material": material},
+    }
+    defaults = {"view": "0", "light": "0", "max_depth": 2, "samples": 16}
+    names = ", ".join(f"{number}: {name}" for number, name in enumerate(facts["views"]))
+    write_scene(
+        folder / "scene.xml", objects, defaults=defaults, include="views/$view-$light.xml", remark=f"views: {names}"
+    )
+    (folder / "views").mkdir()
+    for number, view in enumerate(facts["views"].values()):
+        camera = view["camera"]
+        sensor = {
+            **{"type": "perspective", "fov": camera["field_of_view_deg"], "fov_axis": "x"},
+            "principal_point_offset_x": camera["principal_offset"][0],
+            "principal_point_offset_y": camera["principal_offset"][1],
+            **{"to_world": camera["to_world"], "near_clip": camera["near"], "far_clip": camera["far"]},
+            **principled.film(camera["columns"], camera["rows"]),
+        }
+        for light, lamp in enumerate(view["lamps"].values()):
+            emitter = mitsuba_object.lamp_of(lamp, scale=look.scale, plain=True)
+            write_scene(folder / f"views/{number}-{light}.xml", {"sensor": sensor, "lamp": emitter})
+
+
+def errors(
+    context: Context, look: ObjectLook, parameters: dict[str, np.ndarray], middle: np.ndarray
+) -> dict[str, dict]:
+    """PSNR against photographs of the reflection model and of principled, both with the colours of all photographs;
+    middle (3,): of the object in the cameras' world."""
+    colour = decode(look.colour / 255, "srgb")
+    model = np.concatenate([colour * look.scale, parameters["ks"], parameters["sigma"]], axis=-1)
+
+    def by_model(points: SeenPoints) -> np.ndarray:
+        kd, ks, sigma = np.split(sample(model, points.places), [3, 6], axis=1)
+        return sum(predict(kd, ks, sigma[:, 0], points.positions, points.normals, points.centre, points.lamp))
+
+    found = {"model": by_model, "principled": by_principled(look, middle)}
+    return against_photographs(context, look, found)
+
+
+def by_principled(look: ObjectLook, middle: np.ndarray) -> Shown:
+    """What scene.xml shows of seen points; middle (3,): of the object in the cameras' world."""
+    weights = np.stack([look.roughness, look.specular], axis=-1) / 255
+    stored = np.concatenate([decode(look.colour / 255, "srgb"), weights], axis=-1)
+
+    def shown(points: SeenPoints) -> np.ndarray:
+        texels = sample(stored, points.places)
+        irradiance, strength = points.factors()
+        cosines = points.cosines()
+        body, gloss = principled.shown(texels[:, :3], texels[:, 3], look.normal_reflectance, texels[:, 4], cosines)
+        lit = look.scale * (body * irradiance + (gloss * cosines[1] * strength)[:, None])
+        return lit * falling(points.lamp, points.positions, middle)[:, None]
+
+    return shown

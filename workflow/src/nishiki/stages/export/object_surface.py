@@ -1,0 +1,177 @@
+"""The surface of an object for formats of scenes, and what a viewer shows of it against the photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.texels.lighting import POINT, Lamp
+from nishiki.brdf.texels.model import factors
+from nishiki.brdf.trowbridge_reitz import isotropic_lobe
+from nishiki.colour.encoding import decode, encode
+from nishiki.evaluate.object_photographs import Photographs
+from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
+from nishiki.geometry.raster import rasterise
+from nishiki.render.display import three_channels
+from nishiki.stages.export.object_look import ObjectLook, object_look, object_mesh, sample, unit_of
+from nishiki.stages.export.photographs import CodedErrors
+from nishiki.stages.export.registry import ExportedSurface
+
+
+@dataclass(frozen=True)
+class SeenPoints:
+    """Surface points behind the covered pixels of a captured view, under its first light.
+
+    Attributes
+    ----------
+    positions, normals : (n, 3) float64 ndarray
+        Of the points, in the cameras' world; normals of unit length.
+    places : (n, 2) float64 ndarray
+        Row and column in the textures, in texels.
+    centre : (3,) float64 ndarray
+        The camera's place.
+    lamp : Lamp
+        The light.
+    covered : (rows, columns) bool ndarray
+        The pixels, in whose order the points come.
+    """
+
+    positions: np.ndarray
+    normals: np.ndarray
+    places: np.ndarray
+    centre: np.ndarray
+    lamp: Lamp
+    covered: np.ndarray
+
+    @classmethod
+    def of(cls, look: ObjectLook, view: int) -> SeenPoints:
+        """Of the triangles that have a place in the textures."""
+        decoded, layout = look.decoded, look.layout
+        camera, mesh = decoded.cameras[view], decoded.mesh
+        raster = rasterise(mesh, camera)
+        covered = raster.triangle >= 0
+        covered[covered] = layout.placed[raster.triangle[covered]]
+        triangle, shares = raster.triangle[covered], raster.barycentric[covered].astype(np.float64)
+        shares = np.column_stack([shares, 1 - shares.sum(axis=1)])[..., None]
+        positions = np.sum(mesh.vertices[mesh.triangles[triangle]] * shares, axis=1)
+        normals = np.sum(mesh.normals[mesh.triangles[triangle]] * shares, axis=1)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        places = np.sum(layout.corners[triangle] * shares, axis=1)
+        return cls(positions, normals, places, camera.centre, decoded.lighting.lamp(camera, 0), covered)
+
+    def factors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Irradiance (n, 3) and strength of the lamp in the gloss (n,), as `nishiki.brdf.texels.model` has them."""
+        irradiance, angles = factors(self.positions, self.normals, self.centre, self.lamp, 3)
+        return irradiance, angles[:, 0]
+
+    def cosines(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """(n,) of the normal with half vector, light and view, at least 0, and of view with half vector."""
+        light, towards = direction_to(self.lamp, self.positions), self.centre - self.positions
+        towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+        half = light + towards
+        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+        cos_phi, cos_i, cos_r = (np.maximum(np.sum(self.normals * each, axis=1), 0) for each in (half, light, towards))
+        return cos_phi, cos_i, cos_r, np.sum(half * towards, axis=1)
+
+
+Shown = Callable[[SeenPoints], np.ndarray]
+"""Linear values (n, 3) that a program shows of seen points."""
+
+
+def errors(context: Context, look: ObjectLook, formats: Sequence[str]) -> dict[str, dict[str, dict[str, float]]]:
+    """PSNR of the stored textures against photographs, as some of `gltf`, `usd` and `materialx` take them."""
+    asked = {name: shown_in(look, name) for name in formats}
+    return against_photographs(context, look, asked)
+
+
+def shown_in(look: ObjectLook, name: str) -> Shown:
+    """What a viewer shows of one of the formats `gltf`, `usd` and `materialx`, light and view without cast shadows."""
+    said = look.of_one_strength() if name == "usd" else look
+    alpha, strength = (said.roughness / 255) ** 2, said.specular / 255
+    stored = np.concatenate([decode(look.colour / 255, "srgb"), alpha[..., None], strength[..., None]], axis=-1)
+
+    def shown(points: SeenPoints) -> np.ndarray:
+        texels = sample(stored, points.places)
+        return look.scale * viewer_light(look, points, texels, white_at_grazing=name != "gltf")
+
+    return shown
+
+
+def against_photographs(
+    context: Context, look: ObjectLook, asked: Mapping[str, Shown]
+) -> dict[str, dict[str, dict[str, float]]]:
+    """PSNR of linear values that several programs show of seen points, in the capture's encoding: of left-out views
+    (`check`) and some others (`fitted`). Photographs are read once for all."""
+    decoded, settings, count = look.decoded, context.settings, len(look.decoded.views)
+    left_out = decoded.numbers(settings.hold_out)
+    seen = [view for view in range(count) if view not in left_out]
+    spread = [seen[k * len(seen) // settings.views] for k in range(min(settings.views, len(seen)))]
+    photographs = Photographs(context.inputs)
+    result: dict[str, dict[str, dict[str, float]]] = {name: {} for name in asked}
+    for group, views in (("fitted", spread), ("check", sorted(left_out))):
+        if not views:
+            continue
+        found = {name: CodedErrors(len(views)) for name in asked}
+        for number, view in enumerate(views):
+            linear, valid = photographs.read(view, 0)
+            points = SeenPoints.of(look, view)
+            compared = encode(three_channels(linear)[points.covered], decoded.encoding)
+            for name, shown in asked.items():
+                found[name].add(number, encode(shown(points), decoded.encoding), compared, valid[points.covered])
+        for name, each in found.items():
+            result[name][group] = each.decibels()
+    return result
+
+
+def viewer_light(look: ObjectLook, points: SeenPoints, texels: np.ndarray, *, white_at_grazing: bool) -> np.ndarray:
+    """(n, 3) what a viewer shows; texels (n, 5): base colour, alpha and share of the reflectance at the points."""
+    irradiance, strength = points.factors()
+    cos_phi, cos_i, cos_r, cos_q = points.cosines()
+    normal = texels[:, 4] * look.normal_reflectance
+    grazing = 1.0 if white_at_grazing else texels[:, 4]
+    reflected = normal + (grazing - normal) * (1 - cos_q) ** 5
+    gloss = np.pi * reflected * isotropic_lobe(cos_phi, cos_i, cos_r, texels[:, 3]) * cos_i * strength
+    return (1 - reflected[:, None]) * texels[:, :3] * irradiance + gloss[:, None]
+
+
+def direction_to(lamp: Lamp, positions: np.ndarray) -> np.ndarray:
+    """(n, 3) unit vectors to a lamp; 0 for surroundings without a highlight."""
+    vectors = lamp.vector - positions if lamp.form == POINT else np.broadcast_to(lamp.vector, positions.shape)
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
+
+
+class ObjectSurface(ExportedSurface):
+    """What formats of scenes have in common."""
+
+    stem = "object"
+
+    @cached_property
+    def look(self) -> ObjectLook:
+        """Textures."""
+        return object_look(self.context)
+
+    @cached_property
+    def mesh(self) -> TexturedMesh:
+        """In metres where its unit is known."""
+        return object_mesh(self.context, self.look)
+
+    @property
+    def unit(self) -> str:
+        """What a length of 1 in a file means."""
+        return unit_of(self.context)
+
+    def look_of(self, name: str) -> SurfaceLook:
+        """Textures and material as a format takes them; the gloss has one strength in USD."""
+        return (self.look.of_one_strength() if name == "usd" else self.look).surface()
+
+    def losses(self, name: str) -> dict:
+        """What the diagnostics say of a format, its files left out."""
+        return {**self.look.figures(), "kinds": {name: {"psnr_db": self._errors[name]}}}
+
+    @cached_property
+    def _errors(self) -> dict[str, dict[str, dict[str, float]]]:
+        return errors(self.context, self.look, self.formats)

@@ -1,0 +1,64 @@
+"""The formats that a scene is exported to: how each is written, and the two that paintings and objects share."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from nishiki.artifacts.stage import Context
+from nishiki.formats.materialx import write_materialx
+from nishiki.formats.usd import write_usdz
+
+
+def write_formats(context: Context, writers: Mapping[str, Callable[[], dict[str, Any]]]) -> dict[str, Any]:
+    """Write every format that the settings name.
+
+    Parameters
+    ----------
+    writers : mapping of str to callable
+        The registry of a kind of scene: each entry writes one format and returns its `files` and what it loses.
+
+    Returns
+    -------
+    dict: `losses`, what every writer returned; `bytes`, the size of every file.
+    """
+    losses = {name: writers[name]() for name in context.progress.over(context.settings.formats, "format")}
+    sizes = {file: context.output.path(file).stat().st_size for each in losses.values() for file in each["files"]}
+    return {"losses": losses, "bytes": sizes}
+
+
+def software(context: Context) -> str:
+    """Return the program and its version."""
+    return f"Nishiki {context.stamp['version']}"
+
+
+class ExportedSurface:
+    """Mesh, look and errors, each made when the first format asks for it.
+
+    A kind of surface has the attributes stem (name of its files), mesh (`TexturedMesh`, in metres where its unit is
+    known) and unit (what a length of 1 in a file means), and the methods look_of(format), which returns the
+    `SurfaceLook` that a format can hold, and losses(format), what the diagnostics say of it besides its files.
+    """
+
+    stem: str
+
+    def __init__(self, context: Context):
+        self.context = context
+
+    @property
+    def formats(self) -> list[str]:
+        """Formats of this look that are asked for."""
+        return [name for name in ("gltf", "usd", "materialx") if name in self.context.settings.formats]
+
+
+def write_usd(context: Context, surface: ExportedSurface) -> dict:
+    """Write mesh and UsdPreviewSurface as a package of OpenUSD; return the error of its material."""
+    mesh, file = surface.mesh, f"exports/{surface.stem}.usdz"
+    facts = {**context.stamp, "unit": surface.unit}
+    write_usdz(context.output.path(file), mesh, surface.look_of("usd"), name=context.stamp["scene"], facts=facts)
+    return {"files": [file], "vertices": len(mesh.positions), "faces": len(mesh.triangles), **surface.losses("usd")}
+
+
+def write_mtlx(context: Context, surface: ExportedSurface) -> dict:
+    """Write an OpenPBR material in a MaterialX document, for the meshes of `gltf` and `usd`; return its error."""
+    path = context.output.path(f"exports/materialx/{surface.stem}.mtlx")
+    files = write_materialx(path, surface.look_of("materialx"), facts=context.stamp)
+    return {"files": [f"exports/materialx/{name}" for name in files], **surface.losses("materialx")}

@@ -1,0 +1,242 @@
+"""A painting for renderers: a scene of Mitsuba 3, also without Python, and tables of the MERL database.
+
+The light of `principled` for base colour c, roughness r (alpha = r^2) and index n in Mitsuba 3.9 (checked numerically):
+
+    value = (1 - w) c i + w (c i B + pi F D V i)         i, o: cosines of light and view with the normal
+    B = (1 - L / 2) (1 - S / 2) + R (L + S + L S (R - 1)),    L = (1 - i)^5, S = (1 - o)^5, R = 2 r q^2
+    F: exact reflectance of a dielectric at q, the cosine of view and half vector; D V: Trowbridge-Reitz, light and view
+    masked separately; B: B. Burley, Physically-based shading at Disney (2012)
+
+w is the weight of a `blendbsdf` of diffuse and principled, which lets a texture say the strength of the gloss: a
+principled has one index. The gloss takes no light from the body. `specular` s says n by ((n - 1) / (n + 1))^2 =
+0.08 s. Its clearcoat is not used: its widest lobe has alpha 0.1, and its strength is a quarter of a 4 % reflectance.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.body_shading import body_factor, transmittance
+from nishiki.brdf.parameters import gloss_table
+from nishiki.brdf.torrance_sparrow import specular
+from nishiki.brdf.trowbridge_reitz import isotropic_lobe
+from nishiki.formats.exr_bands import ExrWriter
+from nishiki.formats.merl import MERL_HIDDEN, merl_bytes, merl_directions
+from nishiki.formats.mitsuba_xml import Parameter
+from nishiki.formats.textured_ply import faces, heading, vertices
+from nishiki.formats.textured_surface import index_of
+from nishiki.observations.plane import Observations
+from nishiki.report.files import read_json
+from nishiki.stages.export import mitsuba_paint
+from nishiki.stages.export.gloss import region_materials, slopes_widen
+from nishiki.stages.export.scene import ExportedScene, reliefs
+
+
+def texture(file: str, *, raw: bool = True) -> dict[str, Any]:
+    """A picture of values (raw) or of sRGB colours, as Mitsuba's dictionary."""
+    return {"type": "bitmap", "filename": file, "raw": raw, "wrap_mode": "clamp"}
+
+
+def material(
+    colour: dict[str, Any], roughness: float | dict[str, Any], reflectance: float, weight: float | dict[str, Any]
+) -> dict[str, Any]:
+    """As Mitsuba's dictionary; reflectance: along the normal where the weight is 1; weight, roughness: or textures."""
+    gloss = {"type": "principled", "base_color": colour, "roughness": roughness, "eta": index_of(reflectance)}
+    body = {"type": "diffuse", "reflectance": colour}
+    if not isinstance(weight, dict) and not 0 < weight < 1:
+        return gloss if weight >= 1 else body
+    return {"type": "blendbsdf", "weight": weight, "without": body, "with": gloss}
+
+
+def film(columns: int, rows: int) -> dict[str, Any]:
+    """Film and sampler of a sensor; the parameter `samples` is the samples of a pixel."""
+    return {
+        "film": {
+            **{"type": "hdrfilm", "width": columns, "height": rows, "rfilter": {"type": "box"}},
+            **{"component_format": "float32", "pixel_format": "rgb"},
+        },
+        "sampler": {"type": "independent", "sample_count": Parameter("samples", "integer")},
+    }
+
+
+def shown(
+    colour: np.ndarray,
+    roughness: np.ndarray | float,
+    reflectance: float,
+    weight: np.ndarray | float,
+    cosines: tuple[np.ndarray, ...],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Body (n, 3) and gloss (n,) of points, each to be multiplied by the irradiance of a white there.
+
+    colour : (n, 3); roughness, weight : (n,) or numbers; reflectance : along the normal where the weight is 1; cosines
+    : (n,) each, of the normal with half vector, light and view, and of view with half vector.
+    """
+    cos_phi, cos_i, cos_r, cos_q = cosines
+    alpha = np.maximum(np.square(roughness), 1e-3)  # as Mitsuba bounds it
+    light, view = ((1 - each) ** 5 for each in (cos_i, cos_r))
+    back = 2 * roughness * cos_q**2
+    burley = (1 - light / 2) * (1 - view / 2) + back * (light + view + light * view * (back - 1))
+    gloss = np.pi * dielectric(cos_q, index_of(reflectance)) * isotropic_lobe(cos_phi, cos_i, cos_r, alpha)
+    return colour * (1 - weight + weight * burley)[..., None], weight * gloss
+
+
+def dielectric(cosine: np.ndarray, index: float) -> np.ndarray:
+    """Exact reflectance of unpolarised light at a cosine, 0 to 1."""
+    inside = np.sqrt(np.maximum(1 - (1 - np.square(cosine)) / index**2, 0))
+    across = (cosine - index * inside) / (cosine + index * inside)
+    along = (index * cosine - inside) / (index * cosine + inside)
+    return (across**2 + along**2) / 2
+
+
+UP = np.array([0.0, 0.0, 1.0])
+Texture = Callable[[slice], np.ndarray]
+"""Some rows of a texture, of the picture's columns."""
+
+
+def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
+    """The folder `mitsuba`; what of the model it leaves out."""
+    folder = context.output.path("exports/mitsuba/scene.json").parent
+    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
+    regions = len(region_materials(context, scene)) > 1
+    textures = model_textures(scene, facets=slopes_widen(context), regions=regions)
+    header = {f"nishiki.{name}": text for name, text in context.stamp.items()}
+    for name, read in textures.items():
+        channels = "Y" if name == "regions" else "RGB"
+        with ExrWriter(folder / f"{name}.exr", channels, *scene.shape, header) as exr:
+            for rows in scene.bands():
+                exr.write(read(rows).reshape(-1, scene.shape[1], len(channels)))
+    count = write_relief(folder, context, scene)
+    facts = {
+        "rows": scene.shape[0],
+        "columns": scene.shape[1],
+        "width": scene.shape[1] * scene.pitch,
+        "height": scene.shape[0] * scene.pitch,
+        "unit": scene.unit,
+        "textures": list(textures),
+        "shadows": not scene.has_directional_shading,
+        "gloss": gloss_facts(parameters),
+        "stamp": dict(context.stamp),
+    }
+    (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
+    (folder / "nishiki_paint.py").write_text(Path(mitsuba_paint.__file__).read_text(encoding="utf-8"))
+    clipped = sum(int(np.count_nonzero(scene.srgb(rows) < 0)) for rows in scene.bands())
+    names = ("scene.json", "nishiki_paint.py", "relief.ply", "flat.ply", *(f"{name}.exr" for name in textures))
+    return {
+        "files": [f"exports/mitsuba/{name}" for name in names],
+        "vertices": count,
+        "clipped": clipped / (3 * scene.shape[0] * scene.shape[1]),
+    }
+
+
+def model_textures(scene: ExportedScene, *, facets: bool, regions: bool) -> dict[str, Texture]:
+    """What `nishiki_paint.py` reads, by name; facets: slopes widen the gloss; regions: there are several."""
+    textures: dict[str, Texture] = {
+        "albedo": scene.srgb,
+        "normals": scene.shading_normals,
+        "shading": scene.shading,
+    }
+    if scene.has_directional_shading:
+        textures["directional"] = lambda rows: np.pad(scene.directional_terms(rows), ((0, 0), (0, 0), (0, 1)))
+    if facets:
+        textures["slopes"] = scene.slopes
+    if regions:
+        textures["regions"] = scene.regions
+    return textures
+
+
+def gloss_facts(parameters: dict | None) -> dict:
+    """Lobes of each region, and the losses of the body's light at the surface."""
+    beta, gamma, index, transmission = gloss_table(parameters)
+    names = ("beta", "gamma", "index")
+    regions = [
+        dict(zip(names, each, strict=True)) for each in zip(beta.tolist(), gamma.tolist(), index.tolist(), strict=True)
+    ]
+    return {"regions": regions, "transmission": transmission}
+
+
+def write_relief(folder: Path, context: Context, scene: ExportedScene) -> int:
+    """relief.ply, the displaced plane with the place of each vertex in the textures, and flat.ply; its vertices.
+
+    Their normals are those of the plane: the model takes those of the faces.
+    """
+    most = context.settings.mesh_vertices
+    counts = np.sum([(len(band.places), len(band.triangles)) for band in reliefs(scene, most, colours=None)], axis=0)
+    with open(folder / "relief.ply", "wb") as file:
+        file.write(heading(*counts))
+        for band in reliefs(scene, most, colours=None):
+            file.write(vertices(band.places, np.broadcast_to(UP, band.places.shape), band.texture))
+        for band in reliefs(scene, most, colours=None):
+            file.write(faces(band.triangles))
+    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], float)
+    size = np.array([scene.shape[1], scene.shape[0]]) * scene.pitch
+    places = np.column_stack([(corners - 0.5) * size * [1, -1], np.zeros(4)])
+    flat = heading(4, 2) + vertices(places, np.tile(UP, (4, 1)), corners) + faces(np.array([[0, 2, 1], [1, 2, 3]]))
+    (folder / "flat.ply").write_bytes(flat)
+    return int(counts[0])
+
+
+def write_merl(context: Context, scene: ExportedScene) -> dict:
+    """A table a region: its lobes, and the mean of its body colour and body shading."""
+    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
+    beta, gamma, index, transmission = gloss_table(parameters)
+    labels = Observations(context.inputs["ingest"].folder).regions if len(index) > 1 else None
+    light, view = merl_directions()
+    files, spreads = [], []
+    for region in range(len(index)):
+        colour, shading, spread = mean_body(scene, labels, region)
+        if colour is None:
+            continue
+        brdf = brdf_of(light, view, colour, shading, beta[region], gamma[region], index[region], transmission)
+        file = f"exports/merl/region-{region}.binary"
+        context.output.path(file).write_bytes(merl_bytes(brdf))
+        files.append(file)
+        spreads.append(spread)
+    return {"files": files, "colour_spread": spreads}
+
+
+def mean_body(
+    scene: ExportedScene, labels: np.ndarray | None, region: int
+) -> tuple[np.ndarray | None, np.ndarray, float]:
+    """Mean linear sRGB (3,) and terms of the body shading (3,) of a region, and the spread of its colour.
+
+    The spread is the root mean square distance from the mean, relative to it. None where no pixel has an estimate.
+    """
+    count, colours, squares, shadings = 0, np.zeros(3), np.zeros(3), np.zeros(3)
+    for rows in scene.bands():
+        chosen = scene.known(rows)
+        if labels is not None:
+            chosen &= labels[rows] == region
+        colour = scene.srgb(rows)[chosen].astype(np.float64)
+        count += len(colour)
+        colours += colour.sum(axis=0)
+        squares += (colour**2).sum(axis=0)
+        shadings += scene.shading(rows)[chosen].sum(axis=0, dtype=np.float64)
+    if not count:
+        return None, shadings, 0.0
+    mean = colours / count
+    spread = np.sqrt(max(float((squares / count - mean**2).sum()), 0.0)) / max(float(np.linalg.norm(mean)), 1e-9)
+    return mean, shadings / count, float(spread)
+
+
+def brdf_of(light, view, colour, shading, beta, gamma, index, transmission) -> np.ndarray:
+    """The BRDF (..., 3) per steradian; `MERL_HIDDEN` where light or view is below the surface.
+
+    light, view (..., 3): unit vectors; colour (3,), shading (3,): of the body; beta, gamma (lobes,); index: of
+    refraction; transmission: share of the surface's loss that the body's light suffers.
+    """
+    normal = np.array([0.0, 0.0, 1.0])
+    towards_light, towards_view = light[..., 2], view[..., 2]
+    middle = light + view
+    along = middle[..., 2] / np.linalg.norm(middle, axis=-1)
+    seen = (towards_light > 0) & (towards_view > 0)
+    passed = [1 + transmission * (transmittance(cosine, index) - 1) for cosine in (towards_light, towards_view)]
+    body = passed[0] * passed[1] * body_factor(shading, np.maximum(towards_light, 0), np.maximum(along, 0))
+    gloss = sum(
+        specular(normal, light, view, beta=b, gamma=g, refractive_index=index) for b, g in zip(beta, gamma, strict=True)
+    )
+    values = (body[..., None] * colour + (gloss / np.maximum(towards_light, 1e-9))[..., None]) / np.pi
+    return np.where(seen[..., None], values, MERL_HIDDEN)

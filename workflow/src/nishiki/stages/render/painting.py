@@ -1,0 +1,263 @@
+"""Render: pictures and moving pictures of the object under any light and from any view."""
+
+import dataclasses
+import json
+from collections.abc import Iterable
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.parameters import gloss_table, is_facets
+from nishiki.brdf.slopes import slope_covariance
+from nishiki.capture.spectra_tables import read_curves
+from nishiki.colour.colour import illuminant as cie_illuminant
+from nishiki.colour.sampling import resample
+from nishiki.evaluate.camera_colour import displayed_colours
+from nishiki.photometric.flags import NO_ESTIMATE
+from nishiki.render.display import adapted_exposure, display_image
+from nishiki.render.output import VideoWritten, write_exr, write_normals_exr, write_normals_png, write_png, write_video
+from nishiki.render.plane.flags import UNUSABLE
+from nishiki.render.plane.frame import Rendering, render
+from nishiki.render.plane.scene import Ambient, Gloss, Light, PlaneScene, View
+from nishiki.render.sequence import circle_of_directions, light_sequence, moved_lights, orbit, view_sequence
+from nishiki.stages.render import LightSettings, PictureSettings, RenderSettings, SequenceSettings, ViewSettings
+
+AMBIENT = 0.05  # of films
+
+
+def run(context: Context) -> dict:
+    """Make every picture and sequence that the settings name."""
+    settings = context.settings
+    scene = load_scene(context.inputs, cast_shadows=settings.cast_shadows)
+    lights = [light for picture in settings.pictures for light in picture.lights]
+    spectra = {name: spectrum(name) for name in {item.illuminant for item in (*lights, *settings.sequences)}}
+    pictures, notes = {}, []
+    for picture in context.progress.over(settings.pictures, "picture"):
+        made = paint(scene, picture, spectra, settings)
+        pictures[picture.name] = save(context, picture, made)
+    for sequence in settings.sequences:
+        written, exposure = film(context, scene, sequence, spectra)
+        pictures[sequence.name] = {"frames": written.frames, "file": written.path.name, "exposure": exposure}
+        notes += [written.note] if written.note else []
+    if settings.export_normals:
+        maps = Maps(context.inputs["normals"].folder)
+        known = (maps.read("flags") & NO_ESTIMATE) == 0
+        normals = np.where(known[..., None], maps.read("normals"), np.float32(0))
+        write_normals_png(context.output.path("normals.png"), normals, stamp=context.stamp)
+        write_normals_exr(context.output.path("normals.exr"), normals, stamp=context.stamp)
+    return {
+        "pictures": pictures,
+        "notes": notes,
+        "spectral": scene.basis is not None,
+        "cast_shadows": scene.height is not None,
+    }
+
+
+def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool) -> PlaneScene:
+    """The maps of the upstream artifacts; spectra where there are some, camera channels otherwise."""
+    maps = Maps(inputs["normals"].folder)
+    known = (maps.read("flags") & NO_ESTIMATE) == 0
+    normals = np.where(known[..., None], shading_normals(maps), np.float32(0))
+    fields = {"normals": normals, "pitch": maps.group.attrs.get("pixel_pitch_mm") or 1.0, **colours(inputs, maps)}
+    if "shading" in maps:
+        fields["shading"] = maps.read("shading")
+    if "height" in inputs and cast_shadows and not directional_shading(maps):
+        fields["height"] = Maps(inputs["height"].folder).read("height")
+    if "brdf" in inputs:
+        parameters = json.loads(inputs["brdf"].path("parameters.json").read_text())
+        fields["gloss"] = Gloss(*gloss_table(parameters))
+        if is_facets(parameters):
+            fields["slopes"] = slope_covariance(normals)
+        if inputs["brdf"].path("maps.zarr").is_dir():
+            fields["labels"] = Maps(inputs["brdf"].folder).read("labels").astype(np.uint8)
+    return PlaneScene(**fields)
+
+
+def colours(inputs: dict[str, Artifact], maps: Maps) -> dict[str, np.ndarray]:
+    """Diffuse colour: spectral coefficients and their basis, else camera channels as linear sRGB, or grey."""
+    if "spectra" in inputs:
+        spectra = Maps(inputs["spectra"].folder)
+        basis = np.array(spectra.attributes("coefficients")["basis"])
+        return {"coefficients": spectra.read("coefficients"), "basis": basis}
+    return {"coefficients": displayed_colours(maps.read("reflectance"), maps.group.attrs.get("to_srgb"))}
+
+
+def spectrum(name: str) -> np.ndarray:
+    """(61,) power of a CIE illuminant, or of a table (wavelength_nm, power)."""
+    if not name.lower().endswith(".csv"):
+        return cie_illuminant(name)
+    curves = read_curves(Path(name), label=name)
+    return resample(curves.wavelengths_nm, curves.values.T, name=name)[0]
+
+
+def paint(
+    scene: PlaneScene, picture: PictureSettings, spectra: dict[str, np.ndarray], settings: RenderSettings
+) -> Rendering:
+    """One picture in linear XYZ."""
+    lights = [distant_lamp(light, spectra[light.illuminant]) for light in picture.lights]
+    view = view_of(picture.view, scene)
+    ambient = Ambient(spectrum=lights[0].spectrum, level=picture.ambient) if lights else Ambient(level=picture.ambient)
+    return render(scene, lights, view, ambient=ambient, minimum_samples=settings.supersampling)
+
+
+def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:
+    """Linear EXR and 8-bit sRGB PNG; what the PNG clipped and what was flagged."""
+    coverage = None if picture.view.kind == "frontal" else made.coverage
+    write_exr(context.output.path(f"{picture.name}.exr"), made.xyz, stamp=context.stamp, coverage=coverage)
+    exposure = picture.exposure
+    if exposure == "auto":
+        sheet = white_sheet(picture.lights, picture.ambient)
+        exposure = adapted_exposure(made.xyz, seen=seen(made), sheet=sheet)
+    shown = display_image(made.xyz, white=made.white_xyz, exposure=exposure)
+    write_png(context.output.path(f"{picture.name}.png"), shown.pixels, stamp=context.stamp)
+    return {
+        "exposure": exposure,
+        "clipped_fraction": float(shown.clipped_high),
+        "flagged_pixels": int(np.count_nonzero(made.flags & UNUSABLE)),
+    }
+
+
+def seen(made: Rendering) -> np.ndarray:
+    """Pixels (rows, columns) of the picture that show the object."""
+    return (made.coverage > 0.5) & ((made.flags & UNUSABLE) == 0)
+
+
+def film(
+    context: Context, scene: PlaneScene, sequence: SequenceSettings, spectra: dict[str, np.ndarray]
+) -> tuple[VideoWritten, float]:
+    """A moving light or a moving view as video, and its exposure."""
+    view = film_view(sequence, scene)
+    lamp = LightSettings(elevation_deg=sequence.elevation_deg)
+    light = distant_lamp(lamp, spectra[sequence.illuminant])
+    ambient = Ambient(spectrum=light.spectrum, level=AMBIENT)
+    if sequence.moves == "light":
+        directions = circle_of_directions(sequence.frames, elevation=np.radians(sequence.elevation_deg))
+        frames = light_sequence(scene, moved_lights(light, directions), view, ambient=ambient)
+    else:
+        views = orbit(view, sequence.frames, sweep=np.radians(30))
+        frames = view_sequence(scene, [light], views, ambient=ambient)
+    first = next(frames)  # sets the exposure of all, so that the film does not flicker
+    sheet = white_sheet([lamp], AMBIENT)
+    exposure = adapted_exposure(first.xyz, seen=seen(first), sheet=sheet)
+    frames = chain([first], frames)
+    pictures = (
+        display_image(frame.xyz, white=frame.white_xyz, exposure=exposure).pixels
+        for frame in context.progress.through(frames, sequence.frames, f"{sequence.name}: frame")
+    )
+    written = write_video(
+        context.output.path(f"{sequence.name}.mp4"),
+        pictures,
+        frames_per_second=sequence.frames_per_second,
+        stamp=context.stamp,
+    )
+    return written, exposure
+
+
+LAMP_RADIUS_RAD = np.radians(0.75)
+"""Radius of a distant_lamp as the object sees it: the soft edge of cast shadows."""
+FIELD_OF_VIEW_MARGIN = 1.05
+CENTRING_STEPS = 8  # of the camera's target; the middle of the object converges in a few
+NEAREST = 1e-3  # depth of points beside or behind the eye, in lengths of the object
+LONGER_SIDE, SHORTEST_SIDE = 1024, 16  # pixels of a picture whose size the settings leave open
+
+
+def direction(elevation_deg: float, azimuth_deg: float) -> np.ndarray:
+    """Unit vector (3,) at an elevation above the object's plane, azimuth from x (right) towards y (up)."""
+    elevation, azimuth = np.radians([elevation_deg, azimuth_deg])
+    return np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+
+
+def distant_lamp(settings: LightSettings, spectrum: np.ndarray) -> Light:
+    """A distant distant_lamp; spectrum (61,)."""
+    towards = direction(settings.elevation_deg, settings.azimuth_deg)
+    return Light(
+        direction=tuple(towards), spectrum=spectrum, intensity=settings.intensity, angular_radius=LAMP_RADIUS_RAD
+    )
+
+
+def view_of(settings: ViewSettings, scene: PlaneScene) -> View:
+    """The frontal view pixel by pixel, or a pinhole camera whose picture the object fills.
+
+    The object is where the maps have normals: a small one in a large frame is framed as if it were alone. Where the
+    settings leave a side of the picture open, the picture has the proportions of the object as the eye sees it.
+    """
+    if settings.kind == "frontal":
+        return View()
+    edge = outline(scene)
+    low, high = edge.min(axis=0), edge.max(axis=0)
+    towards = direction(settings.elevation_deg, settings.azimuth_deg)
+    up = (0.0, 1.0, 0.0) if abs(towards[1]) < 0.999 else (0.0, 0.0, 1.0)
+    forward = -towards
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    above = np.cross(right, forward)
+    target, length = (low + high) / 2, float((high - low).max())
+    for _ in range(CENTRING_STEPS):
+        eye = target + settings.distance * length * towards
+        rays = edge - eye
+        depth = np.maximum(rays @ forward, NEAREST * length)
+        x, y = rays @ right / depth, rays @ above / depth
+        middle = forward + right * (x.min() + x.max()) / 2 + above * (y.min() + y.max()) / 2
+        if not middle[2] < 0:  # the horizon is in the picture
+            break
+        target = eye - middle * eye[2] / middle[2]
+    eye = target + settings.distance * length * towards
+    rays = edge - eye
+    depth = np.maximum(rays @ forward, NEAREST * length)
+    wide, tall = (float(np.abs(rays @ axis / depth).max()) for axis in (right, above))
+    rows, columns = _picture_size(settings, tall / wide)
+    field = 2 * np.arctan(FIELD_OF_VIEW_MARGIN * max(tall, wide * rows / columns))
+    return View(
+        eye_mm=tuple(eye), target_mm=tuple(target), up=up, field_of_view=float(field), rows=rows, columns=columns
+    )
+
+
+def outline(scene: PlaneScene) -> np.ndarray:
+    """(N, 3) outer corners of the first and last pixel with a normal in each row; z = 0, in the unit of the pitch.
+
+    All four corners of the maps where no pixel has one.
+    """
+    known = np.einsum("rci,rci->rc", scene.normals, scene.normals) > 0.5
+    if not known.any():
+        known = np.ones(scene.shape, bool)
+    rows = np.flatnonzero(known.any(axis=1))
+    first = known[rows].argmax(axis=1)
+    last = known.shape[1] - 1 - known[rows, ::-1].argmax(axis=1)
+    across = np.concatenate([first - 0.5, last + 0.5, first - 0.5, last + 0.5])
+    down = np.concatenate([rows - 0.5, rows - 0.5, rows + 0.5, rows + 0.5])
+    x = (across - (scene.shape[1] - 1) / 2) * scene.pitch
+    y = ((scene.shape[0] - 1) / 2 - down) * scene.pitch
+    return np.stack([x, y, np.zeros_like(x)], axis=1)
+
+
+def _picture_size(settings: ViewSettings, proportion: float) -> tuple[int, int]:
+    """(rows, columns): as given; a side left open by the proportion (height over width) of the object."""
+    rows, columns = settings.rows, settings.columns
+    if rows is None and columns is None:
+        rows, columns = (None, LONGER_SIDE) if proportion <= 1 else (LONGER_SIDE, None)
+    if rows is None:
+        rows = min(max(round(columns * proportion), SHORTEST_SIDE), 16 * columns)
+    elif columns is None:
+        columns = min(max(round(rows / proportion), SHORTEST_SIDE), 16 * rows)
+    return rows, columns
+
+
+def white_sheet(lights: Iterable[LightSettings], ambient: float) -> float:
+    """Luminance of a perfect white sheet that lies in the plane of the object, 1: one that faces a distant_lamp."""
+    return ambient + sum(light.intensity * float(np.sin(np.radians(light.elevation_deg))) for light in lights)
+
+
+def film_view(settings: SequenceSettings, scene: PlaneScene) -> View:
+    """View of a film: frontal at its width, or a pinhole camera at its elevation; even sides, as H.264 wants them."""
+    rows, columns = scene.shape
+    width = min(settings.columns, columns) if settings.moves == "light" else settings.columns
+    width += width % 2
+    height = max(2, round(width * rows / columns / 2) * 2)
+    if settings.moves == "light":
+        return View(rows=height, columns=width)
+    view = view_of(ViewSettings(kind="pinhole", elevation_deg=settings.elevation_deg, columns=width), scene)
+    return dataclasses.replace(view, rows=view.rows + view.rows % 2)

@@ -1,0 +1,160 @@
+"""Cloth report: one page on a cloth, from the artifacts of all other stages."""
+
+from typing import Any
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.stage import Context
+from nishiki.capture.schema_base import OBJECT_FACTS
+from nishiki.goniometry.store import Reflectances
+from nishiki.report.files import contents, film, read_json
+from nishiki.report.numbers import figure, percent
+from nishiki.report.page import Block, Figure, Figures, Fold, Heading, Note, Section, Table, Tile
+from nishiki.report.pictures import file_picture
+from nishiki.report.scene_page import write_scene_page
+from nishiki.stages.report.capture import export_section
+from nishiki.stages.report.cloth_reflection import curves_section, errors_section, model_name, reflection_section
+from nishiki.stages.table import chain_of
+from nishiki.stages.weave.report import weave_section
+
+
+def run(context: Context) -> dict:
+    """Collect the sections that this scene has, and write the page."""
+    inputs, settings = context.inputs, context.settings
+    diagnostics = {name: artifact.diagnostics for name, artifact in inputs.items()}
+    samples, capture = diagnostics["goniometer_samples"], diagnostics.get("ingest") or {}
+    measured = Reflectances(inputs["goniometer_samples"].folder)
+    region = settings.region or measured.regions[0]
+    evaluation = read_json(inputs.get("cloth_evaluate"), "evaluation.json")
+    widest = settings.picture_columns
+    return write_scene_page(
+        context,
+        chain_of("goniometer"),
+        title=(capture.get("capture") or {}).get("title"),
+        about="a cloth measured with a goniometer",
+        facts=facts(samples, capture),
+        tiles=at_a_glance(samples, evaluation, region),
+        sections=[
+            rendered_section(inputs.get("cloth_render"), widest, settings.video_mb),
+            weave_section(inputs.get("weave"), widest // 2),
+            reflection_section(inputs.get("cloth_brdf"), measured, region),
+            errors_section(evaluation),
+            curves_section(evaluation, region),
+            coverage_section(inputs["goniometer_samples"]),
+            export_section(inputs.get("cloth_export")),
+        ],
+        warnings=[*(capture.get("warnings") or []), *(samples.get("warnings") or [])],
+    )
+
+
+def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any] | None, region: str) -> list[Tile]:
+    """The figures that matter most. samples : diagnostics of goniometer_samples; evaluation : evaluation.json."""
+    tiles = []
+    if samples.get("directions") is not None:
+        tiles.append(Tile(samples["directions"], "", "pairs of directions measured"))
+    if evaluation is not None:
+        default = evaluation["default"]
+        entry = evaluation["regions"].get(region, {}).get("models", {}).get(default) or {}
+        for angle, part in (entry.get("held_out", {}).get("by_incidence") or {}).items():
+            if angle in ("30", "60"):
+                text = f"error at {angle}° incidence, {model_name(default)}"
+                tiles.append(Tile(100 * part["rms_rel"], "%", text))
+    if samples.get("noise_relative") is not None:
+        tiles.append(Tile(100 * samples["noise_relative"], "%", "noise of a measurement, median"))
+    return tiles
+
+
+def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> Section | None:
+    """Pictures of at most `widest` pixels across; None where there are none."""
+    if render is None:
+        return None
+    groups: dict[str, list[Figure]] = {"lights": [], "dyes": [], "others": []}
+    diagnostics, named = render.diagnostics, []
+    for name in diagnostics.get("pictures") or {}:
+        data = contents(render, f"{name}.png")
+        if data is not None:
+            group, heading, caption = words(name)
+            groups[group].append(Figure(heading, caption, file_picture(data, widest)))
+    video = diagnostics.get("video") or {}
+    if video.get("file") in render.manifest["files"]:
+        moving = film(render, video["file"], "The film", f"{figure(video['frames'])} frames.", video_mb)
+        (groups["others"] if isinstance(moving, Figure) else named).append(moving)
+    if not any(groups.values()) and not named:
+        return None
+    model = ", ".join(filter(None, (model_name(diagnostics.get("model", "")), diagnostics.get("region"))))
+    from_file = (diagnostics.get("surface") or {}).get("kind") == "file"
+    shown = (
+        "A surface from a file, covered with the cloth" if from_file else "A square of the cloth that fell over a ball"
+    )
+    blocks: list[Block] = [
+        f"{shown}; its weft is followed over every fold, and what each point sends to the eye is computed with the "
+        f"fitted reflection (model: {model})."
+    ]
+    lights, dyes = len(groups["lights"]) - 1, len(groups["dyes"])
+    if groups["lights"]:
+        heading = Heading(f"From {lights} light{'s' * (lights > 1)}", "in the cloth's own colour")
+        blocks += [heading, Figures(groups["lights"], 3)]
+    if groups["dyes"]:
+        blocks += [Heading(f"In {dyes} dye{'s' * (dyes > 1)}", "the same gloss over each"), Figures(groups["dyes"], 3)]
+    if groups["others"]:
+        blocks.append(Figures(groups["others"]))
+    notes = [Note([note]) for note in diagnostics.get("notes") or []]
+    return Section("rendered", "The cloth", [*blocks, *named, *notes])
+
+
+def words(name: str) -> tuple[str, str, str]:
+    """Group, heading and caption of a picture."""
+    if name.startswith("drape-dye-"):
+        return "dyes", name.removeprefix("drape-dye-").capitalize(), ""
+    if name.startswith("drape-light-"):
+        return "lights", f"Light {name.removeprefix('drape-light-')} alone", ""
+    if name == "drape":
+        return "lights", "All lights", ""
+    if name == "cylinders":
+        return "others", "On cylinders", "the warp upright, oblique, and around."
+    return "others", name.replace("-", " ").capitalize(), ""
+
+
+def coverage_section(samples: Artifact) -> Section:
+    """The drawing, and a row for each direction of light."""
+    blocks: list[Block] = ["Views that were measured for each direction of light."]
+    if drawing := contents(samples, "coverage.svg"):
+        caption = "Each disc is one direction of light; dots are views seen from above, the weft to the right."
+        blocks.append(Figures([Figure("Coverage", caption, svg=drawing.decode())], 1))
+    if rows := coverage_rows(read_json(samples, "reflectance.json") or {}):
+        head = ("θi", "φi", "views", "unusable", "covered", "widest gap", "steepest view")
+        blocks.append(Fold("Coverage", f"{len(rows)} directions of light", [Table(head, rows, "rrrrrrr")]))
+    return Section("coverage", "Measurements", blocks)
+
+
+def coverage_rows(stored: dict[str, Any]) -> list[tuple]:
+    """Coverage of each direction of light; stored : reflectance.json."""
+    return [
+        (
+            *(f"{figure(row.get(name))}°" for name in ("theta_deg", "phi_deg")),
+            row.get("views"),
+            row.get("unusable"),
+            percent(None if row.get("covered") is None else 100 * row["covered"]),
+            *(f"{figure(row.get(name))}°" for name in ("gap_deg", "steepest_deg")),
+        )
+        for row in stored.get("coverage") or []
+    ]
+
+
+def facts(diagnostics: dict[str, Any], capture: dict[str, Any]) -> list[tuple[str, str]]:
+    """Label and text of what is known of the measurements; capture : diagnostics of ingest, if there are any."""
+    about = capture.get("capture") or {}
+    named = {"object_id": "Object", **OBJECT_FACTS}
+    named |= {key: key.capitalize() for key in ("creator", "date", "rights", "notes")}
+    rows = [(label, str(about[key])) for key, label in named.items() if about.get(key)]
+    directions, along = diagnostics.get("directions"), diagnostics.get("normal_incidence")
+    if directions is not None:
+        text = f"{directions} pairs of directions, {diagnostics.get('incidences')} of light"
+        rows.append(("Measured", text + (f"; {along} with the light along the normal" if along is not None else "")))
+    symmetry = {"quarter": "two mirror planes", "half": "half a turn", "none": "none"}
+    texts = {
+        "Cloths": ", ".join(diagnostics.get("regions") or []),
+        "Channels": ", ".join(diagnostics.get("channels") or []),
+        "Symmetry": symmetry.get(diagnostics.get("symmetry", ""), str(diagnostics.get("symmetry") or "")),
+        "Weave": str(diagnostics.get("weave") or ""),
+    }
+    return rows + [(label, text) for label, text in texts.items() if text]

@@ -1,0 +1,350 @@
+"""The sections of a cloth's page on its reflection: discs of all views, lobes, and errors of the models."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.goniometry.store import Reflectances
+from nishiki.render.cloth.models import ClothModels
+from nishiki.report.colour_map import coloured, heat, hexadecimal
+from nishiki.report.numbers import figure
+from nishiki.report.page import Block, Cell, Figure, Figures, Fold, Heading, Note, Section, Table
+from nishiki.report.pictures import PagePicture, Scale, encoded
+from nishiki.report.svg import DASHES, GRID, INK, PALETTE, SOFT, Curve, Drawing, chart, outline
+
+INCIDENCES_DEG = (0, 30, 60)
+AZIMUTHS = {"warp": np.pi / 2, "weft": 0.0}
+STEEPEST_DEG = 80
+"""Steepest view of the drawn lobes: at grazing views a cloth can be so bright that nothing else would be seen."""
+DISC = 168
+"""Pixels along a side of a view disc."""
+MODEL_NAMES = {
+    "bard_linear": "BARD, linear",
+    "bard_great_circle": "BARD, great circle",
+    "bard_scaled": "BARD, best factor",
+    "yarn_facets": "facets on yarns",
+    "facets": "facet reading",
+    "weave": "weave model",
+    "ward": "Ward",
+    "ashikhmin_shirley": "Ashikhmin-Shirley",
+    "ggx": "anisotropic GGX",
+}
+
+
+def model_name(kind: str) -> str:
+    """A model in words."""
+    return MODEL_NAMES.get(kind, kind.replace("_", " "))
+
+
+def reflection_section(cloth_brdf: Artifact | None, measured: Reflectances, region: str) -> Section | None:
+    """Discs and lobes of the region's default model, beside the measured disc; a table of all models."""
+    if cloth_brdf is None:
+        return None
+    models = ClothModels(cloth_brdf.folder)
+    brdf = models.brdf(region)
+
+    def evaluate(degrees: float, azimuth: float, directions: np.ndarray) -> np.ndarray:
+        return brdf.evaluate(light(degrees, azimuth), directions).mean(axis=-1)
+
+    views, inside = disc_directions()
+    discs = {}
+    if measured.basic is not None:
+        values = measured.basic.evaluate(views, measured.regions.index(region)).mean(axis=1)
+        discs["Measured, light along the normal"] = values
+    for degrees in INCIDENCES_DEG:
+        for plane, azimuth in list(AZIMUTHS.items())[: 1 if degrees == 0 else 2]:
+            where = "along the normal" if degrees == 0 else f"at {degrees}° in the plane of the {plane}"
+            discs[f"Model, light {where}"] = evaluate(degrees, azimuth, views)
+    every = np.concatenate(list(discs.values()))
+    high = float(np.percentile(every, 99.7)) or 1.0
+    low = max(float(np.percentile(every, 2)), high / 3000, 1e-9)
+    caption = "Lobes of the BRDF for light from the right; distance from the foot is the square root of the value."
+    blocks: list[Block] = [
+        "All views of the hemisphere, seen from above: the weft runs to the right, the warp upwards, distance from the "
+        f"middle grows evenly with the angle from the normal. Model: {model_name(models.default)}.",
+        Figures([Figure(name, "", disc_picture(part, inside, low, high)) for name, part in discs.items()], 3),
+        Figures([
+            Figure(f"Plane of the {plane}", caption, svg=lobes_plot(lobes(evaluate, azimuth)))
+            for plane, azimuth in AZIMUTHS.items()
+        ]),
+    ]  # fmt: skip
+    if models_of_region := (cloth_brdf.diagnostics.get("regions") or {}).get(region):
+        blocks.append(table_of_models(models_of_region, models.default))
+    return Section("lobes", "Reflection", blocks)
+
+
+Lobe = tuple[str, np.ndarray, np.ndarray]
+"""Label, angles from the normal in radians, values."""
+
+
+def lobes(evaluate: Callable[[float, float, np.ndarray], np.ndarray], azimuth: float) -> list[Lobe]:
+    """Lobes in the plane of the light at this azimuth. evaluate(degrees, azimuth, directions): the BRDF."""
+    angle = np.radians(np.arange(-STEEPEST_DEG, STEEPEST_DEG + 1))
+    along = np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
+    return [(f"light at {degrees}°", angle, evaluate(degrees, azimuth, along)) for degrees in INCIDENCES_DEG]
+
+
+def light(degrees: float, azimuth: float) -> np.ndarray:
+    """Unit vector (3,) towards a light."""
+    theta = np.radians(degrees)
+    return np.array([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)])
+
+
+def table_of_models(models: dict[str, dict], default: str) -> Table:
+    """Reciprocity and albedo of each model, as the stage cloth_brdf reports them."""
+    angles = sorted({angle for facts in models.values() for angle in facts.get("albedo_max") or {}}, key=float)
+    names = sorted(models, key=lambda name: (name != default, name))
+    rows = []
+    for name in names:
+        albedo = models[name].get("albedo_max") or {}
+        values = [
+            models[name].get("used"),
+            models[name].get("reciprocity_error"),
+            *(albedo.get(angle) for angle in angles),
+        ]
+        rows.append([model_name(name), *values])
+    spans = (("", 3), ("albedo by incidence", len(angles)))
+    return Table(
+        ("model", "used", "reciprocity error", *(f"{angle}°" for angle in angles)), rows, "lrr" + "r" * len(angles),
+        "All models: how many measurements their fit used; difference of light and view exchanged, relative (0: "
+        "reciprocal); share of the light that they reflect in all, the greatest over warp, bias and weft (above 1: not "
+        "possible).",
+        spans if angles else (), marked={names.index(default)} if default in names else (),
+    )  # fmt: skip
+
+
+def disc_directions(size: int = DISC) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (n, 3) of the pixels inside a disc of views seen from above, and the mask (size, size).
+
+    Distance from the middle grows evenly with the polar angle; x (weft) to the right, y (warp) up.
+    """
+    place = (np.arange(size) + 0.5) / size * 2 - 1
+    x, y = np.meshgrid(place, -place)
+    radius = np.hypot(x, y)
+    inside = radius < 0.985
+    theta, safe = radius[inside] * np.pi / 2, np.maximum(radius[inside], 1e-12)
+    across = np.sin(theta) / safe
+    return np.stack([across * x[inside], across * y[inside], np.cos(theta)], axis=1), inside
+
+
+def disc_picture(values: np.ndarray, inside: np.ndarray, low: float, high: float) -> PagePicture:
+    """Logarithmic picture of values (n,) at the pixels of a disc; white outside."""
+    table, picture = heat(), np.full((*inside.shape, 3), 255, np.uint8)
+    logs = np.log10(np.maximum(values, 1e-12))
+    picture[inside] = coloured(logs[None], table, np.log10(low), np.log10(high))[0]
+    stops = tuple(hexadecimal(colour) for colour in table[:: 255 // 5])
+    return encoded(picture, lossless=True, scale=Scale(f"{low:.2g}", f"{high:.2g}", "1/sr, logarithmic", stops))
+
+
+def lobes_plot(parts: list[Lobe], *, width: int = 520, height: int = 330) -> str:
+    """Half-plane polar diagram of lobes; one scale for all.
+
+    The distance from the foot is the square root of the value, so that weak lobes beside strong ones still show.
+    """
+    middle, foot, radius = width / 2, height - 42, min(width / 2 - 24, height - 70)
+    top = max([float(values.max(initial=0)) for _, _, values in parts] or [0.0])
+    drawing = Drawing(width, height, "lobes of the BRDF in the plane of the light")
+    for r in radius * np.array([0.25, 0.5, 0.75, 1.0]):
+        arc = f"M{middle - r:.1f} {foot:.1f}A{r:.1f} {r:.1f} 0 0 1 {middle + r:.1f} {foot:.1f}"
+        drawing.path(arc, stroke=GRID)
+    for degrees in (-60, -30, 0, 30, 60):
+        x, y = radius * np.sin(np.radians(degrees)), radius * np.cos(np.radians(degrees))
+        drawing.line(middle, foot, middle + x, foot - y, GRID)
+        text = f"{abs(degrees)}°"
+        drawing.text(middle + 1.06 * x, foot - 1.06 * y, text, anchor="middle", size=11, colour=SOFT)
+    drawing.line(middle - radius, foot, middle + radius, foot, SOFT)
+    for k, (label, angle, values) in enumerate(parts):
+        r = radius * np.sqrt(np.maximum(values, 0) / top) if top > 0 else 0 * values
+        colour = PALETTE[k % len(PALETTE)]
+        line = outline(middle + r * np.sin(angle), foot - r * np.cos(angle))
+        drawing.path(line, fill=colour, opacity=0.1, stroke=colour, width=1.8)
+        at = 12 + k * (width - 24) / max(1, len(parts))
+        drawing.line(at, height - 10, at + 18, height - 10, colour)
+        drawing.text(at + 23, height - 6, label, size=11)
+    return drawing.finish()
+
+
+CURVES_OF = ("yarn_facets", "bard_great_circle", "weave", "ggx")
+"""Models whose curves are drawn beside those of the default one."""
+MOST_CURVES = 4
+INTRODUCTION = (
+    "Predicted against measured reflectance on measurements that no fit has seen. The error is the root mean square of "
+    "the difference over that of the measured values, weighted by the cosine of the view's angle and by the solid "
+    "angle that each view stands for; mean over the planes of incidence."
+)
+
+
+def errors_section(evaluation: dict[str, Any] | None) -> Section | None:
+    """For each region: error against incidence as table and chart, and every row. evaluation : evaluation.json."""
+    if evaluation is None:
+        return None
+    blocks: list[Block] = [INTRODUCTION]
+    for region, facts in evaluation["regions"].items():
+        if len(evaluation["regions"]) > 1:
+            blocks.append(Heading(region))
+        blocks += _errors_of(facts, evaluation["default"])
+    return Section("errors", "Errors", blocks)
+
+
+def _errors_of(region: dict[str, Any], default: str) -> list[Block]:
+    if not region["held_out"]:
+        return [Note(["Every measurement was used by a fit, so nothing is said of directions that were not measured."])]
+    models = default_first(region["models"], default)
+    held = {model: entry["held_out"]["by_incidence"] for model, entry in models.items()}
+    angles = sorted({angle for part in held.values() for angle in part}, key=float)
+    errors: list[list[Cell]] = []
+    peaks: list[list[Cell]] = []
+    every: list[list[Cell]] = []
+    for model, entry in models.items():
+        name, parts = model_name(model), [held[model].get(angle) for angle in angles]
+        seen = f"{name} (has seen these)" if entry["reference"] else name
+        values = [None if part is None else part["rms_rel"] for part in parts]
+        errors.append([seen, entry["fitted"]["measurements"], *values, mean_error(entry["fitted"]["by_incidence"])])
+        peaks.append([name, *(peak_error(part) for part in parts)])
+        every += [[name, *row_of(row)] for row in entry["held_out"]["rows"]]
+    columns, marked = [f"{angle}°" for angle in angles], {0} if default in models else set()
+    caption = (
+        f"Relative RMS error by incidence, on {figure(region['held_out'])} of {figure(region['valid'])} measurements. "
+        "The marked line is the default model."
+    )
+    align = "l" + "r" * (len(angles) + 2)
+    head = ("model", "used for the fit", *columns, "on what it was fitted to")
+    blocks: list[Block] = [Table(head, errors, align, caption, marked=marked)]
+    caption = (
+        "Brightest view: error of its value (mean size over the planes) and angle between the predicted and the "
+        "measured one."
+    )
+    blocks.append(Table(("model", *columns), peaks, align[:-2], caption, marked=marked))
+    if drawing := error_chart(held, default):
+        blocks.append(Figures([Figure("Relative error", "against the incidence of the light.", svg=drawing)], 1))
+    head = (
+        "model",
+        "θi",
+        "φi",
+        "plane",
+        "views",
+        "rel. RMS",
+        "mean error",
+        "peak value",
+        "peak direction",
+        "noise alone",
+    )
+    blocks.append(Fold("Each incidence", f"{len(every)} rows", [Table(head, every, "lrrlrrrrrr")]))
+    return blocks
+
+
+def row_of(row: dict[str, Any]) -> list[Cell]:
+    """One plane of incidence of one model."""
+    direction = row["peak_direction_deg"]
+    return [
+        *(f"{figure(row[name])}°" for name in ("theta_i_deg", "phi_i_deg")),
+        *(row[name] for name in ("plane", "views", "rms_rel", "bias_rel", "peak_value_rel")),
+        None if direction is None else f"{figure(direction)}°",
+        row["noise_rel"],
+    ]
+
+
+def peak_error(part: dict[str, Any] | None) -> str | None:
+    """Error of the brightest view in words."""
+    if part is None or part["peak_value_rel"] is None:
+        return None
+    return f"{round(100 * part['peak_value_rel'])} %, {figure(part['peak_direction_deg'], 2)}°"
+
+
+def default_first(models: dict[str, Any], default: str) -> dict[str, Any]:
+    """Models with the default one first, the rest by error on what was held out, least first."""
+
+    def order(name: str) -> tuple:
+        error = mean_error((models[name].get("held_out") or {}).get("by_incidence") or {})
+        return name != default, float("inf") if error is None else error, name
+
+    return {name: models[name] for name in sorted(models, key=order)}
+
+
+def mean_error(parts: dict[str, dict]) -> float | None:
+    """Mean relative error over incidences."""
+    values = [part["rms_rel"] for part in parts.values()]
+    return float(np.mean(values)) if values else None
+
+
+def curves_section(evaluation: dict[str, Any] | None, region: str) -> Section | None:
+    """Charts of measured and predicted values in the plane of the light, for one region."""
+    if evaluation is None or not evaluation["regions"].get(region, {}).get("curves"):
+        return None
+    facts, default = evaluation["regions"][region], evaluation["default"]
+    ordered = dict.fromkeys([default, *CURVES_OF, *facts["models"]])
+    models = [model for model in ordered if model in facts["models"]][:MOST_CURVES]
+    items = []
+    for curve in facts["curves"]:
+        plane = f"azimuth {curve['plane']}" if curve["plane"].endswith("°") else curve["plane"]
+        heading = f"Light at {curve['theta_i_deg']:.0f}°, plane of the {plane}"
+        caption = "" if any(curve["held_out"]) else "taken for the fit"
+        items.append(Figure(heading, caption, svg=plane_chart(curve, models, default)))
+    intro = "Values in the plane that holds the light and the normal. Dots: measured; lines: predicted."
+    return Section("curves", "Measured and predicted", [intro, Figures(items)])
+
+
+@dataclass(frozen=True)
+class Line:
+    """How a model is drawn in all charts of a page."""
+
+    colour: str
+    dashed: bool
+    dash: str = DASHES[0]
+
+
+def lines_of(models: list[str], default: str) -> dict[str, Line]:
+    """A line for each model, no two alike: the default one is solid in the first colour, the others are dashed."""
+    ordered = [default] * (default in models) + [model for model in models if model != default]
+    first = int(default in models)
+    colours = len(PALETTE)
+    return {
+        model: Line(PALETTE[k % colours], k >= first, DASHES[min(k // colours, len(DASHES) - 1)])
+        for k, model in enumerate(ordered)
+    }
+
+
+def error_chart(models: dict[str, dict], default: str) -> str:
+    """Relative error against the light's incidence on a logarithmic axis that holds every value, one line a model."""
+    lines = lines_of(list(models), default)
+    curves: list[Curve] = []
+    for model, parts in models.items():
+        points = sorted((float(angle), part["rms_rel"]) for angle, part in parts.items() if part["rms_rel"] > 0)
+        if points:
+            x, y = np.array(points).T
+            line = lines[model]
+            curves.append(Curve(model_name(model), x, y, **asdict(line)))
+            curves.append(Curve("", x, y, colour=line.colour, dots=True))
+    if not curves:
+        return ""
+    ends = [x for curve in curves for x in (curve.x.min(), curve.x.max())]
+    room = (min(ends) - 2, max(ends) + 2)
+    values = np.concatenate([curve.y for curve in curves])
+    return chart(
+        curves, x_label="incidence, degrees", y_label="relative RMS error", title="error against incidence",
+        x_range=room, y_range=(0.8 * float(values.min()), 1.25 * float(values.max())), width=640, height=340,
+        logarithmic=True,
+    )  # fmt: skip
+
+
+def plane_chart(curve: dict, models: list[str], default: str) -> str:
+    """Measured values as dots, predicted ones as lines, over the view's angle in the plane of the light."""
+    drawn = lines_of(models, default)
+    angle, measured = np.array(curve["theta_r_deg"]), np.array(curve["measured"])
+    lines = [
+        Curve(model_name(model), angle, np.array(values), **asdict(drawn[model]))
+        for model in models
+        if (values := curve["predicted"].get(model)) is not None
+    ]
+    dots = Curve("measured", angle, measured, colour=INK, dots=True)
+    highest = max(float(np.nanmax(line.y, initial=0.0)) for line in [dots, *lines])
+    top = max(1.05 * min(highest, 1.6 * float(measured.max())), 1e-6)  # a model may leave the drawing
+    return chart(
+        [dots, *lines], x_label="view, degrees from the normal; the light is on the right", y_label="BRDF, 1/sr",
+        title="measured and predicted in the plane of the light", y_range=(0.0, top), x_range=(-90, 90), height=260,
+    )  # fmt: skip

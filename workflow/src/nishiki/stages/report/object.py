@@ -1,0 +1,333 @@
+"""Object report: one page on a turntable scene, from the artifacts of all other stages."""
+
+import io
+from typing import Any
+
+import numpy as np
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.stage import Context
+from nishiki.formats.stored import load_arrays
+from nishiki.geometry.cameras_file import load_cameras
+from nishiki.report.files import contents, film, read_json
+from nishiki.report.numbers import figure, percent
+from nishiki.report.page import Block, Cell, Facts, Figure, Figures, Fold, Heading, Note, Section, Table, Tile
+from nishiki.report.pictures import encoded, file_picture
+from nishiki.report.scene_page import write_scene_page
+from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing
+from nishiki.stages.report.capture import export_section, facts_of_object
+from nishiki.stages.report.object_reflection import model_section, residual_section
+from nishiki.stages.table import chain_of
+
+
+def run(context: Context) -> dict:
+    """Collect the sections that this scene has, and write the page."""
+    inputs, settings = context.inputs, context.settings
+    diagnostics = {name: artifact.diagnostics for name, artifact in inputs.items()}
+    evaluation = read_json(inputs.get("object_evaluate"), "evaluation.json")
+    held_out = set(inputs["texels"].settings["hold_out"]) if "texels" in inputs else set()
+    widest, views = settings.picture_columns, len(diagnostics["ingest"]["views"])
+    one, many = "an object photographed from one place", "an object on a turntable, photographed from {} places"
+    return write_scene_page(
+        context,
+        chain_of("turntable"),
+        title=diagnostics["ingest"]["capture"].get("title"),
+        about=one if views == 1 else many.format(views),
+        facts=facts_of_object(diagnostics["ingest"]),
+        tiles=at_a_glance(diagnostics),
+        sections=[
+            rendered_section(inputs.get("object_render"), widest // 2, settings.video_mb),
+            comparison_section(inputs.get("object_evaluate"), evaluation),
+            views_section(evaluation),
+            model_section(inputs.get("object_brdf"), inputs.get("texels"), widest),
+            residual_section(diagnostics.get("residual"), evaluation),
+            separation_section(inputs.get("polarise"), widest),
+            geometry_section(inputs.get("mesh"), widest),
+            cameras_section(inputs.get("cameras"), held_out),
+            export_section(inputs.get("object_export")),
+        ],
+        warnings=list(diagnostics["ingest"].get("warnings") or []),
+    )
+
+
+def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Tile]:
+    """The figures that matter most; diagnostics : by stage."""
+    evaluation = diagnostics.get("object_evaluate") or {}
+    psnr = evaluation.get("psnr") or {}
+    left_out = next((figures for name, figures in psnr.items() if name.startswith("left_out")), {})
+    total = (evaluation.get("bytes") or (diagnostics.get("residual") or {}).get("renderer_bytes") or {}).get("total")
+    tiles = [
+        ((psnr.get("captured") or {}).get("mean_psnr_db"), "dB", "rendered views against their photographs"),
+        (left_out.get("mean_psnr_db"), "dB", "views that took no part, predicted"),
+        ((psnr.get("model_alone") or {}).get("mean_psnr_db"), "dB", "the reflection model alone"),
+        (None if total is None else total / 1000, "kB", "everything that a renderer needs"),
+        (evaluation.get("bits_per_object_pixel"), "bit", "a pixel of the object"),
+        ((diagnostics.get("mesh") or {}).get("triangles"), "", "triangles"),
+    ]
+    return [Tile(*tile) for tile in tiles if tile[0] is not None]
+
+
+MOST_PICTURES = 6
+
+
+def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> Section | None:
+    """Pictures of at most `widest` pixels across; None where there are none."""
+    if render is None:
+        return None
+    items, others = [], []
+    for name in list(render.diagnostics.get("pictures") or {})[:MOST_PICTURES]:
+        data = contents(render, f"{name}.png")
+        if data is not None:
+            items.append(Figure(words(name), "", file_picture(data, widest)))
+    video = render.diagnostics.get("video") or {}
+    if video.get("file") in render.manifest["files"]:
+        shown = film(render, video["file"], "The turn", f"{figure(video['frames'])} frames.", video_mb)
+        (items if isinstance(shown, Figure) else others).append(shown)
+    if not items and not others:
+        return None
+    notes = [Note([note]) for note in render.diagnostics.get("notes") or []]
+    intro = "Pictures computed from the decoded record: mesh, reflection model and residual."
+    return Section("rendered", "Rendered", [intro, Figures(items, 3), *others, *notes])
+
+
+def words(name: str) -> str:
+    """A picture's file name in words."""
+    kind, _, rest = name.partition("-")
+    predicted = rest.endswith("-predicted")
+    rest = rest.removesuffix("-predicted")
+    text = f"Between views {rest.replace('-', ' and ')}" if kind == "between" else f"View {rest}"
+    return text + (" (left out, predicted)" if predicted else "")
+
+
+KINDS = {
+    "captured": "captured views, decoded",
+    "captured_truth": "captured views, decoded, against noise-free truth",
+    "model_alone": "captured views, model alone",
+    "left_out_interpolated": "views left out, residual of the neighbours",
+    "left_out_slot": "views left out, as the decoder filled them",
+    "left_out_model_alone": "views left out, model alone",
+    "left_out_interpolated_truth": "views left out, residual of the neighbours, against noise-free truth",
+    "left_out_slot_truth": "views left out, as the decoder filled them, against noise-free truth",
+}
+"""Figures of an evaluation in words."""
+PICTURES = {
+    "photograph": ("Photograph", "the object's pixels as the camera saw them."),
+    "rendered": ("Rendered", "model and residual, decoded."),
+    "model": ("Model alone", "what the reflection model predicts without the residual."),
+    "error": ("Difference", "between rendered view and photograph, enlarged."),
+}
+
+
+def comparison_section(evaluate: Artifact | None, evaluation: dict[str, Any] | None) -> Section | None:
+    """Photograph, rendered view, model alone and difference of some views; evaluation : evaluation.json."""
+    blocks: list[Block] = []
+    for entry in (evaluation or {}).get("pictures") or []:
+        data = contents(evaluate, entry["arrays"])
+        arrays = {} if data is None else load_arrays(io.BytesIO(data), name=entry["arrays"])
+        items = [
+            Figure(heading, "" if blocks else caption, encoded(np.ascontiguousarray(arrays[key])))
+            for key, (heading, caption) in PICTURES.items()
+            if key in arrays
+        ]
+        if items:
+            aside = "left out of everything, and predicted" if entry["left_out"] else "captured and coded"
+            blocks += [Heading(f"View {entry['view']}", aside), Figures(items, 4)]
+    return Section("comparison", "Photograph and rendering", blocks) if blocks else None
+
+
+def views_section(evaluation: dict[str, Any] | None) -> Section | None:
+    """Figures over all views of each kind of picture, and every view's."""
+    if evaluation is None:
+        return None
+    scale = "sRGB-coded" if evaluation["encoding"] == "srgb" else "linear"
+    columns = {
+        "views": "views",
+        "mean dB": "mean_psnr_db",
+        "covered dB": "mean_covered_psnr_db",
+        "worst dB": "worst_psnr_db",
+        "all pixels dB": "pooled_psnr_db",
+        "similarity": "mean_similarity",
+        "not covered": "uncovered_pixels",
+        "beyond": "superfluous_pixels",
+    }
+    kinds = [
+        (KINDS.get(name, name.replace("_", " ")), *(part[key] for key in columns.values()))
+        for name, part in evaluation["figures"].items()
+        if part
+    ]
+    caption = (
+        f"PSNR against the photographs, peak: full scale of the {scale} values, over all pixels that the object's "
+        "outline or the rendered surface takes up. Pixels of the outline that the surface does not reach, and pixels "
+        "that it covers beyond the outline, count as errors; the second figure is without them."
+    )
+    left_out = evaluation["left_out"]["views"]
+    each = [
+        (
+            f"{row['view']} (left out)" if row["left_out"] else row["view"],
+            *(row[key] for key in ("light", "picture", "against", "psnr_db", "covered_psnr_db", "similarity")),
+            *(row[key] for key in ("pixels", "uncovered_pixels", "superfluous_pixels")),
+        )
+        for row in evaluation["rows"]
+    ]
+    head = ("View", "light", "picture", "against", "dB", "covered dB", "similarity", "pixels", "not covered", "beyond")
+    return Section("views", "All views", [
+        Table(("Pictures", *columns), kinds, "lrrrrrrrr", caption),
+        f"Left out of carving, fits and residual, and predicted: {', '.join(left_out)}."
+        if left_out
+        else "No view was left out, so nothing is said here of views that were not captured.",
+        Fold("Each view", f"{len(each)} rows", [Table(head, each, "llllrrrrrr")]),
+    ])  # fmt: skip
+
+
+MOST_SEPARATED = 2
+
+
+def separation_section(polarise: Artifact | None, widest: int) -> Section | None:
+    """What the polarisers separated, with the first pictures that the stage drew."""
+    if polarise is None:
+        return None
+    shown = list((polarise.diagnostics.get("pictures") or {}).items())[:MOST_SEPARATED]
+    items = [
+        Figure(f"View {view}: all light, diffuse, specular", "", file_picture(contents(polarise, file), widest))
+        for file, view in shown
+    ]
+    return Section("separation", "Separation", [*sentences(polarise.diagnostics), Figures(items)])
+
+
+def sentences(diagnostics: dict[str, Any]) -> list[str]:
+    """Mean share of each component, of negative and of doubtful pixels; the white boards."""
+    views = diagnostics.get("by_view") or []
+
+    def mean(name: str) -> float | None:
+        values = [view[name] for view in views if view.get(name) is not None]
+        return float(np.mean(values)) if values else None
+
+    negative, doubtful = (None if mean(name) is None else 100 * mean(name) for name in ("negative", "doubtful"))
+    unit = {"white board": "1 is a white board", "full scale": "1 is the full scale of the camera"}
+    texts = [
+        "Diffuse and specular parts by the state of the polarisers. On average over the object's frames: diffuse "
+        f"{figure(mean('diffuse'))}, specular {figure(mean('specular'))} ({unit[diagnostics['unit']]}). By the "
+        f"formulas alone {percent(negative)} of the specular values are negative, which is noise, and "
+        f"{percent(doubtful)} lie further below 0 than three standard deviations of their noise."
+    ]
+    changed = [view["changed"] for view in views if (view.get("changed") or {}).get("specular") is not None]
+    if changed:
+        diffuse, specular = (
+            figure(float(np.mean([each[name] for each in changed]))) for name in ("diffuse", "specular")
+        )
+        texts.append(
+            "Smoothing by the noise that was measured in the photographs changed the specular part by "
+            f"{specular} and the diffuse part by {diffuse} (root mean squares)."
+        )
+    for light, board in (diagnostics.get("boards") or {}).items():
+        if board and board.get("channel"):
+            values = ", ".join(figure(value) for value in board["channel"])
+            texts.append(f"White board under {light or 'lamp'}: β = {values} by channel.")
+    return texts
+
+
+MOST_MARKED, MOST_NAMED = 40, 12
+"""Cameras up to which names are drawn, and about how many names."""
+
+
+def cameras_section(cameras: Artifact | None, held_out: set[str]) -> Section | None:
+    """None where nothing tells where the cameras stood."""
+    if cameras is None:
+        return None
+    diagnostics, views = cameras.diagnostics, load_cameras(cameras.path("cameras.json"))
+    circle = diagnostics.get("circle") or {}
+    centres = np.array([camera.centre for camera in views])
+    drawing = turn_plot(centres, [camera.name for camera in views], held_out, circle.get("axis"), circle.get("centre"))
+    caption = "Dots: views; open diamonds: views left out. The object's own frame: the camera goes round."
+    return Section("cameras", "Cameras", [
+        Figures([Figure("The turn, seen along its axis", caption, svg=drawing)]),
+        Facts(facts(diagnostics, circle)),
+    ])  # fmt: skip
+
+
+def facts(diagnostics: dict[str, Any], circle: dict[str, Any]) -> list[tuple[str, str]]:
+    """What is known of the cameras: label and text. diagnostics : of the stage; circle : a part of them."""
+    errors = [value for value in (diagnostics.get("reprojection_px") or {}).values() if value is not None]
+    error = "not known: the matrices were given"
+    if errors:
+        error = f"{figure(float(np.mean(errors)))} pixels on average, {figure(max(errors))} at worst"
+    off_plane = None if circle.get("off_plane") is None else 100 * round(circle["off_plane"], 9)
+    steps = circle.get("steps_deg") or []
+    return [
+        ("From", diagnostics.get("source") or "–"),
+        ("Radius", figure(circle.get("radius"), 3, diagnostics.get("unit") or "")),
+        ("Off its plane", f"{percent(off_plane)} of the radius at most"),
+        ("Steps", f"{figure(min(steps, default=None), 4)}° to {figure(max(steps, default=None), 4)}°"),
+        ("Reprojection error", error),
+    ]
+
+
+def turn_plot(centres: np.ndarray, names: list[str], held_out: set[str], axis=None, centre=None) -> str:
+    """Cameras (views, 3) seen along the axis of the turn; views held out are open diamonds.
+
+    axis, centre: of the circle; where they are not known, of the plane that fits the cameras best.
+    """
+    centres = np.asarray(centres, float).reshape(-1, 3)
+    middle = np.asarray(centre, float) if centre is not None else centres.mean(axis=0)
+    if axis is None:
+        axis = np.linalg.svd(centres - middle)[2][2] if len(centres) > 2 else np.array([0.0, 1.0, 0.0])
+    right, ahead = _across(np.asarray(axis, float))
+    flat = np.stack([(centres - middle) @ right, (middle - centres) @ ahead], axis=1)
+    reach = max(float(np.abs(flat).max(initial=0)), 1e-12)
+    half = 170
+    places = flat * (half - 34) / reach
+    drawing = Drawing(2 * half, 2 * half, "places of the cameras seen along the axis of the turn")
+    radius = float(np.median(np.linalg.norm(places, axis=1))) if len(places) else 0.0
+    drawing.circle(half, half, radius, stroke=GRID)
+    drawing.path(f"M{half - 5} {half}h10M{half} {half - 5}v10", stroke=SOFT)
+    for (x, y), name in zip(places, names, strict=True):
+        if name in held_out:
+            drawing.diamond(half + x, half + y, 6, fill="#fff", stroke=PALETTE[1], width=2, tip=f"{name} (left out)")
+        else:
+            drawing.circle(half + x, half + y, 4, fill=PALETTE[0], tip=name)
+    if len(names) <= MOST_MARKED:
+        for (x, y), name in list(zip(places, names, strict=True))[:: max(1, len(names) // MOST_NAMED)]:
+            out = 1 + 15 / max(float(np.hypot(x, y)), 1e-9)
+            drawing.text(half + x * out, half + y * out + 4, name, anchor="middle", size=10)
+    return drawing.finish()
+
+
+def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors across an axis."""
+    axis = axis / np.linalg.norm(axis)
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    right = np.cross(helper, axis)
+    right /= np.linalg.norm(right)
+    return right, np.cross(axis, right)
+
+
+PREVIEWS = ("preview.png", "mesh.png")
+
+
+def geometry_section(mesh: Artifact | None, widest: int) -> Section | None:
+    """Counts, silhouettes and a picture of the surface."""
+    if mesh is None:
+        return None
+    blocks: list[Block] = [Table((), rows(mesh.diagnostics), "lr")]
+    preview = next((data for name in PREVIEWS if (data := contents(mesh, name)) is not None), None)
+    if preview is not None:
+        blocks.append(Figures([Figure("The surface", "as the stage mesh drew it.", file_picture(preview, widest))]))
+    return Section("geometry", "Geometry", blocks)
+
+
+def rows(mesh: dict[str, Any]) -> list[tuple[str, Cell]]:
+    """What is known of the surface: label and value; mesh : diagnostics of the stage."""
+    fit, decimation = mesh.get("fit") or {}, mesh.get("decimation") or {}
+    values: list[tuple[str, Cell]] = [(name, mesh.get(name)) for name in ("source", "unit", "vertices", "triangles")]
+    values.append(("watertight", {True: "yes", False: "no"}.get(mesh.get("watertight"))))
+    values += [("parts", mesh.get("parts")), ("holes through the body (genus)", mesh.get("genus"))]
+    for name, count in (mesh.get("cleaned") or {}).items():
+        values.append((f"removed or mended: {name.replace('_', ' ')}", count or None))
+    values += [
+        ("triangles before decimation", decimation.get("triangles_before")),
+        ("deviation by decimation, pixels", decimation.get("deviation_px")),
+        ("silhouettes covered (IoU), mean", fit.get("iou_mean")),
+        ("silhouettes covered (IoU), least", fit.get("iou_least")),
+        ("of views left out (IoU), mean", fit.get("iou_held_out")),
+    ]
+    return [(name, value) for name, value in values if value is not None]

@@ -1,0 +1,290 @@
+"""The sections of an object's page on its texels: parameters as sheets of charts, cost of the residual."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.atlas.atlas import Atlas
+from nishiki.atlas.store import ATLAS
+from nishiki.brdf.texels.parameters import TexelFlag
+from nishiki.brdf.texels.store import ParameterMaps
+from nishiki.report.colour_map import sea
+from nishiki.report.numbers import figure, percent
+from nishiki.report.page import Block, Facts, Figure, Figures, Fold, Section, Table
+from nishiki.report.pictures import brightened, brightening, colour_picture, scalar_picture
+from nishiki.report.svg import PALETTE, Curve, bars, chart
+
+LIGHTING = {
+    "camera": "a lamp beside the camera",
+    "direction": "lamps of known direction",
+    "position": "lamps at known places",
+    "environment": "not stated; an irradiance over the normal was fitted",
+}
+Place = tuple[int, int]
+"""Row and column of a pixel."""
+SPECK = 0.001  # of all texels: smaller pieces are a thirtieth of a sheet wide, at most
+GAP = 2  # pixels between pieces
+
+
+def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest: int) -> Section | None:
+    """Parameter maps as sheets of all charts, and what the fit says of itself; None without both stages."""
+    if object_brdf is None or texels is None:
+        return None
+    maps, diagnostics = ParameterMaps(object_brdf.folder), object_brdf.diagnostics
+
+    def read(tile: int) -> np.ndarray:
+        part = maps.read(tile)
+        joined = np.concatenate([part.kd, part.ks, part.sigma[..., None]], axis=-1)
+        return np.where((part.flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN))[..., None] == 0, joined, np.nan)
+
+    width = diagnostics["median_sigma"]
+    degrees = figure(None if width is None else float(np.degrees(width)))
+    highlight, filled, unseen = (
+        percent(100 * diagnostics[name]) for name in ("highlight_share", "filled_share", "unseen_share")
+    )
+    facts = [
+        ("Texels", figure(diagnostics["texels"])),
+        ("Lighting", LIGHTING.get(diagnostics["lighting"], diagnostics["lighting"])),
+        ("Model alone", f"{figure(diagnostics['psnr_db'])} dB over {figure(diagnostics['samples'])} visible samples"),
+        ("Highlight observed", f"{highlight} of the texels; median width {degrees}°"),
+        (
+            "Taken from neighbours",
+            f"strength of the highlight at {filled} of the texels, everything at {unseen} that no view shows",
+        ),
+    ]
+    atlas = Atlas.load(texels.path(ATLAS))
+    parameters, left_out = sheet(read, atlas, widest)
+    intro = (
+        "At every texel: diffuse reflection by Lambert's law, and a highlight by the simplified Torrance-Sparrow "
+        "model. The sheets show the pieces of the surface beside each other, the largest first."
+    )
+    if left_out.pieces:
+        intro += (
+            f" {figure(left_out.pieces)} pieces too small to show, with {percent(100 * left_out.share)} of the texels, "
+            "are left out."
+        )
+    figures = parameter_figures(parameters)
+    if len(figures) == 1:
+        intro += " No texel has a highlight in this fit, so that there are no sheets of its strength and width."
+    blocks = [intro, Figures(figures, 3), Facts(facts)]
+    return Section("model", "Reflection", blocks)
+
+
+def parameter_figures(parameters: np.ndarray) -> list[Figure]:
+    """Pictures of K_d, K_s and sigma, the latter two where there is any gloss; parameters : sheet (rows, columns, 2
+    channels + 1) of all three."""
+    channels = (parameters.shape[-1] - 1) // 2
+    kd, ks = three(parameters[..., :channels]), three(parameters[..., channels : 2 * channels])
+    glossy = bool((ks > 0).any())
+    figures = []
+    for name, values, caption in (
+        ("Diffuse reflection", kd, "K_d of every texel: the colour of the surface without its gloss."),
+        ("Specular reflection", ks, "K_s of every texel, from its own highlights or its neighbours'."),
+    )[: 1 + glossy]:
+        gain = brightening(values)
+        figures.append(Figure(name, caption + brightened(gain), colour_picture(values * gain)))
+    if glossy:
+        width = scalar_picture(np.degrees(parameters[..., -1]), sea(), unit="degrees")
+        figures.append(Figure("Width of the highlight", "sigma of every texel: the larger, the duller.", width))
+    return figures
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Pieces of the surface that a sheet does not show: how many, and their share of the texels."""
+
+    pieces: int
+    share: float
+
+
+def sheet(read: Callable[[int], np.ndarray], atlas: Atlas, widest: int) -> tuple[np.ndarray, LeftOut]:
+    """(rows, columns, n) float32 sheet of what read(tile) gives, (T, T, n) with NaN where there is nothing.
+
+    Charts are cut to their connected pieces, which are packed by their bounding boxes. Tiles are averaged down to whole
+    pixels, NaN left out, so that the sheet is at most `widest` pixels wide if it can be.
+    """
+    cells = sum(int(rows) * int(columns) for _, rows, columns in atlas.chart_grid)
+    side = min(atlas.size - 1, max(1, int(3 * widest / np.sqrt(max(cells, 1)))))  # packing leaves out what is empty
+    while True:
+        pieces, left_out = _pieces(read, atlas, side)
+        places, height, width = packed([piece.shape[:2] for piece in pieces])
+        if width <= widest or side == 1:
+            break
+        side = max(1, min(side - 1, side * widest // width))
+    depth = pieces[0].shape[-1] if pieces else 1
+    out = np.full((height, width, depth), np.nan, np.float32)
+    for piece, (top, left) in zip(pieces, places, strict=True):
+        out[top : top + piece.shape[0], left : left + piece.shape[1]] = piece
+    return out, left_out
+
+
+def _pieces(read: Callable[[int], np.ndarray], atlas: Atlas, side: int) -> tuple[list[np.ndarray], LeftOut]:
+    """Connected pieces of all charts, (rows, columns, n) with NaN outside, tiles averaged to `side` pixels a side;
+    those with less than `SPECK` of the known pixels are left out, but not the largest."""
+    pieces, sizes = [], []
+    for number in range(len(atlas.chart_grid)):
+        picture = _chart_picture(read, atlas, number, side)
+        known = np.isfinite(picture).all(axis=-1)
+        _, labels, boxes, _ = cv2.connectedComponentsWithStats(known.astype(np.uint8))
+        for label, (left, top, width, height, size) in enumerate(boxes.tolist()):
+            if label and size:
+                box = np.s_[top : top + height, left : left + width]
+                pieces.append(np.where((labels[box] == label)[..., None], picture[box], np.nan))
+                sizes.append(size)
+    if not pieces:
+        return [], LeftOut(0, 0.0)
+    least = min(SPECK * sum(sizes), max(sizes))
+    shown = [piece for piece, size in zip(pieces, sizes, strict=True) if size >= least]
+    small = [size for size in sizes if size < least]
+    return shown, LeftOut(len(small), sum(small) / sum(sizes))
+
+
+def _chart_picture(read: Callable[[int], np.ndarray], atlas: Atlas, chart: int, side: int) -> np.ndarray:
+    """(rows, columns, n) of one chart's tiles beside each other."""
+    _, rows, columns = (int(value) for value in atlas.chart_grid[chart])
+    out = None
+    for tile in np.flatnonzero(atlas.tile_chart == chart):
+        row, column = (int(value) for value in atlas.tile_place[tile])
+        small = averaged(read(int(tile))[: atlas.size - 1, : atlas.size - 1], side)
+        if out is None:
+            out = np.full((rows * side, columns * side, small.shape[-1]), np.nan, np.float32)
+        out[row * side : (row + 1) * side, column * side : (column + 1) * side] = small
+    return np.full((side, side, 1), np.nan, np.float32) if out is None else out
+
+
+def packed(boxes: list[tuple[int, int]]) -> tuple[list[Place], int, int]:
+    """Places (top, left) of boxes (rows, columns) on shelves, tallest first, with a gap; height and width of the sheet,
+    which is a little wider than high."""
+    area = sum((rows + GAP) * (columns + GAP) for rows, columns in boxes)
+    wide = max([int(np.ceil(np.sqrt(1.3 * area))), *(columns for _, columns in boxes)] or [1])
+    places: list[Place] = [(0, 0)] * len(boxes)
+    top = left = height = width = 0
+    for k in sorted(range(len(boxes)), key=lambda k: (-boxes[k][0], k)):
+        rows, columns = boxes[k]
+        if left and left + columns > wide:
+            top, left, height = top + height + GAP, 0, 0
+        places[k] = (top, left)
+        width, height = max(width, left + columns), max(height, rows)
+        left += columns + GAP
+    return places, max(top + height, 1), max(width, 1)
+
+
+def averaged(values: np.ndarray, side: int) -> np.ndarray:
+    """(side, side, n) means over areas of values (t, t, n), t >= side; NaN where nothing is known."""
+    edges = np.arange(side + 1) * values.shape[0] // side
+    known = np.isfinite(values).all(axis=-1, keepdims=True)
+    sums, count = np.where(known, values, 0).astype(np.float64), known.astype(np.float64)
+    for axis in (0, 1):
+        sums, count = (np.add.reduceat(a, edges[:-1], axis=axis) for a in (sums, count))
+    return np.where(count > 0, sums / np.maximum(count, 1), np.nan).astype(np.float32)
+
+
+def three(values: np.ndarray) -> np.ndarray:
+    """Three channels to look at: themselves, one repeated, or the longest, middle and shortest of many."""
+    channels = values.shape[-1]
+    return values if channels == 3 else values[..., [channels - 1, channels // 2, 0]]
+
+
+PART_NAMES = {
+    "mesh": "mesh",
+    "charts": "charts",
+    "cameras": "cameras",
+    "lamps": "lamps",
+    "residual_parameters": "reflection parameters",
+    "residual_residual": "residual",
+    "residual_start_states": "entropy coder's start",
+    "residual_container": "container",
+    "residual_header": "header",
+    "residual_index": "index of the tiles",
+    "parameters": "reflection parameters",
+    "start_states": "entropy coder's start",
+    "index": "index of the tiles",
+}
+SUMS = ("total", "residual_total")
+
+
+def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any] | None) -> Section | None:
+    """residual : diagnostics of the stage or None; evaluation : evaluation.json or None."""
+    if residual is None:
+        return None
+    intro = "What the model does not explain is kept as wavelet coefficients over the surface and the views."
+    if residual.get("empty_tiles") is not None:
+        intro += f" {figure(residual['empty_tiles'])} of {figure(residual['tiles'])} tiles need none."
+    facts = []
+    if residual.get("psnr_db") is not None:
+        with_model, alone = figure(residual["psnr_db"]), figure(residual.get("model_psnr_db"))
+        region = "over the pixels that the texels were solved for, peak: full scale"
+        text = f"{with_model} dB {region}; model alone {alone} dB"
+        facts.append(("Model and residual", text))
+    if residual.get("kept") is not None:
+        text = figure(residual["kept"])
+        if residual.get("kept_of_visible") is not None:
+            visible, every = (percent(100 * residual[name]) for name in ("kept_of_visible", "kept_of_all"))
+            text += f": {visible} of the visible samples, {every} of all"
+        facts.append(("Coefficients kept", text))
+    if residual.get("bits_per_pixel") is not None:
+        facts.append(("Coded size", f"{figure(residual['bits_per_pixel'])} bit an object pixel"))
+    if everything := residual.get("renderer_bytes"):
+        others = sum(everything.get(name, 0) for name in ("mesh", "charts", "cameras", "lamps"))
+        total, beside = figure(everything["total"] / 1000), figure(others / 1000)
+        text = f"{total} kB, of which mesh, charts, cameras and lamps {beside} kB"
+        facts.append(("All that a renderer needs", text))
+    parts = (evaluation or {}).get("bytes") or residual.get("renderer_bytes") or residual.get("bytes") or {}
+    items = []
+    if drawing := bytes_bars(parts):
+        items.append(Figure("Where the bytes go", "Everything that a renderer needs.", svg=drawing))
+    if drawing := rate_curve(residual):
+        caption = (
+            "Parameters and residual together: the model alone, and the steps that the allocation tried on its way to "
+            "the target. Nothing was measured between them."
+        )
+        items.append(Figure("Quality against bytes", caption, svg=drawing))
+    rows = [(_part_name(name), size) for name, size in parts.items()]
+    blocks: list[Block] = [intro, Facts(facts), Figures(items), Fold("Bytes", "by part", [Table((), rows, "lr")])]
+    return Section("residual", "Residual", blocks)
+
+
+def bytes_bars(parts: dict[str, int]) -> str:
+    """Bytes of every part as bars, largest first; sums are left out."""
+    rows = sorted(((size, name) for name, size in parts.items() if name not in SUMS), key=lambda row: (-row[0], row[1]))
+    labels = [_part_name(name) for _, name in rows]
+    return bars([size / 1000 for size, _ in rows], labels, title="bytes by part", unit="kB") if rows else ""
+
+
+def rate_curve(residual: dict[str, Any]) -> str:
+    """PSNR against bytes, from none on: the model alone, and the settings that the allocation tried. Empty without
+    figures of the model or of any setting: settings alone lie too close together to tell anything."""
+    tried = sorted(
+        (point["bytes"] / 1000, point["psnr_db"])
+        for point in residual.get("curve") or []
+        if point.get("psnr_db") is not None
+    )
+    alone, parameters = residual.get("model_psnr_db"), (residual.get("bytes") or {}).get("parameters")
+    if not tried or alone is None or parameters is None:
+        return ""
+    kilobytes, quality = np.array(tried).T
+    curves = [
+        Curve("with residual", kilobytes, quality, dots=True),
+        Curve("", kilobytes, quality),
+        Curve("model alone", np.array([parameters / 1000]), np.array([alone]), colour=PALETTE[1], dots=True),
+    ]
+    low, high = min(alone, quality.min()), max(alone, quality.max())
+    room = max(0.08 * (high - low), 0.5)
+    return chart(
+        curves,
+        x_label="kB",
+        y_label="PSNR, dB",
+        title="quality against bytes",
+        x_range=(0, 1.05 * kilobytes.max()),
+        y_range=(low - room, high + room),
+    )
+
+
+def _part_name(name: str) -> str:
+    return PART_NAMES.get(name, name.replace("_", " "))

@@ -1,0 +1,239 @@
+"""Report: one page on a painting, from the artifacts of all other stages."""
+
+from typing import Any
+
+import numpy as np
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import Maps
+from nishiki.artifacts.stage import Context
+from nishiki.evaluate.camera_colour import read_camera_colour
+from nishiki.observations.plane import Observations
+from nishiki.photometric.flags import NO_ESTIMATE
+from nishiki.report.files import contents, film, read_json
+from nishiki.report.numbers import figure, plain
+from nishiki.report.page import Block, Cell, Figure, Figures, Note, Section, Table
+from nishiki.report.pictures import Ruler, file_picture, ruler
+from nishiki.report.scene_page import text, write_scene_page
+from nishiki.report.svg import PALETTE, Curve, chart
+from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting, kind_of
+from nishiki.stages.report.painting_prediction import relighting_section
+from nishiki.stages.report.painting_surface import colour_section, shape_section
+from nishiki.stages.report.summary import at_a_glance, choices
+from nishiki.stages.table import CHAIN
+
+NO_TRUTH = (
+    "No truth was given, so errors are known only where lights were kept from the fits{}. Truth can be given for "
+    "normals, height, reflectance and the colours under check lights, as an .npz or a truth.zarr in the column truth "
+    "of the scene table (docs/stages/evaluate.md, formats of truth)."
+)
+
+
+def run(context: Context) -> dict:
+    """Collect the sections that this scene has, and write the page."""
+    inputs, settings = context.inputs, context.settings
+    widest = settings.picture_columns
+    diagnostics = {name: artifact.diagnostics for name, artifact in inputs.items()}
+    frames = Observations(inputs["ingest"].folder)
+    maps = {name: Maps(artifact.folder) for name, artifact in inputs.items() if artifact.path("maps.zarr").is_dir()}
+    evaluation = read_json(inputs.get("evaluate"), "evaluation.json")
+    scale_bar = ruler(frames.shape[1], frames.pixel_pitch_mm)
+    held_out = inputs["normals"].settings["hold_out"]
+    kinds = [kind_of(name, role, held_out) for name, role in zip(frames.lights, frames.roles, strict=True)]
+    relighting = relighting_section(inputs.get("evaluate"), maps.get("evaluate"), evaluation, widest)
+    truth = evaluation or {}
+    return write_scene_page(
+        context,
+        CHAIN,
+        title=diagnostics["ingest"]["capture"]["title"],
+        about=f"digitised from {len(frames.lights)} photographs, each under another light",
+        facts=facts_of_painting(diagnostics["ingest"], list(frames.channels), frames.pixel_pitch_mm, kinds),
+        tiles=at_a_glance(diagnostics["normals"], evaluation, diagnostics.get("height"), diagnostics.get("spectra")),
+        sections=[
+            appearance_section(inputs.get("render"), widest, settings.video_mb, scale_bar),
+            relighting,
+            shape_section(
+                maps["normals"],
+                widest=widest,
+                height=maps.get("height"),
+                pitch=frames.pixel_pitch_mm,
+                evaluated=maps.get("evaluate"),
+                mask=frames.mask,
+                evaluation=evaluation,
+                refined=diagnostics["normals"].get("refined", False),
+                ruler=scale_bar,
+            ),
+            colour_section(
+                maps["normals"],
+                widest=widest,
+                camera=read_camera_colour(inputs["ingest"].path("curves.npz"), len(frames.channels), frames.to_srgb),
+                spectra=maps.get("spectra"),
+                evaluated=maps.get("evaluate"),
+                evaluation=evaluation,
+                known=frames.mask & ((maps["normals"].read("flags") & NO_ESTIMATE) == 0),
+                expected_de00=diagnostics.get("spectra", {}).get("expected_de00"),
+                ruler=scale_bar,
+            ),
+            gloss_section(
+                read_json(inputs.get("brdf"), "parameters.json"),
+                true_gamma=(truth.get("gloss") or {}).get("true_gamma_rad"),
+            ),
+            capture_section(
+                diagnostics["ingest"], lights=list(frames.lights), kinds=kinds, directions=frames.directions
+            ),
+            export_section(inputs.get("export")),
+        ],
+        more_left_out=[]
+        if any(truth.get(name) for name in ("normals", "height", "reflectance"))
+        else [NO_TRUTH.format("" if relighting else "; none were")],
+        more_made=[choices({name: artifact.settings for name, artifact in inputs.items()})],
+    )
+
+
+MOST_CHARTS = 6
+INTRODUCTION = (
+    "What is left of the observations after the diffuse part is taken off, over the angle between the normal and the "
+    "half vector of light and view. A Torrance-Sparrow lobe is fitted to it; where the dots leave the curve at large "
+    "angles, the true gloss has longer tails than the model."
+)
+LINEAR = "Dots: measured, faint where few samples met; line: fitted."
+LOGARITHMIC = "The tails: what lies above the line here is gloss that the lobe lacks."
+FLAGS = {
+    "NO_HIGHLIGHT": "no highlight",
+    "AT_BOUND": "width at its bound",
+    "TOO_FEW": "too few samples",
+    "UNDETERMINED": "width not determined",
+    "NOT_FINITE": "samples not finite",
+    "NOT_CONVERGED": "not converged",
+}
+"""Flags of a fit (`nishiki.brdf.flags`) in words."""
+
+
+def gloss_section(parameters: dict[str, Any] | None, *, true_gamma: list[float] | None = None) -> Section | None:
+    """None where no gloss was fitted.
+
+    parameters : parameters.json of the stage brdf; true_gamma : least, median and largest half width at half maximum of
+    the true facet distribution, radians, where it is known.
+    """
+    if parameters is None:
+        return None
+    rows: list[list[Cell]] = []
+    charts: list[Figure] = []
+    for number, region in enumerate(parameters["regions"]):
+        name = f"region {number}" if len(parameters["regions"]) > 1 else "whole scene"
+        flags = ", ".join(FLAGS.get(flag, flag) for flag in region.get("flags") or []) or "–"
+        rest = (region["refractive_index"], region.get("samples"), region.get("residual"), flags)
+        for lobe, (beta, gamma) in enumerate(zip(region["beta"], region["gamma"], strict=True), 1):
+            rows.append([name, lobe, beta, gamma, None if gamma is None else float(np.degrees(gamma)), *rest])
+        if region.get("profile") and len(charts) < MOST_CHARTS:
+            charts += _profile_charts(region["profile"], name)
+    head = ("Region", "lobe", "β", "γ, rad", "γ, degrees", "n", "samples", "residual", "flags")
+    caption = (
+        "Torrance-Sparrow parameters: strength β relative to the white reference, half width at half maximum γ, "
+        "refractive index n."
+    )
+    blocks: list[Block] = [INTRODUCTION, Figures(charts), Table(head, rows, "lrrrrrrrl", caption)]
+    if true_gamma:
+        least, median, largest = (figure(float(np.degrees(value))) for value in true_gamma)
+        blocks.append(
+            f"The true facets (GGX) have half widths from {least}° to {largest}°, median {median}°. Fine relief below "
+            "the size of a pixel widens what the camera sees."
+        )
+    return Section("gloss", "Gloss", blocks)
+
+
+def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
+    """The profile with linear and with logarithmic strength."""
+    order = np.argsort(profile["phi"], kind="stable")
+    phi = np.degrees(np.array(profile["phi"], float)[order])
+    value, fitted, count = (np.array(profile[key], float)[order] for key in ("value", "fitted", "count"))
+    peak = float(np.nanmax(fitted, initial=0.0))
+    if not (phi.size and peak > 0):
+        return []
+    # rows of few samples are noise: as many samples as a tenth of the median row give full ink
+    strength = np.clip(np.sqrt(count / max(0.1 * float(np.median(count)), 1.0)), 0.08, 0.8)
+    reach = max(10.0, 2.0 * float(phi[fitted > 0.005 * peak].max(initial=0.0)))
+    reach = min(reach, float(phi.max()))
+    firm = (strength >= 0.5) & (phi <= reach)
+    axes = {"x_label": "angle φ between normal and half vector, degrees", "y_label": "specular part / (F G / cos θr)"}
+    drawn = [
+        Curve("measured", phi, value, PALETTE[0], dots=True, strength=np.where(phi <= reach, strength, 0)),
+        # the fit is blurred by each row's own uncertainty of the normals: a line through firm rows only
+        Curve("fitted lobe", phi[firm], fitted[firm], PALETTE[1]),
+    ]
+    linear = chart(
+        drawn, title=f"specular profile of {name}", x_range=(0, reach), y_range=(-0.05 * peak, 1.05 * peak), **axes
+    )
+    top = 1.6 * peak
+    logarithmic = chart(
+        drawn,
+        title=f"tails of the profile of {name}",
+        x_range=(0, reach),
+        y_range=(1e-4 * top, top),
+        logarithmic=True,
+        **axes,
+    )
+    heading = name.capitalize()
+    return [Figure(heading, LINEAR, svg=linear), Figure(f"{heading}, logarithmic", LOGARITHMIC, svg=logarithmic)]
+
+
+MOST_PICTURES = 8
+
+
+def appearance_section(render: Artifact | None, widest: int, video_mb: float, ruler: Ruler | None) -> Section | None:
+    """Pictures of at most `widest` pixels across, None without any; ruler : below those seen from the front."""
+    if render is None:
+        return None
+    reported = render.diagnostics.get("pictures") or {}
+    items, others, named = [], [], []
+    for entry in render.settings["pictures"]:
+        data = contents(render, f"{entry['name']}.png")
+        if data is None:
+            continue
+        if len(items) == MOST_PICTURES:
+            named.append(f"render/{render.key}/{entry['name']}.png")
+            continue
+        exposure = (reported.get(entry["name"]) or {}).get("exposure")
+        caption = f"{describe(entry)} {exposed(exposure, chosen=entry.get('exposure') == 'auto')}".strip()
+        frontal = entry["view"]["kind"] == "frontal"
+        picture = file_picture(data, widest)
+        items.append(Figure(entry["name"].capitalize(), caption, picture, ruler=ruler if frontal else None))
+    for entry in render.settings["sequences"]:
+        facts = reported.get(entry["name"]) or {}
+        if facts.get("file") in render.manifest["files"]:
+            moves = f"The {entry['moves']} goes round at {entry['elevation_deg']:g}° above the plane."
+            caption = f"{moves} {exposed(facts.get('exposure'), chosen=True)}".strip()
+            shown = film(render, facts["file"], entry["name"].capitalize(), caption, video_mb)
+            (items if isinstance(shown, Figure) else others).append(shown)
+    if named:
+        others.append(f"Also made: {', '.join(named)}.")
+    if not items and not others:
+        return None
+    intro = (
+        "Pictures computed from the record, under lights that need not have been there. They show the object as an eye "
+        "adapted to the light would see it: white balance by the lamp, exposure by the picture (each caption states "
+        "it). The EXR files hold the linear values."
+    )
+    notes = [Note([note]) for note in render.diagnostics.get("notes") or []]
+    return Section("appearance", "Appearance", [intro, Figures(items), *others, *notes])
+
+
+def describe(picture: dict[str, Any]) -> str:
+    """Lights and view of a picture in words."""
+    lights = [f"{light['illuminant']} from {_place(light)}" for light in picture["lights"]]
+    view = picture["view"]
+    seen = "seen from the front" if view["kind"] == "frontal" else f"seen from {_place(view)}"
+    ambient = f", ambient {text(picture['ambient'])}" if picture["ambient"] else ""
+    return f"{' and '.join(lights) or 'no lamp'}{ambient}, {seen}."
+
+
+def exposed(exposure: float | None, *, chosen: bool) -> str:
+    """What a caption says of the exposure; chosen: from the picture itself."""
+    if exposure is None:
+        return ""
+    why = ", chosen from the picture" if chosen else ""
+    return f"Exposure {plain(exposure, 2)}{why} (1: a white that faces the lamp is white)."
+
+
+def _place(direction: dict[str, Any]) -> str:
+    return f"{direction['elevation_deg']:g}° above the plane, azimuth {direction['azimuth_deg']:g}°".replace("-", "−")

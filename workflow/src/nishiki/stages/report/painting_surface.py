@@ -1,0 +1,364 @@
+"""The sections of a painting's page on shape and colour: normals, height, spectra and their errors."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from nishiki.colour.colour import (
+    illuminant,
+    srgb_encode,
+    white_xyz,
+    xyz_from_spectra,
+    xyz_matrix,
+    xyz_to_lab,
+    xyz_to_srgb_linear,
+)
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.evaluate.camera_colour import CameraColour
+from nishiki.photometric import flags as bits
+from nishiki.report.colour_map import heat, hexadecimal, sea
+from nishiki.report.numbers import figure
+from nishiki.report.page import Block, Figure, Figures, Heading, Section, Table
+from nishiki.report.pictures import (
+    Ruler,
+    block_of,
+    brightened,
+    brightening,
+    class_picture,
+    colour_picture,
+    hillshade,
+    normal_picture,
+    scalar_picture,
+    shrink,
+)
+from nishiki.report.svg import INK, PALETTE, Curve, chart
+
+# From harmless to grave: later ones win where a block of pixels has several.
+CLASSES = (
+    (0, "#b9d1b3", "no flag"),
+    (bits.FALLBACK, "#cfc08a", "simple estimate stands"),
+    (bits.NO_REDUNDANCY, "#e3b04b", "as many lights as unknowns"),
+    (bits.ILL_CONDITIONED | bits.FACES_AWAY, "#d9772f", "ill-conditioned, or faces away"),
+    (bits.NO_ESTIMATE, "#9c2a2a", "no estimate"),
+)
+ROWS_AGAINST_TRUTH = {
+    "estimated": "with an estimate",
+    "unflagged": "of these without a flag",
+    "flagged": "of these with a flag",
+    "inside": "whole object, pixels without estimate as flat",
+}
+NORMALS = (
+    "OpenGL convention: red to the right, green upwards, blue towards the camera. A flat surface is even lilac-blue; "
+    "blotches of colour that follow the paint instead of the relief would be an error."
+)
+RELIEF = "the integrated height under a slanting lamp from the upper left; slopes are scaled to be seen."
+HEIGHT = (
+    "integrated from the normals; level and tilt are free, long waves are the least certain. Pieces that nothing "
+    "connects stand each at its own level: how one lies above the other is not known."
+)
+CALIBRATED = (
+    "root mean square angle, from the fit's residuals, from slopes around it that no surface has, and from the tilt; "
+    "calibrated on other captures with truth."
+)
+FORMAL = "one standard deviation, from the residuals of each pixel's fit. It knows of noise, not of a wrong model."
+LIGHTS_OF_REFINED = (
+    "how many lights the joint fit of normals and gloss believes at each pixel (with more than half of their weight). "
+    "It models highlights instead of leaving them out, so that the selection of diffuse lights does not limit it. "
+    "Fewer than three give no normal."
+)
+LIGHTS = (
+    "how many lights showed plain diffuse reflection at each pixel. Few lights at highlights and in hollows are right; "
+    "fewer than three give no normal."
+)
+
+
+def shape_section(
+    normals,
+    *,
+    widest: int,
+    height=None,
+    pitch: float | None = None,
+    evaluated=None,
+    mask: np.ndarray | None = None,
+    evaluation: dict[str, Any] | None = None,
+    refined: bool = False,
+    ruler: Ruler | None = None,
+) -> Section:
+    """normals, height, evaluated : `Maps` of those stages or None; pitch : of a pixel, mm; evaluation :
+    evaluation.json; refined : whether normals and gloss were fitted together."""
+    shape = tuple(normals.group["normals"].shape[:2])
+    block = block_of(shape[1], widest)
+    known = shrink(lambda rows: _known(normals, rows, mask), shape, block) > 0
+
+    def small(name: str, maps=normals) -> np.ndarray:
+        values = shrink(lambda rows: maps.read(name, rows), shape, block)
+        values[~known] = np.nan
+        return values
+
+    calibrated = height is not None and "expected_error" in height
+    sigma = np.degrees(small("expected_error", height) if calibrated else small("sigma"))
+    error = small("angular_error", evaluated) if evaluated is not None and "angular_error" in evaluated else None
+    # one scale for both, so that expected and true errors can be compared
+    ends = [np.nanpercentile(v, 98) for v in (sigma, error) if v is not None and np.isfinite(v).any()]
+    end = float(max(ends, default=1))
+    items = [Figure("Normals", NORMALS, normal_picture(small("normals")), ruler=ruler)]
+    if height is not None:
+        items += _height(height, shape, block, known, pitch, ruler)
+    expected = scalar_picture(sigma, heat(), unit="degrees", low=0.0, high=end)
+    items.append(Figure("Expected error of the normals", CALIBRATED if calibrated else FORMAL, expected))
+    if error is not None:
+        picture = scalar_picture(error, heat(), unit="degrees", low=0.0, high=end)
+        items.append(Figure("Angle to the true normals", "compare with the expected error beside it.", picture))
+    lights = scalar_picture(small("lights_used"), sea(), unit="lights", digits=3)
+    items.append(Figure("Lights used", LIGHTS_OF_REFINED if refined else LIGHTS, lights))
+    key = {k: (colour, text) for k, (_, colour, text) in enumerate(CLASSES)}
+    flags = class_picture(_flags(normals, shape, block, mask), key)
+    items.append(Figure("Flags", "where an estimate is missing or weak.", flags))
+    return Section("shape", "Shape", [Figures(items), *_against_truth(evaluation or {})])
+
+
+def _against_truth(evaluation: dict[str, Any]) -> list[Block]:
+    blocks: list[Block] = []
+    if angles := evaluation.get("normals"):
+        parts = [(label, angles[name]) for name, label in ROWS_AGAINST_TRUTH.items()]
+        for part in angles["by_slope"]:
+            if part["count"]:
+                parts.append((f"true slope {part['from_deg']:g}° to {part['to_deg']:g}°", part))
+        rows = [(label, part["mean"], part["median"], part["p90"], part["count"]) for label, part in parts]
+        head = ("Pixels", "mean", "median", "90 %", "number")
+        blocks.append(Table(head, rows, "lrrrr", "Angle between estimated and true normals, degrees."))
+    if (height := evaluation.get("height")) and height["rms"] is not None:
+        rms, p90, relief = (figure(1000 * height[name], 3, "µm") for name in ("rms", "p90", "relief_rms"))
+        blocks.append(
+            f"Height against truth, less a plane: rms {rms}, 90th percentile {p90}; the relief itself has an rms of "
+            f"{relief}."
+        )
+    return blocks
+
+
+def _known(normals, rows: slice, mask: np.ndarray | None) -> np.ndarray:
+    has = (normals.read("flags", rows) & bits.NO_ESTIMATE) == 0
+    return (has if mask is None else has & mask[rows]).astype(np.float32)
+
+
+def _flags(normals, shape: tuple[int, int], block: int, mask: np.ndarray | None) -> np.ndarray:
+    """The gravest class of each block of pixels; NaN outside the mask."""
+    classes = shrink(lambda rows: _classes(normals.read("flags", rows)), shape, block, worst=True)
+    if mask is None:
+        return classes
+    inside = shrink(lambda rows: mask[rows].astype(np.float32), shape, block) > 0
+    return np.where(inside, classes, np.nan)
+
+
+def _classes(flags: np.ndarray) -> np.ndarray:
+    classes = np.zeros(flags.shape, np.float32)
+    for rank, (bit, _, _) in enumerate(CLASSES):
+        if bit:
+            classes[(flags & bit) != 0] = rank
+    return classes
+
+
+def _height(height, shape, block: int, known: np.ndarray, pitch: float | None, ruler: Ruler | None) -> list[Figure]:
+    unit = height.attributes("height").get("unit", "")
+    values = shrink(lambda rows: height.read("height", rows), shape, block).astype(np.float64)
+    values[~known] = np.nan
+    step = (pitch or 1.0) * block if unit == "mm" else float(block)
+    flat = values - np.nanmin(values) if np.isfinite(values).any() else values
+    relief = np.repeat(hillshade(values, step=step)[..., None], 3, axis=-1)
+    return [
+        Figure("Relief", RELIEF, colour_picture(relief), ruler=ruler),
+        Figure("Height", HEIGHT, scalar_picture(flat, sea(), unit=unit, low=0.0), ruler=ruler),
+    ]
+
+
+CURVES = 9
+LEAST_SHARE = 0.002
+ILLUMINANTS = {"D65": "daylight, D65", "A": "incandescent, A", "FL11": "fluorescent of three narrow bands, FL11"}
+UNDER_D65 = "CIEDE2000 of the diffuse reflectance under D65, not under the lamp of the capture."
+EXPECTED_ERROR = "for surfaces like those of the training set; light patches are colours unlike any of them."
+PLACES = (
+    "Places that differ most in colour, numbered in the picture above. A camera of few channels fixes the colour, not "
+    "the curve: fine structure comes from the training set."
+)
+VARNISH = (
+    "The spectra are those of the surface as the camera sees it, that is through the varnish: a yellowed or matt "
+    "varnish is part of them."
+)
+
+
+def colour_section(
+    normals,
+    *,
+    widest: int,
+    camera: CameraColour,
+    spectra=None,
+    evaluated=None,
+    evaluation: dict[str, Any] | None = None,
+    known: np.ndarray | None = None,
+    expected_de00: dict[str, float] | None = None,
+    ruler: Ruler | None = None,
+) -> Section:
+    """Diffuse reflectance, spectra where there are some, and their errors.
+
+    normals, spectra, evaluated : `Maps` of those stages or None; camera : map of the channels to XYZ, used where there
+    are no spectra; evaluation : evaluation.json or None; known : (rows, columns) bool, pixels with an estimate;
+    expected_de00 : diagnostic of the spectra.
+    """
+    shape = tuple(normals.group["reflectance"].shape[:2])
+    block = block_of(shape[1], widest)
+    maps, name = (normals, "reflectance") if spectra is None else (spectra, "coefficients")
+    small = shrink(lambda rows: _masked(maps.read(name, rows), known, rows), shape, block)
+    if spectra is None:
+        figure = _diffuse(xyz_to_srgb_linear(camera.xyz(small), white=camera.white), camera.how, (), ruler)
+        return Section("colour", "Colour", [Figures([figure])])
+    basis = np.array(spectra.attributes("coefficients")["basis"])
+    xyz = small @ xyz_matrix(illuminant("D65"), basis).T
+    truth = (evaluation or {}).get("reflectance") or {}
+    if truth.get("regions"):
+        labels = None
+        if evaluated is not None and "regions" in evaluated:
+            labels = np.asarray(evaluated.read("regions"))[block // 2 :: block, block // 2 :: block]
+        curves, marks = _of_regions(truth["regions"], truth["region_names"], labels)
+        numbered = ", each numbered in the picture above where it is widest" if marks else ""
+        means = "mean of the estimated spectra, and of the true ones (dashed)"
+        about = f"Regions that differ most in colour{numbered}: {means}."
+    else:
+        curves, marks = _of_places(small, xyz, basis, block)
+        about = PLACES
+    items = [_diffuse(xyz_to_srgb_linear(xyz), "from the spectra of the pixels, under D65", marks, ruler)]
+    if evaluated is not None and "reflectance_de00" in evaluated:
+        difference = shrink(lambda rows: evaluated.read("reflectance_de00", rows), shape, block)
+        picture = scalar_picture(difference, heat(), unit="ΔE00 under D65", low=0.0)
+        items.append(Figure("Difference to the true reflectance", UNDER_D65, picture))
+    sigma = shrink(lambda rows: _masked(spectra.read("sigma", rows), known, rows), shape, block)
+    picture = scalar_picture(sigma, heat(), unit="reflectance, expected rms", low=0.0)
+    items.append(Figure("Expected error of the spectra", EXPECTED_ERROR, picture))
+    blocks: list[Block] = [Figures(items)]
+    if curves:
+        blocks += [Heading("Spectra"), f"{about} {VARNISH}", Figures(curves, 3)]
+    return Section("colour", "Colour", [*blocks, *_tables(expected_de00 or {}, truth)])
+
+
+def _diffuse(linear: np.ndarray, how: str, marks: tuple, ruler: Ruler | None) -> Figure:
+    factor = brightening(linear)
+    numbers = " The numbers are the places of the spectra below." if marks else ""
+    caption = f"the object without highlights, shadows and shading; {how}.{brightened(factor)}{numbers}"
+    return Figure("Diffuse reflectance", caption, replace(colour_picture(factor * linear), marks=marks), ruler=ruler)
+
+
+def _tables(expected_de00: dict[str, float], truth: dict[str, Any]) -> list[Block]:
+    """Colour errors to be expected, and errors of the reflectance against a truth."""
+    tables: list[Block] = []
+    if expected_de00:
+        rows = [[ILLUMINANTS[light], value] for light, value in expected_de00.items()]
+        caption = (
+            "Colour under lights that the camera has not seen: mean ΔE00 to be expected of the estimated spectra, from "
+            "training spectra of like colours"
+        )
+        if truth:
+            rows = [[*row, truth["de00"][light]["mean"]] for row, light in zip(rows, expected_de00, strict=True)]
+            tables.append(
+                Table(("Light", "expected", "measured"), rows, "lrr", f"{caption}; measured: against the truth.")
+            )
+        else:
+            tables.append(Table(("Light", "expected"), rows, "lr", f"{caption}."))
+    if truth:
+        parts = {"rms over 61 bands, reflectance": truth["rmse"]}
+        parts |= {f"ΔE00 under {name}": part for name, part in truth["de00"].items()}
+        rows = [[name, *(part[key] for key in ("mean", "median", "p90", "count"))] for name, part in parts.items()]
+        head = ("Measure", "mean", "median", "90 %", "number")
+        tables.append(Table(head, rows, "lrrrr", "Reflectance of the pixels against truth."))
+    return tables
+
+
+def spread_out(points: np.ndarray, count: int, first: int) -> list[int]:
+    """Indices of at most `count` points (n, k) far from one another: from `first` on, always the farthest next."""
+    chosen = [first]
+    distance = np.linalg.norm(points - points[first], axis=1)
+    while len(chosen) < min(count, len(points)):
+        following = int(np.argmax(distance))
+        if not distance[following] > 0:
+            break
+        chosen.append(following)
+        distance = np.minimum(distance, np.linalg.norm(points - points[following], axis=1))
+    return chosen
+
+
+def _masked(values: np.ndarray, known: np.ndarray | None, rows: slice) -> np.ndarray:
+    if known is None:
+        return values
+    values = np.array(values, np.float32)
+    values[~known[rows]] = np.nan
+    return values
+
+
+def _of_regions(regions: list[dict], names: list[str], labels: np.ndarray | None) -> tuple[list[Figure], tuple]:
+    """Charts of regions that differ most in colour, the largest first; regions of a few pixels are left out.
+
+    labels : (rows, columns) region of each pixel of the picture, or None. The marks stand where the regions are widest.
+    """
+    total = sum(region["pixels"] for region in regions)
+    large = sorted((r for r in regions if r["pixels"] >= LEAST_SHARE * total), key=lambda r: (-r["pixels"], r["label"]))
+    lamp = illuminant("D65")
+    lab = xyz_to_lab(xyz_from_spectra(lamp, np.array([r["truth"] for r in large])), white_xyz(lamp))
+    charts, marks = [], []
+    for number, k in enumerate(sorted(spread_out(lab, CURVES, 0)), 1):
+        region = large[k]
+        label = names[region["label"]] if region["label"] < len(names) else f"region {region['label']}"
+        curves = [(region["estimate"], False), (region["truth"], True)]
+        note = f"{region['pixels']} pixels, rms {region['rmse']:.3f}."
+        if labels is not None and (labels == region["label"]).any():
+            label = f"{number}: {label}"
+            marks.append((*_widest_place(labels == region["label"]), str(number)))
+        charts.append(_spectrum_chart(label, note, curves))
+    return charts, tuple(marks)
+
+
+def _widest_place(inside: np.ndarray) -> tuple[float, float]:
+    """(x, y) of the pixel of a region (rows, columns) bool that is farthest from its edge."""
+    import cv2
+
+    depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
+    row, column = np.unravel_index(int(depth.argmax()), depth.shape)
+    return column + 0.5, row + 0.5
+
+
+def _of_places(small: np.ndarray, xyz: np.ndarray, basis: np.ndarray, block: int) -> tuple[list[Figure], tuple]:
+    """Charts of places that differ most in colour: means over blocks of pixels, away from the extremes; their marks."""
+    step = max(1, int(np.sqrt(small.shape[0] * small.shape[1] / 4000)))
+    rows, columns = (axis.ravel() for axis in np.mgrid[0 : small.shape[0] : step, 0 : small.shape[1] : step])
+    there = np.isfinite(xyz[rows, columns]).all(axis=-1)
+    rows, columns = rows[there], columns[there]
+    if not rows.size:
+        return [], ()
+    lab = xyz_to_lab(xyz[rows, columns], white_xyz(illuminant("D65")))
+    middle = np.linalg.norm(lab - np.median(lab, axis=0), axis=1)
+    usual = np.flatnonzero(middle <= np.percentile(middle, 99))
+    charts, marks = [], []
+    for number, k in enumerate(spread_out(lab[usual], CURVES, int(np.argmin(middle[usual]))), 1):
+        i, j = int(rows[usual[k]]), int(columns[usual[k]])
+        place = f"{number}: row {i * block + block // 2}, column {j * block + block // 2}"
+        charts.append(_spectrum_chart(place, "", [(small[i, j].astype(float) @ basis, False)]))
+        marks.append((j + 0.5, i + 0.5, str(number)))
+    return charts, tuple(marks)
+
+
+def _spectrum_chart(label: str, note: str, curves: list[tuple[Any, bool]]) -> Figure:
+    swatch = srgb_encode(xyz_to_srgb_linear(xyz_from_spectra(illuminant("D65"), np.asarray(curves[0][0], float))))
+    drawn = [
+        Curve("", WAVELENGTHS_NM, np.asarray(values, float), INK if dashed else PALETTE[1], dashed)
+        for values, dashed in curves
+    ]
+    top = max(1.0, *(float(np.max(curve.y)) for curve in drawn))
+    svg = chart(
+        drawn,
+        x_label="wavelength, nm",
+        y_label="reflectance",
+        title=f"reflectance of {label}",
+        x_range=(400, 700),
+        y_range=(0.0, top * 1.02),
+        width=330,
+        height=220,
+    )
+    return Figure(label, note, svg=svg, swatch=hexadecimal(np.round(255 * swatch)))

@@ -1,0 +1,194 @@
+"""Cloth_viewer: a page on which a cloth hangs, lies flat and is dyed under any lamp, data beside it or inside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.progress import Progress
+from nishiki.render.cloth import around, brdf_table
+from nishiki.render.cloth.brdf_table import BrdfTable
+from nishiki.render.cloth.drape import read_drape
+from nishiki.render.cloth.dyes import dyed, gloss_alone
+from nishiki.render.cloth.local import LEAST_COSINE, LIFT
+from nishiki.render.cloth.models import ClothModels
+from nishiki.render.cloth.scene import Brdf, Surface
+from nishiki.render.cloth.sheet import sheet, swatch
+from nishiki.render.cloth.studio import Studio, studio, tubes
+from nishiki.report.viewer.arrays import pack_arrays
+from nishiki.report.viewer.page import Blocks, write_page
+from nishiki.stages.render import MeshSettings
+from nishiki.stages.render.draping import surface_from_file
+
+PAGE = Path(__file__).with_suffix(".js")
+
+
+def run(context: Context) -> dict:
+    """Write the surfaces, a table of every model, and the page."""
+    blocks = Blocks(context.output, inline_bytes=int(context.settings.inline_mb * 1e6))
+    models = ClothModels(context.inputs["cloth_brdf"].folder)
+    about = {**context.stamp, "title": context.inputs["ingest"].diagnostics["capture"]["title"]}
+    chosen = {"dyes": context.settings.dyes, "mesh": context.settings.mesh}
+    return write_cloth(models, blocks, about, **chosen, progress=context.progress)
+
+
+def write_cloth(
+    models: ClothModels,
+    blocks: Blocks,
+    about: dict,
+    *,
+    dyes: dict[str, str],
+    mesh: MeshSettings | None = None,
+    progress: Progress,
+) -> dict:
+    """Blocks and page of a cloth; sizes in bytes. about: title and stamp; dyes: sRGB colours (#rrggbb) by name; mesh: a
+    further surface, which the page opens with."""
+    shapes = {}
+    for name, make in surfaces(mesh).items():
+        shape = shape_of(make())
+        blocks.add(f"shape-{name}", pack_arrays(shape.arrays))
+        shapes[name] = shape.numbers
+    chosen = [
+        (region, model)
+        for region in models.regions
+        for model in sorted(models.names(region), key=lambda name: name != models.default)
+    ]
+    for region, model in progress.through(chosen, len(chosen), "model"):
+        for part, arrays in material_arrays(models.brdf(region, model)).items():
+            blocks.add(f"{part}-{region}-{model}", pack_arrays(arrays))
+    manifest = {
+        "format": 1, "chain": "cloth", **about, "shapes": shapes, "table": table_numbers(), "dyes": dyes,
+        "materials": [{"region": region, "model": model} for region, model in chosen],
+    }  # fmt: skip
+    return {**write_page(blocks, manifest, PAGE), "shape_bytes": _bytes(blocks, "shape-"), "models": len(chosen)}
+
+
+def _bytes(blocks: Blocks, prefix: str) -> int:
+    return sum(size for name, size in blocks.bytes.items() if name.startswith(prefix))
+
+
+SIDE = 193
+"""Points along a side of the draped cloth, as `cloth_render` draws it."""
+PAPER = 0.14
+"""Reflectance of the paper below, as `cloth_render` has it."""
+POSITION_STEPS = 1 << 16
+"""Steps of a place in an extent of the cloth."""
+SIZE = {"rows": 600, "columns": 800}
+"""Of the picture that the first view of a surface fills."""
+
+
+def draped() -> Studio:
+    """The cloth over a ball."""
+    return on_paper(sheet(read_drape(), side=SIDE)[0])
+
+
+def on_paper(surface: Surface) -> Studio:
+    """A surface on paper without a wall: it is seen from all sides."""
+    view = {"elevation": np.radians(21), "azimuth": np.radians(12), "distance": 2.2}
+    return studio([surface], [], **view, **SIZE, level=1.0, reflectance=PAPER, wall=False)
+
+
+def flat() -> Studio:
+    """A flat sample that faces the eye, weft to the right."""
+    view = {"elevation": 0.0, "azimuth": 0.0, "distance": 2.2}
+    return studio([swatch(1.0, 1.0)], [], **view, **SIZE, level=1.0, reflectance=0.0)
+
+
+def cylinders() -> Studio:
+    """Three cylinders: warp upright, oblique and around."""
+    view = {"elevation": np.radians(12), "azimuth": 0.0, "distance": 2.6}
+    return studio(tubes(), [], **view, **SIZE, level=1.0, reflectance=PAPER, wall=False, margin=1.1)
+
+
+SHAPES: dict[str, Callable[[], Studio]] = {"drape": draped, "flat": flat, "cylinders": cylinders}
+FILE = "file"
+"""Name of the surface of a file, whose unit of length nobody knows."""
+
+
+def surfaces(mesh: MeshSettings | None) -> dict[str, Callable[[], Studio]]:
+    """What the page shows, by name; the surface of a file first."""
+    own = {} if mesh is None else {FILE: lambda: on_paper(surface_from_file(mesh).surface)}
+    return own | SHAPES
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A surface for the page: arrays of its block, and numbers for the manifest."""
+
+    arrays: dict[str, np.ndarray]
+    numbers: dict
+
+
+def shape_of(scene: Studio) -> Shape:
+    """A studio's surfaces: vertices as whole steps, unit vectors in 1/32767, openness in 1/255; differences of
+    consecutive rows, which deflate well, all but the openness."""
+    mesh, weft, camera = scene.scene.mesh, scene.scene.weft, scene.camera
+    cloth = np.zeros(len(mesh.vertices), bool)
+    cloth[mesh.triangles[scene.scene.material == 0]] = True
+    low, high = mesh.vertices[cloth].min(axis=0), mesh.vertices[cloth].max(axis=0)
+    step = float(np.linalg.norm(high - low)) / POSITION_STEPS
+    light = scene.surroundings
+    arrays = {
+        "vertices": differences(np.round(mesh.vertices / step).astype(np.int32)),
+        "normals": differences(unit_steps(mesh.normals)),
+        "weft": differences(unit_steps(weft)),
+        "triangles": differences(mesh.triangles.astype(np.int32)),
+        "cloth": cloth.astype(np.uint8),
+        "around": np.round(255 * np.concatenate([light.open, light.from_above], axis=1)).astype(np.uint8),
+    }
+    centre = (low + high) / 2
+    numbers = {
+        "step": step,
+        "centre": centre.tolist(),
+        "radius": float(np.linalg.norm(mesh.vertices[cloth] - centre, axis=1).max()),
+        "camera": camera.as_dict(),
+        "lift": LIFT * scene.scene.scale,
+        "reflectance": scene.paper.albedo[0] if scene.paper else 0.0,
+        "floor": float(mesh.vertices[:, 1].min()) if scene.paper else None,
+    }
+    return Shape(arrays, numbers)
+
+
+def differences(values: np.ndarray) -> np.ndarray:
+    """(n, k) integers less the row before, modulo their type's range."""
+    out = values.copy()
+    out[1:] -= values[:-1]
+    return out
+
+
+def unit_steps(vectors: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 3) in steps of 1/32767, int16."""
+    return np.round(32767 * np.asarray(vectors, np.float64)).astype(np.int16)
+
+
+def material_arrays(brdf: Brdf) -> dict[str, dict[str, np.ndarray]]:
+    """Blocks of a model: `measured`, its table and its share of even light; `gloss`, the table of its gloss alone, and
+    the directional albedo that a dye below it needs."""
+    dye = dyed(brdf, {"white": (1.0, 1.0, 1.0)})["white"]
+    through = {
+        "albedo": dye.gloss_albedo.astype(np.float32),
+        "albedo_of_views": dye.gloss_albedo_at(around.grid_views()).astype(np.float32),
+        "mean_albedo": np.float32([dye.mean_albedo]),
+    }
+    measured = table_arrays(brdf) | {"shares": around.shares(brdf).astype(np.float32)}
+    return {"measured": measured, "gloss": table_arrays(gloss_alone(brdf)) | through}
+
+
+def table_arrays(brdf: Brdf) -> dict[str, np.ndarray]:
+    """A BRDF's table, ring after ring as differences."""
+    table = BrdfTable.of(brdf)
+    codes = np.moveaxis(table.codes, 2, 0)
+    changes = differences(codes.reshape(len(codes), -1))
+    return {"codes": changes.reshape(codes.shape), "largest": np.float32([table.largest])}
+
+
+def table_numbers() -> dict:
+    """Sizes of the tables, and constants of the look-up and of the shading."""
+    return {
+        "sides": brdf_table.SIDES, "rings": brdf_table.RINGS, "turns": brdf_table.TURNS, "edge": brdf_table.EDGE,
+        "steps": brdf_table.STEPS, "least_cosine": LEAST_COSINE,
+    }  # fmt: skip

@@ -1,0 +1,198 @@
+"""Object_viewer: a page on which the coded object is decoded and seen from any view, data beside it or inside it.
+
+Nothing is coded anew. The page holds the streams of the stage `residual` byte for byte and decodes them with the same
+integer arithmetic; mesh and charts come as integers, wavelets as sparse matrices, cameras and lamps as numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.codec.compact_mesh import mesh_step
+from nishiki.codec.design import Design
+from nishiki.codec.entropy import Model
+from nishiki.codec.observations import view_matrix
+from nishiki.codec.transform import Plane
+from nishiki.geometry.camera_path import CameraPath, fit_turn
+from nishiki.observations.views import Views
+from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.free_lamps import ball_around, shadow_lift
+from nishiki.render.object.renderer import coded_parts
+from nishiki.report.viewer.arrays import pack_arrays
+from nishiki.report.viewer.page import Blocks, write_page
+
+PAGE = Path(__file__).with_suffix(".js")
+
+
+def run(context: Context) -> dict:
+    """Write what a decoder needs and the coded streams, then the page around them."""
+    decoded = DecodedObject.open(context.inputs)
+    blocks = Blocks(context.output, inline_bytes=int(context.settings.inline_mb * 1e6))
+    about = {
+        **context.stamp,
+        "title": context.inputs["ingest"].diagnostics["capture"]["title"],
+        "unit": Views(context.inputs["ingest"].folder).unit,
+    }
+    return write_object(decoded, blocks, about, without=decoded.numbers(context.settings.hold_out))
+
+
+def write_object(decoded: DecodedObject, blocks: Blocks, about: dict, *, without: frozenset[int]) -> dict:
+    """Blocks and page of an object; sizes in bytes. about: title, stamp, unit; without: views left out of the fit."""
+    described = pack_arrays(decoder_arrays(decoded))
+    blocks.add("object", described)
+    streams, coded_bytes = [], 0
+    for part in stream_parts(decoded):
+        blocks.add(part.name, part.data)
+        streams.append({"name": part.name, "first": part.first, "stop": part.stop})
+        coded_bytes += len(part.data)
+    manifest = {"format": 1, "chain": "object", **about, "streams": streams}
+    sizes = write_page(blocks, manifest | object_manifest(decoded, without=without), PAGE)
+    return {
+        **sizes,
+        "stream_bytes": coded_bytes,
+        "decoder_bytes": len(described),
+        "coded_object_bytes": decoded.residual.bytes["total"],
+    }
+
+
+CHART_STEPS = 256  # steps of a texel: places on the charts are rounded to these
+PART_BYTES = 256 << 10  # of the streams of several tiles that are loaded together
+
+
+@dataclass(frozen=True)
+class StreamPart:
+    """The streams of one kind of the tiles first .. stop - 1: parameters (0), or the residual's."""
+
+    name: str
+    first: int
+    stop: int
+    data: bytes
+
+
+def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
+    """The part of the page's manifest that only an object has, as plain data."""
+    design, turn = decoded.residual.design, fit_turn(list(decoded.cameras), full_turn=decoded.full_turn)
+    centre, radius = ball_around(decoded.mesh)
+    return {
+        "views": [camera.as_dict() for camera in decoded.cameras],
+        "lights": list(decoded.lights),
+        "without": sorted(without),
+        "turn": turn_numbers(turn),
+        "lighting": decoded.lighting.as_dict(),
+        "ceiling": decoded.ceiling,
+        "parts": list(coded_parts(decoded.residual, decoded.encoding)),
+        "centre": centre.tolist(),
+        "radius": radius,
+        "lift": shadow_lift(decoded.mesh),
+        "chart_steps": CHART_STEPS,
+        "mesh_step": mesh_step(decoded.mesh, list(decoded.cameras)),
+        "design": design.as_dict(),
+    }
+
+
+def turn_numbers(turn: CameraPath) -> dict:
+    """A turn as plain data."""
+    return {
+        "axis": turn.axis.tolist(),
+        "point": turn.point.tolist(),
+        "position": turn.position.tolist(),
+        "length": turn.length,
+        "closed": bool(turn.closed),
+    }
+
+
+def decoder_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
+    """Mesh, charts, index of the streams, start states of the coder, wavelets and transforms along the views."""
+    arrays = {**surface_arrays(decoded), **index_arrays(decoded)}
+    for name, model in zip(("parameters", "residual"), decoded.residual.models, strict=True):
+        arrays |= model_arrays(name, model)
+    return arrays | wavelet_arrays(decoded)
+
+
+def surface_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
+    """Vertices on their grid; points of the charts, each with its vertex, chart and place; corners of the triangles."""
+    mesh, atlas = decoded.mesh, decoded.atlas
+    grid = np.round(mesh.vertices / mesh_step(mesh, list(decoded.cameras))).astype(np.int64)
+    lowest = grid.min(axis=0)
+    places = np.round(atlas.corners.astype(np.float64) * CHART_STEPS).astype(np.int64).reshape(-1, 2)
+    charts = np.repeat(atlas.chart.astype(np.int64), 3)
+    points, corners = np.unique(
+        np.column_stack([charts, mesh.triangles.reshape(-1).astype(np.int64), places]), axis=0, return_inverse=True
+    )
+    return {
+        "lowest": lowest.astype(np.int32),
+        "vertices": smallest(grid - lowest),
+        "point_chart": points[:, 0].astype(np.int16),
+        "point_vertex": smallest(points[:, 1]),
+        "point_place": points[:, 2:].astype(np.int32),
+        "corners": smallest(corners.reshape(-1, 3)),
+        "chart_grid": atlas.chart_grid.astype(np.int32),
+        "cells": atlas.cells.astype(np.int32),
+    }
+
+
+def index_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
+    """Extent and lengths of the streams of every tile."""
+    residual = decoded.residual
+    extents = [extent.row_of_numbers() for extent in residual.extents]
+    lengths = [residual.stored(tile) for tile in range(residual.tiles)]
+    return {"extents": np.array(extents, np.uint16), "lengths": np.array(lengths, np.uint32)}
+
+
+def model_arrays(name: str, model: Model) -> dict[str, np.ndarray]:
+    """State of the coder at the start of a tile."""
+    return {
+        f"{name}/chance": model.chance.astype(np.uint32),
+        f"{name}/seen": model.seen.astype(np.uint8),
+        f"{name}/weights": model.weights.astype(np.int32),
+    }
+
+
+def wavelet_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
+    """One level of synthesis of every length that occurs, lengths of the basis vectors, transforms along the views."""
+    residual = decoded.residual
+    design: Design = residual.design
+    extents = [extent for extent in residual.extents if extent.length]
+    arrays = {"along/lights": view_matrix(design.light_transform, design.lights).astype(np.float32)}
+    for length in sorted({extent.length for extent in extents}):
+        arrays[f"along/views/{length}"] = view_matrix(design.view_transform, length).astype(np.float32)
+    for extent in extents:
+        arrays |= plane_arrays("plane", design.plane(extent))
+        arrays |= plane_arrays("parameter_plane", design.parameter_plane(extent))
+    return arrays
+
+
+def plane_arrays(name: str, plane: Plane) -> dict[str, np.ndarray]:
+    """Of both axes of a plane: sparse rows of each level's synthesis, and lengths of its basis vectors."""
+    arrays = {}
+    for axis in (plane.down, plane.across):
+        for level in range(plane.levels):
+            rows = axis.synthesis[level]
+            arrays[f"{name}/{axis.length >> level}/index"] = rows.index.astype(np.uint16)
+            arrays[f"{name}/{axis.length >> level}/weight"] = rows.weight.astype(np.float32)
+            for band, basis in (("low", axis.smooth[level]), ("high", axis.detail[level])):
+                norms = np.sqrt((basis**2).sum(axis=0)).astype(np.float32)
+                arrays[f"{name}/{axis.length}/{band}/{level}"] = norms
+    return arrays
+
+
+def stream_parts(decoded: DecodedObject) -> Iterator[StreamPart]:
+    """The coded streams, byte for byte, in parts that are loaded one by one: parameters first."""
+    residual = decoded.residual
+    for kind, streams in (("parameters", slice(0, 1)), ("residual", slice(1, None))):
+        first, held = 0, []
+        for tile in range(residual.tiles):
+            held.append(b"".join(residual.stream(tile, n) for n in range(len(residual.stored(tile)))[streams]))
+            if sum(map(len, held)) >= PART_BYTES or tile + 1 == residual.tiles:
+                yield StreamPart(f"{kind}-{first}", first, tile + 1, b"".join(held))
+                first, held = tile + 1, []
+
+
+def smallest(values: np.ndarray) -> np.ndarray:
+    """The same numbers, none negative, as uint16 where they fit and as uint32 otherwise."""
+    return values.astype(np.uint16 if values.max(initial=0) < 1 << 16 else np.uint32)
