@@ -22,10 +22,9 @@ from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import cie_1931_cmfs, delta_e_2000, illuminant, srgb_matrix, xyz_to_lab
 from nishiki.colour.encoding import decode
 from nishiki.progress import Progress
-from nishiki.render.cloth.dyes import dyed
 from nishiki.render.cloth.frame import RenderVariant
 from nishiki.render.cloth.frame import render as render_cloth
-from nishiki.render.cloth.models import ClothModels
+from nishiki.render.cloth.models import ClothModels, dyed
 from nishiki.render.cloth.scene import Lamp
 from nishiki.render.cloth.studio import linear_colour
 from nishiki.render.display import adapted_exposure, developed, display_image

@@ -25,7 +25,7 @@ from nishiki.brdf.parameters import gloss_table
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.brdf.trowbridge_reitz import isotropic_lobe
 from nishiki.colour.encoding import decode, encode
-from nishiki.report.files import read_json
+from nishiki.report.page import read_json
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.gloss import ANGLES, GltfMaterial, RegionGloss
 from nishiki.stages.export.look import errors, painting_look, textures

@@ -26,7 +26,7 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.spatial import cKDTree
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "workflow/src"))
-from nishiki.render.cloth.drape import write_drape
+from nishiki.render.cloth.surfaces import write_drape
 
 SIDE = 1.0
 """Side of the square, m."""

@@ -176,9 +176,8 @@ def budget(made, truth):
     from nishiki.brdf.parameters import gloss_table
     from nishiki.brdf.slopes import slope_covariance
     from nishiki.evaluate.classes import classify
-    from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
+    from nishiki.evaluate.prediction import FittedModel, light_of, predict_light, spectral_colour
     from nishiki.evaluate.relighting import truth_difference
-    from nishiki.evaluate.scene_colour import spectral_colour
     from nishiki.observations.plane import Observations
     from nishiki.render.plane.scene import Gloss
 

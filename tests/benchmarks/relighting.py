@@ -37,7 +37,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(PROJECT / "workflow/src"))
 
 from nishiki.evaluate.camera_colour import assumed_colour  # noqa: E402
-from nishiki.evaluate.normals import angular_error_deg  # noqa: E402
+from nishiki.evaluate.maps import angular_error_deg  # noqa: E402
 from nishiki.evaluate.relighting import LightComparison  # noqa: E402
 from nishiki.observations.plane import Observations  # noqa: E402
 

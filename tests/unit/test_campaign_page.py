@@ -9,8 +9,7 @@ import pytest
 
 from nishiki.commands.viewing import page_of, write_index
 from nishiki.errors import UserError
-from nishiki.report.campaign_page import SceneCard, campaign_page
-from nishiki.report.page import Tile
+from nishiki.report.page import SceneCard, Tile, campaign_page
 
 
 def scenes_of(html):

@@ -25,10 +25,10 @@ from nishiki.brdf.cloth.store import save_brdf
 from nishiki.geometry.camera_path import scaled
 from nishiki.progress import Progress
 from nishiki.render.cloth.brdf_table import BrdfTable
-from nishiki.render.cloth.drape import read_drape
 from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.scene import ClothScene, Lamp, Matte
 from nishiki.render.cloth.studio import framed, paper_below
+from nishiki.render.cloth.surfaces import read_drape
 from nishiki.stages.export import ClothExportSettings
 from nishiki.stages.export import ClothFormat as Format
 from nishiki.stages.export.cloth import ExportedCloth, camera_of, errors, run

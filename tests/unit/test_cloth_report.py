@@ -27,8 +27,7 @@ from nishiki.stages.goniometer_samples import GoniometerSamplesSettings
 from nishiki.stages.render import ClothRenderSettings
 from nishiki.stages.report import ClothReportSettings
 from nishiki.stages.report.cloth_reflection import disc_directions, disc_picture, error_chart, lobes_plot, plane_chart
-from nishiki.stages.weave import WeaveSettings
-from nishiki.stages.weave.report import (
+from nishiki.stages.report.weave import (
     YARN_MEANINGS,
     curve,
     notes,
@@ -38,6 +37,7 @@ from nishiki.stages.weave.report import (
     tile_picture,
     yarn_table,
 )
+from nishiki.stages.weave import WeaveSettings
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "cloth_report", "key": "0" * 12, "version": "0.1.0"}

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nishiki.render.cloth.drape import STEP, read_drape, write_drape
+from nishiki.render.cloth.surfaces import STEP, read_drape, write_drape
 
 PROGRAM = Path(__file__).resolve().parents[1] / "benchmarks/draped_cloth.py"
 

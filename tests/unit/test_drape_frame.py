@@ -8,12 +8,12 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import look_at
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.cloth.around import Surroundings, lookup, openness, shares
-from nishiki.render.cloth.dyes import dyed, gloss_alone, share_of, together
 from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.local import disc_point
+from nishiki.render.cloth.models import dyed, gloss_alone, share_of, together
 from nishiki.render.cloth.scene import AmbientLight, ClothScene, Lamp, Matte, Surface
-from nishiki.render.cloth.sheet import cylinder, paper, sheet, swatch
 from nishiki.render.cloth.studio import framed, linear_colour
+from nishiki.render.cloth.surfaces import cylinder, paper, sheet, swatch
 
 WARD = Ward(diffuse=np.array([0.1, 0.2, 0.3]), specular=np.array([0.3, 0.3, 0.3]), alpha_x=0.4, alpha_y=0.15)
 

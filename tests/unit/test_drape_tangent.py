@@ -5,7 +5,7 @@ import pytest
 
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
-from nishiki.render.cloth.sheet import cylinder, grid_triangles, paper, sheet, swatch
+from nishiki.render.cloth.surfaces import cylinder, grid_triangles, paper, sheet, swatch
 from nishiki.render.cloth.tangent import from_direction, from_texture, transported
 
 

@@ -7,10 +7,7 @@ from hypothesis import strategies as st
 
 from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.errors import UserError
-from nishiki.evaluate.height import height_error
-from nishiki.evaluate.normals import angular_error_deg, normal_errors
-from nishiki.evaluate.reflectance import reflectance_errors
-from nishiki.evaluate.summary import Pool, summarise
+from nishiki.evaluate.maps import Pool, angular_error_deg, height_error, normal_errors, reflectance_errors, summarise
 from nishiki.evaluate.truth import truth_from
 from nishiki.photometric.flags import ILL_CONDITIONED, TOO_FEW_LIGHTS
 

@@ -11,15 +11,11 @@ from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import assumed_colour, fitted_colour
-from nishiki.evaluate.classes import DIFFUSE, HIGHLIGHT, OUTSIDE, SHADOW, classify
-from nishiki.evaluate.headlines import headlines
+from nishiki.evaluate.classes import DIFFUSE, FADGI, HIGHLIGHT, ISO_19264, OUTSIDE, SHADOW, classify, level_of, levels
 from nishiki.evaluate.kernels import delta_e
-from nishiki.evaluate.museum import FADGI, ISO_19264, level_of, levels
-from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
-from nishiki.evaluate.preview import PreviewPair
-from nishiki.evaluate.relighting import LightComparison, SquaredError, difference_of, truth_difference
-from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
-from nishiki.evaluate.table import COLUMNS, rows_of
+from nishiki.evaluate.prediction import FittedModel, channel_colour, light_of, predict_light, spectral_colour
+from nishiki.evaluate.relighting import LightComparison, PreviewPair, SquaredError, difference_of, truth_difference
+from nishiki.evaluate.tables import COLUMNS, headlines, rows_of
 from nishiki.render.plane.scene import Gloss, Light
 
 

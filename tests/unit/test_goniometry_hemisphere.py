@@ -24,7 +24,7 @@ from nishiki.goniometry.scattered import fit_linear, fit_spline, folded, symmetr
 from nishiki.goniometry.store import Reflectances, write_reflectances
 from nishiki.goniometry.symmetry import departure, images, reduced
 from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
-from nishiki.stages.goniometer_samples.drawing import coverage_plot
+from nishiki.stages.goniometer_samples.run import coverage_plot
 
 NORMAL = np.array([0.0, 0.0, 1.0])
 FOLDS = {name: images(name)[:, [0, 1], [0, 1]] for name in ("quarter", "half", "none")}

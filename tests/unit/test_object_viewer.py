@@ -12,7 +12,7 @@ from nishiki.codec.container import head_length
 from nishiki.codec.store import STORE
 from nishiki.codec.transform import Block
 from nishiki.formats.stored import open_array
-from nishiki.report.viewer.arrays import pack_arrays
+from nishiki.report.viewer.page import pack_arrays
 from nishiki.stages.viewer.object import CHART_STEPS, decoder_arrays, object_manifest, stream_parts
 
 

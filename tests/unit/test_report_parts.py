@@ -9,17 +9,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.colour.colour import srgb_matrix, xyz_to_lab
-from nishiki.report.colour_map import MISSING, balance, coloured, heat, sea
 from nishiki.report.numbers import degrees, figure, percent, plain, signed
 from nishiki.report.page import Figures, Table
 from nishiki.report.pictures import (
+    MISSING,
+    balance,
     block_of,
     class_picture,
+    coloured,
     file_picture,
+    heat,
     hillshade,
     normal_picture,
     ruler,
     scalar_picture,
+    sea,
     shrink,
 )
 from nishiki.report.scene_page import conditions, flat, settings_rows, text

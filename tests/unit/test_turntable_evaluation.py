@@ -7,13 +7,22 @@ import pytest
 
 from nishiki.codec.compact_parts import chart_bytes, lamp_bytes, pack_cameras, unpack_cameras
 from nishiki.codec.cost import cost_of
-from nishiki.evaluate.object_comparison import AMPLIFIED, comparison
-from nishiki.evaluate.object_rows import DECODED, INTERPOLATED, MODEL, SLOT, better_prediction, compare, figures
+from nishiki.evaluate.object_quality import (
+    AMPLIFIED,
+    DECODED,
+    INTERPOLATED,
+    MODEL,
+    SLOT,
+    better_prediction,
+    compare,
+    comparison,
+    figures,
+)
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.display import developed, three_channels
-from nishiki.render.object.film import block_mean, coverage, places, reduced
+from nishiki.render.object.renderer import block_mean, coverage, places, reduced
 
 
 def camera(distortion=(0.0,) * 5, *, turned=0.4):

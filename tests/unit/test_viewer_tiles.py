@@ -13,10 +13,8 @@ import pytest
 
 from nishiki.artifacts.provenance import program_of
 from nishiki.report.viewer.encoding import NormalCode, PrincipalCode
-from nishiki.report.viewer.heights import MOST, encode
-from nishiki.report.viewer.page import PAGE, Blocks, write_page
-from nishiki.report.viewer.pictures import webp_stack
-from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid
+from nishiki.report.viewer.page import PAGE, Blocks, webp_stack, write_page
+from nishiki.report.viewer.pyramid import BORDER, MOST, TILE, Pyramid, encode
 
 
 def tiles(values: np.ndarray, band_rows: int) -> dict:

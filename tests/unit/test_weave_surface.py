@@ -13,7 +13,7 @@ from weave_rays import brute_force
 from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.goniometry.store import write_reflectances
 from nishiki.goniometry.table import ReflectanceSet
-from nishiki.stages.weave.drawing import draw_section
+from nishiki.stages.weave.run import draw_section
 from nishiki.weave.fit import WeaveModel
 from nishiki.weave.section import WarpSection, WeftSection
 from nishiki.weave.store import Weave, brdf_of

@@ -12,7 +12,7 @@ from nishiki.artifacts.artifact import open_artifact
 from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shadow import cast_shadows
 from nishiki.report.viewer import pyramid
-from nishiki.report.viewer.heights import height_block
+from nishiki.report.viewer.pyramid import height_block
 from nishiki.stages.viewer import painting as stage
 
 pytestmark = [

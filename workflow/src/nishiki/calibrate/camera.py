@@ -22,9 +22,8 @@ from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.text_tables import table_rows
 from nishiki.observations.linearise import check_linearity
-from nishiki.report.colour_map import heat
 from nishiki.report.page import Figure, Figures, Section, Table
-from nishiki.report.pictures import scalar_picture
+from nishiki.report.pictures import heat, scalar_picture
 from nishiki.report.svg import PALETTE, Axis, Drawing, draw_axes, outline
 
 SATURATION = 0.98  # of full scale: a channel with a pixel in a thousand above is not used

@@ -118,7 +118,7 @@ def write_index(flow: Workflow, why: Mapping[str, str] | None = None) -> Path:
     Path
         The page.
     """
-    from nishiki.report.campaign_page import SceneCard, campaign_page
+    from nishiki.report.page import SceneCard, campaign_page
     from nishiki.version import PROJECT_VERSION
 
     why = why or {}
@@ -135,10 +135,9 @@ def write_index(flow: Workflow, why: Mapping[str, str] | None = None) -> Path:
 
 
 def card_of(flow: Workflow, scene: str, why: str):
-    """What the page shows of a planned scene (`nishiki.report.campaign_page.SceneCard`)."""
+    """What the page shows of a planned scene (`nishiki.report.page.SceneCard`)."""
     from nishiki.artifacts.publish import INDEX
-    from nishiki.report.campaign_page import SceneCard
-    from nishiki.report.page import Tile
+    from nishiki.report.page import SceneCard, Tile
 
     current = Path(flow.results, scene, "current")
     stages = flow.plans[scene].stages

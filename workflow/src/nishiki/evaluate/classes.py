@@ -1,4 +1,13 @@
-"""What a pixel shows under one light: plain diffuse reflection, a highlight, or shadow."""
+"""What a pixel shows under one light: plain diffuse reflection, a highlight, or shadow.
+
+Where colour differences stand among the levels that museums and libraries use. An orientation, not a certificate.
+
+Both schemes are defined for the patches of a colour target photographed with the object, read from the finished file.
+Here the same thresholds are held against differences of pixels between prediction and photograph, which also contain
+noise and geometry: a level named here says of what order the difference is, nothing more.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,3 +36,43 @@ def classify(diffuse: np.ndarray, specular: np.ndarray, lit: np.ndarray, *, insi
     classes[~(lit >= 0.5)] = SHADOW
     classes[~inside] = OUTSIDE
     return classes
+
+
+@dataclass(frozen=True)
+class Level:
+    """A level and the largest mean (and 90th percentile, where the scheme has one) that it allows."""
+
+    name: str
+    mean: float
+    p90: float | None
+
+
+# FADGI, Technical Guidelines for Digitizing Cultural Heritage Materials, 3rd edition (2023): colour accuracy as mean
+# and 90th percentile of Delta E 2000. The limit of one star on the 90th percentile is left open here.
+FADGI = (
+    Level("4 stars", 2.0, 4.0),
+    Level("3 stars", 3.5, 7.0),
+    Level("2 stars", 5.0, 10.0),
+    Level("1 star", 6.5, None),
+)
+# ISO 19264-1:2021: mean difference of the patches of a target, levels A, B, C. Levels B and C share the mean; they
+# differ elsewhere. The standard also limits the largest difference of a patch, which has no counterpart for pixels.
+ISO_19264 = (Level("A", 4.0, None), Level("B", 5.0, None))
+
+
+def level_of(mean: float | None, p90: float | None, levels: tuple[Level, ...]) -> str:
+    """Name of the best level whose limits hold, or `none`. FADGI asks for below its limits, ISO for at most them."""
+    if mean is None:
+        return "not measured"
+    strict = levels is FADGI
+    for level in levels:
+        within_mean = mean < level.mean if strict else mean <= level.mean
+        within_p90 = level.p90 is None or (p90 is not None and p90 < level.p90)
+        if within_mean and within_p90:
+            return level.name
+    return "none"
+
+
+def levels(mean: float | None, p90: float | None) -> dict[str, str]:
+    """Both schemes for one pair of figures."""
+    return {"fadgi": level_of(mean, p90, FADGI), "iso_19264": level_of(mean, p90, ISO_19264)}

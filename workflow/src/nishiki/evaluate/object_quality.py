@@ -1,10 +1,15 @@
-"""How near a picture is to its photograph, in the capture's own encoding, over outline and rendered surface."""
+"""How near rendered views are to photographs, in the capture's own encoding: figures and pictures of each view."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 
 import numpy as np
+
+from nishiki.colour.encoding import decode
+from nishiki.render.display import developed, three_channels
+from nishiki.render.object.renderer import block_mean
 
 PEAK = 1.0  # full scale of the camera's codes
 
@@ -95,3 +100,126 @@ def summary(differences: list[Difference]) -> dict:
         "uncovered_pixels": pooled.uncovered,
         "superfluous_pixels": pooled.superfluous,
     }
+
+
+DECODED, MODEL, INTERPOLATED, SLOT = "decoded", "model_alone", "interpolated", "slot"
+COLUMNS = (
+    "view", "light", "left_out", "picture", "against", "psnr_db", "covered_psnr_db", "similarity", "pixels",
+    "uncovered_pixels", "superfluous_pixels",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Row:
+    """One picture against one counterpart.  picture: DECODED, MODEL, INTERPOLATED (a left-out view from its
+    neighbours' residual) or SLOT (from what the decoder filled into its own place); against: photograph | truth."""
+
+    view: str
+    light: str
+    left_out: bool
+    picture: str
+    against: str
+    judged: Difference
+    covered: Difference
+    similarity: float | None
+
+    def as_dict(self) -> dict:
+        """Plain data with the keys `COLUMNS`."""
+        values = {name: value for name, value in asdict(self).items() if name in COLUMNS}
+        return {
+            **values,
+            "psnr_db": self.judged.psnr_db,
+            "covered_psnr_db": self.covered.psnr_db,
+            "similarity": self.similarity,
+            "pixels": self.judged.pixels,
+            "uncovered_pixels": self.judged.uncovered,
+            "superfluous_pixels": self.judged.superfluous,
+        }
+
+
+def compare(
+    coded: np.ndarray,
+    counterpart: np.ndarray,
+    *,
+    outline: np.ndarray,
+    covered: np.ndarray,
+    valid: np.ndarray,
+    similarity: bool,
+    **named,
+) -> Row:
+    """A row over outline and rendered surface together (see `difference`); its figure `covered` is over the pixels of
+    both. named: the other fields of the row."""
+    both = outline & covered
+    return Row(
+        judged=difference(coded, counterpart, outline, covered, valid),
+        covered=difference(coded, counterpart, both, both, valid),
+        similarity=structural_similarity(coded, counterpart, (outline | covered) & valid) if similarity else None,
+        **named,
+    )
+
+
+def figures(rows: Iterable[Row]) -> dict:
+    """Summaries by kind of picture: captured views, the model alone, left-out views both ways, and against truth."""
+    rows = list(rows)
+    summaries = {}
+    for name, picture, left_out, against in (
+        ("captured", DECODED, False, "photograph"),
+        ("model_alone", MODEL, False, "photograph"),
+        ("left_out_interpolated", INTERPOLATED, True, "photograph"),
+        ("left_out_slot", SLOT, True, "photograph"),
+        ("left_out_model_alone", MODEL, True, "photograph"),
+        ("captured_truth", DECODED, False, "truth"),
+        ("left_out_interpolated_truth", INTERPOLATED, True, "truth"),
+        ("left_out_slot_truth", SLOT, True, "truth"),
+        ("photograph_truth", "photograph", False, "truth"),
+    ):
+        chosen = [r for r in rows if (r.picture, r.left_out, r.against) == (picture, left_out, against)]
+        if chosen:
+            similarities = [r.similarity for r in chosen if r.similarity is not None]
+            summaries[name] = {
+                **summary([r.judged for r in chosen]),
+                "mean_covered_psnr_db": summary([r.covered for r in chosen])["mean_psnr_db"],
+                "mean_similarity": float(np.mean(similarities)) if similarities else None,
+            }
+    return summaries
+
+
+def better_prediction(summaries: dict) -> str | None:
+    """INTERPOLATED or SLOT, whichever predicts the left-out views better on average; None without left-out views."""
+    scores = {
+        name: summaries[key]["mean_psnr_db"]
+        for name, key in ((INTERPOLATED, "left_out_interpolated"), (SLOT, "left_out_slot"))
+        if key in summaries and summaries[key]["mean_psnr_db"] is not None
+    }
+    return max(scores, key=scores.get) if scores else None
+
+
+AMPLIFIED = 10
+
+
+def comparison(
+    photograph: np.ndarray,
+    rendered: np.ndarray,
+    model: np.ndarray,
+    inside: np.ndarray,
+    encoding: str,
+    columns: int,
+) -> dict[str, np.ndarray]:
+    """Pictures (rows, columns, 3) uint8 cut to the object and reduced to at most `columns`: photograph, rendered and
+    model as seen on a screen, black outside of the silhouette; error: grey plus AMPLIFIED times the difference of
+    rendered and photograph.  Inputs in the capture's encoding, inside (rows, columns) bool."""
+    rows, across = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    if not len(rows):
+        rows, across = np.arange(inside.shape[0]), np.arange(inside.shape[1])
+    box = slice(rows[0], rows[-1] + 1), slice(across[0], across[-1] + 1)
+    size = max(1, -(-(box[1].stop - box[1].start) // columns))
+    mask = inside[box]
+    out = {}
+    for name, values in (("photograph", photograph), ("rendered", rendered), ("model", model)):
+        linear = np.where(mask[..., None], decode(np.ascontiguousarray(values[box]), encoding), np.float32(0))
+        shown = block_mean(linear.astype(np.float32), size)
+        out[name] = developed(shown, np.ones(shown.shape[:2], np.float32)).pixels
+    delta = three_channels(np.where(mask[..., None], rendered[box] - photograph[box], 0).astype(np.float32))
+    grey = 0.5 + AMPLIFIED * block_mean(delta, size)
+    out["error"] = np.floor(np.clip(grey, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return out

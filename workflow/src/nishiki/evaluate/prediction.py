@@ -1,9 +1,11 @@
-"""What the fitted model says that the camera would observe under a lamp."""
+"""What the fitted model predicts under a lamp, in the camera's channels and as XYZ."""
 
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
+from nishiki.colour.colour import white_xyz, xyz_matrix
+from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.render.plane.relight import predict_observations
 from nishiki.render.plane.scene import Gloss, Light
 
@@ -100,3 +102,36 @@ def light_of(
     here = np.asarray(position, float) - centre
     intensity = 1.0 if white_board else float(np.sum(np.square(position)) / np.sum(here**2))
     return Light(position_mm=tuple(here), intensity=intensity, falloff=not white_board, angular_radius=angular_radius)
+
+
+@dataclass(frozen=True)
+class SceneColour:
+    """How diffuse and specular light become XYZ under one lamp.
+
+    white : (3,) XYZ of the perfect white facing the lamp; matrix : (3, K) for spectral coefficients, or None: then
+    `camera` carries the predicted channels to XYZ.
+    """
+
+    white: np.ndarray
+    matrix: np.ndarray | None
+    camera: CameraColour | None
+
+    def xyz(self, band: PredictedLight, coefficients: np.ndarray | None) -> np.ndarray:
+        """(rows, columns, 3) float32.
+
+        coefficients : (rows, columns, K) of the same rows. Gloss has the colour of the lamp.
+        """
+        if self.matrix is None or coefficients is None:
+            return self.camera.xyz(band.channels).astype(np.float32)
+        diffuse = (coefficients @ self.matrix.T.astype(np.float32)) * band.body[..., None]
+        return diffuse + band.specular[..., None] * self.white.astype(np.float32)
+
+
+def spectral_colour(lamp: np.ndarray, basis: np.ndarray) -> SceneColour:
+    """Colour from spectral coefficients on `basis` (K, 61) under a lamp (61,)."""
+    return SceneColour(white_xyz(lamp), xyz_matrix(lamp, basis), None)
+
+
+def channel_colour(camera: CameraColour) -> SceneColour:
+    """Colour from the camera's channels, under the lamp of the capture only."""
+    return SceneColour(camera.white, None, camera)

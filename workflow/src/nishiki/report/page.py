@@ -1,6 +1,4 @@
-"""The one engine of all pages: what a page is made of, as plain data, and its HTML.
-
-The same content gives the same bytes.
+"""The one engine of all pages: what a page is made of, as plain data, and its HTML; the same content, the same bytes.
 
 Texts that are given as `str` are escaped. Markup in a text is a `markupsafe.Markup`, whose `format` escapes what is put
 into it.
@@ -8,10 +6,14 @@ into it.
 
 from __future__ import annotations
 
+import base64
+import json
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
+from nishiki.artifacts.artifact import Artifact
 from nishiki.report.numbers import figure
 from nishiki.report.pictures import PagePicture, Ruler
 
@@ -190,3 +192,99 @@ def templates():
     )
     environment.filters["figure"] = figure
     return environment
+
+
+FILMS = {".mp4": "video/mp4", ".webp": "image/webp", ".png": "image/png"}
+
+
+def contents(artifact: Artifact | None, name: str | None) -> bytes | None:
+    """A file that the artifact lists; None where there is none."""
+    if artifact is None or name not in artifact.manifest["files"]:
+        return None
+    return artifact.path(name).read_bytes()
+
+
+def read_json(artifact: Artifact | None, name: str) -> dict[str, Any] | None:
+    """A JSON file that the artifact lists; None where there is none."""
+    data = contents(artifact, name)
+    return None if data is None else json.loads(data)
+
+
+def film(artifact: Artifact, file: str, heading: str, caption: str, largest_mb: float) -> Figure | str:
+    """A film of the artifact; a sentence that names it where it is too large for the page, or of another kind."""
+    data = artifact.path(file).read_bytes()
+    kind = next((mime for ending, mime in FILMS.items() if file.endswith(ending)), None)
+    if kind is None or len(data) > largest_mb * 1e6:
+        return f"{heading} is too large for this page: {artifact.stage}/{artifact.key}/{file}. {caption}"
+    return Figure(heading, caption, video=f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}")
+
+
+STATES = {
+    "finished": "finished",
+    "unfinished": "not finished",
+    "failed": "failed",
+    "refused": "cannot be planned",
+}
+"""State of a scene, and what the page calls it."""
+
+
+@dataclass(frozen=True)
+class SceneCard:
+    """What the page shows of a scene.
+
+    Attributes
+    ----------
+    scene : str
+        Its name in the scene table.
+    state : str
+        One of STATES.
+    detail : str
+        What comes next of an unfinished scene, why another one failed; empty for a finished one.
+    title, about : str
+        As on the page of the scene; empty where it has none yet.
+    page, viewer, thumbnail : str
+        Files relative to the folder of the results; empty where there is none.
+    figures : sequence of Tile
+        The figures that matter most.
+    """
+
+    scene: str
+    state: str
+    detail: str = ""
+    title: str = ""
+    about: str = ""
+    page: str = ""
+    viewer: str = ""
+    thumbnail: str = ""
+    figures: Sequence[Tile] = ()
+
+
+def campaign_page(title: str, cards: Sequence[SceneCard], version: str) -> str:
+    """HTML of the page. Scenes that need attention come first, then the others in the order given."""
+    order = {"failed": 0, "refused": 0, "unfinished": 1, "finished": 2}
+    cards = sorted(cards, key=lambda card: order[card.state])
+    counts = {state: sum(card.state == state for card in cards) for state in STATES}
+    meanings = dict.fromkeys(tile.meaning for card in cards for tile in card.figures)
+    template = templates().get_template("campaign.html.j2")
+    return template.render(
+        title=title,
+        cards=[_plain(card) for card in cards],
+        counts=counts,
+        states=STATES,
+        meanings=list(meanings),
+        version=version,
+    )
+
+
+def _plain(card: SceneCard) -> dict[str, Any]:
+    """A card as the page's script reads it. A figure's meaning is cut at its first comma or semicolon."""
+    figures = [
+        {
+            "value": tile.value,
+            "text": f"{figure(tile.value)} {tile.unit}".strip(),
+            "short": re.split("[,;] ", tile.meaning)[0],
+            "meaning": tile.meaning,
+        }
+        for tile in card.figures
+    ]
+    return {**vars(card), "called": STATES[card.state], "figures": figures}

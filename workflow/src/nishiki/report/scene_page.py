@@ -14,7 +14,6 @@ from nishiki.artifacts.closed import Closed
 from nishiki.artifacts.limits import Limit, limit_checks, limit_warnings
 from nishiki.artifacts.provenance import canonical
 from nishiki.artifacts.stage import Context
-from nishiki.report.files import contents
 from nishiki.report.numbers import figure, plain
 from nishiki.report.page import (
     Block,
@@ -27,6 +26,7 @@ from nishiki.report.page import (
     Section,
     Table,
     Tile,
+    contents,
     render_page,
 )
 from nishiki.report.pictures import file_jpeg

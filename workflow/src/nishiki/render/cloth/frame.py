@@ -12,8 +12,8 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.camera_path import scaled
 from nishiki.geometry.raster import rasterise
 from nishiki.render.cloth.around import Surroundings
-from nishiki.render.cloth.dyes import share_of, together
 from nishiki.render.cloth.local import Samples, gather, lit
+from nishiki.render.cloth.models import share_of, together
 from nishiki.render.cloth.scene import Brdf, ClothScene, Lamp
 from nishiki.threads import threads
 

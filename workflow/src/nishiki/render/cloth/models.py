@@ -1,13 +1,19 @@
-"""The models that the stage cloth_brdf left: which there are, what each was fitted to, and their BRDFs."""
+"""The models of a cloth by region, as stored, and dyed: another body below the same gloss."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from nishiki.brdf.cloth.dye import PHIS, THETAS, Dyed
 from nishiki.brdf.cloth.store import load_brdf
 from nishiki.errors import UserError
+from nishiki.render.cloth.around import grid_views, lookup, shares
+from nishiki.render.cloth.scene import Brdf, three
 
 
 class ClothModels:
@@ -58,3 +64,65 @@ class ClothModels:
                 f"{self.folder}: expected a region among {known}, found {region!r}. Remedy: correct `region`"
             )
         return self.description["models"][region]
+
+
+WITHIN = ("diffuse", "body", "lambert")
+"""Fields in which the models of a cloth keep the light from within."""
+
+
+def gloss_alone(brdf: Brdf) -> Brdf:
+    """A model without the light from within, where it tells the two apart; else the model itself."""
+    if not is_dataclass(brdf):
+        return brdf
+    zeros = {f.name: np.zeros_like(np.asarray(getattr(brdf, f.name), float)) for f in fields(brdf) if f.name in WITHIN}
+    return replace(brdf, **zeros) if zeros else brdf
+
+
+def dyed(brdf: Brdf, colours: dict[str, tuple[float, float, float]]) -> dict[str, Dyed]:
+    """The gloss of a cloth over dyes of these colours (linear sRGB albedo).
+
+    The gloss' directional albedo is read from the table of `around.shares`: by reciprocity, what comes out of even
+    light is what is reflected in all directions.
+    """
+    if not colours:
+        return {}
+    gloss = gloss_alone(brdf)
+    theta, phi = (np.arange(THETAS) + 0.5) * (np.pi / 2 / THETAS), np.arange(PHIS) * (2 * np.pi / PHIS)
+    t, p = (a.ravel() for a in np.meshgrid(theta, phi, indexing="ij"))
+    views = np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=1)
+    gloss_albedo = np.clip(lookup(shares(gloss), views).mean(axis=1), 0, 1).reshape(THETAS, PHIS)
+    weight = (np.sin(theta) * np.cos(theta))[:, None]
+    mean = float(np.sum(weight * gloss_albedo) / np.sum(weight) / PHIS)
+    return {name: Dyed(gloss, np.asarray(colour, float), gloss_albedo, mean) for name, colour in colours.items()}
+
+
+def together(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray) -> list[np.ndarray]:
+    """(n, 3) values of each BRDF at directions (n, 3); a gloss that several dyes share is evaluated once."""
+    known: dict[int, np.ndarray] = {}
+
+    def of(brdf: Brdf) -> np.ndarray:
+        if id(brdf) not in known:
+            known[id(brdf)] = three(brdf.evaluate(incident, outgoing))
+        return known[id(brdf)]
+
+    results = []
+    for brdf in brdfs:
+        if isinstance(brdf, Dyed):
+            through = (
+                (1 - brdf.gloss_albedo_at(incident))
+                * (1 - brdf.gloss_albedo_at(outgoing))
+                / max(1 - brdf.mean_albedo, 1e-3)
+            )
+            above = (incident[:, 2] > 0) & (outgoing[:, 2] > 0)
+            results.append(of(brdf.gloss) + np.where(above, through, 0.0)[:, None] * three(brdf.albedo / np.pi))
+        else:
+            results.append(of(brdf))
+    return results
+
+
+def share_of(brdf: Brdf) -> np.ndarray:
+    """`around.shares` of a BRDF; of a dyed cloth a + albedo (1 - a), a being its gloss' share, which it comes to."""
+    if not isinstance(brdf, Dyed):
+        return shares(brdf)
+    gloss_albedo = brdf.gloss_albedo_at(grid_views())[..., None]
+    return np.clip(gloss_albedo + (1 - gloss_albedo) * three(brdf.albedo), 0, 1)

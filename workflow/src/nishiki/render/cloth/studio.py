@@ -14,7 +14,7 @@ from nishiki.geometry.mesh import Mesh
 from nishiki.render.cloth.around import Surroundings
 from nishiki.render.cloth.frame import ClothPicture, RenderVariant, render
 from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, Lamp, Matte, Surface
-from nishiki.render.cloth.sheet import cylinder, paper
+from nishiki.render.cloth.surfaces import cylinder, paper
 
 
 def around(target, *, elevation: float, azimuth: float, distance: float) -> np.ndarray:

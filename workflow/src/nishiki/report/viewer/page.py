@@ -1,11 +1,16 @@
-"""The viewer's page: one index.html that holds its modules, and the blocks of data beside it or inside it."""
+"""The page of a viewer: its modules, manifest and blocks of data, beside it or inside it."""
 
 from __future__ import annotations
 
 import base64
 import json
+import struct
+import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from nishiki.artifacts.artifact import ArtifactWriter
 from nishiki.artifacts.javascript import modules_of
@@ -89,3 +94,49 @@ def _script_json(value: Any) -> str:
     """JSON that no content can end the script element of."""
     text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c")
+
+
+def webp(planes: list[np.ndarray]) -> bytes:
+    """A lossless WebP of three planes (rows, columns) uint8."""
+    import cv2
+
+    picture = np.stack(planes[::-1], axis=-1)  # OpenCV keeps blue first
+    return cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
+
+
+def webp_stack(planes: list[np.ndarray]) -> bytes:
+    """Planes (rows, columns) uint8, three to a lossless WebP; before each its length, four bytes, the lowest first.
+
+    The last picture is filled up with zeros.
+    """
+    parts = []
+    for first in range(0, len(planes), 3):
+        three = planes[first : first + 3]
+        colours = three + [np.zeros_like(three[0])] * (3 - len(three))
+        data = webp(colours)
+        parts += [struct.pack("<I", len(data)), data]
+    return b"".join(parts)
+
+
+def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """Named arrays as bytes that `unpackArrays` of the page reads.
+
+    Parameters
+    ----------
+    arrays : mapping of str to numpy.ndarray
+        Of type int8 to int32, uint8 to uint32 or float32.
+
+    Returns
+    -------
+    bytes
+        Deflated (zlib): length of the header (4 bytes, little endian), header, bytes of the arrays. All first bytes of
+        an array's numbers come before all second ones: numbers that are small or near each other deflate further so.
+    """
+    head, bodies = [], []
+    for name, values in arrays.items():
+        plain = np.ascontiguousarray(values).reshape(-1)
+        little = plain.astype(plain.dtype.newbyteorder("<"), copy=False)
+        head.append({"name": name, "type": plain.dtype.name, "shape": list(values.shape)})
+        bodies.append(np.ascontiguousarray(little.view(np.uint8).reshape(-1, plain.dtype.itemsize).T).tobytes())
+    text = json.dumps(head, separators=(",", ":")).encode()
+    return zlib.compress(struct.pack("<I", len(text)) + text + b"".join(bodies), 9)

@@ -1,4 +1,4 @@
-"""Tiles of a painting at its own and ever a quarter of the resolution, written while bands of its rows come in.
+"""Maps of the viewer in tiles, each level a quarter of the resolution, and the heights that cast its shadows.
 
 Memory holds the rows of one row of tiles of each level, never a whole map. A tile has a border of its neighbours'
 pixels, so that it can be interpolated by itself.
@@ -6,7 +6,10 @@ pixels, so that it can be interpolated by itself.
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -97,3 +100,136 @@ def filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     under = filled(coarse[..., 1:-1], coarse[..., 0] > 0)
     under = under.repeat(2, axis=0).repeat(2, axis=1)[: known.shape[0], : known.shape[1]]
     return np.where(known[..., None], values, under)
+
+
+NOTHING = -32768
+STEPS = 65000
+THRESHOLDS = (0, 1, 2, 3, 4, 6, 8, 11, 16, 22, 32, 45, 64, 90, 128, 180, 256, 360)
+"""Largest activities of the streams but the last."""
+MOST = 255  # byte of an error that needs two
+PLANE = (256, -256, 0, 0, 0)
+"""Weights of W + N - NW."""
+BAND_ROWS = 256
+
+
+def height_block(
+    read: Callable[[slice], np.ndarray], shape: tuple[int, int], pitch: float, most_pixels: int, least_step: float
+) -> tuple[bytes, dict[str, Any]]:
+    """Block of a height map for page/shadow_worker.js, 16 bits without loss, and what a reader has to know of it.
+
+    A code is predicted from its neighbours to the left (W, WW) and above (N, NW, NE, NN),
+
+        p = W + (w . (N - W, NW - W, NE - W, WW - W, NN - W) + 128) >> 8,
+
+    with whole weights w fitted to the map; without all of them from W, else N, else 0. The error e, modulo 2^16,
+    becomes z = 2 e or -2 e - 1 and a byte min(z, 255). Bytes go to one of several streams by the activity 2 W + 2 N +
+    NW + NE of the bytes around them (0 beside the map), so that the Huffman codes of a stream fit its spread, as in
+    context-based coders (Weinberger, Seroussi and Sapiro 2000). A last stream has the z from 255 on, low bytes before
+    high ones.
+
+    read : rows of the map in the unit of `pitch`, NaN where it is not known. Above `most_pixels` it is averaged.
+    least_step : of a code, in pixels of the map; larger where 16 bits hold the range no finer. The block holds the
+    length of each stream, four bytes, the lowest first, before its zlib data.
+    """
+    factor = max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / most_pixels))))
+    bands = [_means(read(slice(k, min(k + 64 * factor, shape[0]))), factor) for k in range(0, shape[0], 64 * factor)]
+    height = np.concatenate(bands)
+    known = np.isfinite(height)
+    low, high = (float(height[known].min()), float(height[known].max())) if known.any() else (0.0, 0.0)
+    step = max(least_step * pitch, (high - low) / STEPS)
+    codes = np.where(known, np.rint((np.nan_to_num(height) - low) / step) - STEPS // 2, NOTHING).astype(np.int16)
+    data, code = encode(codes)
+    return data, {
+        "rows": height.shape[0],
+        "columns": height.shape[1],
+        "factor": factor,
+        "pitch": pitch * factor,
+        "low": low + step * (STEPS // 2),
+        "step": step,
+        "nothing": NOTHING,
+        **code,
+    }
+
+
+def encode(codes: np.ndarray) -> tuple[bytes, dict[str, list[int]]]:
+    """Block of codes (rows, columns) int16, and the weights and thresholds that a reader needs."""
+    weights = _fitted_weights(codes)
+    padded = np.zeros((codes.shape[0] + 1, codes.shape[1] + 2), np.uint8)  # bytes, with nothing beside the map
+    large = []
+    for first in range(0, len(codes), BAND_ROWS):
+        last = min(first + BAND_ROWS, len(codes))
+        errors = _errors(codes[max(first - 2, 0) : last], weights)[min(first, 2) :]
+        padded[first + 1 : last + 1, 1:-1] = np.minimum(errors, MOST)
+        large.append(errors[errors >= MOST])
+    activity = np.zeros(codes.shape, np.uint16)
+    for part, share in (((1, 0), 2), ((0, 1), 2), ((0, 0), 1), ((0, 2), 1)):
+        activity += np.uint16(share) * padded[part[0] :, part[1] :][: codes.shape[0], : codes.shape[1]]
+    stream = np.searchsorted(THRESHOLDS, activity).astype(np.uint8)
+    values = padded[1:, 1:-1]
+    streams = [_deflated(values[stream == k].tobytes()) for k in range(len(THRESHOLDS) + 1)]
+    escaped = np.concatenate(large).astype("<u2")
+    streams.append(_deflated(np.ascontiguousarray(escaped.view(np.uint8).reshape(-1, 2).T).tobytes()))
+    block = b"".join(struct.pack("<I", len(each)) + each for each in streams)
+    return block, {"weights": list(weights), "thresholds": list(THRESHOLDS)}
+
+
+def _neighbours(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """W (rows - 2, columns - 3) of the pixels that have all neighbours, and the others' differences from it."""
+    rows, columns = codes.shape
+
+    def at(up: int, left: int) -> np.ndarray:
+        return codes[2 - up : rows - up, 2 - left : columns - 1 - left].astype(np.int32)
+
+    west = at(0, 1)
+    return west, np.stack([at(*place) - west for place in ((1, 0), (1, 1), (1, -1), (0, 2), (2, 0))], axis=-1)
+
+
+def _fitted_weights(codes: np.ndarray) -> tuple[int, ...]:
+    """Least-squares weights of the neighbours, in 256ths; those of a plane where they predict better."""
+    if min(codes.shape) < 8:
+        return PLANE
+    bands = [codes[first : first + 3] for first in range(0, len(codes) - 2, max(3, len(codes) // 256))]
+    parts = [_neighbours(band) for band in bands]
+    change = np.concatenate(
+        [band[2:, 2:-1].astype(np.int32) - west for band, (west, _) in zip(bands, parts, strict=True)]
+    )
+    change, around = change.ravel(), np.concatenate([each for _, each in parts]).reshape(-1, len(PLANE))
+    smooth = (np.abs(around).max(axis=1) < STEPS // 8) & (np.abs(change) < STEPS // 8)
+    change, around = change[smooth], around[smooth]
+    if len(change) < 100:
+        return PLANE
+    fitted = np.linalg.lstsq(around.astype(np.float64), change.astype(np.float64), rcond=1e-6)[0]
+    rounded = np.clip(np.rint(256 * fitted), -1024, 1024).astype(np.int64)
+    missed = [np.abs(change - ((around @ np.array(each) + 128) >> 8)).mean() for each in (rounded, PLANE)]
+    return tuple(int(w) for w in rounded) if missed[0] < missed[1] else PLANE
+
+
+def _errors(codes: np.ndarray, weights: tuple[int, ...]) -> np.ndarray:
+    """(rows, columns) uint16 z of all pixels; those of the first two rows as if they were the first of the map."""
+    predicted = np.zeros(codes.shape, np.int32)
+    predicted[1:, 0] = codes[:-1, 0]
+    predicted[:, 1:] = codes[:, :-1]
+    if codes.shape[0] > 2 and codes.shape[1] > 3:
+        west, around = _neighbours(codes)
+        predicted[2:, 2:-1] = west + ((around @ np.array(weights, np.int32) + 128) >> 8)
+    error = (codes - predicted).astype(np.int16).astype(np.int32)
+    return np.where(error < 0, -2 * error - 1, 2 * error).astype(np.uint16)
+
+
+def _deflated(data: bytes) -> bytes:
+    """A zlib stream, with or without a search for repetitions, whichever is shorter."""
+    coder = zlib.compressobj(9, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_HUFFMAN_ONLY)
+    return min(coder.compress(data) + coder.flush(), zlib.compress(data, 6), key=len)
+
+
+def _means(values: np.ndarray, factor: int) -> np.ndarray:
+    """Means over blocks, NaN where half of one is not known."""
+    if factor == 1:
+        return values
+    pad = ((0, -values.shape[0] % factor), (0, -values.shape[1] % factor))
+    blocks = np.pad(values.astype(np.float64), pad, mode="edge")
+    blocks = blocks.reshape(blocks.shape[0] // factor, factor, blocks.shape[1] // factor, factor)
+    known = np.isfinite(blocks)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, blocks, 0).sum(axis=(1, 3))
+    return np.where(2 * count > factor * factor, total / np.maximum(count, 1), np.nan)

@@ -6,7 +6,7 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.measures import incidences
 from nishiki.errors import UserError
 from nishiki.evaluate.cloth import Judged, by_incidence, in_plane, judge, plane_name
-from nishiki.evaluate.files import write_tables
+from nishiki.evaluate.tables import write_tables
 from nishiki.goniometry.store import Reflectances
 from nishiki.render.cloth.models import ClothModels
 

@@ -6,10 +6,8 @@ from nishiki.artifacts.stage import Context
 from nishiki.codec.cost import cost_of
 from nishiki.colour.encoding import encode
 from nishiki.errors import UserError
-from nishiki.evaluate.files import planned_truth, write_tables
-from nishiki.evaluate.object_comparison import comparison
 from nishiki.evaluate.object_photographs import ObjectTruth, Photographs
-from nishiki.evaluate.object_rows import (
+from nishiki.evaluate.object_quality import (
     COLUMNS,
     DECODED,
     INTERPOLATED,
@@ -17,8 +15,10 @@ from nishiki.evaluate.object_rows import (
     SLOT,
     better_prediction,
     compare,
+    comparison,
     figures,
 )
+from nishiki.evaluate.tables import planned_truth, write_tables
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.shots import ObjectPicture

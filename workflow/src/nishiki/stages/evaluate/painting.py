@@ -12,19 +12,11 @@ from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import illuminant
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import read_camera_colour
-from nishiki.evaluate.classes import NAMES, classify
-from nishiki.evaluate.files import planned_truth, write_tables
-from nishiki.evaluate.headlines import headlines
-from nishiki.evaluate.height import height_error
-from nishiki.evaluate.museum import levels
-from nishiki.evaluate.normals import normal_errors
-from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
-from nishiki.evaluate.preview import PreviewPair
-from nishiki.evaluate.reflectance import reflectance_errors
-from nishiki.evaluate.relighting import LightComparison, truth_difference
-from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
-from nishiki.evaluate.summary import Pool
-from nishiki.evaluate.table import COLUMNS, rows_of
+from nishiki.evaluate.classes import NAMES, classify, levels
+from nishiki.evaluate.maps import Pool, height_error, normal_errors, reflectance_errors
+from nishiki.evaluate.prediction import FittedModel, channel_colour, light_of, predict_light, spectral_colour
+from nishiki.evaluate.relighting import LightComparison, PreviewPair, truth_difference
+from nishiki.evaluate.tables import COLUMNS, headlines, planned_truth, rows_of, write_tables
 from nishiki.evaluate.truth import Truth, truth_from
 from nishiki.formats.stored import load_arrays, open_group
 from nishiki.observations.parcels import point_mm

@@ -23,7 +23,7 @@ from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.brdf.trowbridge_reitz import isotropic_lobe, widened_roughness
 from nishiki.colour.encoding import encode
-from nishiki.report.files import read_json
+from nishiki.report.page import read_json
 from nishiki.stages.export.scene import ExportedScene
 
 ROUGHNESS = np.geomspace(1, 0.05, 90)

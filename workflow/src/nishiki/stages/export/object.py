@@ -19,8 +19,7 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.display import developed, normals_as_colours, three_channels
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.render.object.film import coverage
-from nishiki.render.object.renderer import ObjectRenderer
+from nishiki.render.object.renderer import ObjectRenderer, coverage
 from nishiki.render.object.shots import ObjectPicture
 from nishiki.stages.export.iiif import QUALITY, canvas, image, manifest_of, tiles_psnr_db, write_manifest
 from nishiki.stages.export.kintsugi import write_gltf, write_kintsugi

@@ -30,7 +30,7 @@ from nishiki.formats.mitsuba_xml import Parameter
 from nishiki.formats.textured_ply import faces, heading, vertices
 from nishiki.formats.textured_surface import index_of
 from nishiki.observations.plane import Observations
-from nishiki.report.files import read_json
+from nishiki.report.page import read_json
 from nishiki.stages.export import mitsuba_paint
 from nishiki.stages.export.gloss import region_materials, slopes_widen
 from nishiki.stages.export.scene import ExportedScene, reliefs

@@ -18,7 +18,7 @@ from nishiki.formats.tiff_bands import strips
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.plane.scene import Gloss
-from nishiki.report.files import read_json
+from nishiki.report.page import read_json
 
 D65 = np.linalg.inv(srgb_matrix()).sum(axis=1)
 """White of sRGB."""

@@ -3,9 +3,8 @@
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.render.cloth.dyes import dyed
 from nishiki.render.cloth.frame import ClothPicture
-from nishiki.render.cloth.models import ClothModels
+from nishiki.render.cloth.models import ClothModels, dyed
 from nishiki.render.cloth.scene import Brdf, Surface
 from nishiki.render.cloth.studio import linear_colour, studio, tubes, turning
 from nishiki.render.display import DisplayImage, developed, exposure_for

@@ -7,11 +7,9 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
-from nishiki.render.cloth.drape import read_drape
-from nishiki.render.cloth.mesh_store import read_surface
 from nishiki.render.cloth.scene import Surface
-from nishiki.render.cloth.sheet import sheet
 from nishiki.render.cloth.studio import Lighting, linear_colour
+from nishiki.render.cloth.surfaces import read_drape, read_surface, sheet
 from nishiki.render.cloth.tangent import from_direction, from_texture
 from nishiki.stages.render import ClothRenderSettings, MeshSettings
 

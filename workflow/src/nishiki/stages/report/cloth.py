@@ -6,15 +6,27 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.stage import Context
 from nishiki.capture.schema_base import OBJECT_FACTS
 from nishiki.goniometry.store import Reflectances
-from nishiki.report.files import contents, film, read_json
 from nishiki.report.numbers import figure, percent
-from nishiki.report.page import Block, Figure, Figures, Fold, Heading, Note, Section, Table, Tile
+from nishiki.report.page import (
+    Block,
+    Figure,
+    Figures,
+    Fold,
+    Heading,
+    Note,
+    Section,
+    Table,
+    Tile,
+    contents,
+    film,
+    read_json,
+)
 from nishiki.report.pictures import file_picture
 from nishiki.report.scene_page import write_scene_page
 from nishiki.stages.report.capture import export_section
 from nishiki.stages.report.cloth_reflection import curves_section, errors_section, model_name, reflection_section
+from nishiki.stages.report.weave import weave_section
 from nishiki.stages.table import chain_of
-from nishiki.stages.weave.report import weave_section
 
 
 def run(context: Context) -> dict:

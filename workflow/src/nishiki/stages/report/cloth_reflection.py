@@ -11,10 +11,9 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.goniometry.store import Reflectances
 from nishiki.render.cloth.models import ClothModels
-from nishiki.report.colour_map import coloured, heat, hexadecimal
 from nishiki.report.numbers import figure
 from nishiki.report.page import Block, Cell, Figure, Figures, Fold, Heading, Note, Section, Table
-from nishiki.report.pictures import PagePicture, Scale, encoded
+from nishiki.report.pictures import PagePicture, Scale, coloured, encoded, heat, hexadecimal
 from nishiki.report.svg import DASHES, GRID, INK, PALETTE, SOFT, Curve, Drawing, chart, outline
 
 INCIDENCES_DEG = (0, 30, 60)

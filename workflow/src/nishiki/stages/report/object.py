@@ -9,9 +9,23 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.stage import Context
 from nishiki.formats.stored import load_arrays
 from nishiki.geometry.cameras_file import load_cameras
-from nishiki.report.files import contents, film, read_json
 from nishiki.report.numbers import figure, percent
-from nishiki.report.page import Block, Cell, Facts, Figure, Figures, Fold, Heading, Note, Section, Table, Tile
+from nishiki.report.page import (
+    Block,
+    Cell,
+    Facts,
+    Figure,
+    Figures,
+    Fold,
+    Heading,
+    Note,
+    Section,
+    Table,
+    Tile,
+    contents,
+    film,
+    read_json,
+)
 from nishiki.report.pictures import encoded, file_picture
 from nishiki.report.scene_page import write_scene_page
 from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing

@@ -14,10 +14,9 @@ from nishiki.atlas.atlas import Atlas
 from nishiki.atlas.store import ATLAS
 from nishiki.brdf.texels.parameters import TexelFlag
 from nishiki.brdf.texels.store import ParameterMaps
-from nishiki.report.colour_map import sea
 from nishiki.report.numbers import figure, percent
 from nishiki.report.page import Block, Facts, Figure, Figures, Fold, Section, Table
-from nishiki.report.pictures import brightened, brightening, colour_picture, scalar_picture
+from nishiki.report.pictures import brightened, brightening, colour_picture, scalar_picture, sea
 from nishiki.report.svg import PALETTE, Curve, bars, chart
 
 LIGHTING = {

@@ -10,9 +10,8 @@ from nishiki.artifacts.stage import Context
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
-from nishiki.report.files import contents, film, read_json
 from nishiki.report.numbers import figure, plain
-from nishiki.report.page import Block, Cell, Figure, Figures, Note, Section, Table
+from nishiki.report.page import Block, Cell, Figure, Figures, Note, Section, Table, contents, film, read_json
 from nishiki.report.pictures import Ruler, file_picture, ruler
 from nishiki.report.scene_page import text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart

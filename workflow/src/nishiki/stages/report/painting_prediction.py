@@ -7,18 +7,18 @@ import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps
-from nishiki.evaluate.classes import DIFFUSE, HIGHLIGHT, SHADOW
-from nishiki.evaluate.museum import FADGI, ISO_19264
+from nishiki.evaluate.classes import DIFFUSE, FADGI, HIGHLIGHT, ISO_19264, SHADOW
 from nishiki.formats.stored import load_arrays
-from nishiki.report.colour_map import balance, heat
 from nishiki.report.numbers import signed
 from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
 from nishiki.report.pictures import (
+    balance,
     block_of,
     brightened,
     brightening,
     class_picture,
     colour_picture,
+    heat,
     scalar_picture,
     shrink,
 )

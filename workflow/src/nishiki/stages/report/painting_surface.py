@@ -17,7 +17,6 @@ from nishiki.colour.colour import (
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.photometric import flags as bits
-from nishiki.report.colour_map import heat, hexadecimal, sea
 from nishiki.report.numbers import figure
 from nishiki.report.page import Block, Figure, Figures, Heading, Section, Table
 from nishiki.report.pictures import (
@@ -27,9 +26,12 @@ from nishiki.report.pictures import (
     brightening,
     class_picture,
     colour_picture,
+    heat,
+    hexadecimal,
     hillshade,
     normal_picture,
     scalar_picture,
+    sea,
     shrink,
 )
 from nishiki.report.svg import INK, PALETTE, Curve, chart

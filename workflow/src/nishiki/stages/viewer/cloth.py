@@ -12,15 +12,12 @@ from nishiki.artifacts.stage import Context
 from nishiki.progress import Progress
 from nishiki.render.cloth import around, brdf_table
 from nishiki.render.cloth.brdf_table import BrdfTable
-from nishiki.render.cloth.drape import read_drape
-from nishiki.render.cloth.dyes import dyed, gloss_alone
 from nishiki.render.cloth.local import LEAST_COSINE, LIFT
-from nishiki.render.cloth.models import ClothModels
+from nishiki.render.cloth.models import ClothModels, dyed, gloss_alone
 from nishiki.render.cloth.scene import Brdf, Surface
-from nishiki.render.cloth.sheet import sheet, swatch
 from nishiki.render.cloth.studio import Studio, studio, tubes
-from nishiki.report.viewer.arrays import pack_arrays
-from nishiki.report.viewer.page import Blocks, write_page
+from nishiki.render.cloth.surfaces import read_drape, sheet, swatch
+from nishiki.report.viewer.page import Blocks, pack_arrays, write_page
 from nishiki.stages.render import MeshSettings
 from nishiki.stages.render.draping import surface_from_file
 

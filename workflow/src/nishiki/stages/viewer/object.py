@@ -23,8 +23,7 @@ from nishiki.observations.views import Views
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.free_lamps import ball_around, shadow_lift
 from nishiki.render.object.renderer import coded_parts
-from nishiki.report.viewer.arrays import pack_arrays
-from nishiki.report.viewer.page import Blocks, write_page
+from nishiki.report.viewer.page import Blocks, pack_arrays, write_page
 
 PAGE = Path(__file__).with_suffix(".js")
 

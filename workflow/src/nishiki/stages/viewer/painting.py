@@ -16,10 +16,8 @@ from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.formats.stored import load_arrays
 from nishiki.observations.plane import Observations
 from nishiki.report.viewer.encoding import Steps
-from nishiki.report.viewer.heights import height_block
-from nishiki.report.viewer.page import Blocks, write_page
-from nishiki.report.viewer.pictures import webp, webp_stack
-from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid
+from nishiki.report.viewer.page import Blocks, webp, webp_stack, write_page
+from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid, height_block
 from nishiki.stages.viewer.painting_maps import UNKNOWN_REGION, PaintingCode, PaintingMaps, gloss_of, photographs_of
 
 PAGE = Path(__file__).with_suffix(".js")

@@ -1,4 +1,4 @@
-// Arrays of nishiki.report.viewer.arrays: one deflated block of named arrays.
+// Arrays of nishiki.report.viewer.page: one deflated block of named arrays.
 
 import { inflate } from "viewer/loader";
 

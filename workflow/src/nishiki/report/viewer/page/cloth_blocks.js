@@ -50,7 +50,7 @@ function wide(gl, { values, shape: [rows, columns] }, channels, wrap) {
   return made;
 }
 
-/** Texture of the share of even light that a material sends to each view, and its mean (nishiki.render.cloth.dyes). */
+/** Texture of the share of even light that a material sends to each view, and its mean (nishiki.render.cloth.models). */
 export function sharesOf(gl, material, dye) {
   const name = `${dye}`;
   if (material.shown !== name) {

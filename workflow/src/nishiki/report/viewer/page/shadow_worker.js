@@ -26,7 +26,7 @@ export function work() {
     return Promise.all(parts).then((all) => all.map((part) => new Uint8Array(part)));
   }
 
-  /** Promise of the codes (Int16Array) of a block: nishiki.report.viewer.heights says how they are written. */
+  /** Promise of the codes (Int16Array) of a block: nishiki.report.viewer.pyramid says how they are written. */
   async function decoded(data, { rows, columns, weights: [w0, w1, w2, w3, w4], thresholds }) {
     const streams = await streamsOf(data), escaped = streams.pop(), places = new Int32Array(streams.length);
     const streamAt = Uint8Array.from({ length: 6 * MOST + 1 }, (_, activity) => thresholds.filter((each) => each < activity).length);

@@ -1,12 +1,43 @@
-"""Ready surfaces with their weft: the draped sheet, swatches on a cylinder and a ball, a studio's paper behind them."""
+"""Surfaces to be covered with cloth: the shipped drape, squares and cylinders, meshes from files."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+
 import numpy as np
 
+from nishiki.artifacts.provenance import file_digest
+from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.mesh_files import load_geometry, read_triangles
+from nishiki.packages import optional
 from nishiki.render.cloth.scene import Surface
 from nishiki.render.cloth.tangent import from_texture, unit
+
+FILE = Path(__file__).with_name("draped_cloth.npz")
+STEP = 2e-6
+"""Metres; it turns no normal of the smooth surface by more than 0.05 degrees."""
+
+
+def write_drape(path: Path, points: np.ndarray) -> None:
+    """Write a grid of points (n, n, 3), metres, as whole steps of 2 micrometres.
+
+    Differences of differences along both axes are small, so that they compress to half of what single precision takes.
+    """
+    steps = np.round(points / STEP).astype(np.int32)
+    differences = np.diff(np.diff(steps, axis=0, prepend=0), axis=1, prepend=0)
+    np.savez_compressed(path, differences=differences)
+
+
+def read_drape(path: Path = FILE) -> np.ndarray:
+    """Read a square of cloth that fell over a ball: points (n, n, 3) in metres, [i, j] at weft i and warp j, y up.
+
+    `tests/benchmarks/draped_cloth.py` made the shipped file: extended position-based dynamics (Macklin et al. 2016 and
+    2019) of a sheet of 250 g/m2 and 1 m over a ball of 16 cm on the floor y = 0.
+    """
+    with np.load(path) as stored:
+        return STEP * np.cumsum(np.cumsum(stored["differences"], axis=0), axis=1)
 
 
 def grid_triangles(rows: int, columns: int) -> np.ndarray:
@@ -89,3 +120,43 @@ def paper(width: float, depth: float, height: float, bend: float, *, turn: float
     place = place.reshape(-1, 3) @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
     mesh = Mesh.of(place, grid_triangles(len(x), len(z)))
     return Surface(mesh, np.tile([c, 0.0, -s], (len(place), 1)), material)
+
+
+@dataclass(frozen=True)
+class FileSurface:
+    """mesh; uv (v, 2) float64 or None; sha256 of the file."""
+
+    mesh: Mesh
+    uv: np.ndarray | None
+    sha256: str
+
+
+def read_surface(path: Path, *, sha256: str = "", smooth: bool = True) -> FileSurface:
+    """A PLY or OBJ file. smooth: normals averaged over the triangles of a vertex; otherwise each triangle its own.
+
+    UserError where it is no surface (see `geometry.mesh_files.read_triangles`) or not the file with this digest.
+    """
+    path = Path(path)
+    vertices, triangles = read_triangles(path)
+    digest = file_digest(path)
+    if sha256 and digest != sha256:
+        raise UserError(f"{path}: expected the file with SHA-256 {sha256}, found {digest}. Remedy: correct mesh.sha256")
+    uv = _texture(path, len(vertices))
+    if not smooth:
+        vertices, uv = vertices[triangles.reshape(-1)], None if uv is None else uv[triangles.reshape(-1)]
+        triangles = np.arange(len(vertices)).reshape(-1, 3)
+    return FileSurface(Mesh.of(vertices, triangles), uv, digest)
+
+
+def _texture(path: Path, count: int) -> np.ndarray | None:
+    """Texture coordinates (count, 2), one pair a vertex as the reader splits them at seams, or None."""
+    trimesh = optional("trimesh")
+
+    with open(path, "rb") as stream:
+        loaded = load_geometry(stream, path.suffix.lower().lstrip("."))
+    parts = list(loaded.geometry.values()) if isinstance(loaded, trimesh.Scene) else [loaded]
+    known = [getattr(getattr(part, "visual", None), "uv", None) for part in parts]
+    if any(uv is None for uv in known):
+        return None
+    uv = np.concatenate([np.asarray(uv, np.float64) for uv in known])
+    return uv if uv.shape == (count, 2) and np.isfinite(uv).all() else None

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.report.files import contents, read_json
-from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Section, Table
+from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Section, Table, contents, read_json
 from nishiki.report.pictures import PagePicture, encoded
 from nishiki.report.svg import INK, PALETTE, Curve, chart
 

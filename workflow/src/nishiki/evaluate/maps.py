@@ -1,0 +1,343 @@
+"""Errors of maps against truth: normals, height and reflectance, and summaries of sets of errors."""
+
+import itertools
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_matrix, xyz_to_lab
+from nishiki.errors import UserError
+from nishiki.photometric.flags import NO_ESTIMATE
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Errors of a set of pixels; the figures are None where the set is empty.
+
+    count: pixels in the set; dropped: values that were not finite and are in no figure.
+    """
+
+    count: int
+    mean: float | None
+    median: float | None
+    p90: float | None
+    worst: float | None
+    dropped: int = 0
+
+    def as_dict(self) -> dict:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+
+def summarise(values: np.ndarray, *, where: np.ndarray | None = None) -> Summary:
+    """Summary of an array of errors, any shape; `where` (same shape, bool) selects the pixels that count.
+
+    Percentiles interpolate linearly between ranks. The sum is taken in float64.
+    """
+    chosen = np.asarray(values).ravel() if where is None else np.asarray(values)[np.asarray(where)]
+    finite = np.isfinite(chosen)
+    dropped = int(chosen.size - np.count_nonzero(finite))
+    if dropped:
+        chosen = chosen[finite]
+    if chosen.size == 0:
+        return Summary(0, None, None, None, None, dropped)
+    median, p90 = np.percentile(chosen, (50, 90))
+    mean = np.mean(chosen, dtype=np.float64)
+    return Summary(chosen.size, float(mean), float(median), float(p90), float(chosen.max()), dropped)
+
+
+class Pool:
+    """Summary of many maps of errors together, without holding them: memory does not grow with their number.
+
+    Median and percentile come from bins of 0.01 (errors above 200 count as 200 there) and are exact to half a bin;
+    mean, count and largest value are exact.
+    """
+
+    BIN, END = 0.01, 200.0
+
+    def __init__(self):
+        self.bins = np.zeros(round(self.END / self.BIN), np.int64)
+        self.count, self.total, self.worst = 0, 0.0, None
+
+    def add(self, values: np.ndarray) -> None:
+        """Errors of any shape, >= 0; those that are not finite are left out."""
+        for part in np.array_split(np.asarray(values).ravel(), max(1, np.size(values) >> 20)):
+            part = part[np.isfinite(part)]
+            if part.size:
+                places = np.minimum((part / self.BIN).astype(np.int64), self.bins.size - 1)
+                self.bins += np.bincount(places, minlength=self.bins.size)
+                self.count += part.size
+                self.total += float(part.sum(dtype=np.float64))
+                self.worst = max(float(part.max()), self.worst or 0.0)
+
+    def summary(self) -> Summary:
+        """Figures of everything added so far."""
+        if not self.count:
+            return Summary(0, None, None, None, None)
+        return Summary(self.count, self.total / self.count, self._percentile(50), self._percentile(90), self.worst)
+
+    def _percentile(self, percent: float) -> float:
+        below = np.searchsorted(np.cumsum(self.bins), percent / 100 * self.count, side="left")
+        return min(round((float(below) + 0.5) * self.BIN, 6), self.worst)
+
+
+SLOPE_EDGES_DEG = (0.0, 10.0, 20.0, 30.0, 50.0, 90.0)
+_BAND_ROWS = 256
+
+
+@dataclass(frozen=True)
+class NormalErrors:
+    """Angles between estimated and true normals, degrees.
+
+    map_deg: (rows, columns) float32, NaN where there is no truth; inside: all pixels with a truth, those without an
+    estimate included; estimated: those with one; unflagged, flagged: the estimated ones without and with a flag;
+    by_slope: (from, to) in degrees of the true slope -> estimated pixels; no_estimate: pixels inside without one.
+    """
+
+    map_deg: np.ndarray
+    inside: Summary
+    estimated: Summary
+    unflagged: Summary
+    flagged: Summary
+    by_slope: dict[tuple[float, float], Summary]
+    no_estimate: int
+
+    def as_dict(self) -> dict:
+        """Plain values, for JSON."""
+        sets = ("inside", "estimated", "unflagged", "flagged")
+        return {
+            **{name: getattr(self, name).as_dict() for name in sets},
+            "by_slope": [{"from_deg": a, "to_deg": b, **s.as_dict()} for (a, b), s in self.by_slope.items()],
+            "no_estimate": self.no_estimate,
+        }
+
+
+def angular_error_deg(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Angle between directions (..., 3), degrees, float32; NaN where either is zero or not finite.
+
+    2 atan2(|a - b|, |a + b|) of the unit vectors (Kahan, "How futile are mindless assessments of roundoff", 2006):
+    exact to rounding for every angle, where acos(a . b) loses half of the digits below 1e-4 rad.
+    """
+    a, b = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        a = a / np.sqrt(np.sum(a * a, axis=-1, keepdims=True))
+        b = b / np.sqrt(np.sum(b * b, axis=-1, keepdims=True))
+        apart = np.sqrt(np.sum((a - b) ** 2, axis=-1))
+        along = np.sqrt(np.sum((a + b) ** 2, axis=-1))
+        return np.degrees(2.0 * np.arctan2(apart, along)).astype(np.float32)
+
+
+def normal_errors(
+    estimate: np.ndarray,
+    truth: np.ndarray,
+    *,
+    flags: np.ndarray,
+    mask: np.ndarray | None = None,
+    slope_edges_deg: tuple[float, ...] = SLOPE_EDGES_DEG,
+) -> NormalErrors:
+    """Errors of a field of normals.
+
+    estimate, truth : (rows, columns, 3), right-handed, y up, z to the camera; a truth of zero or NaN means: not known.
+    flags : (rows, columns) uint8 of the normals stage. mask : (rows, columns) bool, pixels of the object.
+    slope_edges_deg : rising; classes of the angle between true normal and z. Raises UserError where shapes differ.
+    """
+    if estimate.shape != truth.shape or flags.shape != truth.shape[:2]:
+        raise UserError(
+            f"truth: expected normals of shape {estimate.shape}, as the capture, found {truth.shape}; "
+            "give the truth of this very capture, cropped alike"
+        )
+    angles = np.empty(truth.shape[:2], np.float32)
+    slopes = np.empty(truth.shape[:2], np.float32)
+    for start in range(0, len(truth), _BAND_ROWS):
+        band = slice(start, start + _BAND_ROWS)
+        angles[band] = angular_error_deg(estimate[band], truth[band])
+        slopes[band] = angular_error_deg(truth[band], np.broadcast_to([0.0, 0.0, 1.0], truth[band].shape))
+    inside = np.isfinite(slopes) if mask is None else np.isfinite(slopes) & mask
+    angles[~inside] = np.nan
+    has = inside & ((flags & NO_ESTIMATE) == 0)
+    clean = has & (flags == 0)
+    edges = itertools.pairwise(slope_edges_deg)
+    return NormalErrors(
+        map_deg=angles,
+        inside=summarise(angles, where=inside),
+        estimated=summarise(angles, where=has),
+        unflagged=summarise(angles, where=clean),
+        flagged=summarise(angles, where=has & ~clean),
+        by_slope={(a, b): summarise(angles, where=has & (slopes >= a) & (slopes < b)) for a, b in edges},
+        no_estimate=int(np.count_nonzero(inside & ~has)),
+    )
+
+
+@dataclass(frozen=True)
+class HeightError:
+    """Height against truth after removal of the best plane from the difference; unit of the heights.
+
+    rms, p90, worst: of the remaining difference; relief_rms: of the truth about its own best plane, to compare with;
+    tilt_deg: tilt of the removed plane where heights and pitch share a unit; pixels: number compared.
+    """
+
+    rms: float | None
+    p90: float | None
+    worst: float | None
+    relief_rms: float | None
+    tilt_deg: float | None
+    pixels: int
+
+    def as_dict(self) -> dict:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+
+def height_error(height: np.ndarray, truth: np.ndarray, *, pixels: np.ndarray, pitch: float = 1.0) -> HeightError:
+    """Compare heights (rows, columns) where `pixels` (bool) is set and both are finite.
+
+    pitch : distance of neighbouring pixels in the unit of the heights. Fewer than 3 pixels: all figures None.
+    Raises UserError where shapes differ.
+    """
+    if height.shape != truth.shape:
+        raise UserError(
+            f"truth: expected heights of shape {height.shape}, found {truth.shape}; crop them as the capture"
+        )
+    used = pixels & np.isfinite(height) & np.isfinite(truth)
+    count = int(np.count_nonzero(used))
+    if count < 3:
+        return HeightError(None, None, None, None, None, count)
+    rows, columns = np.nonzero(used)
+    difference, _, slope = _without_plane(height[used].astype(np.float64) - truth[used], rows, columns)
+    relief, _, _ = _without_plane(truth[used].astype(np.float64), rows, columns)
+    return HeightError(
+        rms=float(np.sqrt(np.mean(difference**2))),
+        p90=float(np.percentile(np.abs(difference), 90)),
+        worst=float(np.abs(difference).max()),
+        relief_rms=float(np.sqrt(np.mean(relief**2))),
+        tilt_deg=float(np.degrees(np.arctan(slope / pitch))),
+        pixels=count,
+    )
+
+
+def _without_plane(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Residual of the least-squares plane, its coefficients, and its slope per pixel."""
+    x, y = columns - columns.mean(), rows - rows.mean()
+    centred = values - values.mean()
+    gram = np.array([[x @ x, x @ y], [x @ y, y @ y]])
+    # lstsq: pixels of one line only leave the slope across it free; it takes the smallest
+    slope = np.linalg.lstsq(gram, np.array([x @ centred, y @ centred]), rcond=1e-12)[0]
+    return centred - slope[0] * x - slope[1] * y, slope, float(np.hypot(*slope))
+
+
+_ROWS = 16
+
+
+@dataclass(frozen=True)
+class RegionSpectrum:
+    """Mean estimated and mean true spectrum (61,) of the pixels of one region; rmse between the two."""
+
+    label: int
+    pixels: int
+    estimate: np.ndarray
+    truth: np.ndarray
+    rmse: float
+
+
+@dataclass(frozen=True)
+class ReflectanceErrors:
+    """Reflectance against truth.
+
+    rmse : over the 61 bands of each pixel; de00 : illuminant -> CIEDE2000; de00_map : (rows, columns) float32 under the
+    first illuminant, NaN where not compared; regions : mean spectra of the regions.
+    """
+
+    rmse: Summary
+    de00: dict[str, Summary]
+    de00_map: np.ndarray
+    regions: tuple[RegionSpectrum, ...]
+
+    def as_dict(self) -> dict:
+        """Plain values, for JSON (spectra rounded to 1e-5)."""
+        regions = [
+            {
+                "label": r.label,
+                "pixels": r.pixels,
+                "rmse": r.rmse,
+                "estimate": np.round(r.estimate, 5).tolist(),
+                "truth": np.round(r.truth, 5).tolist(),
+            }
+            for r in self.regions
+        ]
+        de00 = {name: summary.as_dict() for name, summary in self.de00.items()}
+        return {"rmse": self.rmse.as_dict(), "de00": de00, "regions": regions}
+
+
+def reflectance_errors(
+    coefficients: np.ndarray,
+    basis: np.ndarray,
+    paints: np.ndarray,
+    spectra: np.ndarray,
+    *,
+    pixels: np.ndarray,
+    regions: np.ndarray | None = None,
+    illuminants: tuple[str, ...] = ("D65", "A", "FL11"),
+) -> ReflectanceErrors:
+    """Compare S = coefficients @ basis with the true spectrum of each pixel.
+
+    coefficients : (rows, columns, K); basis : (K, 61); paints : (rows, columns, samples) or (rows, columns) integers
+    into spectra (paints, 61), a pixel's spectrum is the mean over its samples; pixels : (rows, columns) bool, those to
+    compare; regions : (rows, columns) integers that group pixels for mean spectra (default: the first sample's paint).
+    Values are not clipped. Raises UserError where shapes differ.
+    """
+    paints = paints[..., None] if paints.ndim == 2 else paints
+    shape = coefficients.shape[:2]
+    if paints.shape[:2] != shape or spectra.ndim != 2 or spectra.shape[1] != basis.shape[1]:
+        raise UserError(
+            f"truth: expected paints of {shape} pixels and spectra of {basis.shape[1]} bands, found "
+            f"{paints.shape} and {spectra.shape}; give the truth of this very capture"
+        )
+    if paints.size and int(paints.max()) >= len(spectra):
+        raise UserError(f"truth: expected paints from 0 to {len(spectra) - 1}, found {paints.max()}")
+    regions = paints[..., 0] if regions is None else regions
+    means = _RegionMeans(int(regions.max()) + 1, basis.shape[1])
+    rmse = np.full(shape, np.nan, np.float32)
+    maps = {name: np.full(shape, np.nan, np.float32) for name in illuminants}
+    eyes = {
+        name: (xyz_matrix(illuminant(name), np.eye(basis.shape[1])).T, white_xyz(illuminant(name))) for name in maps
+    }
+    for start in range(0, shape[0], _ROWS):
+        band = slice(start, start + _ROWS)
+        used = pixels[band]
+        estimated = coefficients[band][used].astype(np.float64) @ basis
+        true = spectra[paints[band][used]].mean(axis=1, dtype=np.float64)
+        rmse[band][used] = np.sqrt(np.mean((estimated - true) ** 2, axis=1))
+        for name, (matrix, white) in eyes.items():
+            maps[name][band][used] = delta_e_2000(
+                xyz_to_lab(estimated @ matrix, white), xyz_to_lab(true @ matrix, white)
+            )
+        means.add(regions[band][used], estimated, true)
+    return ReflectanceErrors(
+        rmse=summarise(rmse, where=pixels),
+        de00={name: summarise(values, where=pixels) for name, values in maps.items()},
+        de00_map=maps[illuminants[0]],
+        regions=means.spectra(),
+    )
+
+
+class _RegionMeans:
+    """Sums of estimated and true spectra by region, band after band."""
+
+    def __init__(self, regions: int, bands: int):
+        self.size = np.zeros(regions, np.int64)
+        self.sums = np.zeros((2, regions, bands))
+
+    def add(self, labels: np.ndarray, estimated: np.ndarray, true: np.ndarray) -> None:
+        for label in np.unique(labels):
+            chosen = labels == label
+            self.size[label] += np.count_nonzero(chosen)
+            self.sums[0, label] += estimated[chosen].sum(axis=0)
+            self.sums[1, label] += true[chosen].sum(axis=0)
+
+    def spectra(self) -> tuple[RegionSpectrum, ...]:
+        result = []
+        for label in np.flatnonzero(self.size):
+            estimated, true = self.sums[:, label] / self.size[label]
+            rmse = float(np.sqrt(np.mean((estimated - true) ** 2)))
+            result.append(RegionSpectrum(int(label), int(self.size[label]), estimated, true, rmse))
+        return tuple(result)
