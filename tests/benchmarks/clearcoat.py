@@ -28,7 +28,7 @@ from nishiki.colour.encoding import decode, encode
 from nishiki.report.page import read_json
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.gloss import ANGLES, GltfMaterial, RegionGloss
-from nishiki.stages.export.look import errors, painting_look, textures
+from nishiki.stages.export.look import PaintingSurface, errors, textures
 from nishiki.stages.export.scene import ExportedScene
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -102,7 +102,7 @@ def measured(folder: Path) -> dict:
     names = [name for name in ("ingest", "normals", "height", "spectra", "brdf") if (current / name).exists()]
     inputs = {name: open_artifact(current / name) for name in names}
     context, scene = SimpleNamespace(inputs=inputs, settings=ExportSettings()), ExportedScene(inputs)
-    look = painting_look(context, scene)
+    look = PaintingSurface(context, scene).look
     gloss, colours = replace(look.gloss.gltf, widened=None), decode(look.colours / 255, "srgb")
     beta, gamma, index, _ = gloss_table(read_json(inputs["brdf"], "parameters.json"))
     lights = np.stack([np.sin(ANGLES), np.zeros_like(ANGLES), np.cos(ANGLES)], axis=1)

@@ -33,7 +33,7 @@ from nishiki.colour.colour import srgb_encode
 from nishiki.observations.plane import Observations
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.gloss import GltfMaterial, RegionGloss
-from nishiki.stages.export.look import PaintingLook, painting_look
+from nishiki.stages.export.look import PaintingLook, PaintingSurface
 from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.scene import ExportedScene, block_mean
 
@@ -44,7 +44,7 @@ def look_of(inputs: dict[str, Artifact], step: int) -> PaintingLook:
     """Textures whose texels have `step` pixels along a side."""
     scene = ExportedScene(inputs)
     settings = ExportSettings(gltf={"texture_px": max(16, -(-max(scene.shape) // step))})
-    look = painting_look(SimpleNamespace(inputs=inputs, settings=settings), scene)
+    look = PaintingSurface(SimpleNamespace(inputs=inputs, settings=settings), scene).look
     if look.step != step:
         sys.exit(f"the picture is too small for texels of {step} pixels")
     return look

@@ -41,7 +41,7 @@ from nishiki.render.display import three_channels
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.cloth import LAMPS, VIEWS, ExportedCloth
 from nishiki.stages.export.cloth_material import fitted_cloth
-from nishiki.stages.export.look import painting_look
+from nishiki.stages.export.look import PaintingSurface
 from nishiki.stages.export.object_look import METRES, object_look, object_mesh
 from nishiki.stages.export.object_surface import SeenPoints, shown_in
 from nishiki.stages.export.photographs import CodedErrors, Photographs
@@ -93,7 +93,7 @@ def paintings(program: str, folder: Path) -> Iterator[dict]:
     names = [stage for stage in ("ingest", "normals", "height", "spectra", "brdf") if (current / stage).exists()]
     inputs = {stage: open_artifact(current / stage) for stage in names}
     scene, frames = ExportedScene(inputs), Observations(inputs["ingest"].folder)
-    look = painting_look(SimpleNamespace(inputs=inputs, settings=ExportSettings()), scene)
+    look = PaintingSurface(SimpleNamespace(inputs=inputs, settings=ExportSettings()), scene).look
     shape = rows, columns = look.colours.shape[:2]
     if look.step != 1 or frames.positions_mm is not None:
         sys.exit(f"{folder}: expected a texel for a pixel and distant lamps; choose a smaller scene")

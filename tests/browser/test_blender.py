@@ -12,7 +12,7 @@ from nishiki.colour.encoding import decode, encode
 from nishiki.formats.usd import write_usdz
 from nishiki.packages import installed
 from nishiki.stages.export import ExportSettings
-from nishiki.stages.export.look import painting_look
+from nishiki.stages.export.look import PaintingSurface
 from nishiki.stages.export.object_surface import SeenPoints, shown_in
 from nishiki.stages.export.painting import run
 from nishiki.stages.export.scene import ExportedScene
@@ -34,7 +34,7 @@ def test_a_painting_of_two_finishes_is_drawn_as_the_formulas_say_and_stands_wher
     context = export_context(painting, tmp_path / "export", ExportSettings(formats=("gltf",)))
     with context.output as output:
         run(context)
-        look = painting_look(context, ExportedScene(painting.inputs))
+        look = PaintingSurface(context, ExportedScene(painting.inputs)).look
         pictures = blender_scene.pictures(
             output.folder / "exports/painting.glb",
             blender_scene.above(ROWS, COLUMNS, PITCH_MM / 1000),

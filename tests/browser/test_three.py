@@ -8,7 +8,7 @@ from small_painting import PITCH_MM, export_context, small_painting
 
 from nishiki.colour.encoding import decode, encode
 from nishiki.stages.export import ExportSettings
-from nishiki.stages.export.look import painting_look
+from nishiki.stages.export.look import PaintingSurface
 from nishiki.stages.export.painting import run
 from nishiki.stages.export.scene import ExportedScene
 
@@ -25,7 +25,7 @@ def test_three_draws_the_material_that_the_loss_is_reckoned_with(tmp_path):
     context = export_context(painting, tmp_path / "export", ExportSettings(formats=("gltf",)))
     with context.output as output:
         run(context)
-        look = painting_look(context, ExportedScene(painting.inputs))
+        look = PaintingSurface(context, ExportedScene(painting.inputs)).look
         rows, columns = look.colours.shape[:2]
         with three_page.opened(output.folder / "exports" / "painting.glb") as draw:
             pictures = {

@@ -15,7 +15,7 @@ from nishiki.colour.colour import srgb_encode
 from nishiki.packages import installed
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.gloss import STRENGTH, coded_errors
-from nishiki.stages.export.look import most_frequent, painting_look
+from nishiki.stages.export.look import PaintingSurface, most_frequent
 from nishiki.stages.export.painting import run
 from nishiki.stages.export.scene import ExportedScene
 
@@ -30,7 +30,7 @@ def exported_with(folder, painting, **settings):
     context = export_context(painting, folder, ExportSettings(formats=FORMATS, **settings))
     with context.output as output:
         reported = run(context)
-        look = painting_look(context, ExportedScene(painting.inputs))
+        look = PaintingSurface(context, ExportedScene(painting.inputs)).look
         yield SimpleNamespace(painting=painting, folder=output.folder / "exports", look=look, losses=reported["losses"])
 
 

@@ -12,7 +12,7 @@ from nishiki.brdf.slopes import slope_covariance
 from nishiki.brdf.trowbridge_reitz import isotropic_lobe
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.gloss import slopes_widen
-from nishiki.stages.export.look import painting_look
+from nishiki.stages.export.look import PaintingSurface
 from nishiki.stages.export.scene import ExportedScene
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -29,7 +29,9 @@ def painting(tmp_path_factory):
 def look_with(painting, step):
     """Textures whose texels have `step` pixels along a side."""
     settings = ExportSettings(gltf={"texture_px": -(-COLUMNS // step)})
-    look = painting_look(SimpleNamespace(inputs=painting.inputs, settings=settings), ExportedScene(painting.inputs))
+    look = PaintingSurface(
+        SimpleNamespace(inputs=painting.inputs, settings=settings), ExportedScene(painting.inputs)
+    ).look
     assert look.step == step
     return look
 

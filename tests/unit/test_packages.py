@@ -27,7 +27,7 @@ PLACES = {
     "pyserial": {"ports.py", "serial_line.py"},
     "rawpy": {"raw.py"},
     "scikit-image": {"hull.py", "surface.py"},
-    "trimesh": {"merging.py", "mesh_files.py", "mesh_store.py"},
+    "trimesh": {"merging.py", "mesh_files.py", "surfaces.py"},
     "usd-core": {"usd.py"},
 }
 """The modules that take a package of an extra. Of a new one, `idle` of the declaration says which scenes load it."""

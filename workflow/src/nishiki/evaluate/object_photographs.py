@@ -13,39 +13,52 @@ from nishiki.formats.stored import open_array, open_group
 from nishiki.observations.views import Views
 
 
-class Photographs:
-    """What was photographed, view by view, in linear light.  From the artifacts of ingest, mesh, and polarise where
-    the capture has polariser states."""
+class Pictures:
+    """What was photographed, view by view, in linear light: all light, and where polarisers separated it its parts."""
 
     def __init__(self, inputs: Mapping[str, Artifact]):
-        self.views = Views(inputs["ingest"].folder)
-        if len(self.views.states) > 1 and "off" not in self.views.states and "polarise" not in inputs:
+        self.views, self.separated = Views(inputs["ingest"].folder), None
+        self.state = "off" if "off" in self.views.states else self.views.states[0]
+        if "polarise" in inputs:
+            from nishiki.polarisation.components import Components
+
+            self.separated = Components(inputs["polarise"].folder)
+        self.components = ("diffuse", "specular", "total") if self.separated else ("total",)
+
+    def parts(self, view: int, light: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Read every component (rows, columns, channels) float32 of a view, and its validity (rows, columns).
+
+        The total is the photograph without polariser where there is one, else the sum of the components.
+        """
+        if self.separated is None:
+            picture, valid = self.views.read(view, state=self.state, light=self.views.lights[light])
+            return {"total": picture}, valid
+        diffuse, specular, valid = self.separated.read(light * len(self.views.views) + view)
+        total = diffuse + specular
+        if self.state == "off":
+            total, known = self.views.read(view, state="off", light=self.views.lights[light])
+            valid = valid & known
+        return {"diffuse": diffuse, "specular": specular, "total": total}, valid
+
+
+class Photographs(Pictures):
+    """The counterparts of rendered pictures. From the artifacts of ingest, mesh, and polarise where the capture has
+    polariser states."""
+
+    def __init__(self, inputs: Mapping[str, Artifact]):
+        super().__init__(inputs)
+        if len(self.views.states) > 1 and self.state != "off" and self.separated is None:
             raise UserError(
                 f"{inputs['ingest'].folder}: every photograph was taken through a polariser, expected the artifact of "
                 "polarise beside it. Remedy: give it among the inputs"
             )
-        self.components = None
-        if "polarise" in inputs:
-            from nishiki.polarisation.components import Components
-
-            self.components = Components(inputs["polarise"].folder)
-        self.outlines = None
         path = inputs["mesh"].path("silhouettes.zarr")
-        if path.is_dir():
-            self.outlines = open_array(path)
+        self.outlines = open_array(path) if path.is_dir() else None
 
     def read(self, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
-        """Linear (rows, columns, channels) float32 and validity (rows, columns): light of any polarisation.
-
-        The photograph without polariser where there is one, else the sum of the components.
-        """
-        states, name = self.views.states, self.views.lights[light]
-        if self.components is None or "off" in states:
-            plain, valid = self.views.read(view, state="off" if "off" in states else states[0], light=name)
-        if self.components is None:
-            return plain, valid
-        diffuse, specular, separated = self.components.read(light * len(self.views.views) + view)
-        return (plain, valid & separated) if "off" in states else (diffuse + specular, separated)
+        """Linear (rows, columns, channels) float32 and validity (rows, columns): light of any polarisation."""
+        parts, valid = self.parts(view, light)
+        return parts["total"], valid
 
     def silhouette(self, view: int) -> np.ndarray | None:
         """(rows, columns) bool, or None where it is not known."""

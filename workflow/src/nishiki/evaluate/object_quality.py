@@ -198,12 +198,7 @@ AMPLIFIED = 10
 
 
 def comparison(
-    photograph: np.ndarray,
-    rendered: np.ndarray,
-    model: np.ndarray,
-    inside: np.ndarray,
-    encoding: str,
-    columns: int,
+    photograph: np.ndarray, rendered: np.ndarray, model: np.ndarray, inside: np.ndarray, encoding: str, columns: int
 ) -> dict[str, np.ndarray]:
     """Pictures (rows, columns, 3) uint8 cut to the object and reduced to at most `columns`: photograph, rendered and
     model as seen on a screen, black outside of the silhouette; error: grey plus AMPLIFIED times the difference of

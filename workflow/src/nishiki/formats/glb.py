@@ -56,6 +56,11 @@ class Glb:
         view = self.view(flat.tobytes(), ELEMENTS)
         return self.add("accessors", bufferView=view, componentType=UNSIGNED_INT, count=len(flat), type="SCALAR")
 
+    def add_mesh(self, attributes: Mapping[str, int], triangles: np.ndarray, material: int, *, name: str) -> None:
+        """Add a node with a mesh of vertex accessors by their names, triangles (t, 3) and the number of a material."""
+        primitive = {"attributes": attributes, "indices": self.corners(triangles), "material": material}
+        self.add("nodes", mesh=self.add("meshes", primitives=[primitive]), name=name)
+
     def texture(self, picture: bytes, *, mime: str) -> int:
         """A texture of an encoded picture, not repeated at its edges."""
         return self._texture(bufferView=self.view(picture), mimeType=mime)

@@ -219,12 +219,7 @@ def film(artifact: Artifact, file: str, heading: str, caption: str, largest_mb: 
     return Figure(heading, caption, video=f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}")
 
 
-STATES = {
-    "finished": "finished",
-    "unfinished": "not finished",
-    "failed": "failed",
-    "refused": "cannot be planned",
-}
+STATES = {"finished": "finished", "unfinished": "not finished", "failed": "failed", "refused": "cannot be planned"}
 """State of a scene, and what the page calls it."""
 
 

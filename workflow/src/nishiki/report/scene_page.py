@@ -74,10 +74,7 @@ def write_scene_page(
         for name in stages
         if name in context.inputs
         for warning in limit_warnings(
-            name,
-            stages[name].limits,
-            context.inputs[name].diagnostics,
-            context.inputs[name].settings.get("allow", ()),
+            name, stages[name].limits, context.inputs[name].diagnostics, context.inputs[name].settings.get("allow", ())
         )
     ]
     page = Page(

@@ -33,13 +33,7 @@ class CastShadows:
     heights_missing: int  # pixels without a finite height
 
 
-def cast_shadows(
-    height: np.ndarray,
-    lights: list[Light],
-    *,
-    pitch: float,
-    method: str = "sweep",
-) -> CastShadows:
+def cast_shadows(height: np.ndarray, lights: list[Light], *, pitch: float, method: str = "sweep") -> CastShadows:
     """What each pixel sees of each lamp.  height: (rows, columns), in the unit of `pitch`.
 
     method: "sweep" (lamps at a finite distance are marched all the same) or "march".  A lamp of angular radius 0 gives

@@ -27,8 +27,7 @@ class BrdfSettings(Guarded, stage="brdf", version=3, limits=PAINTING_LIMITS):
     )
     max_slope_deg: float = Field(50, gt=0, le=90, description="steeper pixels are left out of the fit")
     lobes: Literal["ladder", 1, 2] = Field(
-        "ladder",
-        description="specular lobes; ladder: the 11 widths of the joint fit of normals; paper: always 1",
+        "ladder", description="specular lobes; ladder: the 11 widths of the joint fit of normals; paper: always 1"
     )
     specular: Literal["auto", "keep", "drop"] = Field(
         "auto", description="auto: left out where a sample shows no gloss (docs/economy.md); method paper: always kept"

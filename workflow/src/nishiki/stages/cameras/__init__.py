@@ -54,8 +54,7 @@ class CamerasSettings(Guarded, stage="cameras", version=1, limits=LIMITS):
         "auto", description="what gives the poses; auto: the first of these that the capture has"
     )
     distortion: Literal["none", "radial", "tangential", "full"] = Field(
-        "tangential",
-        description="terms fitted in a calibration: radial k1, k2; tangential: p1, p2 too; full: k3 too",
+        "tangential", description="terms fitted in a calibration: radial k1, k2; tangential: p1, p2 too; full: k3 too"
     )
     outlier_factor: float = Field(
         3.0, gt=1, description="calibration pictures with more than this times the median error are left out"

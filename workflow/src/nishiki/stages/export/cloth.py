@@ -26,7 +26,7 @@ from nishiki.render.cloth.models import ClothModels
 from nishiki.render.cloth.scene import Brdf, ClothScene, three
 from nishiki.render.cloth.studio import MARGIN, Lighting, framed, paper_below
 from nishiki.stages.export import mitsuba_cloth
-from nishiki.stages.export.cloth_material import GltfCloth, coded_error, fitted_cloth
+from nishiki.stages.export.cloth_material import coded_error, fitted_cloth
 from nishiki.stages.export.registry import software, write_formats
 from nishiki.stages.render import ClothRenderSettings
 from nishiki.stages.render.draping import DrapedCloth, draped_cloth, lights_of
@@ -104,22 +104,8 @@ ALONG_TANGENT = np.uint8([[[255, 128, 255]]])
 
 
 def write_gltf(context: Context, cloth: ExportedCloth) -> dict:
-    """`cloth.glb`; how far its material is from the model."""
-    material = fitted_cloth(cloth.brdf)
-    write_glb(context, cloth, material)
-    return {
-        "files": ["exports/cloth.glb"],
-        "vertices": len(cloth.draped.surface.mesh.vertices),
-        "faces": len(cloth.draped.surface.mesh.triangles),
-        "material": material.as_dict(),
-        "fit_rms": coded_error(material, cloth.brdf),
-        "against_model": errors(cloth, material),
-    }
-
-
-def write_glb(context: Context, cloth: ExportedCloth, material: GltfCloth) -> None:
-    """The file. Its tangents run along the weft, their bitangents along the warp."""
-    surface, uv = cloth.draped.surface, cloth.draped.uv
+    """Write `cloth.glb`, its tangents along the weft, bitangents along the warp; return the errors of its material."""
+    material, surface, uv = fitted_cloth(cloth.brdf), cloth.draped.surface, cloth.draped.uv
     mesh = surface.mesh
     normals = mesh.normals / np.linalg.norm(mesh.normals, axis=1, keepdims=True)
     properties = material.material()
@@ -135,11 +121,18 @@ def write_glb(context: Context, cloth: ExportedCloth, material: GltfCloth) -> No
         along = {"index": glb.texture(png_bytes(ALONG_TANGENT), mime="image/png")}
         properties["extensions"]["KHR_materials_anisotropy"]["anisotropyTexture"] = along
     number = glb.add("materials", name=f"{cloth.region} {cloth.model}", **properties)
-    primitive = {"attributes": attributes, "indices": glb.corners(mesh.triangles), "material": number}
-    glb.add("nodes", mesh=glb.add("meshes", primitives=[primitive]), name=context.stamp["scene"])
+    glb.add_mesh(attributes, mesh.triangles, number, name=context.stamp["scene"])
     unit = "metres" if cloth.shown.mesh is None else "of the file, taken as metres"
     extras = {**context.stamp, "unit": unit, "region": cloth.region, "model": cloth.model}
     glb.write(context.output.path("exports/cloth.glb"), generator=software(context), extras=extras)
+    return {
+        "files": ["exports/cloth.glb"],
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.triangles),
+        "material": material.as_dict(),
+        "fit_rms": coded_error(material, cloth.brdf),
+        "against_model": errors(cloth, material),
+    }
 
 
 def write_mitsuba(context: Context, cloth: ExportedCloth) -> dict:

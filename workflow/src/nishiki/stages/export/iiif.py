@@ -28,13 +28,7 @@ OPEN_RIGHTS = r"https?://(creativecommons\.org|rightsstatements\.org)/\S+"
 QUALITY = 92  # of the JPEG tiles
 RAKING = np.array([-np.cos(np.radians(20)), 0.0, np.sin(np.radians(20))])
 """Light of the relief picture: from the left, 20 degrees above the surface."""
-ABOUT = {
-    "object_id": "Object",
-    **OBJECT_FACTS,
-    "creator": "Photographs by",
-    "date": "Photographed",
-    "notes": "Notes",
-}
+ABOUT = {"object_id": "Object", **OBJECT_FACTS, "creator": "Photographs by", "date": "Photographed", "notes": "Notes"}
 
 
 def colour(scene: ExportedScene, rows: slice) -> np.ndarray:

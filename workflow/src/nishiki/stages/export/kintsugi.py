@@ -33,21 +33,12 @@ EXTENSIONS = ("KHR_materials_ior", "KHR_materials_specular")
 
 
 def write_gltf(context: Context, surface: ObjectSurface) -> dict:
-    """`object.glb`; its error against photographs."""
-    write_glb(context, surface)
-    return {
-        "files": ["exports/object.glb"],
-        "vertices": len(surface.mesh.positions),
-        **surface.losses("gltf"),
-    }
-
-
-def write_glb(context: Context, surface: ObjectSurface) -> None:
-    """The file."""
+    """Write `object.glb`; return its error against photographs."""
     glb = Glb(extensions=set(EXTENSIONS))
     add_object(glb, context, surface, lambda _, picture: glb.texture(png_bytes(picture), mime="image/png"))
     extras = {**context.stamp, "unit": surface.unit}
     glb.write(context.output.path("exports/object.glb"), generator=software(context), extras=extras)
+    return {"files": ["exports/object.glb"], "vertices": len(surface.mesh.positions), **surface.losses("gltf")}
 
 
 def add_object(
@@ -74,19 +65,14 @@ def add_object(
     colour, roughness, strength = ({"index": texture(*each)} for each in pictures.items())
     material = glb.add(
         "materials",
-        pbrMetallicRoughness={
-            "baseColorTexture": colour,
-            "metallicRoughnessTexture": roughness,
-            "metallicFactor": 0,
-        },
+        pbrMetallicRoughness={"baseColorTexture": colour, "metallicRoughnessTexture": roughness, "metallicFactor": 0},
         extensions={
             "KHR_materials_ior": {"ior": INDEX},
             "KHR_materials_specular": {"specularTexture": strength, "specularColorFactor": [look.factor] * 3},
         },
         extras=extras,
     )
-    primitive = {"attributes": attributes, "indices": glb.corners(mesh.triangles), "material": material}
-    glb.add("nodes", mesh=glb.add("meshes", primitives=[primitive]), name=context.stamp["scene"])
+    glb.add_mesh(attributes, mesh.triangles, material, name=context.stamp["scene"])
 
 
 FOLDER = "exports/kintsugi"

@@ -81,13 +81,28 @@ class PaintingSurface(ExportedSurface):
 
     @cached_property
     def look(self) -> PaintingLook:
-        """Material and textures."""
-        return painting_look(self.context, self.scene)
+        """Material and textures, at most `gltf.texture_px` texels a side."""
+        albedo, normals, labels, variance, step = textures(
+            self.scene, self.context.settings.gltf.texture_px, slopes=slopes_widen(self.context)
+        )
+        known = np.abs(normals).max(axis=-1) > 0
+        gloss = painting_gloss(self.context, albedo, known, labels, variance)
+        rows, columns = known.shape
+        colours = np.empty((rows, columns, 3), np.uint8)
+        for row in range(rows):
+            material = gloss.gltf.of(np.array([row]), np.arange(columns))
+            colours[row] = np.rint(255 * srgb_encode(material.base_colour(albedo[row])))
+        coded = np.rint((np.where(known[..., None], normals, [0, 0, 1]) + 1) / 2 * 255).astype(np.uint8)
+        return PaintingLook(gloss, colours, coded, step)
 
     @cached_property
     def mesh(self) -> TexturedMesh:
-        """The plane displaced by the height."""
-        return painting_mesh(self.context, self.scene)
+        """The plane displaced by the height, with its own normals, because the texture holds the relief's."""
+        bands = list(reliefs(self.scene, self.context.settings.mesh_vertices, colours=None))
+        places, texture, triangles = (
+            np.concatenate([getattr(band, name) for band in bands]) for name in ("places", "texture", "triangles")
+        )
+        return TexturedMesh(places * METRES, np.broadcast_to(np.float32([0, 0, 1]), places.shape), texture, triangles)
 
     @property
     def unit(self) -> str:
@@ -109,31 +124,6 @@ class PaintingSurface(ExportedSurface):
         """PSNR of every format that is asked for; the photographs are read once."""
         asked = {name: getattr(self.look.gloss, name) for name in self.formats}
         return errors(self.context, self.scene, self.look, asked)
-
-
-def painting_look(context: Context, scene: ExportedScene) -> PaintingLook:
-    """Material and textures, at most `gltf.texture_px` texels a side."""
-    albedo, normals, labels, variance, step = textures(
-        scene, context.settings.gltf.texture_px, slopes=slopes_widen(context)
-    )
-    known = np.abs(normals).max(axis=-1) > 0
-    gloss = painting_gloss(context, albedo, known, labels, variance)
-    rows, columns = known.shape
-    colours = np.empty((rows, columns, 3), np.uint8)
-    for row in range(rows):
-        material = gloss.gltf.of(np.array([row]), np.arange(columns))
-        colours[row] = np.rint(255 * srgb_encode(material.base_colour(albedo[row])))
-    coded = np.rint((np.where(known[..., None], normals, [0, 0, 1]) + 1) / 2 * 255).astype(np.uint8)
-    return PaintingLook(gloss, colours, coded, step)
-
-
-def painting_mesh(context: Context, scene: ExportedScene) -> TexturedMesh:
-    """The plane displaced by the height. Its normals are those of the plane, because the texture holds the relief's."""
-    bands = list(reliefs(scene, context.settings.mesh_vertices, colours=None))
-    places, texture, triangles = (
-        np.concatenate([getattr(band, name) for band in bands]) for name in ("places", "texture", "triangles")
-    )
-    return TexturedMesh(places * METRES, np.broadcast_to(np.float32([0, 0, 1]), places.shape), texture, triangles)
 
 
 class TexelMaps(NamedTuple):
@@ -214,18 +204,7 @@ def errors(
 
 
 def write_gltf(context: Context, surface: PaintingSurface) -> dict:
-    """`painting.glb`; the error of its material against photographs."""
-    write_glb(context, surface)
-    return {
-        "files": ["exports/painting.glb"],
-        "vertices": len(surface.mesh.positions),
-        "faces": len(surface.mesh.triangles),
-        **surface.losses("gltf"),
-    }
-
-
-def write_glb(context: Context, surface: PaintingSurface) -> None:
-    """The file."""
+    """Write `painting.glb`; return the error of its material against photographs."""
     mesh, look = surface.mesh, surface.look
     glb = Glb(extensions={"KHR_materials_ior", "KHR_materials_specular"})
     tangents = np.broadcast_to(np.float32([1, 0, 0, 1]), (len(mesh.positions), 4))
@@ -247,10 +226,15 @@ def write_glb(context: Context, surface: PaintingSurface) -> None:
             "KHR_materials_specular": specular,
         },
     )
-    primitive = {"attributes": attributes, "indices": glb.corners(mesh.triangles), "material": number}
-    glb.add("nodes", mesh=glb.add("meshes", primitives=[primitive]), name=context.stamp["scene"])
+    glb.add_mesh(attributes, mesh.triangles, number, name=context.stamp["scene"])
     extras = {**context.stamp, "unit": surface.unit}
     glb.write(context.output.path("exports/painting.glb"), generator=software(context), extras=extras)
+    return {
+        "files": ["exports/painting.glb"],
+        "vertices": len(mesh.positions),
+        "faces": len(mesh.triangles),
+        **surface.losses("gltf"),
+    }
 
 
 def gloss_properties(glb: Glb, gloss: RegionGloss) -> tuple[dict, dict]:

@@ -192,12 +192,6 @@ def object_mesh(context: Context, look: ObjectLook) -> TexturedMesh:
     return TexturedMesh(positions, normals, places, numbers.reshape(-1, 3))
 
 
-def unit_of(context: Context) -> str:
-    """What a length of 1 in the file means."""
-    unit = context.inputs["mesh"].diagnostics.get("unit")
-    return "metres" if unit in METRES else f"{unit} of the cameras"
-
-
 def coded(values: np.ndarray) -> np.ndarray:
     """Eight bits of values in 0 to 1."""
     return np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)

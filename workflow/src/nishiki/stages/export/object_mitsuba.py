@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.texels.lighting import DISTANT, POINT, Lamp
@@ -120,6 +118,9 @@ def nearest_pinhole(camera: Camera, points: np.ndarray) -> Camera:
 
     Matrices without metric calibration, such as projective ones, have oblong pixels and an axis far off the picture.
     """
+    from scipy.optimize import least_squares
+    from scipy.spatial.transform import Rotation
+
     k, middle = camera.intrinsics, np.array([camera.columns - 1, camera.rows - 1]) / 2
     if not any(camera.distortion) and abs(k[0, 1]) + abs(k[0, 0] - k[1, 1]) < 1e-9 * k[0, 0]:
         return camera

@@ -17,7 +17,7 @@ from nishiki.evaluate.object_photographs import Photographs
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.geometry.raster import rasterise
 from nishiki.render.display import three_channels
-from nishiki.stages.export.object_look import ObjectLook, object_look, object_mesh, sample, unit_of
+from nishiki.stages.export.object_look import METRES, ObjectLook, object_look, object_mesh, sample
 from nishiki.stages.export.photographs import CodedErrors
 from nishiki.stages.export.registry import ExportedSurface
 
@@ -162,7 +162,8 @@ class ObjectSurface(ExportedSurface):
     @property
     def unit(self) -> str:
         """What a length of 1 in a file means."""
-        return unit_of(self.context)
+        unit = self.context.inputs["mesh"].diagnostics.get("unit")
+        return "metres" if unit in METRES else f"{unit} of the cameras"
 
     def look_of(self, name: str) -> SurfaceLook:
         """Textures and material as a format takes them; the gloss has one strength in USD."""

@@ -134,11 +134,7 @@ def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
 
 def model_textures(scene: ExportedScene, *, facets: bool, regions: bool) -> dict[str, Texture]:
     """What `nishiki_paint.py` reads, by name; facets: slopes widen the gloss; regions: there are several."""
-    textures: dict[str, Texture] = {
-        "albedo": scene.srgb,
-        "normals": scene.shading_normals,
-        "shading": scene.shading,
-    }
+    textures: dict[str, Texture] = {"albedo": scene.srgb, "normals": scene.shading_normals, "shading": scene.shading}
     if scene.has_directional_shading:
         textures["directional"] = lambda rows: np.pad(scene.directional_terms(rows), ((0, 0), (0, 0), (0, 1)))
     if facets:

@@ -17,11 +17,7 @@ def run(context: Context) -> dict:
     valid = (maps.read("flags") & bits.NO_ESTIMATE) == 0
     pitch = maps.group.attrs.get("pixel_pitch_mm")
     out = MapWriter(
-        context.output.folder,
-        rows=normals.shape[0],
-        columns=normals.shape[1],
-        band_rows=256,
-        stamp=context.stamp,
+        context.output.folder, rows=normals.shape[0], columns=normals.shape[1], band_rows=256, stamp=context.stamp
     )
     of_relief, turned = normals, 0.0
     if context.settings.flatten:

@@ -91,9 +91,7 @@ class MeshSettings(Guarded, stage="mesh", version=6, limits=LIMITS):
         0.05, ge=0, le=1, description="parts smaller than this are left out, of the largest part's diagonal"
     )
     deviation_px: float = Field(
-        0.5,
-        ge=0,
-        description="as few triangles as keep 99 % of the surface within so many pixels; 0: all triangles",
+        0.5, ge=0, description="as few triangles as keep 99 % of the surface within so many pixels; 0: all triangles"
     )
     most_triangles: int | None = Field(None, ge=16, description="no more triangles than this, whatever the deviation")
     grid_px: float = Field(

@@ -109,8 +109,7 @@ class PolariseSettings(Guarded, stage="polarise", version=2, limits=LIMITS):
         "pixel", description="three or more analyser angles: amplitude at each pixel's own angle, or at one for a view"
     )
     smoothing: bool = Field(
-        True,
-        description="smooth the specular part where its measured noise allows, and correct the diffuse part by it",
+        True, description="smooth the specular part where its measured noise allows, and correct the diffuse part by it"
     )
     wavelength_nm: float | None = Field(
         None, gt=0, description="of the light; needed where the calibration gives a retarder's dispersion"

@@ -13,13 +13,7 @@ from nishiki.polarisation.beta import Beta, board_ratio
 from nishiki.polarisation.components import ComponentWriter
 from nishiki.polarisation.differences import PhotographNoise
 from nishiki.polarisation.instrument import arms_of, read_instrument
-from nishiki.polarisation.polarisation import (
-    SeparatedView,
-    common_phase,
-    components,
-    reflected_sense,
-    sum_planes,
-)
+from nishiki.polarisation.polarisation import SeparatedView, common_phase, components, reflected_sense, sum_planes
 from nishiki.polarisation.polariser_states import StateSums, sums_of
 from nishiki.polarisation.series_diagnostics import Thinned, diagnose
 from nishiki.polarisation.smoothing import smooth_planes

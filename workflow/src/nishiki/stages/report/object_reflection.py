@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
@@ -126,6 +125,8 @@ def sheet(read: Callable[[int], np.ndarray], atlas: Atlas, widest: int) -> tuple
 def _pieces(read: Callable[[int], np.ndarray], atlas: Atlas, side: int) -> tuple[list[np.ndarray], LeftOut]:
     """Connected pieces of all charts, (rows, columns, n) with NaN outside, tiles averaged to `side` pixels a side;
     those with less than `SPECK` of the known pixels are left out, but not the largest."""
+    import cv2
+
     pieces, sizes = [], []
     for number in range(len(atlas.chart_grid)):
         picture = _chart_picture(read, atlas, number, side)

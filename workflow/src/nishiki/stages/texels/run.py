@@ -12,6 +12,7 @@ from nishiki.atlas.quality import atlas_picture, stretch_percentiles, texels_per
 from nishiki.atlas.turn import probe_spacing, turning
 from nishiki.atlas.write import TexelsWriter
 from nishiki.errors import UserError
+from nishiki.evaluate.object_photographs import Pictures
 from nishiki.formats.stored import open_array
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import load_cameras
@@ -26,10 +27,11 @@ def run(context: Context) -> dict:
     views = Views(context.inputs["ingest"].folder)
     cameras = load_cameras(context.inputs["cameras"].path("cameras.json"))
     mesh = Mesh.load(context.inputs["mesh"].path("mesh.npz"))
-    silhouettes = open_silhouettes(context.inputs["mesh"].path("silhouettes.zarr"))
+    outlines = context.inputs["mesh"].path("silhouettes.zarr")
+    silhouettes = open_array(outlines) if outlines.exists() else None
     check(views, cameras)
     charts, atlas = lay_out(mesh, [c for c in cameras if c.name not in settings.hold_out] or cameras, settings)
-    source = Pictures(views, context.inputs)
+    source = Pictures(context.inputs)
     writer = TexelsWriter(
         context.output.folder,
         mesh,
@@ -47,7 +49,7 @@ def run(context: Context) -> dict:
     )
     facts = {"visible": 0, "texels": 0, "pixels": 0, "silhouette": 0, "uncovered": 0, "per_pixel": []}
     for index in context.progress.over(range(len(cameras)), "view"):
-        silhouette = silhouettes(index)
+        silhouette = None if silhouettes is None else silhouettes[index] != 0
         view = writer.view(index, silhouette)
         facts["pixels"] += len(view.places.row)
         facts["per_pixel"].append(texels_per_pixel(mesh, atlas, cameras[index], view.raster.triangle[view.shown]))
@@ -55,21 +57,13 @@ def run(context: Context) -> dict:
             facts["silhouette"] += int(silhouette.sum())
             facts["uncovered"] += int((silhouette & (view.raster.triangle < 0)).sum())
         for light in range(len(views.lights)):
-            pictures, valid = source.read(index, light)
+            pictures, valid = source.parts(index, light)
             count = writer.pictures(view, light, pictures, valid)
             if cameras[index].name not in settings.hold_out:
                 facts["visible"] += count["visible"]
                 facts["texels"] += count["inside"]
     write_preview(context.output.path("preview.png"), atlas, writer.finish(), views.encoding)
     return described(mesh, charts, atlas, writer, facts)
-
-
-def open_silhouettes(path: Path):
-    """A function of the view's number: silhouette (rows, columns) bool, or None where there are none."""
-    if not path.exists():
-        return lambda index: None
-    stored = open_array(path)
-    return lambda index: stored[index] != 0
 
 
 def check(views: Views, cameras: list[Camera]) -> None:
@@ -105,34 +99,6 @@ def lay_out(mesh: Mesh, cameras: list[Camera], settings: TexelsSettings) -> tupl
     density = sampling_density(mesh, charts.plane, cameras, percentile=settings.density_percentile)
     scale = texels_per_unit(density, charts.plane, charts.chart, texels_per_pixel=settings.texels_per_pixel)
     return charts, build_atlas(charts.plane, charts.chart, scale, size=settings.tile)
-
-
-class Pictures:
-    """The pictures of an observation by component, linear."""
-
-    def __init__(self, views: Views, inputs: dict):
-        self.views, self.separated = views, None
-        self.state = "off" if "off" in views.states else views.states[0]
-        if "polarise" in inputs:
-            from nishiki.polarisation.components import Components
-
-            self.separated = Components(inputs["polarise"].folder)
-        self.components = ("diffuse", "specular", "total") if self.separated else ("total",)
-
-    def read(self, view: int, light: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Component to (rows, columns, channels) float32, and valid (rows, columns) bool.
-
-        The total is the photograph without polariser where there is one, else the sum of the components.
-        """
-        if self.separated is None:
-            picture, valid = self.views.read(view, state=self.state, light=self.views.lights[light])
-            return {"total": picture}, valid
-        diffuse, specular, valid = self.separated.read(light * len(self.views.views) + view)
-        total = diffuse + specular
-        if self.state == "off":
-            total, known = self.views.read(view, state="off", light=self.views.lights[light])
-            valid = valid & known
-        return {"diffuse": diffuse, "specular": specular, "total": total}, valid
 
 
 def write_preview(path: Path, atlas: Atlas, texels: np.ndarray, encoding: str) -> None:

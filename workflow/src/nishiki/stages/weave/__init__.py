@@ -60,10 +60,7 @@ class WeaveSettings(Guarded, stage="weave", version=2, limits=LIMITS):
     )
     confidence: float = Field(0.95, gt=0.5, lt=1.0, description="of the intervals")
     harness: int | None = Field(
-        None,
-        ge=2,
-        le=16,
-        description="yarns of a repeat (n = harness - 1); null: searched among those of the weave",
+        None, ge=2, le=16, description="yarns of a repeat (n = harness - 1); null: searched among those of the weave"
     )
     spacing_ratio: float | None = Field(
         None, gt=0.1, lt=10.0, description="spacing of weft yarns over warp yarns; null: valleys equally deep"
