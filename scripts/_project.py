@@ -3,7 +3,6 @@
 It also makes the package importable, and keeps compiled kernels of different code apart.
 """
 
-import hashlib
 import os
 import sys
 from pathlib import Path
@@ -12,7 +11,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 if (PROJECT / "workflow" / "src").is_dir():  # a checkout; an installed package is on the path
     sys.path.insert(0, str(PROJECT / "workflow" / "src"))
 
-from nishiki.installation import PACKAGE, cache_folder  # noqa: E402
+from nishiki.installation import use_kernel_cache  # noqa: E402
 
 
 def _report(kind, error, trace) -> None:
@@ -24,29 +23,6 @@ def _report(kind, error, trace) -> None:
 
 
 sys.excepthook = _report
-
-
-def use_kernel_cache() -> None:
-    """Give this state of the package's compiled modules its own folder of kernels.
-
-    numba renews a cached function when the function's own file changes, but not when a function that it inlines from
-    another file does: an edit would rerun a stage with the old machine code.
-    """
-    os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", "nishiki.kernel_cache.ByModule,UserProvidedCacheLocator")
-    folder = None if "NUMBA_CACHE_DIR" in os.environ else cache_folder()
-    if folder is None:
-        return
-    digest = hashlib.sha256()
-    for path in sorted(PACKAGE.rglob("*.py")):
-        text = path.read_bytes()
-        if b"numba" in text:
-            digest.update(text)
-    kernels = folder / digest.hexdigest()[:12]
-    os.environ["NUMBA_CACHE_DIR"] = str(kernels)
-    if not kernels.is_dir():
-        kernels.mkdir(parents=True, exist_ok=True)
-        text = "nishiki: compiling kernels, each at its first use; the first run takes a minute or two longer"
-        print(text, file=sys.stderr, flush=True)
 
 
 use_kernel_cache()

@@ -11,6 +11,8 @@ import pytest
 SOURCE = Path(__file__).resolve().parents[2] / "workflow/src"
 CALL = """
 import numpy as np
+from nishiki import kernel_cache
+kernel_cache.PATIENCE_S = 0.01
 from nishiki.weave.visibility import facing_contact
 facing_contact(1.0, 0.5)
 print(sum(facing_contact.stats.cache_hits.values()), sum(facing_contact.stats.cache_misses.values()))
@@ -21,7 +23,7 @@ print(sum(facing_contact.stats.cache_hits.values()), sum(facing_contact.stats.ca
 def test_a_copy_of_the_package_uses_the_kernels_of_the_first(tmp_path):
     copy = tmp_path / "copy"
     shutil.copytree(SOURCE, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    hits = []
+    hits, told = [], []
     for source in (SOURCE, copy):
         environment = {
             **os.environ,
@@ -31,5 +33,7 @@ def test_a_copy_of_the_package_uses_the_kernels_of_the_first(tmp_path):
         }
         done = subprocess.run([sys.executable, "-c", CALL], env=environment, capture_output=True, text=True, check=True)
         hits.append(done.stdout.split())
+        told.append("compiling" in done.stderr)
     assert hits == [["0", "1"], ["1", "0"]]
+    assert told == [True, False], "compilation is told of, and only where it happens"
     assert [path.name for path in (tmp_path / "kernels").iterdir()] == ["weave.visibility"]

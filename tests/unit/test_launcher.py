@@ -119,3 +119,13 @@ def test_what_is_not_known_is_told_with_a_remedy(home, arguments):
     assert done.returncode == 2
     assert "Remedy: ./nishiki install --extras" in done.stderr
     assert home.installed == []
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["test", "--help"], ["install", "-h"]])
+def test_help_installs_nothing(home, arguments):
+    done = home.call(*arguments)
+    assert (done.returncode, home.installed) == (0, [])
+    assert "./nishiki install" in done.stdout
+    home.call("plan")
+    assert home.call(*arguments).stdout == f"ran -m nishiki {' '.join(arguments)}\n"
+    assert home.installed == [USUAL]

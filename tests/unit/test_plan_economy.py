@@ -171,7 +171,7 @@ def test_a_capture_in_one_line(facts, text):
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.4, "0 s"), (59, "59 s"), (130, "2 min"), (9000, "2 h")])
 def test_durations(seconds, text):
-    assert inspecting._duration(seconds) == text
+    assert inspecting.duration(seconds) == text
 
 
 class _Flow:

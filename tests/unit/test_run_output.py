@@ -14,7 +14,7 @@ from snakemake_interface_logger_plugins.tests import MockOutputSettings, TestLog
 
 from nishiki.stages.runner import _bug
 from snakemake_logger_plugin_nishiki import LogHandler, LogHandlerSettings
-from snakemake_logger_plugin_nishiki.progress import RunProgress
+from snakemake_logger_plugin_nishiki.progress import Job, RunProgress
 from snakemake_logger_plugin_nishiki.screen import CLEAR, Screen
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow/src"
@@ -221,6 +221,10 @@ def test_the_time_that_is_left_follows_the_models_first_and_then_the_clock():
     left = progress.seconds_left()
     assert 10 < left < 200, "the running two are nearly through by their models"
     assert RunProgress().line() == "stages 0/0"
+    running = {i: Job("normals", {"scene": f"altarpiece-left-{i}"}, 1, 0.0, "rows 3 of 8, 5 s left") for i in range(3)}
+    whole = RunProgress(3, 1, running=running)
+    assert len(whole.line()) > 79 >= len(whole.line(79))
+    assert "altarpiece-left-0/normals" in whole.line(79)
 
 
 def test_a_terminal_has_one_live_line_below_the_lines_that_stay(monkeypatch):

@@ -58,7 +58,10 @@ def __getattr__(name: str):
     if name not in _PLACES:
         raise AttributeError(f"module 'nishiki' has no attribute {name!r}; public are {', '.join(__all__)}")
     import importlib
+    import sys
 
+    if "numba" not in sys.modules:
+        importlib.import_module("nishiki.installation").use_kernel_cache()
     module, _, inner = _PLACES[name].partition(":")
     value = getattr(importlib.import_module(f"nishiki.{module}"), inner)
     globals()[name] = value

@@ -8,7 +8,7 @@ import click
 
 from nishiki.commands.declare import Group
 from nishiki.errors import UserError, of_the_machine
-from nishiki.installation import COMMAND
+from nishiki.installation import COMMAND, use_kernel_cache
 from nishiki.version import PROJECT_VERSION
 
 SECTIONS = {
@@ -105,6 +105,7 @@ def main(arguments: list[str] | None = None) -> None:
     words = sys.argv[1:] if arguments is None else list(arguments)
     if "_NISHIKI_COMPLETE" in os.environ:
         commands.main(words, prog_name="nishiki")
+    use_kernel_cache()
     name = " ".join(["nishiki", *(word for word in words[:1] if word in MODULES)])
     try:
         with commands.make_context(COMMAND, words) as context:

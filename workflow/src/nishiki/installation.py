@@ -4,6 +4,7 @@ A checkout has the package in `workflow/src/nishiki` and `Snakefile`, `workflow/
 `config` and `envs` around it. An installed package (`pip install .`) carries copies of these in its folder `project`.
 """
 
+import hashlib
 import os
 import sys
 import tempfile
@@ -41,3 +42,23 @@ def cache_folder() -> Path | None:
             return folder
     except (OSError, RuntimeError):  # RuntimeError: the user has no home
         return None
+
+
+def use_kernel_cache() -> None:
+    """Give this state of the package's compiled modules its own folder of kernels; before numba is imported.
+
+    numba renews a cached function when the function's own file changes, but not when a function that it inlines from
+    another file does: an edit would rerun a stage with the old machine code.
+    """
+    os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", "nishiki.kernel_cache.ByModule,UserProvidedCacheLocator")
+    folder = None if "NUMBA_CACHE_DIR" in os.environ else cache_folder()
+    if folder is None:
+        return
+    digest = hashlib.sha256()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        text = path.read_bytes()
+        if b"numba" in text:
+            digest.update(text)
+    kernels = folder / digest.hexdigest()[:12]
+    kernels.mkdir(parents=True, exist_ok=True)
+    os.environ["NUMBA_CACHE_DIR"] = str(kernels)

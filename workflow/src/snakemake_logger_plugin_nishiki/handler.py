@@ -126,7 +126,7 @@ class RunHandler(LogHandlerBase):
         while not self._ended.wait(TICK_S):
             with self._state:
                 if not self._ended.is_set() and self.progress.waiting:
-                    self.screen.show(self.progress.line())
+                    self.screen.show(self.progress.line(self.screen.width))
 
     def _note(self, scene: str, stage: str, text: str) -> bool:
         """Whether a stage that runs reports its progress."""
@@ -169,7 +169,7 @@ class RunHandler(LogHandlerBase):
             case None if not getattr(record, "of_stage", False):
                 self._show_message(record)
         if self.screen.live and self.progress.waiting:
-            self.screen.show(self.progress.line())
+            self.screen.show(self.progress.line(self.screen.width))
 
     def _started(self, record: Any) -> None:
         if record.rule_name != "all":

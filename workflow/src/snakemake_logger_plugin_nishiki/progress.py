@@ -123,8 +123,8 @@ class RunProgress:
     def _expected(self, rule: str) -> float:
         return self.seconds.get(rule, USUAL_SECONDS)
 
-    def line(self) -> str:
-        """The whole state on one line."""
+    def line(self, width: int = 1000) -> str:
+        """Return the whole state on one line: as much of what runs as fits the width."""
         done, total = self.stages()
         counts = [f"scenes {self.scenes_done()}/{self.scenes}"] if self.scenes else []
         counts.append(f"stages {done}/{total}")
@@ -132,9 +132,14 @@ class RunProgress:
         if left is not None:
             counts.append(f"about {duration(left)} left")
         jobs = sorted(self.running.values(), key=lambda job: job.started)
-        named = [f"{job.name} ({job.note})" if job.note else job.name for job in jobs[:2]]
-        more = f" and {len(jobs) - 2} more" if len(jobs) > 2 else ""
-        return ", ".join(counts) + (f": {', '.join(named)}{more}" if named else "")
+        names = [job.name for job in jobs]
+        noted = [f"{job.name} ({job.note})" if job.note else job.name for job in jobs]
+        for shown in (noted[:2], names[:2], noted[:1], names[:1]):
+            more = f" and {len(jobs) - len(shown)} more" if len(jobs) > len(shown) else ""
+            line = ", ".join(counts) + (f": {', '.join(shown)}{more}" if shown else "")
+            if len(line) <= width:
+                break
+        return line
 
 
 def duration(seconds: float) -> str:

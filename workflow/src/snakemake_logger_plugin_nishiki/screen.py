@@ -46,7 +46,7 @@ class Screen:
             if time.monotonic() - self._last >= QUIET_SECONDS:
                 self.tell(state)
             return
-        state = state[: self._columns() - 1]
+        state = state[: self.width]
         if state != self._shown:
             self._write(CLEAR + state)
             self._shown = state
@@ -57,10 +57,14 @@ class Screen:
             self._write(CLEAR)
             self._shown = ""
 
-    def _columns(self) -> int:
+    @property
+    def width(self) -> int:
+        """Characters that fit the live line; without a terminal as many as there are."""
+        if not self.live:
+            return 1000
         with suppress(OSError, ValueError):
-            return os.get_terminal_size(self.stream.fileno()).columns or COLUMNS
-        return COLUMNS
+            return (os.get_terminal_size(self.stream.fileno()).columns or COLUMNS) - 1
+        return COLUMNS - 1
 
     def _write(self, text: str) -> None:
         with suppress(OSError, ValueError):  # a terminal that is gone must not stop the run

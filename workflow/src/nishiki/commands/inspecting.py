@@ -112,7 +112,7 @@ def text_of(summary: dict[str, Any]) -> str:
     width = max(len(stage["stage"]) for stage in summary["stages"])
     lines = [f"{summary['scene']}: {summary['what']}"]
     for stage in summary["stages"]:
-        cost = f"{stage['memory_mb']:6} MiB {_duration(stage['seconds']):>7}"
+        cost = f"{stage['memory_mb']:6} MiB {duration(stage['seconds']):>7}"
         lines.append(f"  {stage['stage']:{width}}  {stage['key']}  {stage['state']:4}  {cost}  {stage['does']}")
     lines += (
         _total_lines(summary["stages"]) + _read_lines(summary["reads"]) + _package_lines(summary["optional_packages"])
@@ -128,12 +128,10 @@ def _total_lines(stages: list[dict[str, Any]]) -> list[str]:
     if not to_run:
         return ["  nothing to run: every stage is done"]
     memory, seconds = max(stage["memory_mb"] for stage in to_run), sum(stage["seconds"] for stage in to_run)
-    return [
-        f"  {len(to_run)} of {len(stages)} stages to run: at most {memory} MiB and {_duration(seconds)} of one core"
-    ]
+    return [f"  {len(to_run)} of {len(stages)} stages to run: at most {memory} MiB and {duration(seconds)} of one core"]
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
     """Seconds, minutes or hours, whichever reads best."""
     for unit, size in (("h", 3600), ("min", 60)):
         if seconds >= 2 * size:

@@ -134,6 +134,8 @@ def run_scenes(
         *passed,
         *(["--", *targets] if targets_named or LOOKS_ONLY & set(passed) else []),
     ]
+    if not LOOKS_ONLY & set(passed):
+        _announce(flow)
     start = time.monotonic()
     failures: list[dict[str, str]] = []
     status = call_engine(flow, command, gone=gone, unfinished_only=not targets_named, failures=failures)
@@ -153,6 +155,18 @@ def run_scenes(
         if open_page:
             webbrowser.open(page.resolve().as_uri())
     return status if status in (0, 2) else 1  # 2: Snakemake does not know an option
+
+
+def _announce(flow) -> None:
+    """Tell of each scene that is not finished what it is and how long it is expected to take."""
+    from nishiki.commands.inspecting import described, duration
+
+    for scene, plan in list(flow.plans.items())[:NAMED]:
+        stages = [stage for stage in plan.stages if not Path(flow.artifact(scene, stage)).is_file()]
+        if stages:
+            seconds = duration(sum(flow.seconds(scene, stage) for stage in stages))
+            text = f"{scene}: {described(plan.facts)}; {len(stages)} stages to run, about {seconds} of one processor"
+            print(text, file=sys.stderr, flush=True)
 
 
 def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Path]] = ()) -> list[str]:

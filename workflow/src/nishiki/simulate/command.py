@@ -1,10 +1,10 @@
 """Simulate the capture of a painting, of sphere caps, of a jar on a turntable, of a cloth: photographs and the truth.
 
-    python scripts/simulate.py --output captures/painting --truth captures/painting-truth
-    python scripts/simulate.py --output captures/small --truth captures/small-truth --preset tiny
-    python scripts/simulate.py --output captures/tray --truth captures/tray-truth --scene spheres --gloss satin --seed 7
-    python scripts/simulate.py --output captures/jar --truth captures/jar-truth --preset object
-    python scripts/simulate.py --output captures/satin --truth captures/satin-truth --preset satin
+    nishiki simulate --output captures/painting --truth captures/painting-truth
+    nishiki simulate --output captures/small --truth captures/small-truth --preset tiny
+    nishiki simulate --output captures/tray --truth captures/tray-truth --scene spheres --gloss satin --seed 7
+    nishiki simulate --output captures/jar --truth captures/jar-truth --preset object
+    nishiki simulate --output captures/satin --truth captures/satin-truth --preset satin
 
 The capture folder is what a studio would hand over: photographs of the object and of a white board under each lamp,
 dark frames, and tables of the lamps, of the camera's sensitivities and of the lamp's spectrum. The truth folder holds
@@ -22,6 +22,7 @@ from pathlib import Path
 
 from nishiki.capture.seal import seal
 from nishiki.errors import UserError
+from nishiki.installation import COMMAND
 from nishiki.simulate.cloth.settings import DYES, FILAMENTS
 from nishiki.simulate.cloth.settings import PRESETS as CLOTHS
 from nishiki.simulate.folders import Progress
@@ -150,14 +151,15 @@ def main(arguments: list[str] | None = None) -> int:
             raise UserError(f"--format png holds 3 channels, found {options.channels}; use --format tiff")
         simulate(import_module(f"nishiki.simulate.{kind}.capture_folder"), options)
     except UserError as error:
-        print(f"simulate: {error}", file=sys.stderr)
+        print(f"nishiki simulate: {error}", file=sys.stderr)
         return 2
     return 0
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    text = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    style = argparse.RawDescriptionHelpFormatter
+    text = argparse.ArgumentParser(prog=f"{COMMAND} simulate", description=__doc__, formatter_class=style)
     text.add_argument("--output", required=True, metavar="FOLDER", help="capture folder to make; must not exist yet")
     text.add_argument("--truth", required=True, metavar="FOLDER", help="folder for the truth; must not exist yet")
     text.add_argument("--seed", type=int, default=1, help="another seed: another object, lamps, noise (default 1)")

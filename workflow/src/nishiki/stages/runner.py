@@ -32,6 +32,8 @@ def main() -> None:
     try:
         declared = declaration_of(name)
         module = import_module(f"nishiki.stages.{module_of(name)}")
+        if kernels := sys.modules.get("nishiki.kernel_cache"):
+            kernels.Announcement.message = f"{who}: compiling kernels for their first use"
         gc.freeze()
         gc.enable()
         run_stage(

@@ -65,14 +65,14 @@ def write_all(settings: SimulationSettings, capture: Path, truth: Path, options,
     plain, full = (make_tables(thing, settings, with_truth=flag) for flag in (False, True))
     store = PaintingTruth(truth, settings, thing, lamps)
     frames = []
-    for lamp in lamps:
+    for number, lamp in enumerate(lamps, 1):
         shot = photograph(thing, lamp, settings, full if lamp.role == "check" else plain)
         store.add(lamp, shot)
         for role, codes in ((lamp.role, shot.codes), ("white", white_board(lamp, settings, plain))):
             file = f"{'white' if role == 'white' else 'frames'}/{lamp.name}.{options.format}"
             write_image(capture / file, codes)
             frames.append((file, role, lamp.name))
-        report(f"light {lamp.name}")
+        report(f"lamp {number} of {len(lamps)}")
     for index in range(1, DARK_FRAMES + 1):
         file = f"dark/{index}.{options.format}"
         key = subkey(settings.seed, f"noise dark {index}")

@@ -63,7 +63,7 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
             file = f"frames/{view.name}{'-' * bool(state)}{state}.{options.format}"
             codes = photograph(light, optics, settings, view=view.name, state=state)
             keep(file, "sample", codes, view=view.name, light=lamp, state=state, silhouette=outline)
-        report(f"view {view.name}")
+        report(f"view {place + 1} of {len(views)}")
     for state in states:
         # Without polarisers the capture takes one board a lamp, so this one is the mean of several exposures.
         boards = [white_board(k, optics, settings, state=state) for k in range(settings.white_boards)]
