@@ -1,10 +1,12 @@
 """Every photograph against its prediction from the others: faults are measured, sound sets are silent."""
 
+import cv2
 import numpy as np
 import pytest
 from lit_relief import degrees, dome, photographs
 
-from nishiki.photometric.consistency import examine_photographs
+from nishiki.capture.lights import read_lights
+from nishiki.photometric.consistency import LEAST_AMBIENT, examine_photographs
 
 
 @pytest.mark.parametrize("options", [{}, {"gloss": 0.5}, {"albedo": (0.01, 0.03)}])
@@ -34,13 +36,30 @@ def test_gains_of_a_flat_object_have_large_errors():
     assert flat.gain_sigma.max() > 8 * hilly.gain_sigma.max()
 
 
-def test_room_light_is_measured():
+@pytest.mark.parametrize("room", [0.05, 0.15, 0.3])
+@pytest.mark.parametrize("gloss", [0.0, 0.1])
+def test_room_light_is_measured(room, gloss):
     directions = dome()
-    values = photographs(directions)
+    values = photographs(directions, gloss=gloss)
     colour = np.random.default_rng(1000).uniform(0.2, 0.8, (6, 8)).repeat(10, axis=0).repeat(10, axis=1)
-    result = examine_photographs(values + 0.15 * colour, directions)
+    result = examine_photographs(values + room * colour, directions)
     # the first term of the law leaves 0.83 of the albedo
-    assert result.ambient == pytest.approx(0.15 / 0.83, abs=0.02)
+    assert result.ambient == pytest.approx(room / 0.83, rel=0.15, abs=0.01)
+    assert result.ambient > 5 * result.ambient_sigma
+
+
+def test_room_light_in_measured_photographs(data):
+    """Their albedo times 0.15 is added to all photographs; its darkest shadows are lit by others, and tell less."""
+    folder = data / "uw_cat"
+    lights = read_lights(folder / "lights.lp").directions
+    mask = cv2.imread(str(folder / "cat.mask.png"), cv2.IMREAD_GRAYSCALE) > 0
+    files = [str(folder / f"cat.{j}.png") for j in range(12)]
+    values = np.array([cv2.imread(file, cv2.IMREAD_GRAYSCALE) / 255 for file in files])
+    values = np.where(mask, values, np.nan)[:, ::3, ::3]
+    assert examine_photographs(values, lights).ambient < LEAST_AMBIENT
+    albedo = np.linalg.norm(np.einsum("kj,jrc->krc", np.linalg.pinv(lights), values), axis=0)
+    result = examine_photographs(values + 0.15 * albedo, lights)
+    assert 0.04 < result.ambient < 0.18
     assert result.ambient > 5 * result.ambient_sigma
 
 

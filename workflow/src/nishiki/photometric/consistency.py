@@ -33,6 +33,7 @@ ROUNDS = 15  # of reweighting; the gains change by less than their errors after 
 KINK = 2.0  # robust standard deviations of a pixel's residuals at which the weight of a value is a half (Cauchy)
 LEAST_SCALE = 0.003  # of the albedo: least standard deviation of a pixel's residuals, that of eight bits
 GRAZING = 0.1  # cosine below which a lamp's direct light cannot be predicted, and below whose negative there is none
+TURNS = 4  # of measuring the ambient light and fitting what it leaves
 PATCHES = 8  # a side, over the picture: groups of pixels that count as one observation each
 FEWEST_LAMPS = 4  # one more than the unknowns of a pixel: fewer predict nothing
 FEWEST_PIXELS = 24  # lit by a lamp: eight for each of the three numbers of its direction
@@ -176,22 +177,28 @@ def examine_photographs(values: np.ndarray, lamps: np.ndarray) -> Consistency | 
 def take_ambient(values: np.ndarray, directions: np.ndarray, patches: np.ndarray, fit: Fit) -> tuple[Fit, float, float]:
     """Measure the ambient light in deep shadows, else from a fit of which it must explain most of the residual.
 
-    Light from one part of the object to another, and rough surfaces, are like ambient light where the lamps reach, but
-    leave deep shadows dark. Returns the fit with the ambient light where it counts, the ambient light and its error.
+    Shadows are sought under the light that the darkest values allow, so that much of it does not hide them. Light from
+    one part of the object to another, and rough surfaces, are like ambient light where the lamps reach, but leave deep
+    shadows dark. Returns the fit with the ambient light where it counts, the ambient light and its error.
     """
     albedo = np.linalg.norm(fit.normals, axis=1)
     dark, sigma = deepest_shadows(values, fit, albedo, patches)
-    if np.isfinite(sigma):
-        if dark <= max(LEAST_AMBIENT, SURE * sigma):
-            return fit, max(dark, 0.0), sigma
-        ambient = dark
-        for _ in range(3):  # the albedo, which is the image of the ambient light, is of the fit before
-            rest = fit_lambert(values - ambient * albedo, directions, patches)
-            albedo = np.linalg.norm(rest.normals, axis=1)
-            ambient, sigma = deepest_shadows(values, replace(rest, ambient=ambient), albedo, patches)
-            if not np.isfinite(sigma):
-                return fit, 0.0, np.inf
-        return replace(rest, ambient=ambient), ambient, sigma
+    # the darkest values of all are the ambient light or more: without them, shadows are as dark as the model says
+    ambient, rest = lowest_levels(values / albedo, patches)[0] if not np.isfinite(sigma) else dark, fit
+    if np.isfinite(sigma) and dark <= max(LEAST_AMBIENT, SURE * sigma):
+        return fit, max(dark, 0.0), sigma
+    for _ in range(TURNS):  # the albedo, which is the image of the ambient light, is of the fit before
+        if not ambient > LEAST_AMBIENT:
+            break
+        rest = fit_lambert(values - ambient * albedo, directions, patches)
+        albedo = np.linalg.norm(rest.normals, axis=1)
+        ambient, sigma = deepest_shadows(values, replace(rest, ambient=ambient), albedo, patches)
+        if not np.isfinite(sigma):
+            break
+    else:
+        misfit = np.nanmedian(np.abs(rest.alone)) / np.nanmedian(values)
+        if np.isfinite(dark) or misfit < LARGEST_MISFIT / 2:
+            return replace(rest, ambient=ambient), ambient, sigma
     lit = fit
     for _ in range(3):
         reference = np.linalg.norm(lit.normals, axis=1)
@@ -213,6 +220,11 @@ def deepest_shadows(values: np.ndarray, fit: Fit, albedo: np.ndarray, patches: n
     predictions = values - fit.residuals
     shade = np.isfinite(values) & ((values < 0.5 * (predictions + fit.ambient * albedo)) | (fit.weights == 0))
     levels = np.where(shade, values / albedo, np.nan)
+    return lowest_levels(levels, patches)
+
+
+def lowest_levels(levels: np.ndarray, patches: np.ndarray) -> tuple[float, float]:
+    """Median and spread of the lowest fifth of the patches' levels (lights, pixels), NaN where there is none."""
     floors = [
         np.nanquantile(group, 0.05)
         for group in (levels[:, patches == patch] for patch in np.unique(patches))
