@@ -28,7 +28,7 @@ from nishiki.render.cloth.models import ClothModels, dyed
 from nishiki.render.cloth.scene import Lamp
 from nishiki.render.cloth.studio import linear_colour
 from nishiki.render.display import adapted_exposure, developed, display_image
-from nishiki.render.object.free_lamps import FreeLamp, FreeLighting
+from nishiki.render.object.shots import FreeLamp, FreeLighting
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
 from nishiki.render.plane.shadow import cast_shadows

@@ -140,8 +140,7 @@ def timing(ingested, settings):
     from nishiki.observations.plane import Observations
     from nishiki.photometric.light_selection import select_diffuse
     from nishiki.stages.normals import NormalsSettings
-    from nishiki.stages.normals.choice import choose_fit, scene_gloss
-    from nishiki.stages.normals.parcel import solve
+    from nishiki.stages.normals.parcel import choose_fit, scene_gloss, solve
 
     frames = Observations(ingested)
     lights = frames.fit_lights()

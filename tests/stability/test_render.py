@@ -11,8 +11,8 @@ from nishiki.errors import UserError
 from nishiki.render.display import display_image, normals_as_colours
 from nishiki.render.plane.flags import NORMAL_MISSING, TURNED_AWAY, UNUSABLE
 from nishiki.render.plane.frame import render
-from nishiki.render.plane.relight import predict_observations
 from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
+from nishiki.render.plane.shade import predict_observations
 from nishiki.render.plane.shadow import cast_shadows
 
 

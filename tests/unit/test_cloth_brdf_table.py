@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from nishiki.brdf.cloth.peers import Ggx, Ward
-from nishiki.render.cloth import brdf_table
-from nishiki.render.cloth.brdf_table import BrdfTable, coordinates, directions
+from nishiki.render.cloth import scene
+from nishiki.render.cloth.scene import BrdfTable, coordinates, directions
 
 RANDOM = np.random.default_rng(4)
 
@@ -26,8 +26,8 @@ def test_directions_come_back():
 
 
 def test_every_node_is_above_the_horizon():
-    square = brdf_table.EDGE * np.linspace(-1, 1, 9)
-    axes = np.meshgrid(square, square, [0, brdf_table.OUTERMOST], np.arange(16) / 16, indexing="ij")
+    square = scene.EDGE * np.linspace(-1, 1, 9)
+    axes = np.meshgrid(square, square, [0, scene.OUTERMOST], np.arange(16) / 16, indexing="ij")
     for direction in directions(*(axis.ravel() for axis in axes)):
         assert (direction[:, 2] > 0).all()
 

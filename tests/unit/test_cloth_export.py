@@ -24,9 +24,8 @@ from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.geometry.camera_path import scaled
 from nishiki.progress import Progress
-from nishiki.render.cloth.brdf_table import BrdfTable
 from nishiki.render.cloth.frame import RenderVariant, render
-from nishiki.render.cloth.scene import ClothScene, Lamp, Matte
+from nishiki.render.cloth.scene import BrdfTable, ClothScene, Lamp, Matte
 from nishiki.render.cloth.studio import framed, paper_below
 from nishiki.render.cloth.surfaces import read_drape
 from nishiki.stages.export import ClothExportSettings

@@ -5,8 +5,16 @@ import pytest
 
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
-from nishiki.render.cloth.surfaces import cylinder, grid_triangles, paper, sheet, swatch
-from nishiki.render.cloth.tangent import from_direction, from_texture, transported
+from nishiki.render.cloth.surfaces import (
+    cylinder,
+    from_direction,
+    from_texture,
+    grid_triangles,
+    paper,
+    sheet,
+    swatch,
+    transported,
+)
 
 
 def ball(rows=25, columns=49):

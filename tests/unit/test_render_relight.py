@@ -6,8 +6,8 @@ import pytest
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.errors import UserError
 from nishiki.render.plane.flags import NORMAL_MISSING
-from nishiki.render.plane.relight import predict_observations
 from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
+from nishiki.render.plane.shade import predict_observations
 from nishiki.render.plane.shadow import cast_shadows
 from nishiki.render.sequence import circle_of_directions, light_sequence, moved_lights, orbit, view_sequence
 

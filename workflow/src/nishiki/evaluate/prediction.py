@@ -6,8 +6,8 @@ import numpy as np
 
 from nishiki.colour.colour import white_xyz, xyz_matrix
 from nishiki.evaluate.camera_colour import CameraColour
-from nishiki.render.plane.relight import predict_observations
 from nishiki.render.plane.scene import Gloss, Light
+from nishiki.render.plane.shade import predict_observations
 
 
 @dataclass(frozen=True)

@@ -244,7 +244,8 @@ def hillshade(height: np.ndarray, *, step: float) -> np.ndarray:
 def encoded(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = None, key=()) -> PagePicture:
     """A picture (rows, columns, 3) uint8 sRGB as data URI: JPEG of quality 90, or PNG."""
     mime = "image/png" if lossless else "image/jpeg"
-    source = data_uri(_compressed(codes, lossless=lossless), mime)
+    data = base64.b64encode(_compressed(codes, lossless=lossless)).decode("ascii")
+    source = f"data:{mime};base64,{data}"
     return PagePicture(source, codes.shape[1], codes.shape[0], scale, key)
 
 
@@ -284,11 +285,6 @@ def _shrunk(data: bytes, widest: int) -> np.ndarray:
     linear = decode(codes[..., ::-1] / np.float32(255), "srgb")
     small = shrink(lambda rows: linear[rows], codes.shape[:2], block)
     return np.round(255 * srgb_encode(small)).astype(np.uint8)
-
-
-def data_uri(data: bytes, mime: str) -> str:
-    """A file as text that a page can carry."""
-    return f"data:{mime};base64,{base64.b64encode(data).decode('ascii')}"
 
 
 def _even(values: np.ndarray, unit: str, digits: int) -> str:

@@ -77,10 +77,14 @@ def write_scene_page(
             name, stages[name].limits, context.inputs[name].diagnostics, context.inputs[name].settings.get("allow", ())
         )
     ]
+    frame = Frame(
+        f"{viewer}/index.html", "Viewer", "move lamps or the object, zoom, measure, compare: loaded at a click"
+    )
+    shown = viewer and Section("viewer", "Look for yourself", [frame], "Viewer")
     page = Page(
         title=settings.title or title or stamp["scene"],
         subtitle=Markup("Scene <code>{}</code>, {}.").format(stamp["scene"], about),
-        sections=[section for section in (viewer and viewer_section(viewer), *sections, *closing) if section],
+        sections=[section for section in (shown, *sections, *closing) if section],
         version=stamp["version"],
         footer=f"Nishiki {stamp['version']}, scene {stamp['scene']}, report {stamp['key']}.",
         stamp=f"{stamp['scene']}/{stamp['stage']}/{stamp['key']}",
@@ -99,12 +103,6 @@ def write_scene_page(
         "about": about,
         "figures": [dataclasses.asdict(tile) for tile in tiles],
     }
-
-
-def viewer_section(stage: str) -> Section:
-    """The viewer of the scene, loaded where somebody unfolds it; it stands beside the report in `current`."""
-    summary = "move lamps or the object, zoom, measure, compare: loaded at a click"
-    return Section("viewer", "Look for yourself", [Frame(f"{stage}/index.html", "Viewer", summary)], "Viewer")
 
 
 def first_picture(inputs: Mapping[str, Artifact]) -> bytes | None:

@@ -152,19 +152,11 @@ def studio(
 def paper_below(points: np.ndarray, *, azimuth: float, wall: bool = True) -> Surface:
     """The paper on which points (n, 3) stand, for a camera at this azimuth; see `studio`."""
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-    return moved(_paper(extent, wall, azimuth), _foot(points, extent))
-
-
-def _foot(points: np.ndarray, extent: float) -> np.ndarray:
-    """Where the paper's middle lies: under the points, a little below the lowest, so that the two do not touch."""
+    width, height, bend = (3.0 * extent, 2.6 * extent, 0.55 * extent) if wall else (12 * extent, 0.0, 0.0)
     low, high = points.min(axis=0), points.max(axis=0)
-    return np.array([(low[0] + high[0]) / 2, low[1] - 4e-4 * extent, (low[2] + high[2]) / 2])
-
-
-def _paper(extent: float, wall: bool, azimuth: float) -> Surface:
-    if wall:
-        return paper(3.0 * extent, 0.95 * extent, 2.6 * extent, 0.55 * extent, turn=azimuth)
-    return paper(12 * extent, 0.95 * extent, 0.0, 0.0, turn=azimuth)
+    # a little below the lowest point, so that the two do not touch
+    foot = np.array([(low[0] + high[0]) / 2, low[1] - 4e-4 * extent, (low[2] + high[2]) / 2])
+    return moved(paper(width, 0.95 * extent, height, bend, turn=azimuth), foot)
 
 
 def moved(surface: Surface, by: np.ndarray) -> Surface:

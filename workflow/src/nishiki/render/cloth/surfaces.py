@@ -1,4 +1,4 @@
-"""Surfaces to be covered with cloth: the shipped drape, squares and cylinders, meshes from files."""
+"""Surfaces to be covered with cloth, and the direction of the weft at their vertices."""
 
 from __future__ import annotations
 
@@ -13,7 +13,187 @@ from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import load_geometry, read_triangles
 from nishiki.packages import optional
 from nishiki.render.cloth.scene import Surface
-from nishiki.render.cloth.tangent import from_texture, unit
+
+
+def transported(
+    count: int, triangles: np.ndarray, normals: np.ndarray, weft: np.ndarray, known: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Unit tangents (count, 3) at all vertices, and at how many of them they are arbitrary.
+
+    Between two vertices a tangent is carried by the smallest rotation that takes one normal to the other. Unknown
+    tangents, as complex numbers in each vertex's own frame, are those that differ least, squared and summed over the
+    edges, from what their neighbours carry to them: the harmonic field of the connection Laplacian (N. Sharp, Y.
+    Soliman, K. Crane, The vector heat method, ACM TOG 2019, with equal weights of the edges). Where the field is next
+    to nothing (a singularity), a vertex takes the tangent of its strongest neighbour. Parts of the surface without
+    any known tangent get one that changes as little as the frames allow: the projection of the axis that lies
+    flattest.
+    """
+    from scipy.sparse import coo_matrix, diags
+    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse.linalg import spsolve
+
+    weft = weft.copy()
+    edges = _edges(triangles)
+    i, j = np.concatenate([edges, edges[:, ::-1]]).T
+    ones = np.ones(len(i))
+    labels = connected_components(coo_matrix((ones, (i, j)), (count, count)), directed=False)[1]
+    fed = np.bincount(labels, weights=known, minlength=labels.max(initial=-1) + 1) > 0
+    orphan = ~fed[labels]
+    if orphan.any():
+        weft[orphan] = _flattest(normals[orphan])
+    unknown = ~known & ~orphan
+    if not unknown.any():
+        return weft, int(orphan.sum())
+    right, up = _frames(normals)
+    carried = _carry(normals[j], normals[i], right[j])
+    # Angle of j's frame after it has come to i; a tangent z at j arrives as turn * z.
+    turn = np.sum(carried * right[i], axis=1) + 1j * np.sum(carried * up[i], axis=1)
+    turn /= np.maximum(np.abs(turn), 1e-300)
+    gather = coo_matrix((turn, (i, j)), (count, count)).tocsr()
+    degree = np.bincount(i, minlength=count).astype(float)
+    values = np.sum(weft * right, axis=1) + 1j * np.sum(weft * up, axis=1)
+    free = np.flatnonzero(unknown)
+    fixed = np.flatnonzero(~unknown)
+    matrix = (diags(degree[free]) - gather[free][:, free]).tocsc()
+    values[free] = spsolve(matrix, gather[free][:, fixed] @ values[fixed])
+    values = _rescued(values, free, gather)
+    values /= np.maximum(np.abs(values), 1e-300)
+    weft[free] = (values.real[:, None] * right + values.imag[:, None] * up)[free]
+    return weft, int(orphan.sum())
+
+
+def _edges(triangles: np.ndarray) -> np.ndarray:
+    pairs = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    pairs = np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0)
+    return pairs.astype(np.int64)
+
+
+def _frames(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    right = _flattest(normals)
+    return right, np.cross(normals, right)
+
+
+def _flattest(normals: np.ndarray) -> np.ndarray:
+    """Unit tangents (n, 3): the coordinate axis furthest from the normal, projected."""
+    axis = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
+    across = axis - np.sum(axis * normals, axis=1, keepdims=True) * normals
+    return across / np.linalg.norm(across, axis=1, keepdims=True)
+
+
+def _carry(start: np.ndarray, end: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3) turned by the smallest rotations from unit vectors `start` to `end`; opposites: half a turn."""
+    axis, cosine = np.cross(start, end), np.sum(start * end, axis=1, keepdims=True)
+    safe = np.maximum(1 + cosine, 1e-9)
+    turned = cosine * vectors + np.cross(axis, vectors) + axis * (np.sum(axis * vectors, axis=1, keepdims=True) / safe)
+    return turned - np.sum(turned * end, axis=1, keepdims=True) * end
+
+
+def _rescued(values: np.ndarray, free: np.ndarray, gather) -> np.ndarray:
+    """Values of next to no length replaced by the strongest neighbour's, until none are left or nothing helps."""
+    values = values.copy()
+    for _ in range(8):
+        weak = free[np.abs(values[free]) < 1e-9]
+        if not len(weak):
+            break
+        before = values.copy()
+        for vertex in weak:
+            row = gather.indptr[vertex], gather.indptr[vertex + 1]
+            brought = gather.data[row[0] : row[1]] * before[gather.indices[row[0] : row[1]]]
+            values[vertex] = brought[np.argmax(np.abs(brought))] if len(brought) else 0
+    weak = free[np.abs(values[free]) < 1e-9]
+    values[weak] = 1.0
+    return values
+
+
+FLAT = 1e-6
+"""Sine of the angle below which a direction counts as parallel to the normal, relative area below which texture
+coordinates of a triangle count as degenerate."""
+
+
+@dataclass(frozen=True)
+class TangentField:
+    """weft (v, 3) float64: unit vectors across the normals; filled (v,) bool: transported from the neighbours, since
+    nothing was known there; arbitrary: vertices in parts of the surface where nothing was known at all."""
+
+    weft: np.ndarray
+    filled: np.ndarray
+    arbitrary: int
+
+
+def from_texture(
+    vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, uv: np.ndarray, *, turn: float = 0.0
+) -> TangentField:
+    """Weft along u: texture coordinates (v, 2), u along the weft, v along the warp.
+
+    In every triangle the surface's gradients of u and v are solved for; the weft is the direction that halves the error
+    where u and v are not at right angles on the surface (cloth shears): the normalised sum of dP/du and of dP/dv turned
+    back by 90 degrees. turn: radians by which the cloth is turned on the surface, from weft to warp. Triangles without
+    area, on the surface or in (u, v), do not count; mirrored ones (u, v running the other way round) do.
+    """
+    uv = np.asarray(uv, np.float64)
+    if uv.shape != (len(vertices), 2) or not np.isfinite(uv).all():
+        raise UserError(f"tangent field: expected finite texture coordinates ({len(vertices)}, 2), found {uv.shape}")
+    a, b, c = (np.asarray(vertices, np.float64)[triangles[:, k]] for k in range(3))
+    (u1, v1), (u2, v2) = ((uv[triangles[:, k]] - uv[triangles[:, 0]]).T for k in (1, 2))
+    area, flat = u1 * v2 - u2 * v1, np.cross(b - a, c - a)
+    size = np.linalg.norm(flat, axis=1)
+    scale = np.abs(u1 * v2) + np.abs(u2 * v1)
+    known = (np.abs(area) > FLAT * scale) & (size > 0)
+    safe = np.where(known, area, 1.0)[:, None]
+    along_u = ((b - a) * v2[:, None] - (c - a) * v1[:, None]) / safe
+    along_v = ((c - a) * u1[:, None] - (b - a) * u2[:, None]) / safe
+    face = flat / np.where(size > 0, size, 1)[:, None]
+    # Warp turned back by 90 degrees, the way round that (u, v) itself goes.
+    back = -np.cross(face, along_v) * np.sign(safe)
+    weft = unit(along_u) + unit(back)
+    weft = np.where(known[:, None], unit(weft), 0.0)
+    return _settled(
+        vertices, triangles, normals, _gathered(weft, np.where(known, size, 0), triangles, len(vertices)), turn
+    )
+
+
+def from_direction(
+    vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, direction: np.ndarray, *, turn: float = 0.0
+) -> TangentField:
+    """Weft along a direction (3,), or one for every vertex (v, 3), made orthogonal to the normals.
+
+    Where the direction is parallel to the normal, zero or not finite, the weft is transported from the neighbours.
+    """
+    given = np.array(np.broadcast_to(np.asarray(direction, np.float64), np.shape(vertices)))
+    given[~np.isfinite(given).all(axis=1)] = 0.0
+    return _settled(vertices, triangles, normals, unit(given), turn)
+
+
+def _settled(vertices, triangles, normals, given: np.ndarray, turn: float) -> TangentField:
+    """Directions (v, 3) of about unit length made tangential; transported where nothing is left of them; turned."""
+    normals = unit(np.asarray(normals, np.float64))
+    across = given - np.sum(given * normals, axis=1, keepdims=True) * normals
+    length = np.linalg.norm(across, axis=1)
+    known = length > FLAT
+    weft, arbitrary = unit(across), 0
+    if not known.all():
+        weft, arbitrary = transported(len(vertices), triangles, normals, weft, known)
+    if turn:
+        weft = np.cos(turn) * weft + np.sin(turn) * np.cross(normals, weft)
+    return TangentField(weft, ~known, arbitrary)
+
+
+def _gathered(directions: np.ndarray, weights: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
+    """Mean direction (count, 3) at the vertices of the triangles' (f, 3), by weight; unit length or 0."""
+    sums = np.zeros((count, 3))
+    for axis in range(3):
+        for k in range(3):
+            sums[:, axis] += np.bincount(triangles[:, k], weights=weights * directions[:, axis], minlength=count)
+    total = sum(np.bincount(triangles[:, k], weights=weights, minlength=count) for k in range(3))
+    # Directions that cancel each other say nothing.
+    return np.where((np.linalg.norm(sums, axis=1) > FLAT * total)[:, None], unit(sums), 0.0)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Scale vectors (..., 3) to length 1; 0 stays 0."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(length > 0, vectors / np.where(length > 0, length, 1), 0.0)
+
 
 FILE = Path(__file__).with_name("draped_cloth.npz")
 STEP = 2e-6

@@ -28,9 +28,20 @@ from nishiki.geometry.camera_path import camera_between, fit_turn, scaled
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.raster import interpolate, rasterise
 from nishiki.render.display import developed
-from nishiki.render.object.free_lamps import FreeLighting, LampsInView, LitObject
 from nishiki.render.object.pixels import asked_for, by_tile, extend, look_up, mix
-from nishiki.render.object.shots import Method, Neighbours, ObjectPicture, Prepared, Shot, Tile, lit_by, neighbours
+from nishiki.render.object.shots import (
+    FreeLighting,
+    LampsInView,
+    LitObject,
+    Method,
+    Neighbours,
+    ObjectPicture,
+    Prepared,
+    Shot,
+    Tile,
+    lit_by,
+    neighbours,
+)
 from nishiki.render.object.visibility import DepthMaps
 from nishiki.threads import threads as given_threads
 

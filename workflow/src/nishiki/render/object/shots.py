@@ -1,4 +1,13 @@
-"""What is asked of the renderer (a camera, captured views and their weights), what it gives, and what it works on."""
+"""What a picture of an object asks for: a camera, captured views with their weights, or lamps of one's own.
+
+Lamps of one's own stand in the lamp frame of the camera (x right, y up, z to the camera) and turn with it, as those of
+a capture do. Of N points p_k on a lamp's disc, evenly spread,
+
+    I = encode(sum over lamps of E V (I_d + I_s) + K_d E_around),     V = (number of p_k that the texel sees) / N
+
+at every texel: direction and fall-off are those of the lamp's middle, and V is its visible share. Models and texels are
+those of `nishiki.render.object.renderer`; a residual belongs to the light of the capture and is left out.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +17,14 @@ from typing import Literal
 
 import numpy as np
 
+from nishiki.brdf.texels.lighting import DISTANT, HARMONICS, POINT, TO_LAMP_FRAME, Lamp
+from nishiki.brdf.texels.model import predict
 from nishiki.codec.store import CodedTexels
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.camera_path import CameraPath
+from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.raster import Raster
+from nishiki.geometry.ray_tree import GOLDEN_ANGLE, RayTree, cast, make_tree
 
 Method = Literal["nearest", "linear", "cubic"]
 
@@ -150,3 +163,148 @@ class Tile:
         """Size of the arrays."""
         arrays = (*self.parameters, self.positions, self.normals, *(self.residual or ()))
         return sum(values.nbytes for values in arrays)
+
+
+LIFT = 0.25
+"""Rays start this far above the surface, in median edges of the mesh. Normals are smooth and triangles flat: without it
+triangles that lie a little turned away from the lamp would be in their neighbours' shadow. What is smaller than an edge
+the mesh does not show, so that no shadow of it is lost."""
+
+
+@dataclass(frozen=True)
+class FreeLamp:
+    """A lamp in the frame of the camera.
+
+    azimuth: from the right upwards, elevation: towards the camera, radians; intensity: of a white diffuser that faces
+    it; radius: angular, radians; distance: from the object's middle in diameters of the object, at which the intensity
+    counts, with fall-off by the inverse square; None: very far.
+    """
+
+    azimuth: float
+    elevation: float
+    intensity: float = 1.0
+    radius: float = 0.0
+    distance: float | None = None
+
+    @property
+    def towards(self) -> np.ndarray:
+        """Unit vector (3,) to the lamp, in the lamp frame."""
+        across = np.cos(self.elevation)
+        return np.array([across * np.cos(self.azimuth), across * np.sin(self.azimuth), np.sin(self.elevation)])
+
+
+@dataclass(frozen=True)
+class FreeLighting:
+    """lamps; around: even light from all around; shadows: cast ones; rays: to points of each lamp's disc, 1 for one
+    without a disc."""
+
+    lamps: tuple[FreeLamp, ...]
+    around: float = 0.0
+    shadows: bool = True
+    rays: int = 32
+
+
+def ball_around(mesh: Mesh) -> tuple[np.ndarray, float]:
+    """Middle (3,) of a mesh's box, and distance from it to the farthest vertex."""
+    centre = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
+    return centre, float(np.linalg.norm(mesh.vertices - centre, axis=1).max())
+
+
+def shadow_lift(mesh: Mesh) -> float:
+    """Height above the surface at which rays start, in the mesh's unit; see `LIFT`."""
+    corners = mesh.vertices[mesh.triangles]
+    return LIFT * float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
+
+
+def disc_points(count: int) -> np.ndarray:
+    """(count, 2) points spread evenly over the unit disc; its middle alone where count is 1."""
+    if count == 1:
+        return np.zeros((1, 2))
+    number = np.arange(count)
+    reach = np.sqrt((number + 0.5) / count)
+    return np.stack([reach * np.cos(GOLDEN_ANGLE * number), reach * np.sin(GOLDEN_ANGLE * number)], axis=1)
+
+
+class LitObject:
+    """A mesh under lamps of one's own."""
+
+    def __init__(self, mesh: Mesh, lighting: FreeLighting):
+        self.mesh, self.lighting = mesh, lighting
+        self.centre, self.radius = ball_around(mesh)
+        self.lift = shadow_lift(mesh)
+
+    @cached_property
+    def tree(self) -> RayTree:
+        """Of the whole mesh, for shadows."""
+        return make_tree(self.mesh.vertices, self.mesh.triangles)
+
+    def seen_by(self, camera: Camera) -> LampsInView:
+        """The lamps as they stand when the object is seen from a camera."""
+        return LampsInView(self, TO_LAMP_FRAME @ camera.rotation, camera.centre)
+
+
+@dataclass(frozen=True)
+class LampsInView:
+    """rotation (3, 3): object to lamp frame; eye (3,)."""
+
+    lit: LitObject
+    rotation: np.ndarray
+    eye: np.ndarray
+
+    def predict(self, kd, ks, sigma, positions, normals) -> tuple[np.ndarray, np.ndarray]:
+        """Diffuse and specular radiance (n, channels) float32 of points; arguments as of
+        `nishiki.brdf.texels.model.predict`, in one row."""
+        lighting = self.lit.lighting
+        diffuse, specular = np.zeros(kd.shape, np.float32), np.zeros(kd.shape, np.float32)
+        for lamp in lighting.lamps:
+            body, gloss = predict(kd, ks, sigma, positions, normals, self.eye, self._in_object_frame(lamp))
+            strength = np.float32(lamp.intensity) * self.visible(lamp, positions, normals)[:, None]
+            diffuse += strength * body
+            specular += strength * gloss
+        diffuse += np.float32(lighting.around) * np.asarray(kd, np.float32)
+        return diffuse, specular
+
+    def visible(self, lamp: FreeLamp, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """(n,) float32 in 0..1: share of a lamp's disc that points (n, 3) see; 0 where they face away from it."""
+        lit, lighting = self.lit, self.lit.lighting
+        out = np.ones(len(positions), np.float32)
+        if not lighting.shadows:
+            return out
+        starts = np.asarray(positions, np.float64) + lit.lift * np.asarray(normals, np.float64)
+        middle, ends = self._disc(lamp, lighting.rays if lamp.radius > 0 else 1)
+        near = lamp.distance is not None
+        facing = np.sum(normals * (middle - positions if near else middle), axis=1) > 0
+        out[~facing] = 0
+        starts = starts[facing]
+        seen = np.zeros(len(starts), np.int64)
+        for end in ends:
+            rays = end - starts if near else np.broadcast_to(end, starts.shape)
+            far = 1.0 if near else 4 * lit.radius
+            seen += cast(lit.tree, starts, rays, far=far, any_hit=True).triangle < 0
+        out[facing] = seen / len(ends)
+        return out
+
+    def _disc(self, lamp: FreeLamp, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """A lamp's middle (3,) and points of its disc (count, 3), in the object's frame: places, or unit directions of
+        a distant one."""
+        towards = self.rotation.T @ lamp.towards
+        first = np.cross((1.0, 0, 0) if abs(towards[0]) < 0.6 else (0, 1.0, 0), towards)
+        first /= np.linalg.norm(first)
+        off = np.tan(lamp.radius) * disc_points(count) @ np.stack([first, np.cross(towards, first)])
+        if lamp.distance is None:
+            ends = towards + off
+            return towards, ends / np.linalg.norm(ends, axis=1, keepdims=True)
+        length = 2 * self.lit.radius * lamp.distance
+        middle = self.lit.centre + length * towards
+        return middle, middle + length * off
+
+    def _in_object_frame(self, lamp: FreeLamp) -> Lamp:
+        middle, _ = self._disc(lamp, 1)
+        near = lamp.distance is not None
+        return Lamp(
+            POINT if near else DISTANT,
+            np.ascontiguousarray(middle, np.float32),
+            np.ascontiguousarray(self.rotation, np.float32),
+            np.zeros((HARMONICS, 1), np.float32),
+            2 * self.lit.radius * lamp.distance if near else 0.0,
+        )

@@ -119,10 +119,6 @@ def _lowest_tangent(elevation: float, radius: float) -> float:
     return 0.5 * float(np.tan(elevation - radius)) if elevation > radius else -1e30
 
 
-def _rows_of(kernel, *arguments):
-    return lambda first, last: kernel(first, last, *arguments)
-
-
 def _march_light(surface, pieces, light, pitch, out) -> None:
     source = light.homogeneous()
     rows, columns = surface.shape
@@ -133,4 +129,4 @@ def _march_light(surface, pieces, light, pitch, out) -> None:
         column, row = column + (columns - 1) / 2, row + (rows - 1) / 2
     highest = float(np.nanmax(surface)) / pitch if np.any(np.isfinite(surface)) else 0.0
     arguments = (surface, pieces, pitch, column, row, scaled[2], source[3], highest, light.angular_radius, out)
-    over_rows(_rows_of(horizon.march, *arguments), len(surface))
+    over_rows(lambda first, last: horizon.march(first, last, *arguments), len(surface))

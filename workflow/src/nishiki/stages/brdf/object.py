@@ -59,22 +59,21 @@ def run(context: Context) -> dict:
     used = settings.components if separated else "total"
     report = {"lighting": lighting.as_dict(), "found": settled, "fit": asdict(fit), "components": used}
     report["specular"] = specular
+    at_bounds = []
+    if specular and fit.at_bound_share:
+        share = f"{100 * fit.at_bound_share:.2g} %"
+        at_bounds = [f"width of the lobe, {share} of the texels; the neighbours' is taken there"]
     text = json.dumps(report, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("object_brdf.json").write_text(text + "\n")
     return {
         "lighting": lighting.kind,
         **settled,
         **asdict(fit),
-        "at_bounds": widths_at_bounds(fit.at_bound_share) if specular else [],
+        "at_bounds": at_bounds,
         "components": used,
         "width": settings.width,
         "economy": economy(decision),
     }
-
-
-def widths_at_bounds(share: float) -> list[str]:
-    """In words: the share of texels whose own lobe ended at the end of the range of its width; empty where none did."""
-    return [f"width of the lobe, {100 * share:.2g} % of the texels; the neighbours' is taken there"] if share else []
 
 
 def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, Decision]:

@@ -68,10 +68,6 @@ class CamerasSettings(Guarded, stage="cameras", version=1, limits=LIMITS):
     steps: Literal["free", "equal"] = Field("free", description="turntable: one angle a view, or one step for all")
 
 
-def _no_poses(facts: SceneFacts, settings: Closed) -> str | None:
-    return None if facts.has_poses else "the capture has no camera matrices, no board pictures and no correspondences"
-
-
 def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -> tuple[str, ...]:
     return () if poses_of(facts, settings) == "matrices" else ("calibration",)
 
@@ -81,7 +77,9 @@ STAGE = Stage(
     does="where each view was taken from",
     geometry="turntable",
     requires=("ingest",),
-    lacks=_no_poses,
+    lacks=lambda facts, settings: (
+        None if facts.has_poses else "the capture has no camera matrices, no board pictures and no correspondences"
+    ),
     looks_at=_looks_at,
     libraries=("numpy", "scipy", "zarr", "opencv-contrib-python-headless"),
     threads=1,

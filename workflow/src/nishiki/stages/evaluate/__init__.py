@@ -25,12 +25,6 @@ def _nothing_to_compare(facts: SceneFacts, settings: Closed) -> str | None:
     return "there is no truth, the capture has no check lights and no light is held out (set hold_out)"
 
 
-def _evaluate_cost(facts: SceneFacts) -> Cost:
-    if facts.truth_sha256:
-        return Cost(mib=390, bytes_per_pixel=160, seconds=2.8, us_per_pixel=16)
-    return Cost(mib=225, bytes_per_pixel=195, seconds=2.4, us_per_pixel=16)
-
-
 PAINTING = Stage(
     settings=EvaluateSettings,
     does="errors against truth, or on lights that the fit never saw",
@@ -40,7 +34,11 @@ PAINTING = Stage(
     needs_colour=True,
     looks_at=lambda facts, settings, asked: ("check",),
     libraries=("numpy", "scipy", "numba", "zarr"),
-    cost=_evaluate_cost,
+    cost=lambda facts: (
+        Cost(mib=390, bytes_per_pixel=160, seconds=2.8, us_per_pixel=16)
+        if facts.truth_sha256
+        else Cost(mib=225, bytes_per_pixel=195, seconds=2.4, us_per_pixel=16)
+    ),
 )
 
 

@@ -20,10 +20,9 @@ from nishiki.formats.glb import Glb
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh_files import write_ply
-from nishiki.render.cloth.brdf_table import EDGE, STEPS, BrdfTable
 from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.models import ClothModels
-from nishiki.render.cloth.scene import Brdf, ClothScene, three
+from nishiki.render.cloth.scene import EDGE, STEPS, Brdf, BrdfTable, ClothScene, three
 from nishiki.render.cloth.studio import MARGIN, Lighting, framed, paper_below
 from nishiki.stages.export import mitsuba_cloth
 from nishiki.stages.export.cloth_material import coded_error, fitted_cloth

@@ -18,8 +18,8 @@ from nishiki.colour.colour import xyz_to_srgb_linear
 from nishiki.colour.encoding import encode
 from nishiki.formats.relight_weights import gaussian_weights, grid_directions
 from nishiki.observations.plane import Observations
-from nishiki.render.plane.relight import predict_observations
 from nishiki.render.plane.scene import Light
+from nishiki.render.plane.shade import predict_observations
 from nishiki.stages.export.light_models import GRID_SIDE, grid_weights
 from nishiki.stages.export.scene import ExportedScene
 

@@ -19,8 +19,7 @@ from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
 from nishiki.photometric.relighting import TERMS
 from nishiki.stages.normals import NormalsSettings
-from nishiki.stages.normals.choice import choose_fit, scene_gloss
-from nishiki.stages.normals.parcel import MAPS, relit, solve
+from nishiki.stages.normals.parcel import MAPS, choose_fit, relit, scene_gloss, solve
 
 
 def map_tiles(context: Context) -> dict:

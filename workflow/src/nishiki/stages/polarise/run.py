@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -26,7 +25,9 @@ def run(context: Context) -> dict:
     """Separate one photograph series after another; one view's planes are in memory at a time."""
     folder, settings = context.inputs["ingest"].folder, context.settings
     views = Views(folder)
-    arms = arms_of(instrument_of(folder, views), wavelength_nm=wavelength_of(views, settings))
+    name = views.geometry.get("calibration")
+    instrument = read_instrument(folder / name) if name else None
+    arms = arms_of(instrument, wavelength_nm=wavelength_of(views, settings))
     sums = sums_of(views.states, generator=arms[0], analyser=arms[1], method=settings.method)
     writer = ComponentWriter(
         context.output.folder,
@@ -36,7 +37,8 @@ def run(context: Context) -> dict:
         channels=views.channels,
         stamp=context.stamp,
     )
-    shown = shown_views(len(views.views), settings.pictures)
+    count, drawn = len(views.views), min(settings.pictures, len(views.views))
+    shown = {count * k // drawn for k in range(drawn)}
     statistics: list[SeparationStatistics] = []
     facts_of_views: list[dict] = []
     exposure = None
@@ -189,12 +191,6 @@ def board_diagnostics(board: Beta | None) -> dict | None:
     return {"channel": board.channel, "covered": board.covered, "low_pixels": board.low, "spread": board.spread}
 
 
-def instrument_of(folder: Path, views: Views) -> dict | None:
-    """The polarimeter's calibration that came with the capture; None without."""
-    name = views.geometry.get("calibration")
-    return read_instrument(folder / name) if name else None
-
-
 def wavelength_of(views: Views, settings: PolariseSettings) -> float | None:
     """The setting, else the wavelength that a single channel has in its name ('630 nm')."""
     if settings.wavelength_nm is not None or len(views.channels) != 1:
@@ -215,11 +211,6 @@ def totals(statistics: list[SeparationStatistics]) -> dict:
         "specular_share": values["specular"] / sum_of_means if known and sum_of_means > 0 else None,
         "valid": float(np.mean([one.valid for one in statistics])),
     }
-
-
-def shown_views(count: int, pictures: int) -> set[int]:
-    """Evenly spread views."""
-    return {count * k // min(pictures, count) for k in range(min(pictures, count))}
 
 
 def exposure_of(view: SeparatedView) -> float:

@@ -9,8 +9,7 @@ from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.cloth.scene import Surface
 from nishiki.render.cloth.studio import Lighting, linear_colour
-from nishiki.render.cloth.surfaces import read_drape, read_surface, sheet
-from nishiki.render.cloth.tangent import from_direction, from_texture
+from nishiki.render.cloth.surfaces import from_direction, from_texture, read_drape, read_surface, sheet
 from nishiki.stages.render import ClothRenderSettings, MeshSettings
 
 FINEST_SIDE = 193

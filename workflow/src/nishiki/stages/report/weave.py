@@ -106,7 +106,8 @@ def summary(entry: dict[str, Any]) -> str:
     yarns = entry.get("yarns")
     if yarns is None:
         at_end = set(entry.get("at_bounds") or [])
-        name = repeat_name(entry["weave"], entry["harness"])
+        weave = entry["weave"]
+        name = "plain weave" if weave == "plain" else f"{weave} of {entry['harness']} yarns a repeat"
         if at_end & SECTION_UNKNOWNS:
             return f"The reflectance does not determine the weave: the sections of a {name} ended at a bound. {rest}"
         return f"Sections of a {name}, from the reflectance in the planes of weft and warp. {rest}"
@@ -130,11 +131,6 @@ def summary(entry: dict[str, Any]) -> str:
 
 
 SECTION_UNKNOWNS = {f"{name}_{plane}" for name in ("theta_a", "flank", "humps") for plane in PLANES}
-
-
-def repeat_name(weave: str, harness: int) -> str:
-    """A weave in words."""
-    return "plain weave" if weave == "plain" else f"{weave} of {harness} yarns a repeat"
 
 
 def section_words(section: dict[str, float]) -> str:

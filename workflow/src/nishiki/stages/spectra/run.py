@@ -20,7 +20,11 @@ from nishiki.model_selection.decision import Decision, economy
 def map_tiles(context: Context) -> dict:
     """Fit the estimator once, then apply it band by band."""
     settings = context.settings
-    training = synthetic_reflectances() if settings.training == "synthetic" else measured_set(Path(settings.training))
+    if settings.training == "synthetic":
+        training = synthetic_reflectances()
+    else:
+        curves = read_curves(Path(settings.training), label=settings.training)
+        training = measured_reflectances(curves.wavelengths_nm, curves.values, name=settings.training)
     estimator, decision = fit(context, training)
     if decision:
         context.progress.tell(str(decision))
@@ -99,12 +103,6 @@ def fit(context: Context, training: np.ndarray) -> tuple[SpectralEstimator, Deci
         bases = numbers[-1].count
     estimator = fit_estimator(training, lamp, camera, method=settings.method, bases=bases, noise=settings.noise)
     return estimator, decided(numbers[-1], method=settings.method) if numbers else None
-
-
-def measured_set(path: Path) -> np.ndarray:
-    """(samples, 61) reflectances from a table: wavelength_nm, then one column a sample."""
-    curves = read_curves(path, label=str(path))
-    return measured_reflectances(curves.wavelengths_nm, curves.values, name=str(path))
 
 
 run = TiledStage(map_tiles, merge)

@@ -10,11 +10,10 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.progress import Progress
-from nishiki.render.cloth import around, brdf_table
-from nishiki.render.cloth.brdf_table import BrdfTable
+from nishiki.render.cloth import around, scene
 from nishiki.render.cloth.local import LEAST_COSINE, LIFT
 from nishiki.render.cloth.models import ClothModels, dyed, gloss_alone
-from nishiki.render.cloth.scene import Brdf, Surface
+from nishiki.render.cloth.scene import Brdf, BrdfTable, Surface
 from nishiki.render.cloth.studio import Studio, studio, tubes
 from nishiki.render.cloth.surfaces import read_drape, sheet, swatch
 from nishiki.report.viewer.page import Blocks, pack_arrays, write_page
@@ -57,8 +56,12 @@ def write_cloth(
     for region, model in progress.through(chosen, len(chosen), "model"):
         for part, arrays in material_arrays(models.brdf(region, model)).items():
             blocks.add(f"{part}-{region}-{model}", pack_arrays(arrays))
+    table = {
+        "sides": scene.SIDES, "rings": scene.RINGS, "turns": scene.TURNS, "edge": scene.EDGE,
+        "steps": scene.STEPS, "least_cosine": LEAST_COSINE,
+    }  # fmt: skip
     manifest = {
-        "format": 1, "chain": "cloth", **about, "shapes": shapes, "table": table_numbers(), "dyes": dyes,
+        "format": 1, "chain": "cloth", **about, "shapes": shapes, "table": table, "dyes": dyes,
         "materials": [{"region": region, "model": model} for region, model in chosen],
     }  # fmt: skip
     return {**write_page(blocks, manifest, PAGE), "shape_bytes": _bytes(blocks, "shape-"), "models": len(chosen)}
@@ -181,11 +184,3 @@ def table_arrays(brdf: Brdf) -> dict[str, np.ndarray]:
     codes = np.moveaxis(table.codes, 2, 0)
     changes = differences(codes.reshape(len(codes), -1))
     return {"codes": changes.reshape(codes.shape), "largest": np.float32([table.largest])}
-
-
-def table_numbers() -> dict:
-    """Sizes of the tables, and constants of the look-up and of the shading."""
-    return {
-        "sides": brdf_table.SIDES, "rings": brdf_table.RINGS, "turns": brdf_table.TURNS, "edge": brdf_table.EDGE,
-        "steps": brdf_table.STEPS, "least_cosine": LEAST_COSINE,
-    }  # fmt: skip

@@ -15,14 +15,13 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.codec.compact_mesh import mesh_step
 from nishiki.codec.design import Design
-from nishiki.codec.entropy import Model
 from nishiki.codec.observations import view_matrix
 from nishiki.codec.transform import Plane
 from nishiki.geometry.camera_path import CameraPath, fit_turn
 from nishiki.observations.views import Views
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.render.object.free_lamps import ball_around, shadow_lift
 from nishiki.render.object.renderer import coded_parts
+from nishiki.render.object.shots import ball_around, shadow_lift
 from nishiki.report.viewer.page import Blocks, pack_arrays, write_page
 
 PAGE = Path(__file__).with_suffix(".js")
@@ -107,9 +106,15 @@ def turn_numbers(turn: CameraPath) -> dict:
 
 def decoder_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
     """Mesh, charts, index of the streams, start states of the coder, wavelets and transforms along the views."""
-    arrays = {**surface_arrays(decoded), **index_arrays(decoded)}
+    residual = decoded.residual
+    extents = [extent.row_of_numbers() for extent in residual.extents]
+    lengths = [residual.stored(tile) for tile in range(residual.tiles)]
+    index = {"extents": np.array(extents, np.uint16), "lengths": np.array(lengths, np.uint32)}
+    arrays = {**surface_arrays(decoded), **index}
     for name, model in zip(("parameters", "residual"), decoded.residual.models, strict=True):
-        arrays |= model_arrays(name, model)
+        arrays[f"{name}/chance"] = model.chance.astype(np.uint32)
+        arrays[f"{name}/seen"] = model.seen.astype(np.uint8)
+        arrays[f"{name}/weights"] = model.weights.astype(np.int32)
     return arrays | wavelet_arrays(decoded)
 
 
@@ -132,23 +137,6 @@ def surface_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
         "corners": smallest(corners.reshape(-1, 3)),
         "chart_grid": atlas.chart_grid.astype(np.int32),
         "cells": atlas.cells.astype(np.int32),
-    }
-
-
-def index_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
-    """Extent and lengths of the streams of every tile."""
-    residual = decoded.residual
-    extents = [extent.row_of_numbers() for extent in residual.extents]
-    lengths = [residual.stored(tile) for tile in range(residual.tiles)]
-    return {"extents": np.array(extents, np.uint16), "lengths": np.array(lengths, np.uint32)}
-
-
-def model_arrays(name: str, model: Model) -> dict[str, np.ndarray]:
-    """State of the coder at the start of a tile."""
-    return {
-        f"{name}/chance": model.chance.astype(np.uint32),
-        f"{name}/seen": model.seen.astype(np.uint8),
-        f"{name}/weights": model.weights.astype(np.int32),
     }
 
 

@@ -5,18 +5,14 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, extreme
-from nishiki.stages.base import Cost, SceneFacts, Stage
-
-
-def _regions(diagnostics: Mapping[str, Any], name: str) -> list[Any]:
-    """One entry of every region of a cloth."""
-    return [region.get(name) for region in (diagnostics.get("regions") or {}).values() if isinstance(region, Mapping)]
+from nishiki.stages.base import Cost, Stage
 
 
 def _weave_error(diagnostics: Mapping[str, Any]) -> float | None:
-    return extreme("all")({"all": _regions(diagnostics, "rms_rel")})
+    regions = (diagnostics.get("regions") or {}).values()
+    return extreme("all")({"all": [region.get("rms_rel") for region in regions if isinstance(region, Mapping)]})
 
 
 LIMITS = (
@@ -67,16 +63,12 @@ class WeaveSettings(Guarded, stage="weave", version=2, limits=LIMITS):
     )
 
 
-def _no_normal_incidence(facts: SceneFacts, settings: Closed) -> str | None:
-    return None if facts.frontal else "no measurement has its light at the normal of the cloth"
-
-
 STAGE = Stage(
     settings=WeaveSettings,
     does="cross-sections of warp and weft, from how they hide each other",
     geometry="goniometer",
     requires=("goniometer_samples",),
-    lacks=_no_normal_incidence,
+    lacks=lambda facts, settings: None if facts.frontal else "no measurement has its light at the normal of the cloth",
     needs_colour=True,
     libraries=("numpy", "scipy", "numba", "opencv-contrib-python-headless"),
     deliverables=("*.ply", "*.png", "*.svg"),

@@ -1,4 +1,4 @@
-// Shaders of the cloth's viewer: nishiki.render.cloth on a mesh, with its BRDF from a table (render/cloth/brdf_table.py).
+// Shaders of the cloth's viewer: nishiki.render.cloth on a mesh, with its BRDF from a table (render/cloth/scene.py).
 
 import { ENCODING, REACHES } from "viewer/common_shaders";
 import { MOST_LAMPS } from "viewer/state";
