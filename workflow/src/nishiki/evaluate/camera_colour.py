@@ -27,16 +27,16 @@ class CameraColour:
     rmse: float | None
 
     def xyz(self, channels: np.ndarray) -> np.ndarray:
-        """XYZ (..., 3) float64 of channels (..., C) that are relative to white."""
+        """Return XYZ (..., 3) float64 of channels (..., C) that are relative to white."""
         return np.asarray(channels, np.float64) @ self.matrix.T
 
     def lab(self, channels: np.ndarray) -> np.ndarray:
-        """CIELAB (..., 3) of channels (..., C)."""
+        """Return CIELAB (..., 3) of channels (..., C)."""
         return xyz_to_lab(self.xyz(channels), self.white)
 
 
 def fitted_colour(training: np.ndarray, illuminant: np.ndarray, sensitivities: np.ndarray) -> CameraColour:
-    """Least squares over training reflectances (M, 61), with the perfect white kept exact.
+    """Return least squares over training reflectances (M, 61), with the perfect white kept exact.
 
     illuminant : (61,) of the capture; sensitivities : (C, 61). The constraint (channels of white = 1 give the white of
     the lamp) is met by fitting the differences from white only, through an elimination: matrix = white/C + deviations
@@ -64,7 +64,7 @@ def read_camera_colour(curves: Path, channels: int, to_srgb: list[list[float]] |
 
 
 def displayed_colours(channels: np.ndarray, to_srgb: list[list[float]] | None) -> np.ndarray:
-    """Linear sRGB (..., 3) of channels (..., C) without sensitivities; see `assumed_colour`."""
+    """Return linear sRGB (..., 3) of channels (..., C) without sensitivities; see `assumed_colour`."""
     if channels.shape[-1] != 3:
         return np.repeat(channels.mean(axis=-1, keepdims=True), 3, axis=-1)
     return channels if to_srgb is None else (channels @ np.array(to_srgb).T).astype(channels.dtype)

@@ -20,7 +20,7 @@ HIGHLIGHT_SHARE = 0.1
 
 
 def classify(diffuse: np.ndarray, specular: np.ndarray, lit: np.ndarray, *, inside: np.ndarray) -> np.ndarray:
-    """Class of each pixel, uint8.
+    """Return class of each pixel, uint8.
 
     diffuse, specular : (rows, columns) parts of the light that the pixel returns, same unit; lit : (rows, columns)
     share of the lamp that it sees, 0 to 1, in which n.l <= 0 counts as 0; inside : bool. Shadow: less than half lit.

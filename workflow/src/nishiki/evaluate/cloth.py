@@ -38,12 +38,12 @@ class Judged:
     noise_rel: float | None
 
     def as_dict(self) -> dict:
-        """Plain data."""
+        """Return plain data."""
         return asdict(self)
 
 
 def plane_name(phi_deg: float) -> str:
-    """weft, warp, or the azimuth brought into 0 to 90 degrees, in words."""
+    """Return weft, warp, or the azimuth brought into 0 to 90 degrees, in words."""
     folded = abs((phi_deg + 90) % 180 - 90)
     for azimuth, name in PLANES:
         if abs(folded - azimuth) <= WITHIN_DEG:
@@ -91,7 +91,7 @@ def judge(
 
 
 def by_incidence(rows: list[Judged]) -> dict[str, dict]:
-    """Means over the planes of one polar angle, by the angle rounded to a degree, and the worst rms_rel."""
+    """Return means over the planes of one polar angle, by the angle rounded to a degree, and the worst rms_rel."""
     means = {}
     for angle in sorted({round(row.theta_i_deg) for row in rows}):
         mine = [row for row in rows if round(row.theta_i_deg) == angle]

@@ -25,12 +25,12 @@ class Summary:
     dropped: int = 0
 
     def as_dict(self) -> dict:
-        """Plain values, for JSON."""
+        """Return plain values, for JSON."""
         return asdict(self)
 
 
 def summarise(values: np.ndarray, *, where: np.ndarray | None = None) -> Summary:
-    """Summary of an array of errors, any shape; `where` (same shape, bool) selects the pixels that count.
+    """Return summary of an array of errors, any shape; `where` (same shape, bool) selects the pixels that count.
 
     Percentiles interpolate linearly between ranks. The sum is taken in float64.
     """
@@ -71,7 +71,7 @@ class Pool:
                 self.worst = max(float(part.max()), self.worst or 0.0)
 
     def summary(self) -> Summary:
-        """Figures of everything added so far."""
+        """Return figures of everything added so far."""
         if not self.count:
             return Summary(0, None, None, None, None)
         return Summary(self.count, self.total / self.count, self._percentile(50), self._percentile(90), self.worst)
@@ -103,7 +103,7 @@ class NormalErrors:
     no_estimate: int
 
     def as_dict(self) -> dict:
-        """Plain values, for JSON."""
+        """Return plain values, for JSON."""
         sets = ("inside", "estimated", "unflagged", "flagged")
         return {
             **{name: getattr(self, name).as_dict() for name in sets},
@@ -113,7 +113,7 @@ class NormalErrors:
 
 
 def angular_error_deg(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Angle between directions (..., 3), degrees, float32; NaN where either is zero or not finite.
+    """Return angle between directions (..., 3), degrees, float32; NaN where either is zero or not finite.
 
     2 atan2(|a - b|, |a + b|) of the unit vectors (Kahan, "How futile are mindless assessments of roundoff", 2006):
     exact to rounding for every angle, where acos(a . b) loses half of the digits below 1e-4 rad.
@@ -135,7 +135,7 @@ def normal_errors(
     mask: np.ndarray | None = None,
     slope_edges_deg: tuple[float, ...] = SLOPE_EDGES_DEG,
 ) -> NormalErrors:
-    """Errors of a field of normals.
+    """Return errors of a field of normals.
 
     estimate, truth : (rows, columns, 3), right-handed, y up, z to the camera; a truth of zero or NaN means: not known.
     flags : (rows, columns) uint8 of the normals stage. mask : (rows, columns) bool, pixels of the object.
@@ -184,7 +184,7 @@ class HeightError:
     pixels: int
 
     def as_dict(self) -> dict:
-        """Plain values, for JSON."""
+        """Return plain values, for JSON."""
         return asdict(self)
 
 
@@ -216,7 +216,7 @@ def height_error(height: np.ndarray, truth: np.ndarray, *, pixels: np.ndarray, p
 
 
 def _without_plane(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Residual of the least-squares plane, its coefficients, and its slope per pixel."""
+    """Return residual of the least-squares plane, its coefficients, and its slope per pixel."""
     x, y = columns - columns.mean(), rows - rows.mean()
     centred = values - values.mean()
     gram = np.array([[x @ x, x @ y], [x @ y, y @ y]])
@@ -253,7 +253,7 @@ class ReflectanceErrors:
     regions: tuple[RegionSpectrum, ...]
 
     def as_dict(self) -> dict:
-        """Plain values, for JSON (spectra rounded to 1e-5)."""
+        """Return plain values, for JSON (spectra rounded to 1e-5)."""
         regions = [
             {
                 "label": r.label,

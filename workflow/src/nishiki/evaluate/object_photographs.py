@@ -56,12 +56,12 @@ class Photographs(Pictures):
         self.outlines = open_array(path) if path.is_dir() else None
 
     def read(self, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
-        """Linear (rows, columns, channels) float32 and validity (rows, columns): light of any polarisation."""
+        """Return linear (rows, columns, channels) float32 and validity (rows, columns): light of any polarisation."""
         parts, valid = self.parts(view, light)
         return parts["total"], valid
 
     def silhouette(self, view: int) -> np.ndarray | None:
-        """(rows, columns) bool, or None where it is not known."""
+        """Return (rows, columns) bool, or None where it is not known."""
         if self.outlines is not None:
             outline = self.outlines[view] != 0
             return outline if outline.any() else None
@@ -77,7 +77,7 @@ class ObjectTruth:
         self.names = list(self.group.attrs["views"])
 
     def read(self, name: str) -> np.ndarray:
-        """Linear (rows, columns, channels) float32 without noise, in the unit of the photographs."""
+        """Return linear (rows, columns, channels) float32 without noise, in the unit of the photographs."""
         total = self.group["total"][self.names.index(name)]
         if not self.normalised:
             return total * self.group["sensitivity"][...]
@@ -85,5 +85,5 @@ class ObjectTruth:
         return (total / board * np.float32(self.group.attrs["board_reflectance"])).astype(np.float32)
 
     def silhouette(self, name: str) -> np.ndarray:
-        """(rows, columns) bool: pixels at least half filled by the object."""
+        """Return (rows, columns) bool: pixels at least half filled by the object."""
         return self.group["coverage"][self.names.index(name)] >= 0.5

@@ -48,7 +48,7 @@ NOTHING = Difference(0.0, 0, 0)
 def difference(
     coded: np.ndarray, photograph: np.ndarray, outline: np.ndarray, covered: np.ndarray, valid: np.ndarray
 ) -> Difference:
-    """Difference over all pixels that either shows.
+    """Return difference over all pixels that either shows.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ def difference(
 
 
 def structural_similarity(coded: np.ndarray, photograph: np.ndarray, inside: np.ndarray) -> float | None:
-    """Mean structural similarity over the pixels inside (Z. Wang et al., Image quality assessment: from error
-    visibility to structural similarity, IEEE Trans. Image Processing 13(4), 2004): Gaussian window of 1.5 pixels,
-    mean of the channels, outside of the silhouette counted as equal.  None without pixels."""
+    """Return mean structural similarity over the pixels inside (Z. Wang et al., Image quality assessment: from error
+    visibility to structural similarity, IEEE Trans. Image Processing 13(4), 2004): Gaussian window of 1.5 pixels, mean
+    of the channels, outside of the silhouette counted as equal. None without pixels."""
     from scipy.ndimage import gaussian_filter
 
     if not inside.any():
@@ -124,7 +124,7 @@ class Row:
     similarity: float | None
 
     def as_dict(self) -> dict:
-        """Plain data with the keys `COLUMNS`."""
+        """Return plain data with the keys `COLUMNS`."""
         values = {name: value for name, value in asdict(self).items() if name in COLUMNS}
         return {
             **values,
@@ -147,8 +147,8 @@ def compare(
     similarity: bool,
     **named,
 ) -> Row:
-    """A row over outline and rendered surface together (see `difference`); its figure `covered` is over the pixels of
-    both. named: the other fields of the row."""
+    """Return a row over outline and rendered surface together (see `difference`); its figure `covered` is over the
+    pixels of both. named: the other fields of the row."""
     both = outline & covered
     return Row(
         judged=difference(coded, counterpart, outline, covered, valid),
@@ -200,9 +200,9 @@ AMPLIFIED = 10
 def comparison(
     photograph: np.ndarray, rendered: np.ndarray, model: np.ndarray, inside: np.ndarray, encoding: str, columns: int
 ) -> dict[str, np.ndarray]:
-    """Pictures (rows, columns, 3) uint8 cut to the object and reduced to at most `columns`: photograph, rendered and
-    model as seen on a screen, black outside of the silhouette; error: grey plus AMPLIFIED times the difference of
-    rendered and photograph.  Inputs in the capture's encoding, inside (rows, columns) bool."""
+    """Return pictures (rows, columns, 3) uint8 cut to the object and reduced to at most `columns`: photograph, rendered
+    and model as seen on a screen, black outside of the silhouette; error: grey plus AMPLIFIED times the difference of
+    rendered and photograph. Inputs in the capture's encoding, inside (rows, columns) bool."""
     rows, across = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if not len(rows):
         rows, across = np.arange(inside.shape[0]), np.arange(inside.shape[1])

@@ -44,14 +44,14 @@ class PredictedLight:
     body: np.ndarray
 
     def band(self, rows: slice) -> "PredictedLight":
-        """The same, of some rows."""
+        """Return the same, of some rows."""
         return PredictedLight(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 def predict_light(
     model: FittedModel, light: Light, *, height: np.ndarray | None = None, pitch: float = 1.0
 ) -> PredictedLight:
-    """Observation I' = (rho c f + beta D F G / cos_r) E with c = max(n.l, 0), frontal view, in camera channels.
+    """Return observation I' = (rho c f + beta D F G / cos_r) E with c = max(n.l, 0), frontal view, in camera channels.
 
     Tominaga and Tanaka (2004), eq. 10, with the factor f of the body shading (1: Lambert). light : with a direction, or
     a position relative to the centre of the maps in the unit of `pitch`; E is 1 but for a lamp with fall-off, where no
@@ -92,7 +92,7 @@ def light_of(
     white_board: bool = True,
     angular_radius: float = 0.0,
 ) -> Light:
-    """The lamp of a captured light, as the normals stage sees it.
+    """Return the lamp of a captured light, as the normals stage sees it.
 
     direction : (3,); position : (3,) from the middle of the photograph, or None; centre : (3,) middle of the maps seen
     from there; white_board : whether the observations are free of the lamp's fall-off.
@@ -117,7 +117,7 @@ class SceneColour:
     camera: CameraColour | None
 
     def xyz(self, band: PredictedLight, coefficients: np.ndarray | None) -> np.ndarray:
-        """(rows, columns, 3) float32.
+        """Return (rows, columns, 3) float32.
 
         coefficients : (rows, columns, K) of the same rows. Gloss has the colour of the lamp.
         """
@@ -128,10 +128,10 @@ class SceneColour:
 
 
 def spectral_colour(lamp: np.ndarray, basis: np.ndarray) -> SceneColour:
-    """Colour from spectral coefficients on `basis` (K, 61) under a lamp (61,)."""
+    """Return colour from spectral coefficients on `basis` (K, 61) under a lamp (61,)."""
     return SceneColour(white_xyz(lamp), xyz_matrix(lamp, basis), None)
 
 
 def channel_colour(camera: CameraColour) -> SceneColour:
-    """Colour from the camera's channels, under the lamp of the capture only."""
+    """Return colour from the camera's channels, under the lamp of the capture only."""
     return SceneColour(camera.white, None, camera)

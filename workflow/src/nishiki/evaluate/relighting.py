@@ -35,7 +35,7 @@ class SquaredError:
         return float(10.0 * np.log10(self.samples / total)) if self.samples and total > 0 else None
 
     def as_dict(self) -> dict:
-        """Plain values, for JSON."""
+        """Return plain values, for JSON."""
         bias = self.bias / self.samples if self.samples else None
         return {"psnr_linear_db": self.psnr("linear"), "psnr_coded_db": self.psnr("coded"), "bias": bias}
 
@@ -54,7 +54,7 @@ class LightScore:
     excluded: dict[str, int]
 
     def as_dict(self) -> dict:
-        """Plain values, for JSON."""
+        """Return plain values, for JSON."""
         return {
             **self.error.as_dict(),
             "de00": self.de00.as_dict(),
@@ -79,7 +79,7 @@ class LightComparison:
 
     @classmethod
     def of(cls, shape: tuple[int, int], colour: CameraColour) -> "LightComparison":
-        """An empty comparison for maps of this shape."""
+        """Return an empty comparison for maps of this shape."""
         return cls(colour, np.full(shape, np.nan, np.float32), np.zeros(shape, np.uint8))
 
     def add(
@@ -114,7 +114,7 @@ class LightComparison:
             self.errors.setdefault(label, SquaredError()).add(sums[label])
 
     def score(self) -> LightScore:
-        """Figures over all bands."""
+        """Return figures over all bands."""
         total = SquaredError()
         for part in self.errors.values():
             for name in ("samples", "linear", "coded", "bias"):

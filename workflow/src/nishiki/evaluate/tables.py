@@ -40,7 +40,7 @@ _FIGURES = ("mean", "median", "p90")
 
 
 def rows_of(evaluation: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rows with the keys `COLUMNS`; figures that could not be measured have an empty value."""
+    """Return rows with the keys `COLUMNS`; figures that could not be measured have an empty value."""
     rows: list[dict[str, Any]] = []
     if normals := evaluation.get("normals"):
         for name in ("inside", "estimated", "unflagged", "flagged"):

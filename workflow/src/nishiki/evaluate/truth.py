@@ -43,7 +43,7 @@ class Truth:
     window: tuple[slice, slice] = (slice(None), slice(None))
 
     def check(self, light: str) -> CheckTruth | None:
-        """Truth of one check light, read when asked for; None where it is not known."""
+        """Return truth of one check light, read when asked for; None where it is not known."""
         if light not in self.checks or self.arrays is None:
             return None
         at, names = self.checks.index(light), ("xyz_lamp", "xyz_d65", "gloss", "body")
@@ -52,7 +52,7 @@ class Truth:
         return CheckTruth(**parts, lit=lit)
 
     def equivalent_gamma(self) -> tuple[float, float, float] | None:
-        """Half width at half maximum, radians, that the GGX facet distributions have: least, median, largest.
+        """Return half width at half maximum, radians, that the GGX facet distributions have: least, median, largest.
 
         D falls to half where tan(phi) = alpha sqrt(sqrt 2 - 1), leaving cos^4 aside (Walter et al., EGSR 2007, eq. 33).
         """

@@ -25,7 +25,7 @@ class DisplayImage:
 
 
 def display_image(xyz: np.ndarray, *, white: np.ndarray | None = None, exposure: float = 1.0) -> DisplayImage:
-    """8-bit sRGB of linear XYZ (rows, columns, 3).
+    """Return 8-bit sRGB of linear XYZ (rows, columns, 3).
 
     A perfect white of Y = 1 gets 255 at exposure 1.  white: XYZ (3,) of the scene's white, which Bradford adaptation
     turns into the display's (as the eye adapts to lamp light); None shows the colours as a D65 display measures them.
@@ -36,7 +36,7 @@ def display_image(xyz: np.ndarray, *, white: np.ndarray | None = None, exposure:
 
 
 def encoded(linear: np.ndarray) -> DisplayImage:
-    """8 bits of linear sRGB (rows, columns, 3)."""
+    """Return 8 bits of linear sRGB (rows, columns, 3)."""
     # half a step of the coding is not clipping: a perfect white is 1 to within rounding
     high = np.count_nonzero((linear > 1.0 + 1e-3).any(axis=2)) / max(1, linear[..., 0].size)
     low = np.count_nonzero((linear < -1e-3).any(axis=2)) / max(1, linear[..., 0].size)
@@ -53,7 +53,7 @@ def three_channels(linear: np.ndarray) -> np.ndarray:
 def developed(
     linear: np.ndarray, coverage: np.ndarray, *, exposure: float = 1.0, soft: bool = False, background: float = 0.0
 ) -> DisplayImage:
-    """8-bit picture over an even background.
+    """Return 8-bit picture over an even background.
 
     Parameters
     ----------
@@ -78,15 +78,15 @@ def developed(
 
 
 def exposure_for(parts: list[tuple[np.ndarray, float]]) -> float:
-    """One factor at which no part of several pictures becomes too bright: linear sRGB (n, 3) of each, and the level of
-    the display's white that its 98th percentile may reach. 1 where all is black."""
+    """Return one factor at which no part of several pictures becomes too bright: linear sRGB (n, 3) of each, and the
+    level of the display's white that its 98th percentile may reach. 1 where all is black."""
     tops = [np.percentile(linear @ _LUMINANCE, ADAPTED_PERCENTILE) / level for linear, level in parts if len(linear)]
     top = float(max(tops, default=0.0))
     return 1 / top if top > 0 else 1.0
 
 
 def shoulder(linear: np.ndarray, *, start: float = 0.6) -> np.ndarray:
-    """Linear sRGB (..., 3) with luminances above `start` bent so that they reach 1 only at infinity.
+    """Return linear sRGB (..., 3) with luminances above `start` bent so that they reach 1 only at infinity.
 
     y -> start + (1 - start) t / (1 + t), t = (y - start) / (1 - start): value and slope go on at `start`. Channels
     share one factor, which keeps the hue; what then still exceeds 1 in a channel is drawn towards grey of the same
@@ -102,7 +102,7 @@ def shoulder(linear: np.ndarray, *, start: float = 0.6) -> np.ndarray:
 
 
 def adapted_exposure(xyz: np.ndarray, *, seen: np.ndarray, sheet: float) -> float:
-    """Exposure at which an eye that has adapted to the light would see a picture: its light parts near white.
+    """Return exposure at which an eye that has adapted to the light would see a picture: its light parts near white.
 
     Brings the 98th percentile of the luminance to 0.8, within bounds that keep a black object dark and a highlight from
     darkening everything else: half and 8 times the exposure at which a white sheet beside the object is white.

@@ -98,7 +98,7 @@ def write_normals_png(path: Path, normals: np.ndarray, *, stamp: Mapping[str, st
 
 
 def _stamped_png(encoded: np.ndarray, stamp: Mapping[str, str], srgb: bool) -> bytes:
-    """A PNG with the stamp as text, and with the note that its colours are sRGB, before the image data."""
+    """Return a PNG with the stamp as text, and with the note that its colours are sRGB, before the image data."""
     content = encoded.tobytes()
     end = len(_PNG_SIGNATURE) + 25  # of IHDR, which comes first
     notes = [_chunk(b"sRGB", b"\x00")] if srgb else []  # perceptual intent

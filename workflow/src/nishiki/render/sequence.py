@@ -12,7 +12,7 @@ from nishiki.render.plane.shadow import cast_shadows
 
 
 def circle_of_directions(count: int, *, elevation: float, start: float = 0.0) -> np.ndarray:
-    """(count, 3) unit vectors at one elevation above the painting, evenly around; `start` azimuth; radians.
+    """Return (count, 3) unit vectors at one elevation above the painting, evenly around; `start` azimuth; radians.
 
     The last one is a step before the first, so that a repeated film runs on without a stop.
     """
@@ -27,7 +27,7 @@ def circle_of_directions(count: int, *, elevation: float, start: float = 0.0) ->
 
 
 def moved_lights(light: Light, directions: Iterable) -> Iterator[list[Light]]:
-    """Light lists with the one lamp at each of the directions; a lamp with a position keeps its distance."""
+    """Yield light lists with the one lamp at each of the directions; a lamp with a position keeps its distance."""
     for direction in directions:
         unit = np.asarray(direction, np.float64) / np.linalg.norm(direction)
         if light.position_mm is None:
@@ -59,7 +59,7 @@ def light_sequence(
     ambient: Ambient | None = None,
     **settings,
 ) -> Iterator[Rendering]:
-    """A picture for each list of lights, from one view.  `settings` as in `render`."""
+    """Yield a picture for each list of lights, from one view. `settings` as in `render`."""
     for current in lights:
         yield render(scene, current, view, ambient=ambient, **settings)
 
@@ -68,7 +68,7 @@ def view_sequence(
     scene: PlaneScene, lights: list[Light], views: Iterable[View], *, ambient: Ambient | None = None,
     shadows: str = "sweep", **settings
 ) -> Iterator[Rendering]:  # fmt: skip
-    """A picture for each view under the same lights; shadows are cast once.  `settings` as in `render`."""
+    """Yield a picture for each view under the same lights; shadows are cast once. `settings` as in `render`."""
     visibility = None
     if shadows != "none" and scene.height is not None and lights:
         visibility = cast_shadows(scene.height, lights, pitch=scene.pitch, method=shadows).visibility

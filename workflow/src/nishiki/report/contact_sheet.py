@@ -45,7 +45,7 @@ def contact_sheet(judgement: Judgement, problems: Sequence[Problem], title: str)
 
 
 def _seen(judgement: Judgement) -> np.ndarray:
-    """Directions (lights, 3) that the photographs show; NaN where nothing can be told."""
+    """Return directions (lights, 3) that the photographs show; NaN where nothing can be told."""
     found = judgement.arrangement
     if found is not None and not found.as_stated:
         return turned(judgement.directions[list(found.order)], found.axes)
@@ -69,7 +69,7 @@ def _oddness(judgement: Judgement) -> np.ndarray:
 
 
 def _figure(judgement: Judgement, j: int, seen: np.ndarray) -> Figure:
-    """One photograph with the arrows of its lamp, and its numbers."""
+    """Return one photograph with the arrows of its lamp, and its numbers."""
     values = judgement.values[j]
     top = max(float(np.nanquantile(judgement.values, 0.98)), 1e-12)
     picture = colour_picture(np.repeat(np.clip(values / top, 0, 1)[..., None], 3, axis=2))

@@ -9,7 +9,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def plain(value: float, digits: int = 4, *, padded: bool = False) -> str:
-    """A finite number with `digits` significant digits.
+    """Return a finite number with `digits` significant digits.
 
     padded: keep zeros at the end, which say how exact a measured value is. Whole numbers below 1e7 keep all digits.
     """
@@ -32,12 +32,12 @@ def plain(value: float, digits: int = 4, *, padded: bool = False) -> str:
 
 
 def power_of_ten(exponent: int) -> str:
-    """10 with a raised exponent."""
+    """Return 10 with a raised exponent."""
     return "10" + str(exponent).translate(_RAISED)
 
 
 def figure(value: float | None, digits: int = 3, unit: str = "") -> str:
-    """A measured figure as text: `digits` significant ones, a dash where there is none."""
+    """Return a measured figure as text: `digits` significant ones, a dash where there is none."""
     if value is None:
         return "–"
     if isinstance(value, int):
@@ -47,7 +47,7 @@ def figure(value: float | None, digits: int = 3, unit: str = "") -> str:
 
 
 def percent(value: float | None) -> str:
-    """A share in per cent, to a hundredth."""
+    """Return a share in per cent, to a hundredth."""
     if value is None:
         return "–"
     if 0 < value < 0.01:
@@ -56,7 +56,7 @@ def percent(value: float | None) -> str:
 
 
 def signed(share: float | None) -> str:
-    """A share in per cent with its sign, to a tenth."""
+    """Return a share in per cent with its sign, to a tenth."""
     if share is None:
         return "–"
     tenths = round(1000 * share)
@@ -64,5 +64,5 @@ def signed(share: float | None) -> str:
 
 
 def degrees(value: float | None) -> str:
-    """An angle to a degree, with a true minus and without a negative zero."""
+    """Return an angle to a degree, with a true minus and without a negative zero."""
     return "–" if value is None else f"{round(value):d}°".replace("-", "−")

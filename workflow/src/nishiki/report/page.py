@@ -198,14 +198,14 @@ FILMS = {".mp4": "video/mp4", ".webp": "image/webp", ".png": "image/png"}
 
 
 def contents(artifact: Artifact | None, name: str | None) -> bytes | None:
-    """A file that the artifact lists; None where there is none."""
+    """Return a file that the artifact lists; None where there is none."""
     if artifact is None or name not in artifact.manifest["files"]:
         return None
     return artifact.path(name).read_bytes()
 
 
 def read_json(artifact: Artifact | None, name: str) -> dict[str, Any] | None:
-    """A JSON file that the artifact lists; None where there is none."""
+    """Return a JSON file that the artifact lists; None where there is none."""
     data = contents(artifact, name)
     return None if data is None else json.loads(data)
 
@@ -255,7 +255,7 @@ class SceneCard:
 
 
 def campaign_page(title: str, cards: Sequence[SceneCard], version: str) -> str:
-    """HTML of the page. Scenes that need attention come first, then the others in the order given."""
+    """Return HTML of the page. Scenes that need attention come first, then the others in the order given."""
     order = {"failed": 0, "refused": 0, "unfinished": 1, "finished": 2}
     cards = sorted(cards, key=lambda card: order[card.state])
     counts = {state: sum(card.state == state for card in cards) for state in STATES}
@@ -272,7 +272,7 @@ def campaign_page(title: str, cards: Sequence[SceneCard], version: str) -> str:
 
 
 def _plain(card: SceneCard) -> dict[str, Any]:
-    """A card as the page's script reads it. A figure's meaning is cut at its first comma or semicolon."""
+    """Return a card as the page's script reads it. A figure's meaning is cut at its first comma or semicolon."""
     figures = [
         {
             "value": tile.value,

@@ -19,24 +19,24 @@ MISSING = np.array([226, 226, 222], np.uint8)
 
 
 def heat() -> np.ndarray:
-    """(256, 3) uint8, dark to light: for errors, where light means much."""
+    """Return (256, 3) uint8, dark to light: for errors, where light means much."""
     return _table(_HEAT)
 
 
 def sea() -> np.ndarray:
-    """(256, 3) uint8, dark to light: for counts and measures that are no errors."""
+    """Return (256, 3) uint8, dark to light: for counts and measures that are no errors."""
     return _table(_SEA)
 
 
 def balance() -> np.ndarray:
-    """(256, 3) uint8, blue over a light grey to red: for signed errors, where the middle is none."""
+    """Return (256, 3) uint8, blue over a light grey to red: for signed errors, where the middle is none."""
     t = np.linspace(0, 1, 256)
     lab = np.stack([np.interp(t, [0, 0.5, 1], _BALANCE[:, k]) for k in range(3)], axis=1)
     return np.round(255 * srgb_encode(_rgb_of(lab))).astype(np.uint8)
 
 
 def coloured(values: np.ndarray, table: np.ndarray, low: float, high: float) -> np.ndarray:
-    """(rows, columns, 3) uint8 of values (rows, columns); below low and above high the ends; NaN: `MISSING`."""
+    """Return (rows, columns, 3) uint8 of values (rows, columns); below low and above high the ends; NaN: `MISSING`."""
     span = high - low if high > low else 1.0
     known = np.isfinite(values)
     places = np.clip((np.where(known, values, low) - low) / span * 255.0 + 0.5, 0, 255).astype(np.uint8)
@@ -46,7 +46,7 @@ def coloured(values: np.ndarray, table: np.ndarray, low: float, high: float) -> 
 
 
 def hexadecimal(colour: np.ndarray) -> str:
-    """#rrggbb of a colour (3,) uint8."""
+    """Return #rrggbb of a colour (3,) uint8."""
     return "#{:02x}{:02x}{:02x}".format(*(int(c) for c in colour))
 
 
@@ -59,7 +59,7 @@ def _table(points: np.ndarray) -> np.ndarray:
 
 
 def _rgb_of(lab: np.ndarray) -> np.ndarray:
-    """Linear sRGB of CIELAB relative to D65, CIE 015:2018 eq. 8.11-8.16."""
+    """Return linear sRGB of CIELAB relative to D65, CIE 015:2018 eq. 8.11-8.16."""
     fy = (lab[:, 0] + 16) / 116
     f = np.stack([fy + lab[:, 1] / 500, fy, fy - lab[:, 2] / 200], axis=1)
     limit = 6 / 29
@@ -120,14 +120,14 @@ def ruler(columns: int, pitch_mm: float | None) -> Ruler | None:
 
 
 def block_of(columns: int, widest: int) -> int:
-    """Side of the square blocks whose means make a picture at most `widest` pixels wide."""
+    """Return side of the square blocks whose means make a picture at most `widest` pixels wide."""
     return max(1, -(-columns // widest))
 
 
 def shrink(
     read: Callable[[slice], np.ndarray], shape: tuple[int, int], block: int, *, worst: bool = False
 ) -> np.ndarray:
-    """Means over square blocks of a map that `read` gives by bands of rows; NaN does not count; float32.
+    """Return means over square blocks of a map that `read` gives by bands of rows; NaN does not count; float32.
 
     shape : (rows, columns) of the map. worst : largest value instead of the mean, for maps of classes. The last row and
     column of blocks may be cut. A block without any value is NaN.
@@ -178,7 +178,7 @@ def brightening(linear: np.ndarray) -> float:
 
 
 def brightened(factor: float) -> str:
-    """What a caption says of it."""
+    """Return what a caption says of it."""
     return "" if factor == 1 else f" Shown {factor:g} times brighter than it is."
 
 
@@ -224,7 +224,7 @@ def normal_picture(normals: np.ndarray) -> PagePicture:
 
 
 def hillshade(height: np.ndarray, *, step: float) -> np.ndarray:
-    """Relief (rows, columns) as grey under a lamp from the upper left at 35 degrees, linear 0..1; NaN stays NaN.
+    """Return relief (rows, columns) as grey under a lamp from the upper left at 35 degrees, linear 0..1; NaN stays NaN.
 
     step : distance of the pixels in the unit of the height. Slopes are scaled so that their 95th percentile is 0.7: a
     relief is to be seen, not measured, here.
@@ -242,7 +242,7 @@ def hillshade(height: np.ndarray, *, step: float) -> np.ndarray:
 
 
 def encoded(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = None, key=()) -> PagePicture:
-    """A picture (rows, columns, 3) uint8 sRGB as data URI: JPEG of quality 90, or PNG."""
+    """Return a picture (rows, columns, 3) uint8 sRGB as data URI: JPEG of quality 90, or PNG."""
     mime = "image/png" if lossless else "image/jpeg"
     data = base64.b64encode(_compressed(codes, lossless=lossless)).decode("ascii")
     source = f"data:{mime};base64,{data}"
@@ -250,7 +250,7 @@ def encoded(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = 
 
 
 def _compressed(codes: np.ndarray, *, lossless: bool = False) -> bytes:
-    """Bytes of a JPEG of quality 90, or a PNG."""
+    """Return bytes of a JPEG of quality 90, or a PNG."""
     import cv2
 
     kind, options = ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 90, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
@@ -268,7 +268,7 @@ def file_picture(data: bytes, widest: int) -> PagePicture:
 
 
 def file_jpeg(data: bytes, widest: int) -> bytes:
-    """A PNG as the bytes of a JPEG at most `widest` pixels wide, averaged in linear light."""
+    """Return a PNG as the bytes of a JPEG at most `widest` pixels wide, averaged in linear light."""
     return _compressed(_shrunk(data, widest))
 
 
@@ -288,7 +288,7 @@ def _shrunk(data: bytes, widest: int) -> np.ndarray:
 
 
 def _even(values: np.ndarray, unit: str, digits: int) -> str:
-    """What a caption says in place of a map that shows one value; empty where the map has something to show."""
+    """Return what a caption says in place of a map that shows one value; empty where the map has something to show."""
     known = values[np.isfinite(values)]
     if not known.size:
         return ""

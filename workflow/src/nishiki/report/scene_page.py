@@ -106,7 +106,7 @@ def write_scene_page(
 
 
 def first_picture(inputs: Mapping[str, Artifact]) -> bytes | None:
-    """The first PNG that a stage rendered for this scene; None where none did."""
+    """Return the first PNG that a stage rendered for this scene; None where none did."""
     for stage, artifact in inputs.items():
         if stage.endswith("render"):
             for name in artifact.diagnostics["pictures"]:
@@ -123,7 +123,7 @@ def closing_sections(
     more_left_out: Sequence[Block] = (),
     more_made: Sequence[Block] = (),
 ) -> list[Section]:
-    """The last four sections. left_out : of the plan, name to reason."""
+    """Return the last four sections. left_out : of the plan, name to reason."""
     there = [name for name in stages if name in inputs]
     diagnostics = {name: inputs[name].diagnostics for name in there}
     rows = [row for name in there for row in conditions(inputs[name].manifest, stages[name].limits)]
@@ -146,7 +146,7 @@ def closing_sections(
 
 
 def left_out_blocks(left_out: Mapping[str, str], diagnostics: Mapping[str, Mapping[str, Any]]) -> list[Block]:
-    """What the plan left out, what ingest read of the capture, what stages decided by a measurement.
+    """Return what the plan left out, what ingest read of the capture, what stages decided by a measurement.
 
     diagnostics : of every stage by its name: `read` of ingest says what was read, `economy` of any stage what it
     decided (see `nishiki.model_selection.decision`).
@@ -179,7 +179,7 @@ def left_out_blocks(left_out: Mapping[str, str], diagnostics: Mapping[str, Mappi
 
 
 def conditions(manifest: Mapping[str, Any], limits: Sequence[Limit]) -> list[tuple[Cell, ...]]:
-    """Rows (stage, meaning, value, limit, state) of one artifact; last, the parameters that ended at a bound.
+    """Return rows (stage, meaning, value, limit, state) of one artifact; last, the parameters that ended at a bound.
 
     A run stops where a result is beyond a limit and not allowed to be; beyond some it goes on with a warning.
     """
@@ -202,7 +202,7 @@ def conditions(manifest: Mapping[str, Any], limits: Sequence[Limit]) -> list[tup
 
 
 def record(manifest: Mapping[str, Any], stage: Declared) -> Fold:
-    """Settings, diagnostics, inputs, code and libraries of one stage."""
+    """Return settings, diagnostics, inputs, code and libraries of one stage."""
     name, key = manifest["stage"], manifest["key"]
     rows, changed = settings_rows(manifest["settings"], stage.settings)
     upstream = [
@@ -242,7 +242,7 @@ def settings_rows(values: Mapping[str, Any], model: type[Closed]) -> tuple[list[
 
 
 def verification(stamp: Mapping[str, str]) -> list[Block]:
-    """The commands that check all of it."""
+    """Return the commands that check all of it."""
     scene, code = stamp["scene"], Markup("<code>{}</code>").format
     return [
         Markup(
@@ -261,7 +261,7 @@ def verification(stamp: Mapping[str, str]) -> list[Block]:
 
 
 def flat(values: Mapping[str, Any], path: str = "") -> list[tuple[str, str]]:
-    """Diagnostics as (name, text) lines; blocks become dotted names, long lists are cut."""
+    """Return diagnostics as (name, text) lines; blocks become dotted names, long lists are cut."""
     lines = []
     for name, value in values.items():
         place = f"{path}.{name}" if path else name
@@ -270,7 +270,7 @@ def flat(values: Mapping[str, Any], path: str = "") -> list[tuple[str, str]]:
 
 
 def text(value: Any) -> str:
-    """A setting or diagnostic as short text."""
+    """Return a setting or diagnostic as short text."""
     if value is None:
         return "none"
     if isinstance(value, bool):

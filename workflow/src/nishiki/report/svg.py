@@ -33,7 +33,7 @@ class Drawing:
             self.parts.append(f'<rect width="{width:g}" height="{height:g}" fill="{PAPER}"/>')
 
     def finish(self) -> str:
-        """The whole drawing."""
+        """Return the whole drawing."""
         return "".join([*self.parts, "</svg>"])
 
     def text(self, x, y, text, *, anchor="start", size=12, colour=INK, upwards=False) -> None:
@@ -79,7 +79,7 @@ class Drawing:
 
 
 def outline(x: np.ndarray, y: np.ndarray) -> str:
-    """Path commands of a line through points in pixels; NaN breaks it."""
+    """Return path commands of a line through points in pixels; NaN breaks it."""
     commands, drawing = [], False
     for a, b in zip(x, y, strict=True):
         known = bool(np.isfinite(a) and np.isfinite(b))
@@ -220,7 +220,7 @@ def legend_places(labels: Sequence[str], start: float, end: float) -> list[tuple
 
 
 def _range(arrays: list[np.ndarray], *, zero: bool = False) -> tuple[float, float]:
-    """Range of all finite values, with 0 in it where asked; never empty."""
+    """Return range of all finite values, with 0 in it where asked; never empty."""
     values = np.concatenate([np.asarray(a, float).ravel() for a in arrays] or [np.zeros(0)])
     values = values[np.isfinite(values)]
     if not values.size:
@@ -232,7 +232,7 @@ def _range(arrays: list[np.ndarray], *, zero: bool = False) -> tuple[float, floa
 
 
 def lights_plot(directions: np.ndarray, names: list[str], kinds: list[str], *, size: int = 340) -> str:
-    """Light directions (lights, 3) seen from the camera: distance from the middle grows evenly with incidence.
+    """Return light directions (lights, 3) seen from the camera: distance from the middle grows evenly with incidence.
 
     The rim is 90 degrees. kinds: sample | check | held out. Names are drawn up to 16 lights.
     """
@@ -264,7 +264,7 @@ def lights_plot(directions: np.ndarray, names: list[str], kinds: list[str], *, s
 
 
 def bars(values: list[float], labels: list[str], *, title: str, unit: str, width: int = 560) -> str:
-    """Horizontal bars with their values, from 0; `values` >= 0."""
+    """Return horizontal bars with their values, from 0; `values` >= 0."""
     top, line, left = 4, 20, 20 + 6 * max(map(len, labels), default=0)
     largest = max([*values, 0.0]) or 1.0
     drawing = Drawing(width, top * 2 + line * len(values), title)

@@ -110,12 +110,12 @@ class Cost:
     us_per_sample: float = 0.0
 
     def memory_mb(self, pixels: int, samples: int, *, tile_mib: float = 0.0) -> float:
-        """Peak resident memory in MiB; tile_mib: of one tile of all observations, as float32."""
+        """Return peak resident memory in MiB; tile_mib: of one tile of all observations, as float32."""
         growing = (pixels * self.bytes_per_pixel + samples * self.bytes_per_sample) / 2**20
         return self.mib + growing + self.tiles * tile_mib
 
     def processor_seconds(self, pixels: float, samples: float) -> float:
-        """Expected processor time in seconds, at most."""
+        """Return expected processor time in seconds, at most."""
         return self.seconds + (pixels * self.us_per_pixel + samples * self.us_per_sample) * 1e-6
 
 
@@ -209,7 +209,7 @@ class Stage:
         return self.product or self.name
 
     def serves(self, geometry: str) -> bool:
-        """Whether captures of this geometry have the stage."""
+        """Return whether captures of this geometry have the stage."""
         return self.geometry in (None, geometry)
 
 
@@ -220,12 +220,12 @@ def declaration_of(name: str) -> Stage:
 
 
 def no_method(facts: SceneFacts, settings: Any) -> str | None:
-    """Reason to leave a stage out whose method is none."""
+    """Return reason to leave a stage out whose method is none."""
     return "its method is set to none" if settings.method == "none" else None
 
 
 def poses_of(facts: SceneFacts, settings: SceneSettings) -> str:
-    """What gives the poses: matrices, boards or correspondences (see the stage cameras)."""
+    """Return what gives the poses: matrices, boards or correspondences (see the stage cameras)."""
     source = settings["cameras"].source
     there = [name for name in ("matrices", "boards", "correspondences") if name in facts.given]
     return source if source != "auto" else next(iter(there), "")
@@ -239,27 +239,27 @@ def surface_of(facts: SceneFacts, settings: SceneSettings) -> str:
 
 
 def photographs_or_states(facts: SceneFacts, settings: SceneSettings, asked: Asked) -> tuple[str, ...]:
-    """Parts of a turntable's capture that show the light of any polarisation."""
+    """Return parts of a turntable's capture that show the light of any polarisation."""
     return ("photographs",) if "off" in facts.states else ("photographs", "states")
 
 
 def only_files(suffixes: frozenset[str], what: str) -> Reason:
-    """Reason not to load the package of one kind of photograph."""
+    """Return reason not to load the package of one kind of photograph."""
     return lambda facts, settings: None if suffixes & set(facts.suffixes) else f"no photograph is {what}"
 
 
 def no_film(stage: str, key: str) -> Reason:
-    """Reason not to load the package that writes videos."""
+    """Return reason not to load the package that writes videos."""
     return lambda facts, settings: None if getattr(settings[stage], key) else "no video is asked for"
 
 
 def no_format(stage: str, name: str) -> Reason:
-    """Reason not to load the package that writes a format."""
+    """Return reason not to load the package that writes a format."""
     return lambda facts, settings: None if name in settings[stage].formats else f"no file of format {name} is asked for"
 
 
 def digest_of(path: str, key: str) -> str:
-    """SHA-256 of a file that a setting names; UserError where it is missing."""
+    """Return SHA-256 of a file that a setting names; UserError where it is missing."""
     if not Path(path).is_file():
         raise UserError(f"{key}: file {path} not found; correct the path in the configuration")
     return file_digest(Path(path))

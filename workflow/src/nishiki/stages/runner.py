@@ -55,7 +55,7 @@ def _usage() -> str:
 
 
 def _who(stage: str, arguments: list[str]) -> str:
-    """Scene and stage, for messages."""
+    """Return scene and stage, for messages."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--scene", default="")
     scene = parser.parse_known_args(arguments)[0].scene
@@ -63,7 +63,7 @@ def _who(stage: str, arguments: list[str]) -> str:
 
 
 def _bug(who: str, error: Exception) -> str:
-    """The traceback of an error, and the error itself on one line."""
+    """Return the traceback of an error, and the error itself on one line."""
     *above, last = traceback.format_exception(error)
     message = " ".join(last.split())
     return "".join(above) + f"nishiki {who}: {message}"

@@ -45,5 +45,5 @@ LIMITS: dict[str, tuple[Limit, ...]] = {name: stage.limits for name, stage in CH
 
 
 def chain_of(geometry: str) -> dict[str, Stage]:
-    """Stages that captures of this geometry have, in the order of the flow."""
+    """Return stages that captures of this geometry have, in the order of the flow."""
     return {name: stage for name, stage in CHAIN.items() if stage.serves(geometry)}

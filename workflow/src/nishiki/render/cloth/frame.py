@@ -74,8 +74,8 @@ def render(
     shadows: bool = True,
     within: float = WITHIN,
 ) -> list[ClothPicture]:
-    """The scene from a camera, once for every take; what they share (visibility, shadows, BRDF values) is computed
-    once.
+    """Return the scene from a camera, once for every take; what they share (visibility, shadows, BRDF values) is
+    computed once.
 
     L = sum over lamps of pi f(i, o) cos theta_i E V, so that white paper that faces a lamp of colour 1 is 1; V: the
     lamp's visibility, one point of its disc for each sample. supersampling squared samples a pixel, even mean.
@@ -127,7 +127,7 @@ def _check(scene: ClothScene, takes: list[RenderVariant], lamps: list[Lamp], sup
 
 
 def _parts(rows: np.ndarray) -> list[np.ndarray]:
-    """Rows in portions."""
+    """Return rows in portions."""
     return [rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE)]
 
 

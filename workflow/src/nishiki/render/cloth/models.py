@@ -38,7 +38,7 @@ class ClothModels:
         return self.description["default"]
 
     def names(self, region: str) -> list[str]:
-        """Models of a region."""
+        """Return models of a region."""
         return list(self._region(region))
 
     def brdf(self, region: str, model: str | None = None):
@@ -50,11 +50,11 @@ class ClothModels:
         return load_brdf(self.folder / "models" / region / f"{name}.npz")
 
     def used(self, region: str, model: str) -> list[int]:
-        """Rows of the reflectance table that the fit of a model saw."""
+        """Return rows of the reflectance table that the fit of a model saw."""
         return list(self._region(region)[model]["used"])
 
     def facts(self, region: str, model: str) -> dict[str, Any]:
-        """What the fit says of itself."""
+        """Return what the fit says of itself."""
         return {name: value for name, value in self._region(region)[model].items() if name != "used"}
 
     def _region(self, region: str) -> dict[str, Any]:
@@ -71,7 +71,7 @@ WITHIN = ("diffuse", "body", "lambert")
 
 
 def gloss_alone(brdf: Brdf) -> Brdf:
-    """A model without the light from within, where it tells the two apart; else the model itself."""
+    """Return a model without the light from within, where it tells the two apart; else the model itself."""
     if not is_dataclass(brdf):
         return brdf
     zeros = {f.name: np.zeros_like(np.asarray(getattr(brdf, f.name), float)) for f in fields(brdf) if f.name in WITHIN}
@@ -79,7 +79,7 @@ def gloss_alone(brdf: Brdf) -> Brdf:
 
 
 def dyed(brdf: Brdf, colours: dict[str, tuple[float, float, float]]) -> dict[str, Dyed]:
-    """The gloss of a cloth over dyes of these colours (linear sRGB albedo).
+    """Return the gloss of a cloth over dyes of these colours (linear sRGB albedo).
 
     The gloss' directional albedo is read from the table of `around.shares`: by reciprocity, what comes out of even
     light is what is reflected in all directions.
@@ -97,7 +97,7 @@ def dyed(brdf: Brdf, colours: dict[str, tuple[float, float, float]]) -> dict[str
 
 
 def together(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray) -> list[np.ndarray]:
-    """(n, 3) values of each BRDF at directions (n, 3); a gloss that several dyes share is evaluated once."""
+    """Return (n, 3) values of each BRDF at directions (n, 3); a gloss that several dyes share is evaluated once."""
     known: dict[int, np.ndarray] = {}
 
     def of(brdf: Brdf) -> np.ndarray:

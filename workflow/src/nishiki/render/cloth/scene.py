@@ -108,7 +108,7 @@ class ClothScene:
 
     @classmethod
     def of(cls, surfaces: list[Surface]) -> ClothScene:
-        """The surfaces together. UserError where there is no triangle, or a number that is not finite."""
+        """Return the surfaces together. UserError where there is no triangle, or a number that is not finite."""
         if not surfaces or not all(len(surface.mesh.triangles) for surface in surfaces):
             raise UserError("scene: expected surfaces with at least one triangle each")
         starts = np.cumsum([0] + [len(surface.mesh.vertices) for surface in surfaces])
@@ -128,7 +128,7 @@ class ClothScene:
 
 
 def three(values: np.ndarray) -> np.ndarray:
-    """(..., 3): three channels as they are, any other number as the grey of their mean."""
+    """Return (..., 3): three channels as they are, any other number as the grey of their mean."""
     if values.shape[-1] == 3:
         return values
     return np.repeat(values.mean(axis=-1, keepdims=True), 3, axis=-1)
@@ -176,7 +176,7 @@ class BrdfTable:
         return cls(codes.reshape(SIDES, SIDES, RINGS, TURNS, 3), largest)
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """(..., 3) sr^-1 for unit vectors (..., 3) in the frame weft, warp, normal; 0 below the horizon."""
+        """Return (..., 3) sr^-1 for unit vectors (..., 3) in the frame weft, warp, normal; 0 below the horizon."""
         incident, outgoing = np.broadcast_arrays(incident, outgoing)
         above = (incident[..., 2] > 0) & (outgoing[..., 2] > 0)
         out = np.zeros((*above.shape, 3))
@@ -196,7 +196,7 @@ class BrdfTable:
 
 
 def coordinates(incident: np.ndarray, outgoing: np.ndarray) -> tuple[np.ndarray, ...]:
-    """u and v, each -1 to 1, ring, 0 to 1, and turn, 0 to 1, of unit vectors (n, 3) above the horizon."""
+    """Return u and v, each -1 to 1, ring, 0 to 1, and turn, 0 to 1, of unit vectors (n, 3) above the horizon."""
     total, apart = incident + outgoing, incident - outgoing
     twice_cosine, twice_sine = (np.linalg.norm(vectors, axis=1) for vectors in (total, apart))
     h = total / twice_cosine[:, None]
@@ -209,7 +209,7 @@ def coordinates(incident: np.ndarray, outgoing: np.ndarray) -> tuple[np.ndarray,
 
 
 def directions(u: np.ndarray, v: np.ndarray, ring: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors (n, 3) to light and eye of these coordinates."""
+    """Return unit vectors (n, 3) to light and eye of these coordinates."""
     h = np.stack([(u + v) / 2, (u - v) / 2, 1 - np.maximum(np.abs(u), np.abs(v))], axis=1)
     h /= np.linalg.norm(h, axis=1)[:, None]
     x, y = axes_about(h)

@@ -65,7 +65,7 @@ class Lighting:
     radius: float
 
     def lamp(self, camera_azimuth: float) -> Lamp:
-        """The lamp in the scene."""
+        """Return the lamp in the scene."""
         towards = around((0, 0, 0), elevation=self.elevation, azimuth=self.azimuth + camera_azimuth, distance=1.0)
         return Lamp(direction=tuple(towards), colour=self.colour, radius=self.radius)
 
@@ -85,7 +85,7 @@ class Studio:
     paper: Matte | None
 
     def turned(self, angle: float) -> Studio:
-        """The cloth turned about the vertical, radians: seen from a camera that went round it with its lamps.
+        """Return the cloth turned about the vertical, radians: seen from a camera that went round it with its lamps.
 
         The paper must look the same from all sides (wall=False).
         """
@@ -98,11 +98,11 @@ class Studio:
         return replace(self, camera=camera, azimuth=azimuth, lamps=lamps)
 
     def lit_from(self, angle: float) -> Studio:
-        """The lamps turned about the vertical."""
+        """Return the lamps turned about the vertical."""
         return replace(self, lamps=tuple(light.lamp(self.azimuth + angle) for light in self.lights))
 
     def take(self, brdf: Brdf, lamps: tuple[float, ...] | None = None) -> RenderVariant:
-        """The cloth of a BRDF under the lamps with these factors; all lamps in full where none are given."""
+        """Return the cloth of a BRDF under the lamps with these factors; all lamps in full where none are given."""
         materials = (brdf,) if self.paper is None else (brdf, self.paper)
         return RenderVariant(materials, tuple(1.0 for _ in self.lamps) if lamps is None else lamps)
 
@@ -128,7 +128,7 @@ def studio(
     wall: bool = True,
     margin: float = MARGIN,
 ) -> Studio:
-    """Surfaces of cloth with their lowest point on the floor, before a camera that holds them in its picture.
+    """Return surfaces of cloth with their lowest point on the floor, before a camera that holds them in its picture.
 
     level: radiance of the room above, a third of it below; reflectance: of the paper, 0 for none; wall: whether the
     paper rises behind. Lamps and paper turn with the camera's azimuth. The scene's unit is that of the surfaces.
@@ -150,7 +150,7 @@ def studio(
 
 
 def paper_below(points: np.ndarray, *, azimuth: float, wall: bool = True) -> Surface:
-    """The paper on which points (n, 3) stand, for a camera at this azimuth; see `studio`."""
+    """Return the paper on which points (n, 3) stand, for a camera at this azimuth; see `studio`."""
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
     width, height, bend = (3.0 * extent, 2.6 * extent, 0.55 * extent) if wall else (12 * extent, 0.0, 0.0)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -160,7 +160,7 @@ def paper_below(points: np.ndarray, *, azimuth: float, wall: bool = True) -> Sur
 
 
 def moved(surface: Surface, by: np.ndarray) -> Surface:
-    """The surface shifted by a vector (3,)."""
+    """Return the surface shifted by a vector (3,)."""
     mesh = surface.mesh
     return replace(surface, mesh=Mesh(mesh.vertices + by, mesh.triangles, mesh.normals))
 
@@ -175,11 +175,11 @@ def tubes(*, radius: float = 0.11, height: float = 0.42, gap: float = 0.07) -> l
 
 
 def linear_colour(code: str) -> tuple[float, float, float]:
-    """Linear sRGB of #rrggbb, IEC 61966-2-1."""
+    """Return linear sRGB of #rrggbb, IEC 61966-2-1."""
     coded = np.array([int(code[k : k + 2], 16) for k in (1, 3, 5)]) / 255
     return tuple(float(value) for value in decode(coded, "srgb"))
 
 
 def turning(count: int) -> Iterator[float]:
-    """Azimuths of the frames of a full turn, radians; the last is a step before the first."""
+    """Yield azimuths of the frames of a full turn, radians; the last is a step before the first."""
     return (2 * np.pi * k / count for k in range(count))

@@ -18,7 +18,7 @@ from nishiki.render.cloth.scene import Surface
 def transported(
     count: int, triangles: np.ndarray, normals: np.ndarray, weft: np.ndarray, known: np.ndarray
 ) -> tuple[np.ndarray, int]:
-    """Unit tangents (count, 3) at all vertices, and at how many of them they are arbitrary.
+    """Return unit tangents (count, 3) at all vertices, and at how many of them they are arbitrary.
 
     Between two vertices a tangent is carried by the smallest rotation that takes one normal to the other. Unknown
     tangents, as complex numbers in each vertex's own frame, are those that differ least, squared and summed over the
@@ -155,7 +155,7 @@ def from_texture(
 def from_direction(
     vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, direction: np.ndarray, *, turn: float = 0.0
 ) -> TangentField:
-    """Weft along a direction (3,), or one for every vertex (v, 3), made orthogonal to the normals.
+    """Return weft along a direction (3,), or one for every vertex (v, 3), made orthogonal to the normals.
 
     Where the direction is parallel to the normal, zero or not finite, the weft is transported from the neighbours.
     """
@@ -179,7 +179,7 @@ def _settled(vertices, triangles, normals, given: np.ndarray, turn: float) -> Ta
 
 
 def _gathered(directions: np.ndarray, weights: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
-    """Mean direction (count, 3) at the vertices of the triangles' (f, 3), by weight; unit length or 0."""
+    """Return mean direction (count, 3) at the vertices of the triangles' (f, 3), by weight; unit length or 0."""
     sums = np.zeros((count, 3))
     for axis in range(3):
         for k in range(3):
@@ -190,7 +190,7 @@ def _gathered(directions: np.ndarray, weights: np.ndarray, triangles: np.ndarray
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Scale vectors (..., 3) to length 1; 0 stays 0."""
+    """Return scale vectors (..., 3) to length 1; 0 stays 0."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > 0, vectors / np.where(length > 0, length, 1), 0.0)
 
@@ -221,7 +221,7 @@ def read_drape(path: Path = FILE) -> np.ndarray:
 
 
 def grid_triangles(rows: int, columns: int) -> np.ndarray:
-    """(f, 3) int32: two triangles for each cell of a grid of points numbered row by row, first index down.
+    """Return (f, 3) int32: two triangles for each cell of a grid of points numbered row by row, first index down.
 
     Counter-clockwise seen from where the first index runs to the right and the second up.
     """
@@ -235,8 +235,8 @@ def grid_triangles(rows: int, columns: int) -> np.ndarray:
 
 
 def sheet(points: np.ndarray, *, side: int | None = None, material: int = 0) -> tuple[Surface, np.ndarray]:
-    """A grid of points (n, n, 3), [i, j] at weft i and warp j, as surface: the bicubic spline through them, at `side`
-    points a side; and its texture coordinates (v, 2), 0 to 1.
+    """Return a grid of points (n, n, 3), [i, j] at weft i and warp j, as surface: the bicubic spline through them, at
+    `side` points a side; and its texture coordinates (v, 2), 0 to 1.
 
     Normals are the spline's own, so that highlights run smoothly over the triangles; the weft halves the angle by which
     the yarns depart from a right one.
@@ -263,7 +263,7 @@ def sheet(points: np.ndarray, *, side: int | None = None, material: int = 0) -> 
 def cylinder(
     radius: float, height: float, *, centre=(0.0, 0.0, 0.0), turn: float = 0.0, sectors: int = 192, material: int = 0
 ) -> Surface:
-    """An upright tube of cloth, its weft around, its warp upwards; turn: radians from weft to warp."""
+    """Return an upright tube of cloth, its weft around, its warp upwards; turn: radians from weft to warp."""
     angle, rise = np.linspace(0, 2 * np.pi, sectors + 1), np.linspace(-0.5, 0.5, 33)
     a, y = np.meshgrid(angle, rise, indexing="ij")
     across = np.stack([np.sin(a), np.zeros_like(a), np.cos(a)], axis=2).reshape(-1, 3)
@@ -275,7 +275,7 @@ def cylinder(
 
 
 def swatch(width: float, height: float, *, centre=(0.0, 0.0, 0.0), turn: float = 0.0, material: int = 0) -> Surface:
-    """A flat rectangle that faces z, weft to the right."""
+    """Return a flat rectangle that faces z, weft to the right."""
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, 9) * width, np.linspace(-0.5, 0.5, 9) * height, indexing="ij")
     place = np.stack([x, y, 0 * x], axis=2).reshape(-1, 3) + np.asarray(centre, float)
     normals = np.tile(np.float32([0, 0, 1]), (len(place), 1))
@@ -284,7 +284,7 @@ def swatch(width: float, height: float, *, centre=(0.0, 0.0, 0.0), turn: float =
 
 
 def paper(width: float, depth: float, height: float, bend: float, *, turn: float = 0.0, material: int = 1) -> Surface:
-    """A studio's seamless paper: a floor y = 0 that reaches `depth` back and front, bent up into a wall behind.
+    """Return a studio's seamless paper: a floor y = 0 that reaches `depth` back and front, bent up into a wall behind.
 
     bend: radius of the bend. turn: azimuth of the camera about the vertical, so that the wall stands behind the scene.
     """
@@ -329,7 +329,7 @@ def read_surface(path: Path, *, sha256: str = "", smooth: bool = True) -> FileSu
 
 
 def _texture(path: Path, count: int) -> np.ndarray | None:
-    """Texture coordinates (count, 2), one pair a vertex as the reader splits them at seams, or None."""
+    """Return texture coordinates (count, 2), one pair a vertex as the reader splits them at seams, or None."""
     trimesh = optional("trimesh")
 
     with open(path, "rb") as stream:

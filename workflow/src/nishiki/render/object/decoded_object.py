@@ -88,18 +88,18 @@ class DecodedObject:
         )
 
     def numbers(self, names) -> frozenset[int]:
-        """Places of named views in the order of the turn; UserError for a name that is not there."""
+        """Return places of named views in the order of the turn; UserError for a name that is not there."""
         return frozenset(self.number(name) for name in names)
 
     def number(self, name: str) -> int:
-        """Place of a named view."""
+        """Return place of a named view."""
         if name not in self.views:
             known = ", ".join(self.views[:12]) + (", ..." if len(self.views) > 12 else "")
             raise UserError(f"view {name!r}: expected one of {known}. Remedy: correct the name in the settings")
         return self.views.index(name)
 
     def light_weights(self, weights: Mapping[str, float]) -> tuple[tuple[int, float], ...]:
-        """(place, weight) of named lights; the first light alone where none is named."""
+        """Return (place, weight) of named lights; the first light alone where none is named."""
         unknown = [name for name in weights if name not in self.lights]
         if unknown:
             raise UserError(

@@ -103,7 +103,7 @@ class ObjectRenderer:
         return Shot(camera or self.cameras[index], slot, slot, ((light, 1.0),))
 
     def predicted(self, index: int, *, light: int = 0) -> Shot:
-        """The picture of a captured view without its own residual: interpolated between the other views."""
+        """Return the picture of a captured view without its own residual: interpolated between the other views."""
         return self._shot(self.cameras[index], float(self.turn.position[index]), light, self.without | {index})
 
     def between(self, index: int, fraction: float, *, light: int = 0, scale: Callable | None = None) -> Shot:
@@ -120,12 +120,12 @@ class ObjectRenderer:
         return Shot(camera, full, plain, ((light, 1.0),))
 
     def view(self, index: int, *, light: int = 0) -> ObjectPicture:
-        """A captured view; where it was left out of the fit, from the residual of its neighbours."""
+        """Return a captured view; where it was left out of the fit, from the residual of its neighbours."""
         shot = self.predicted if index in self.without else self.captured
         return next(self.render([shot(index, light=light)]))
 
     def render(self, shots: Iterable[Shot]) -> Iterator[ObjectPicture]:
-        """The pictures of the shots, in order; as many at a time as fit into the memory set aside for them."""
+        """Yield the pictures of the shots, in order; as many at a time as fit into the memory set aside for them."""
         batch, held = [], 0
         for shot in shots:
             prepared = self._prepare(shot)
@@ -212,7 +212,7 @@ class ObjectRenderer:
         return coded
 
     def _tile(self, tile: int) -> Tile:
-        """A tile's decoded parameters and residual and its geometry; the most recent ones are kept."""
+        """Return a tile's decoded parameters and residual and its geometry; the most recent ones are kept."""
         with self._lock:
             if tile in self._cache:
                 self._cache.move_to_end(tile)
@@ -238,7 +238,7 @@ class ObjectRenderer:
         return flat
 
     def _decoded(self, tile: int, part: str) -> CodedTexels:
-        """The residual of one part of a tile."""
+        """Return the residual of one part of a tile."""
         named = {} if part == "total" else {"component": part}
         return self.residual.decode_coded(tile, level=self.level, **named)
 
@@ -257,8 +257,8 @@ class ObjectRenderer:
         return ObjectPicture(linear, covered, reached, raster.triangle, raster.barycentric, raster.depth)
 
     def normals(self, picture: ObjectPicture, camera: Camera) -> np.ndarray:
-        """(rows, columns, 3) float32 unit normals as the camera sees them (x right, y up, z to the camera), 0 where
-        nothing is covered."""
+        """Return (rows, columns, 3) float32 unit normals as the camera sees them (x right, y up, z to the camera), 0
+        where nothing is covered."""
         turned = self.mesh.normals @ (np.diag([1.0, -1.0, -1.0]) @ camera.rotation).T
         interpolated = interpolate(turned, self.mesh.triangles, picture.triangle, picture.barycentric)
         length = np.linalg.norm(interpolated, axis=2, keepdims=True)
@@ -266,8 +266,8 @@ class ObjectRenderer:
 
 
 def coded_parts(residual, encoding: str) -> tuple[str, ...]:
-    """What has to be looked up and decoded to linear light by itself: the total, or diffuse and specular where their
-    residuals were coded apart in an encoding in which sums are not sums of light."""
+    """Return what has to be looked up and decoded to linear light by itself: the total, or diffuse and specular where
+    their residuals were coded apart in an encoding in which sums are not sums of light."""
     components = getattr(getattr(residual, "design", None), "components", ("total",))
     return tuple(components) if encoding != "linear" and len(components) > 1 else ("total",)
 
@@ -295,7 +295,7 @@ def block_mean(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def reduced(linear: np.ndarray, covered: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of each block, where samples that are not covered count as black, and the covered part of it."""
+    """Return mean of each block, where samples that are not covered count as black, and the covered part of it."""
     part = block_mean(covered[..., None].astype(np.float32), size)
     sums = block_mean(np.where(covered[..., None], linear, np.float32(0)), size)
     return sums, part[..., 0]
@@ -319,7 +319,7 @@ def frames(
     lights: tuple[tuple[int, float], ...] = ((0, 1.0),),
     background: float = 0.0,
 ) -> Iterator[np.ndarray]:
-    """(rows, columns, 3) uint8 sRGB frames along the turn, each the mean of supersampling² samples a pixel."""
+    """Yield (rows, columns, 3) uint8 sRGB frames along the turn, each the mean of supersampling² samples a pixel."""
     width = min(columns, renderer.cameras[0].columns)
     factor = width * supersampling / renderer.cameras[0].columns
 

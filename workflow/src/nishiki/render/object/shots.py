@@ -40,7 +40,7 @@ class Neighbours:
 def neighbours(
     turn: CameraPath, position: float, *, method: Method = "linear", without: frozenset[int] = frozenset()
 ) -> Neighbours:
-    """The captured views around `position` (radians along the path) and their weights.
+    """Return the captured views around `position` (radians along the path) and their weights.
 
     linear: the two nearest, one to each side (the form of Miyazaki et al. 2007, section 4.3.3).  cubic: four, by the
     polynomial through them (Lagrange), which is exact for residuals that change up to the third power of the angle.
@@ -83,7 +83,7 @@ def surrounding(offset: np.ndarray, each: int, *, closed: bool, length: float) -
 
 
 def lagrange(places: np.ndarray) -> np.ndarray:
-    """Weights (n,) of values at distinct places (n,) for the value at 0 of the polynomial through them."""
+    """Return weights (n,) of values at distinct places (n,) for the value at 0 of the polynomial through them."""
     weights = np.ones(len(places))
     for i, here in enumerate(places):
         for j, there in enumerate(places):
@@ -118,7 +118,7 @@ class ObjectPicture:
 
 
 def lit_by(shot: Shot, lights: tuple[tuple[int, float], ...]) -> Shot:
-    """The same picture under a sum of captured lights (index, L_j / L) (Miyazaki et al. 2007, eq. 13 to 15)."""
+    """Return the same picture under a sum of captured lights (index, L_j / L) (Miyazaki et al. 2007, eq. 13 to 15)."""
     return replace(shot, lights=lights)
 
 
@@ -205,19 +205,19 @@ class FreeLighting:
 
 
 def ball_around(mesh: Mesh) -> tuple[np.ndarray, float]:
-    """Middle (3,) of a mesh's box, and distance from it to the farthest vertex."""
+    """Return middle (3,) of a mesh's box, and distance from it to the farthest vertex."""
     centre = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     return centre, float(np.linalg.norm(mesh.vertices - centre, axis=1).max())
 
 
 def shadow_lift(mesh: Mesh) -> float:
-    """Height above the surface at which rays start, in the mesh's unit; see `LIFT`."""
+    """Return height above the surface at which rays start, in the mesh's unit; see `LIFT`."""
     corners = mesh.vertices[mesh.triangles]
     return LIFT * float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
 
 
 def disc_points(count: int) -> np.ndarray:
-    """(count, 2) points spread evenly over the unit disc; its middle alone where count is 1."""
+    """Return (count, 2) points spread evenly over the unit disc; its middle alone where count is 1."""
     if count == 1:
         return np.zeros((1, 2))
     number = np.arange(count)
@@ -239,7 +239,7 @@ class LitObject:
         return make_tree(self.mesh.vertices, self.mesh.triangles)
 
     def seen_by(self, camera: Camera) -> LampsInView:
-        """The lamps as they stand when the object is seen from a camera."""
+        """Return the lamps as they stand when the object is seen from a camera."""
         return LampsInView(self, TO_LAMP_FRAME @ camera.rotation, camera.centre)
 
 
@@ -252,7 +252,7 @@ class LampsInView:
     eye: np.ndarray
 
     def predict(self, kd, ks, sigma, positions, normals) -> tuple[np.ndarray, np.ndarray]:
-        """Diffuse and specular radiance (n, channels) float32 of points; arguments as of
+        """Return diffuse and specular radiance (n, channels) float32 of points; arguments as of
         `nishiki.brdf.texels.model.predict`, in one row."""
         lighting = self.lit.lighting
         diffuse, specular = np.zeros(kd.shape, np.float32), np.zeros(kd.shape, np.float32)
@@ -285,8 +285,8 @@ class LampsInView:
         return out
 
     def _disc(self, lamp: FreeLamp, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """A lamp's middle (3,) and points of its disc (count, 3), in the object's frame: places, or unit directions of
-        a distant one."""
+        """Return a lamp's middle (3,) and points of its disc (count, 3), in the object's frame: places, or unit
+        directions of a distant one."""
         towards = self.rotation.T @ lamp.towards
         first = np.cross((1.0, 0, 0) if abs(towards[0]) < 0.6 else (0, 1.0, 0), towards)
         first /= np.linalg.norm(first)

@@ -135,7 +135,7 @@ class View:
         self.camera()
 
     def camera(self) -> Camera:
-        """The pinhole camera of a view with an eye."""
+        """Return the pinhole camera of a view with an eye."""
         size = {"rows": self.rows, "columns": self.columns}
         return look_at(self.eye_mm, self.target_mm, up=self.up, field_of_view=self.field_of_view, **size)
 
@@ -178,7 +178,7 @@ class Gloss:
 
     @classmethod
     def none(cls) -> "Gloss":
-        """A matte surface: no specular term is computed."""
+        """Return a matte surface: no specular term is computed."""
         return cls(beta=[[0.0]], gamma=[[1.0]], refractive_index=[1.0])
 
 

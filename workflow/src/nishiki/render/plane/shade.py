@@ -43,8 +43,8 @@ class Shading:
 
 
 def colour_groups(scene: PlaneScene, lights: list[Light], ambient: Ambient) -> ColourGroups:
-    """3 x K colour matrices of the distinct spectra of the lights and the ambient term (Tominaga and Tanaka 2004, eq.
-    19), to XYZ.
+    """Return 3 x K colour matrices of the distinct spectra of the lights and the ambient term (Tominaga and Tanaka
+    2004, eq. 19), to XYZ.
 
     Without a spectral basis, channels go to XYZ by `scene.channels_to_xyz` (white point D65), then by Bradford's
     adaptation to the white of the lamp, a stand-in for spectra that are not known: an adapted eye sees no change.
@@ -79,8 +79,8 @@ def shade_xyz(
     eye: np.ndarray = FRONTAL_EYE,
     plane: np.ndarray | None = None,
 ) -> Shading:
-    """Linear XYZ (rows, columns, 3) of the scene's maps: Tominaga and Tanaka (2004), eq. 10 and 19,
-    self-shadow where n . l <= 0.
+    """Return linear XYZ (rows, columns, 3) of the scene's maps: Tominaga and Tanaka (2004), eq. 10 and 19, self-shadow
+    where n . l <= 0.
 
     visibility: (lights, rows, columns) float32, 1 lit .. 0 in cast shadow, or None; eye: homogeneous (4,), direction
     and 0 or position and 1; plane: (3, 3) from (column, row, 1) of the maps to the plane (`pixel_to_plane` by default).
@@ -183,7 +183,7 @@ def _lamp(light: Light) -> np.ndarray:
 
 
 def _entering(gloss: Gloss) -> np.ndarray:
-    """(regions,) what the surface lets in of light from all sides, relative to frontal: 2 int T(c) c dc."""
+    """Return (regions,) what the surface lets in of light from all sides, relative to frontal: 2 int T(c) c dc."""
     nodes, weights = np.polynomial.legendre.leggauss(48)
     cosine = (nodes + 1) / 2
     mean = [weights @ (cosine * transmittance(cosine, index)) for index in gloss.refractive_index]
@@ -222,7 +222,7 @@ def predict_observations(
     pitch: float = 1.0,
     shadows: str = "sweep",
 ) -> Iterator[Prediction]:
-    """One prediction a light, in order, so that a stack of them need not be held in memory.
+    """Yield one prediction a light, in order, so that a stack of them need not be held in memory.
 
     normals: (rows, columns, 3); albedo: (rows, columns, channels), perfect white 1; shading, slopes, gloss, labels,
     height, pitch as in `PlaneScene`; shadows: "sweep", "march" or "none".  The spectra of the lights are not used; a

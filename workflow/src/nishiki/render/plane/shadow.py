@@ -34,7 +34,7 @@ class CastShadows:
 
 
 def cast_shadows(height: np.ndarray, lights: list[Light], *, pitch: float, method: str = "sweep") -> CastShadows:
-    """What each pixel sees of each lamp.  height: (rows, columns), in the unit of `pitch`.
+    """Return what each pixel sees of each lamp. height: (rows, columns), in the unit of `pitch`.
 
     method: "sweep" (lamps at a finite distance are marched all the same) or "march".  A lamp of angular radius 0 gives
     hard edges; otherwise it is a uniform disc that a straight horizon cuts.
@@ -74,7 +74,7 @@ def separate_pieces(known: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _sweep_light(surface, pieces, count: int, light: Light, pitch: float) -> np.ndarray:
-    """Visibility (rows, columns) of a lamp at infinity; the same lines from either side."""
+    """Return visibility (rows, columns) of a lamp at infinity; the same lines from either side."""
     x, y, z = light.central_direction()
     elevation = float(np.arctan2(z, np.hypot(x, y)))
     azimuth = np.arctan2(y, x)

@@ -52,7 +52,7 @@ class Steps:
     shading: float
 
     def scaled(self, colour: float) -> Steps:
-        """All in the proportion that gives this step of colour."""
+        """Return all in the proportion that gives this step of colour."""
         factor = colour / self.colour
         return Steps(colour, self.tilt * factor, self.shading * factor)
 
@@ -66,17 +66,17 @@ class PlaneCode:
 
     @classmethod
     def over(cls, values: np.ndarray, step: float) -> PlaneCode:
-        """A code of this step, or of a wider one where the values (n,) need it, that is centred on them."""
+        """Return a code of this step, or of a wider one where the values (n,) need it, that is centred on them."""
         low, high = np.percentile(values, (100 - FARTHEST, FARTHEST)) if values.size else (0.0, 0.0)
         half = max(float(high - low), step * TOP) / 2
         return cls(float(low + high) / 2 - half, float(low + high) / 2 + half)
 
     def encode(self, values: np.ndarray) -> np.ndarray:
-        """uint8 codes."""
+        """Return uint8 codes."""
         return np.clip(np.rint((values - self.low) * (TOP / (self.high - self.low))), 0, TOP).astype(np.uint8)
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
-        """float32 values."""
+        """Return float32 values."""
         return (self.low + codes * ((self.high - self.low) / TOP)).astype(np.float32)
 
 
@@ -107,12 +107,12 @@ class PrincipalCode:
         return cls(mean, components, projections, tuple(PlaneCode.over(column, step) for column in codes.T))
 
     def encode(self, vectors: np.ndarray) -> list[np.ndarray]:
-        """One array of codes a plane."""
+        """Return one array of codes a plane."""
         values = (vectors - self.mean.astype(np.float32)) @ self.projections.astype(np.float32)
         return [plane.encode(values[..., k]) for k, plane in enumerate(self.planes)]
 
     def decode(self, codes: list[np.ndarray]) -> np.ndarray:
-        """float32 vectors."""
+        """Return float32 vectors."""
         out = (
             np.broadcast_to(self.mean.astype(np.float32), (*np.shape(codes[0]), len(self.mean))) if codes else self.mean
         )
@@ -121,7 +121,7 @@ class PrincipalCode:
         return out
 
     def backwards(self) -> PrincipalCode:
-        """The same with the axes of the smallest spread first."""
+        """Return the same with the axes of the smallest spread first."""
         return PrincipalCode(self.mean, self.components[::-1], self.projections[:, ::-1], self.planes[::-1])
 
     def described(self) -> dict[str, Any]:
@@ -170,12 +170,12 @@ class ColourCode:
         return u, (coefficients - y[..., None] * self.direction.astype(np.float32)) / (u * u)[..., None]
 
     def encode(self, coefficients: np.ndarray) -> list[np.ndarray]:
-        """One array of codes a plane, that of the lightness first."""
+        """Return one array of codes a plane, that of the lightness first."""
         u, rest = self._split(coefficients)
         return [self.lightness.encode(u), *self.chroma.encode(rest)]
 
     def decode(self, codes: list[np.ndarray]) -> np.ndarray:
-        """float32 coefficients."""
+        """Return float32 coefficients."""
         u = self.lightness.decode(codes[0])[..., None]
         return u**3 * self.direction.astype(np.float32) + u * u * self.chroma.decode(codes[1:])
 
@@ -214,7 +214,7 @@ class NormalCode:
         return cls(width, float(np.clip(step * TOP / 2 / width, 0.1, 1.0)))
 
     def encode(self, normals: np.ndarray) -> list[np.ndarray]:
-        """Codes of the two planes."""
+        """Return codes of the two planes."""
         nodes = np.linspace(-1, 1, 4096)
         curve = self.width * nodes * (self.fineness + (1 - self.fineness) * nodes**2)
         t = np.interp(_stereographic(normals), curve, nodes)
@@ -222,7 +222,7 @@ class NormalCode:
         return [codes[..., 0], codes[..., 1]]
 
     def decode(self, codes: list[np.ndarray]) -> np.ndarray:
-        """float32 unit normals."""
+        """Return float32 unit normals."""
         t = np.stack(codes, axis=-1).astype(np.float32) * np.float32(2 / EVEN_TOP) - 1
         s = np.float32(self.width) * t * (np.float32(self.fineness) + np.float32(1 - self.fineness) * t * t)
         square = (s * s).sum(axis=-1, keepdims=True)

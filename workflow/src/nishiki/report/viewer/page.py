@@ -79,25 +79,25 @@ def write_page(blocks: Blocks, manifest: dict[str, Any], entry: Path) -> dict[st
 
 
 def _module(path: Path, name: str) -> str:
-    """A module as an address that holds it; errors name it as `viewer/...`."""
+    """Return a module as an address that holds it; errors name it as `viewer/...`."""
     text = path.read_bytes() + f"\n//# sourceURL=viewer/{name}.js\n".encode("ascii")
     return f"data:text/javascript;base64,{base64.b64encode(text).decode('ascii')}"
 
 
 def _texts() -> dict[str, dict[str, str]]:
-    """The page's texts by language."""
+    """Return the page's texts by language."""
     files = sorted(PAGE.glob("texts.*.json"))
     return {path.name.split(".")[1]: json.loads(path.read_text(encoding="utf-8")) for path in files}
 
 
 def _script_json(value: Any) -> str:
-    """JSON that no content can end the script element of."""
+    """Return JSON that no content can end the script element of."""
     text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c")
 
 
 def webp(planes: list[np.ndarray]) -> bytes:
-    """A lossless WebP of three planes (rows, columns) uint8."""
+    """Return a lossless WebP of three planes (rows, columns) uint8."""
     import cv2
 
     picture = np.stack(planes[::-1], axis=-1)  # OpenCV keeps blue first

@@ -41,7 +41,7 @@ class Pyramid:
             self.above = Pyramid(-(-rows // FACTOR), -(-columns // FACTOR), fields, emit, level=level + 1)
 
     def levels(self) -> list[tuple[int, tuple[int, int]]]:
-        """(factor, (rows, columns)) of every level, the finest first."""
+        """Return (factor, (rows, columns)) of every level, the finest first."""
         return [(FACTOR**self.level, self.shape), *(self.above.levels() if self.above else [])]
 
     def push(self, rows: np.ndarray) -> None:
@@ -74,8 +74,8 @@ class Pyramid:
 
 
 def halved(values: np.ndarray) -> np.ndarray:
-    """Means over 2 x 2 pixels of the fields of (rows, columns, fields), weighted by the first field, that is by what is
-    known of each; the last field is taken from the pixel after the middle."""
+    """Return means over 2 x 2 pixels of the fields of (rows, columns, fields), weighted by the first field, that is by
+    what is known of each; the last field is taken from the pixel after the middle."""
     rows, columns = values.shape[:2]
     values = np.pad(values, ((0, rows % 2), (0, columns % 2), (0, 0)), mode="edge")
     blocks = (values.shape[0] // 2, 2, values.shape[1] // 2, 2)
@@ -88,8 +88,8 @@ def halved(values: np.ndarray) -> np.ndarray:
 
 
 def filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Values (rows, columns, fields) with those that are not known replaced by means of their surroundings, so that a
-    lossy code spends nothing on their edges."""
+    """Return values (rows, columns, fields) with those that are not known replaced by means of their surroundings, so
+    that a lossy code spends nothing on their edges."""
     if known.all():
         return values
     if min(known.shape) < 2 or not known.any():
@@ -152,7 +152,7 @@ def height_block(
 
 
 def encode(codes: np.ndarray) -> tuple[bytes, dict[str, list[int]]]:
-    """Block of codes (rows, columns) int16, and the weights and thresholds that a reader needs."""
+    """Return block of codes (rows, columns) int16, and the weights and thresholds that a reader needs."""
     weights = _fitted_weights(codes)
     padded = np.zeros((codes.shape[0] + 1, codes.shape[1] + 2), np.uint8)  # bytes, with nothing beside the map
     large = []
@@ -174,7 +174,7 @@ def encode(codes: np.ndarray) -> tuple[bytes, dict[str, list[int]]]:
 
 
 def _neighbours(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """W (rows - 2, columns - 3) of the pixels that have all neighbours, and the others' differences from it."""
+    """Return W (rows - 2, columns - 3) of the pixels that have all neighbours, and the others' differences from it."""
     rows, columns = codes.shape
 
     def at(up: int, left: int) -> np.ndarray:
@@ -185,7 +185,7 @@ def _neighbours(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _fitted_weights(codes: np.ndarray) -> tuple[int, ...]:
-    """Least-squares weights of the neighbours, in 256ths; those of a plane where they predict better."""
+    """Return least-squares weights of the neighbours, in 256ths; those of a plane where they predict better."""
     if min(codes.shape) < 8:
         return PLANE
     bands = [codes[first : first + 3] for first in range(0, len(codes) - 2, max(3, len(codes) // 256))]
@@ -217,13 +217,13 @@ def _errors(codes: np.ndarray, weights: tuple[int, ...]) -> np.ndarray:
 
 
 def _deflated(data: bytes) -> bytes:
-    """A zlib stream, with or without a search for repetitions, whichever is shorter."""
+    """Return a zlib stream, with or without a search for repetitions, whichever is shorter."""
     coder = zlib.compressobj(9, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_HUFFMAN_ONLY)
     return min(coder.compress(data) + coder.flush(), zlib.compress(data, 6), key=len)
 
 
 def _means(values: np.ndarray, factor: int) -> np.ndarray:
-    """Means over blocks, NaN where half of one is not known."""
+    """Return means over blocks, NaN where half of one is not known."""
     if factor == 1:
         return values
     pad = ((0, -values.shape[0] % factor), (0, -values.shape[1] % factor))

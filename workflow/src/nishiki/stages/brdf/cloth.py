@@ -86,7 +86,7 @@ def used_measurements(context: Context) -> tuple[ReflectanceSet, Decision | None
 
 
 def fits(context: Context, reflectances, measured: Measured, number: int, names) -> dict[str, Fitted]:
-    """All models of one region, the weave's from its own stage."""
+    """Return all models of one region, the weave's from its own stage."""
     basic = reflectances.basic
     settings = context.settings
     if basic is not None:
@@ -102,7 +102,7 @@ def fits(context: Context, reflectances, measured: Measured, number: int, names)
 
 
 def judged(measured: Measured, fit: Fitted) -> dict:
-    """Reciprocity, albedo, and the error on what the fit used, by polar angle of the light."""
+    """Return reciprocity, albedo, and the error on what the fit used, by polar angle of the light."""
     used = measured.take(fit.used)
     predicted = fit.brdf.evaluate(used.incident, used.outgoing)
     errors = {}

@@ -77,7 +77,7 @@ def run(context: Context) -> dict:
 
 
 def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, Decision]:
-    """Whether the specular part is fitted, by the setting or by a sample of texels, and what was decided."""
+    """Return whether the specular part is fitted, by the setting or by a sample of texels, and what was decided."""
     if setting != "auto":
         return setting == "keep", decided(None, setting)
     shape = sample.visible.shape
@@ -97,7 +97,7 @@ def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, D
 
 
 def lamps(texels: Texels, views: Views, kind: str) -> tuple[Lighting, list, np.ndarray]:
-    """The lighting as stated, the camera of every observation and the index of its light."""
+    """Return the lighting as stated, the camera of every observation and the index of its light."""
     count = len(texels.lights)
     stated = {"camera": {"kind": "camera"}, "fitted": {"kind": "unknown"}}.get(kind, views.lamp)
     lighting = Lighting.from_capture(stated, lights=count, unit=views.unit)

@@ -107,7 +107,7 @@ def body_transmission(normals: Artifact) -> float:
 
 
 def gloss_of_regions(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> list[Evidence]:
-    """Evidence of gloss of each region, from a sample of the scene's pixels."""
+    """Return evidence of gloss of each region, from a sample of the scene's pixels."""
     settings = context.settings
     lights = frames.fit_lights(settings.hold_out)
     transmission = body_transmission(context.inputs["normals"])
@@ -143,7 +143,7 @@ def gloss_of_regions(context: Context, frames: Observations, maps: Maps, labels:
 
 
 def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> list[dict]:
-    """The published fit (Tominaga and Tanaka 2004, eq. 14-18) of each region: the brightest light of each pixel,
+    """Return the published fit (Tominaga and Tanaka 2004, eq. 14-18) of each region: the brightest light of each pixel,
     thinned samples, one lobe."""
     settings = context.settings
     lights = frames.fit_lights(settings.hold_out)
@@ -171,7 +171,7 @@ def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np
 
 
 def published_fit(samples: list, refractive_index: float) -> dict:
-    """One region's samples of all bands, thinned once more and fitted by Levenberg-Marquardt."""
+    """Return one region's samples of all bands, thinned once more and fitted by Levenberg-Marquardt."""
     phi, value, attenuation = (np.concatenate(values) for values in zip(*samples, strict=True))
     kept = thin(phi)
     phi, value, attenuation = phi[kept], value[kept], attenuation[kept]
@@ -227,12 +227,12 @@ def slope_variance(maps: Maps, band: slice) -> np.ndarray:
 
 
 def shading_of(maps: Maps, band: slice) -> np.ndarray | None:
-    """Body shading of the normals stage; None where its solver knows Lambert's law only."""
+    """Return body shading of the normals stage; None where its solver knows Lambert's law only."""
     return maps.read("shading", band) if "shading" in maps else None
 
 
 def reflectances(frames: Observations, maps: Maps) -> list[np.ndarray]:
-    """Reflectances, means of the channels, of some pixels of at most 2 UNIT_BANDS bands that lie evenly."""
+    """Return reflectances, means of the channels, of some pixels of at most 2 UNIT_BANDS bands that lie evenly."""
     bands = frames.bands()
     chosen = bands[:: max(1, len(bands) // UNIT_BANDS)]
     return [maps.read("reflectance", band)[::UNIT_STEP, ::UNIT_STEP].mean(axis=-1) for band in chosen]

@@ -57,7 +57,7 @@ def run(context: Context) -> dict:
 
 
 def source_of(source: str, views: Views, points: dict[str, np.ndarray] | None) -> str:
-    """The source of the poses. UserError where the capture has not what was asked for, or nothing at all."""
+    """Return the source of the poses. UserError where the capture has not what was asked for, or nothing at all."""
     boards = {picture["view"] for picture in views.calibration if picture["view"]}
     there = {
         "matrices": views.matrices is not None,
@@ -77,7 +77,7 @@ def source_of(source: str, views: Views, points: dict[str, np.ndarray] | None) -
 
 
 def points_of(folder: Path, views: Views) -> dict[str, np.ndarray] | None:
-    """Correspondences of every view, as ingest carried them; None without."""
+    """Return correspondences of every view, as ingest carried them; None without."""
     name = views.geometry.get("correspondences")
     return read_points(folder / name, name, views.views) if name else None
 
@@ -111,7 +111,7 @@ def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Came
 
 
 def located(context: Context, views: Views, source: str, points: dict | None) -> tuple[list[Camera], list[float], dict]:
-    """Poses from boards or correspondences."""
+    """Return poses from boards or correspondences."""
     settings = context.settings
     rows, columns = views.shape
     limit = settings.outlier_px or 0.005 * max(rows, columns)
@@ -138,7 +138,7 @@ def located(context: Context, views: Views, source: str, points: dict | None) ->
 
 
 def rms(camera: Camera, sight: Sight) -> float:
-    """Root mean square distance in pixels."""
+    """Return root mean square distance in pixels."""
     projected, _ = camera.project(sight.points)
     return float(np.sqrt(((projected - sight.pixels) ** 2).sum(axis=1).mean()))
 
@@ -184,7 +184,7 @@ def lens_of(
 
 
 def board_sights(views: Views, boards: Detection) -> dict[str, Sight]:
-    """Corners by view. UserError where a view's board was not seen."""
+    """Return corners by view. UserError where a view's board was not seen."""
     view_of = {picture["name"]: picture["view"] for picture in views.calibration}
     sights = {view_of[each.name]: Sight(view_of[each.name], each.points, each.pixels) for each in boards.pictures}
     missing = [name for name in views.views if name not in sights]
@@ -198,14 +198,14 @@ def board_sights(views: Views, boards: Detection) -> dict[str, Sight]:
 
 
 def point_sights(points: dict[str, np.ndarray]) -> dict[str, Sight]:
-    """Correspondences by view."""
+    """Return correspondences by view."""
     return {name: Sight(name, table[:, 2:], table[:, :2]) for name, table in points.items()}
 
 
 def on_one_axis(
     settings: CamerasSettings, views: Views, sights: list[Sight], poses: list[Pose]
 ) -> tuple[list[Camera], dict | None]:
-    """All views on one axis where asked for, or where left-out points are predicted better so."""
+    """Return all views on one axis where asked for, or where left-out points are predicted better so."""
     free = [pose.camera for pose in poses]
     if settings.turntable == "off" or len(free) < 3:
         return free, None

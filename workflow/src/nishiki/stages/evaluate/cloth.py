@@ -71,12 +71,12 @@ def region(context: Context, measured: Reflectances, models: ClothModels, name: 
 
 
 def uses_all(used: np.ndarray, rows: np.ndarray) -> bool:
-    """Whether a fit used every one of these rows, and there are some."""
+    """Return whether a fit used every one of these rows, and there are some."""
     return len(rows) > 0 and bool(np.isin(rows, used).all())
 
 
 def judged(measured: Reflectances, number: int, predicted: np.ndarray, rows: np.ndarray) -> dict:
-    """Errors on these measurements, at each incidence and over the planes of each polar angle."""
+    """Return errors on these measurements, at each incidence and over the planes of each polar angle."""
     if not len(rows):
         return {"measurements": 0, "rows": [], "by_incidence": {}}
     values, noise = measured.values[rows, number], measured.noise[rows, number]

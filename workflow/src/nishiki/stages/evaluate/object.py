@@ -71,7 +71,7 @@ class Work:
         self.shown, self.pixels, self.outlined = [], 0, True
 
     def light(self, light: int) -> list:
-        """Rows of all views under one light."""
+        """Return rows of all views under one light."""
         shots, labels = [], []
         for view in range(len(self.decoded.views)):
             if view in self.without:
@@ -92,7 +92,7 @@ class Work:
         return rows + self.judge(current, light, {**gathered, MODEL: next(models)})
 
     def judge(self, view: int, light: int, made: dict[str, ObjectPicture]) -> list:
-        """Rows of one observation; its pictures side by side where they are to be shown."""
+        """Return rows of one observation; its pictures side by side where they are to be shown."""
         encoding, similarity = self.decoded.encoding, self.settings.similarity
         name = self.decoded.views[view]
         linear, valid = self.photographs.read(view, light)
@@ -134,7 +134,7 @@ class Work:
 
 
 def open_truth(context: Context, photographs: Photographs) -> ObjectTruth | None:
-    """The truth of a simulated capture, if one is given; UserError where it is not the one that was planned."""
+    """Return the truth of a simulated capture, if one is given; UserError where it is not the one that was planned."""
     path = planned_truth(context)
     if path is None:
         return None
@@ -144,7 +144,7 @@ def open_truth(context: Context, photographs: Photographs) -> ObjectTruth | None
 
 
 def headlines(evaluation: dict) -> dict:
-    """The figures that stand in the artifact's diagnostics."""
+    """Return the figures that stand in the artifact's diagnostics."""
     summaries = evaluation["figures"]
     kept = {
         name: {

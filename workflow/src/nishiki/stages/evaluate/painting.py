@@ -76,7 +76,7 @@ class EvaluatedScene:
 
 
 def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None, bool]:
-    """Parameters of the brdf stage, its map of regions, and whether slopes inside a pixel blur the gloss.
+    """Return parameters of the brdf stage, its map of regions, and whether slopes inside a pixel blur the gloss.
 
     A matte surface where the stage is left out.
     """
@@ -89,7 +89,7 @@ def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None, bool]:
 
 
 def read_truth(context: Context, frames: Observations) -> Truth:
-    """Truth of a simulated capture (truth.zarr), or an .npz with normals; empty where none is given."""
+    """Return truth of a simulated capture (truth.zarr), or an .npz with normals; empty where none is given."""
     path = planned_truth(context)
     if path is None:
         return Truth()
@@ -193,7 +193,7 @@ def one_light(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWri
 
 
 def lamp(context: Context, scene: EvaluatedScene, j: int) -> Light:
-    """The lamp of a light, at its position where the capture gives one."""
+    """Return the lamp of a light, at its position where the capture gives one."""
     frames = scene.frames
     position, centre = None, None
     if frames.positions_mm is not None:
@@ -206,7 +206,7 @@ def lamp(context: Context, scene: EvaluatedScene, j: int) -> Light:
 
 
 def describe_light(frames: Observations, j: int) -> dict:
-    """Name, role and place of a light."""
+    """Return name, role and place of a light."""
     x, y, z = frames.directions[j]
     return {
         "name": frames.lights[j],

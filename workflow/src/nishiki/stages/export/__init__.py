@@ -106,7 +106,7 @@ ObjectFormat = Literal["gltf", "usd", "materialx", "mitsuba", "iiif", "kintsugi"
 
 
 def _of_look(name: str) -> Figure:
-    """A figure that every format states, because all have the same textures."""
+    """Return a figure that every format states, because all have the same textures."""
 
     def figure(diagnostics: Mapping[str, Any]) -> float | None:
         found = (at(f"losses.{each}.{name}")(diagnostics) for each in get_args(ObjectFormat))

@@ -43,7 +43,7 @@ class ExportedCloth:
 
     @classmethod
     def of(cls, inputs: dict[str, Artifact]) -> ExportedCloth:
-        """The cloth of the pictures in the artifact of cloth_render."""
+        """Return the cloth of the pictures in the artifact of cloth_render."""
         shown = parse(ClothRenderSettings, inputs["cloth_render"].settings, "settings of cloth_render")
         models = ClothModels(inputs["cloth_brdf"].folder)
         region, model = shown.region or models.regions[0], shown.model or models.default
@@ -59,8 +59,8 @@ SIDE = 128
 
 
 def errors(cloth: ExportedCloth, material: Brdf) -> dict:
-    """Pictures of the cloth with the material against pictures with the model, under one lamp each, without shadows:
-    PSNR of the sRGB codes, dB, peak 1, of all and of the worst; CIEDE2000, mean and 95th percentile."""
+    """Return pictures of the cloth with the material against pictures with the model, under one lamp each, without
+    shadows: PSNR of the sRGB codes, dB, peak 1, of all and of the worst; CIEDE2000, mean and 95th percentile."""
     scene = ClothScene.of([cloth.draped.surface])
     squares, differences = [], []
     for elevation, azimuth in np.radians(VIEWS):
@@ -89,7 +89,7 @@ def errors(cloth: ExportedCloth, material: Brdf) -> dict:
 
 
 def colour_differences(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """CIEDE2000 (n,) of sRGB codes (n, 3)."""
+    """Return CIEDE2000 (n,) of sRGB codes (n, 3)."""
     to_xyz = np.linalg.inv(srgb_matrix())
     labs = (
         xyz_to_lab(decode(codes.astype(np.float64), "srgb") @ to_xyz.T, to_xyz @ np.ones(3))
@@ -172,7 +172,7 @@ def write_mitsuba(context: Context, cloth: ExportedCloth) -> dict:
 
 
 def camera_of(cloth: ExportedCloth) -> Camera:
-    """The camera of the draped pictures."""
+    """Return the camera of the draped pictures."""
     view = cloth.shown.view
     place = {"elevation": np.radians(view.elevation_deg), "azimuth": np.radians(view.azimuth_deg)}
     size = {"rows": view.rows, "columns": view.columns, "distance": view.distance}
@@ -180,8 +180,8 @@ def camera_of(cloth: ExportedCloth) -> Camera:
 
 
 def camera_facts(camera: Camera, middle: np.ndarray) -> dict:
-    """Place, target, up, vertical field of view, degrees, and size of the picture, whose middle is the camera's axis;
-    distance: from the cloth's middle (3,)."""
+    """Return place, target, up, vertical field of view, degrees, and size of the picture, whose middle is the camera's
+    axis; distance: from the cloth's middle (3,)."""
     distance = float(np.linalg.norm(camera.centre - middle))
     focal = camera.intrinsics[1, 1]
     return {

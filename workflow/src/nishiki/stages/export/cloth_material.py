@@ -53,11 +53,11 @@ class GltfCloth:
 
     @classmethod
     def of_parameters(cls, x: np.ndarray, along_warp: bool) -> GltfCloth:
-        """base, roughness, anisotropy, weight, specular colour, sheen colour, sheen roughness (13,)."""
+        """Return base, roughness, anisotropy, weight, specular colour, sheen colour, sheen roughness (13,)."""
         return cls(x[:3], float(x[3]), float(x[4]), float(x[5]), x[6:9], x[9:12], float(x[12]), along_warp)
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """(..., 3) 1 / sr for unit vectors (..., 3) in the frame weft, warp, normal; 0 below the horizon."""
+        """Return (..., 3) 1 / sr for unit vectors (..., 3) in the frame weft, warp, normal; 0 below the horizon."""
         g = halves(incident, outgoing)
         normal = np.minimum(NORMAL_REFLECTANCE * self.specular_colour, 1.0)
         fresnel = self.weight * (normal + (1 - normal) * (1 - g.cos_d[..., None]) ** 5)
@@ -79,7 +79,7 @@ class GltfCloth:
         return {name: np.asarray(value).tolist() for name, value in asdict(self).items() if name != "channels"}
 
     def material(self) -> dict:
-        """The properties of the file's material; the tangents run along the weft."""
+        """Return the properties of the file's material; the tangents run along the weft."""
         extensions = {
             "KHR_materials_specular": {
                 "specularFactor": self.weight,
@@ -107,7 +107,7 @@ class GltfCloth:
 
 
 def charlie(cos_h: np.ndarray, cos_i: np.ndarray, cos_r: np.ndarray, roughness: float) -> np.ndarray:
-    """D_s V_s of the sheen, 1 / sr."""
+    """Return D_s V_s of the sheen, 1 / sr."""
     exponent = 1 / roughness**2
     sine = np.sqrt(np.maximum(1 - cos_h**2, 0))
     visible = 1 / (4 * np.maximum(cos_i + cos_r - cos_i * cos_r, 1e-9))
@@ -128,12 +128,12 @@ def sheen_albedo(cosines: np.ndarray, roughness: float) -> np.ndarray:
 
 
 def shone(brdf: Brdf, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-    """(n, 3) sRGB-coded light relative to a white that faces the lamp, at most 1."""
+    """Return (n, 3) sRGB-coded light relative to a white that faces the lamp, at most 1."""
     return srgb_encode(np.pi * three(brdf.evaluate(incident, outgoing)) * incident[:, 2:])
 
 
 def coded_error(material: GltfCloth, brdf: Brdf) -> float:
-    """Root mean square difference of the coded brightness, on pairs that the fit did not see."""
+    """Return root mean square difference of the coded brightness, on pairs that the fit did not see."""
     incident, outgoing = pairs(PAIRS, 1)
     difference = shone(material, incident, outgoing) - shone(brdf, incident, outgoing)
     return float(np.sqrt(np.mean(difference**2)))
@@ -165,7 +165,7 @@ def fitted_cloth(brdf: Brdf, *, count: int = PAIRS) -> GltfCloth:
 def _fit(
     true: np.ndarray, incident: np.ndarray, outgoing: np.ndarray, along_warp: bool, *, sheen: bool
 ) -> tuple[GltfCloth, float]:
-    """The material and its sum of squared errors against coded values (n, 3)."""
+    """Return the material and its sum of squared errors against coded values (n, 3)."""
     from scipy.optimize import least_squares
 
     free = np.ones(len(LEAST), bool)

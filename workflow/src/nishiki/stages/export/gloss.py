@@ -76,12 +76,12 @@ class GltfMaterial:
         return self.weight
 
     def fresnel(self, cos_q: np.ndarray | float) -> np.ndarray:
-        """w F at the cosine of view and half vector."""
+        """Return w F at the cosine of view and half vector."""
         normal = self.normal_reflectance
         return normal + (self.grazing_reflectance - normal) * (1 - cos_q) ** 5
 
     def base_colour(self, albedo: np.ndarray) -> np.ndarray:
-        """The base colour with which the body has this albedo (..., 3) under light and view along the normal."""
+        """Return the base colour with which the body has this albedo (..., 3) under light and view along the normal."""
         return np.clip(albedo / (1 - np.expand_dims(self.fresnel(1.0), -1)), 0, 1)
 
     def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
@@ -108,7 +108,7 @@ class WhiteAtGrazing(GltfMaterial):
 
 
 def white_at_grazing(material: GltfMaterial) -> GltfMaterial:
-    """A material as formats without a weight take it."""
+    """Return a material as formats without a weight take it."""
     return WhiteAtGrazing(material.roughness, material.strength, material.index, material.least_factor)
 
 
@@ -163,7 +163,7 @@ class RegionGloss:
     widened: np.ndarray | None = None
 
     def of(self, rows: np.ndarray, columns: np.ndarray) -> GltfMaterial:
-        """The material of the texels in some rows and columns, row by row."""
+        """Return the material of the texels in some rows and columns, row by row."""
         material = self.materials[0]
         if self.labels is not None:
             numbers = self.labels[rows][:, columns].ravel()
@@ -208,7 +208,7 @@ class PaintingGloss:
 
 
 def slopes_widen(context: Context) -> bool:
-    """Whether there is a gloss, and its lobes are those of the facets alone."""
+    """Return whether there is a gloss, and its lobes are those of the facets alone."""
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
     return parameters is not None and is_facets(parameters) and bool(gloss_table(parameters)[0].any())
 
@@ -220,7 +220,7 @@ def painting_gloss(
     labels: np.ndarray | None,
     variance: np.ndarray | None = None,
 ) -> PaintingGloss:
-    """Every region's lobes as one lobe, nearest in coded brightness; matte where the gloss is left out.
+    """Return every region's lobes as one lobe, nearest in coded brightness; matte where the gloss is left out.
 
     albedo : (rows, columns, 3), over whose mean in a region its gloss is seen; known, labels : (rows, columns);
     variance : (rows, columns) of the slopes inside a texel, which widens its lobe.
@@ -249,7 +249,7 @@ def painting_gloss(
 
 
 def region_materials(context: Context, scene: ExportedScene) -> tuple[GltfMaterial, ...]:
-    """The lobe of each region, as `painting_gloss` finds it from pixels, in full precision; read by bands."""
+    """Return the lobe of each region, as `painting_gloss` finds it from pixels, in full precision; read by bands."""
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
     if parameters is None:
         return (MATTE,)

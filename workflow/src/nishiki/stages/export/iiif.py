@@ -32,18 +32,18 @@ ABOUT = {"object_id": "Object", **OBJECT_FACTS, "creator": "Photographs by", "da
 
 
 def colour(scene: ExportedScene, rows: slice) -> np.ndarray:
-    """Diffuse colour, sRGB."""
+    """Return diffuse colour, sRGB."""
     return np.floor(255 * srgb_encode(scene.srgb(rows)) + 0.5)
 
 
 def relief(scene: ExportedScene, rows: slice) -> np.ndarray:
-    """The surface as if it were grey plaster, in raking light."""
+    """Return the surface as if it were grey plaster, in raking light."""
     lit = np.maximum(scene.relief_normals(rows) @ RAKING, 0)
     return np.repeat(np.floor(255 * srgb_encode(lit)[..., None] + 0.5), 3, axis=-1)
 
 
 def normals(scene: ExportedScene, rows: slice) -> np.ndarray:
-    """Normals as colours, y up."""
+    """Return normals as colours, y up."""
     return normals_as_colours(scene.normals(rows)) // 257
 
 
@@ -72,7 +72,7 @@ def write_iiif(context: Context, scene: ExportedScene) -> dict:
 
 
 def tiles_psnr_db(folder: Path, picture: np.ndarray) -> float:
-    """What the tiles at full resolution keep of the coded picture; peak 255."""
+    """Return what the tiles at full resolution keep of the coded picture; peak 255."""
     tiles = read_iiif_tiles(folder, *picture.shape[:2])
     squares = sum(float(np.square(tile - picture[window].astype(np.float32)).sum()) for window, tile in tiles)
     return float(10 * np.log10(255**2 * picture.size / max(squares, 1.0)))
@@ -85,13 +85,13 @@ def write_manifest(folder: Path, content: dict) -> None:
 
 
 def manifest(context: Context, scene: ExportedScene, address: str) -> dict:
-    """The Presentation API's manifest of a painting, as plain data."""
+    """Return the Presentation API's manifest of a painting, as plain data."""
     images = [image(address, name, label, scene.shape) for name, (label, _) in LAYERS.items()]
     return manifest_of(context, address, [canvas(f"{address}/canvas", images, scene.shape, scene.pitch_mm)])
 
 
 def canvas(address: str, images: list[dict], shape: tuple[int, int], pitch_mm: float | None) -> dict:
-    """A canvas with layers to choose from; pitch_mm: size of its pixels on the object."""
+    """Return a canvas with layers to choose from; pitch_mm: size of its pixels on the object."""
     painted = {
         "id": f"{address}/painted", "type": "Annotation", "motivation": "painting", "target": address,
         "body": {"type": "Choice", "items": images},
@@ -107,7 +107,7 @@ def canvas(address: str, images: list[dict], shape: tuple[int, int], pitch_mm: f
 
 
 def manifest_of(context: Context, address: str, canvases: list[dict]) -> dict:
-    """A manifest with these canvases, and what capture.yaml says of object, maker and rights."""
+    """Return a manifest with these canvases, and what capture.yaml says of object, maker and rights."""
     about, stamp = context.inputs["ingest"].diagnostics["capture"], context.stamp
     facts = {label: about.get(key) for key, label in ABOUT.items()}
     facts["Made by"] = f"Nishiki {stamp['version']}: scene {stamp['scene']}, export {stamp['key']}"
@@ -129,7 +129,7 @@ def _pair(label: str, value: str) -> dict:
 
 
 def image(address: str, name: str, label: str, shape: tuple[int, int]) -> dict:
-    """A layer: the picture that stands for it, and its tiles."""
+    """Return a layer: the picture that stands for it, and its tiles."""
     width, height = iiif_size(*shape)
     service = {"id": f"{address}/{name}", "type": "ImageService3", "profile": "level0"}
     return {

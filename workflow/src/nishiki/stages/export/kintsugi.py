@@ -122,7 +122,7 @@ class LobeBasis:
         return cls(tables, weights)
 
     def text(self) -> str:
-        """The tables as the viewer reads them: three rows a function."""
+        """Return the tables as the viewer reads them: three rows a function."""
         rows = [
             ", ".join([f"{channel}#{number}", *(f"{value:.9f}" for value in table)])
             for number, tables in enumerate(self.tables)
@@ -132,7 +132,7 @@ class LobeBasis:
 
 
 def lobes(widths: np.ndarray) -> np.ndarray:
-    """(k, 91) exp(-phi^2 / (2 sigma^2)) at the samples of a table, of widths sigma (k,) in radians."""
+    """Return (k, 91) exp(-phi^2 / (2 sigma^2)) at the samples of a table, of widths sigma (k,) in radians."""
     phi = np.pi / 3 * np.linspace(0, 1, SAMPLES) ** 2
     return np.exp(-(phi**2) / (2 * np.square(widths)[:, None]))
 
@@ -186,7 +186,7 @@ def write_kintsugi(context: Context, surface: ObjectSurface) -> dict:
 
 
 def shown_by(look: ObjectLook, basis: LobeBasis, *, viewer: bool) -> Shown:
-    """What these textures show of seen points: by the shader of the viewer, or by the Builder's formulas."""
+    """Return what these textures show of seen points: by the shader of the viewer, or by the Builder's formulas."""
     colour, reflected = decode(look.colour / 255, "srgb"), viewer_gloss if viewer else builder_gloss
 
     def shown(points: SeenPoints) -> np.ndarray:
@@ -201,8 +201,8 @@ def shown_by(look: ObjectLook, basis: LobeBasis, *, viewer: bool) -> Shown:
 
 
 def distribution(tables: np.ndarray, weights: np.ndarray, cos_phi: np.ndarray) -> np.ndarray:
-    """(n, 3) D of tables (k, 3, samples) and weights (n, k). Beyond 60 degrees the viewer's shader reads outside of its
-    texture; 0 stands for that."""
+    """Return (n, 3) D of tables (k, 3, samples) and weights (n, k). Beyond 60 degrees the viewer's shader reads outside
+    of its texture; 0 stands for that."""
     last = tables.shape[-1] - 1
     place = np.sqrt(3 * np.arccos(np.clip(cos_phi, 0, 1)) / np.pi) * last
     before = np.minimum(place.astype(np.int64), last + 1)
@@ -212,7 +212,7 @@ def distribution(tables: np.ndarray, weights: np.ndarray, cos_phi: np.ndarray) -
 
 
 def builder_gloss(found: np.ndarray, roughness: np.ndarray, cosines: tuple[np.ndarray, ...]) -> np.ndarray:
-    """(n, 3) f n.l of the gloss, 1 / sr, of D (n, 3): masking of Smith, correlated by height, in G."""
+    """Return (n, 3) f n.l of the gloss, 1 / sr, of D (n, 3): masking of Smith, correlated by height, in G."""
     _, cos_i, cos_r, _ = cosines
     light, view = (np.sqrt(_square(cosine, roughness)) for cosine in (cos_i, cos_r))
     return found * (0.5 / np.maximum(cos_r * light + cos_i * view, 1e-9) * cos_i)[:, None]
@@ -232,5 +232,5 @@ def viewer_gloss(found: np.ndarray, roughness: np.ndarray, cosines: tuple[np.nda
 
 
 def _square(cosine: np.ndarray, roughness: np.ndarray) -> np.ndarray:
-    """S^2 of a direction; roughness is the square root of alpha."""
+    """Return S^2 of a direction; roughness is the square root of alpha."""
     return cosine**2 + roughness**4 * (1 - cosine**2)

@@ -42,11 +42,11 @@ class LightModel(Protocol):
     def planes(self) -> int: ...
 
     def transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """o (3,) and T (planes, 3) for a unit vector towards the light."""
+        """Return o (3,) and T (planes, 3) for a unit vector towards the light."""
         ...
 
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-        """(planes, n) coefficients of pixels with values (lights, 3, n) where valid (lights, n) bool."""
+        """Return (planes, n) coefficients of pixels with values (lights, 3, n) where valid (lights, n) bool."""
         ...
 
 
@@ -112,7 +112,7 @@ class TabulatedModel:
         return (self.codes.astype(np.float64) - 127) / self.span[:, None, None]
 
     def weights(self, light: np.ndarray) -> np.ndarray:
-        """(directions,) for one light, sum 1."""
+        """Return (directions,) for one light, sum 1."""
         raise NotImplementedError
 
     def transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -138,7 +138,7 @@ class PrincipalModel(TabulatedModel):
         return cls(mean_code, codes, span, lights, chosen_width(lights, values, valid))
 
     def weights(self, light: np.ndarray) -> np.ndarray:
-        """(lights,) of every captured light, sum 1."""
+        """Return (lights,) of every captured light, sum 1."""
         return gaussian_weights(self.lights, light, self.width)
 
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -173,7 +173,7 @@ class GridModel(TabulatedModel):
         return cls(mean_code, codes, span, metric)
 
     def weights(self, light: np.ndarray) -> np.ndarray:
-        """(nodes,) of every node, sum 1."""
+        """Return (nodes,) of every node, sum 1."""
         return bilinear_weights(GRID_SIDE, light)
 
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -186,7 +186,7 @@ class GridModel(TabulatedModel):
 
 
 def grid_weights(lights: np.ndarray) -> np.ndarray:
-    """(lights, nodes) of the nodes of the grid."""
+    """Return (lights, nodes) of the nodes of the grid."""
     return np.stack([bilinear_weights(GRID_SIDE, light) for light in lights])
 
 
@@ -197,12 +197,12 @@ def whole_pixels(values: np.ndarray, valid: np.ndarray, planes: int) -> np.ndarr
 
 
 def coded_mean(rows: np.ndarray) -> np.ndarray:
-    """(directions, 3) uint8 of values (n, directions, 3)."""
+    """Return (directions, 3) uint8 of values (n, directions, 3)."""
     return np.rint(255 * np.clip(rows.mean(axis=0), 0, 1)).astype(np.uint8)
 
 
 def principal_components(rows: np.ndarray, planes: int) -> np.ndarray:
-    """(planes, variables) right singular vectors of rows (n, variables), the largest first.
+    """Return (planes, variables) right singular vectors of rows (n, variables), the largest first.
 
     From the smaller of the two matrices of products; fewer than `planes`, by threes, where rows or variables are few.
     """
@@ -213,7 +213,7 @@ def principal_components(rows: np.ndarray, planes: int) -> np.ndarray:
 
 
 def coded_components(components: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Codes (planes, directions, 3) uint8 of components, and units of a code (planes,)."""
+    """Return codes (planes, directions, 3) uint8 of components, and units of a code (planes,)."""
     span = 127 / np.maximum(np.abs(components).max(axis=(1, 2)), 1e-6)
     return (np.rint(components * span[:, None, None]) + 127).astype(np.uint8), span
 
@@ -223,11 +223,11 @@ class OpenLimeModel(PrincipalModel):
 
     @classmethod
     def like(cls, model: PrincipalModel) -> "OpenLimeModel":
-        """The same planes, shown by OpenLIME."""
+        """Return the same planes, shown by OpenLIME."""
         return cls(**{field.name: getattr(model, field.name) for field in fields(model)})
 
     def weights(self, light: np.ndarray) -> np.ndarray:
-        """exp(-8 d^2 / m) of distances d, with m their mean weighted by exp(-2 d); sum 1."""
+        """Return exp(-8 d^2 / m) of distances d, with m their mean weighted by exp(-2 d); sum 1."""
         distances = np.linalg.norm(self.lights - light, axis=1)
         near = np.exp(-2 * distances)
         mean = distances @ near / near.sum()
@@ -236,7 +236,7 @@ class OpenLimeModel(PrincipalModel):
 
 
 def chosen_ridge(design: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:
-    """The ridge of RIDGES with the smallest squared error of lights left out one at a time (closed form)."""
+    """Return the ridge of RIDGES with the smallest squared error of lights left out one at a time (closed form)."""
     whole = valid.all(axis=0)
     samples = (values[..., whole] if whole.any() else values).reshape(len(design), -1).astype(np.float64)
     errors = []
@@ -249,7 +249,7 @@ def chosen_ridge(design: np.ndarray, values: np.ndarray, valid: np.ndarray) -> f
 
 
 def chosen_width(lights: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:
-    """The width of WIDTHS with which the others predict a light best."""
+    """Return the width of WIDTHS with which the others predict a light best."""
     samples = values.reshape(len(lights), -1).astype(np.float64)
     counted = np.tile(valid, (1, 3))
     others = ~np.eye(len(lights), dtype=bool)

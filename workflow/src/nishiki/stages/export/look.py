@@ -58,11 +58,11 @@ class PaintingLook:
         return Texels(down, across, base, normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
     def surface(self, gloss: RegionGloss) -> SurfaceLook:
-        """The same in the words of USD and MaterialX."""
+        """Return the same in the words of USD and MaterialX."""
         return SurfaceLook(self.colours, gloss.roughness, gloss.reflectance, gloss.weight, self.normals)
 
     def figures(self, gloss: RegionGloss) -> dict:
-        """What the diagnostics say of it."""
+        """Return what the diagnostics say of it."""
         materials = [
             {"roughness": material.roughness, "specular": material.strength, "ior": material.index}
             for material in gloss.materials
@@ -111,11 +111,11 @@ class PaintingSurface(ExportedSurface):
         return f"1 is 1000 {self.scene.unit}" if pitch_mm is None else "metres"
 
     def look_of(self, name: str) -> SurfaceLook:
-        """Textures and material as a format takes them."""
+        """Return textures and material as a format takes them."""
         return self.look.surface(getattr(self.look.gloss, name))
 
     def losses(self, name: str) -> dict:
-        """What the diagnostics say of a format, its files left out."""
+        """Return what the diagnostics say of a format, its files left out."""
         figures = self.look.figures(getattr(self.look.gloss, name))
         return {**figures, "kinds": {name: {"psnr_db": self._errors[name]}}}
 
@@ -138,7 +138,7 @@ class TexelMaps(NamedTuple):
 
 
 def textures(scene: ExportedScene, most: int, *, slopes: bool) -> TexelMaps:
-    """Maps with at most `most` texels a side, read by bands; slopes: with their variance."""
+    """Return maps with at most `most` texels a side, read by bands; slopes: with their variance."""
     rows, columns = scene.shape
     step = -(-max(rows, columns) // most)
     high = max(1, scene.band_rows // step) * step
@@ -177,7 +177,7 @@ def most_frequent(labels: np.ndarray, known: np.ndarray, step: int) -> np.ndarra
 def errors(
     context: Context, scene: ExportedScene, look: PaintingLook, glosses: Mapping[str, RegionGloss]
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """PSNR of the stored look, seen from the front without cast shadows, under fitted and check lights.
+    """Return PSNR of the stored look, seen from the front without cast shadows, under fitted and check lights.
 
     glosses : the look's gloss as formats take it, by their names; so are the results. The photographs are read once.
     """

@@ -61,7 +61,7 @@ def write_normals(context: Context, scene: ExportedScene) -> dict:
 
 
 def lost_angles(normals: np.ndarray, coded: np.ndarray) -> np.ndarray:
-    """(n,) degrees between normals (r, columns, 3) and what their 16-bit code says, where there is one."""
+    """Return (n,) degrees between normals (r, columns, 3) and what their 16-bit code says, where there is one."""
     known = coded.any(axis=-1)
     exact = normals[known].astype(np.float64)
     read = coded[known] / 65535 * 2 - 1
@@ -70,7 +70,7 @@ def lost_angles(normals: np.ndarray, coded: np.ndarray) -> np.ndarray:
 
 
 def stamped(context: Context) -> str:
-    """The stamp of an artifact in words."""
+    """Return the stamp of an artifact in words."""
     return "; ".join(f"nishiki.{name}={text}" for name, text in context.stamp.items())
 
 
@@ -135,7 +135,7 @@ def write_ply(context: Context, scene: ExportedScene) -> tuple[int, int, int]:
 
 
 def vertex_bytes(relief: Relief) -> bytes:
-    """Vertices of a band as the PLY holds them."""
+    """Return vertices of a band as the PLY holds them."""
     points = np.empty(len(relief.places), VERTEX)
     points["place"], points["normal"] = relief.places, relief.normals
     points["colour"] = np.floor(255 * srgb_encode(relief.colours) + 0.5)

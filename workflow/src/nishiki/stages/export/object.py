@@ -82,7 +82,7 @@ def write_iiif(context: Context, _surface: ObjectSurface) -> dict:
 def layers(
     renderer: ObjectRenderer, camera: Camera, shown: ObjectPicture, modelled: ObjectPicture
 ) -> dict[str, np.ndarray]:
-    """Pictures (rows, columns, 3) uint8 of a view by layer, over black."""
+    """Return pictures (rows, columns, 3) uint8 of a view by layer, over black."""
     pictures = {}
     for name, picture in (("view", shown), ("model", modelled)):
         share = np.where(picture.reached, coverage(renderer.mesh, camera), 0).astype(np.float32)
@@ -93,7 +93,7 @@ def layers(
 
 
 def pitch_mm(mesh: Mesh, camera: Camera, unit: str | None) -> float | None:
-    """Size of a pixel in millimetres where the middle of the object is; None without a unit of length."""
+    """Return size of a pixel in millimetres where the middle of the object is; None without a unit of length."""
     if unit not in METRES:
         return None
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)

@@ -50,7 +50,7 @@ class TextureAtlas:
         return np.isfinite(self.corners).all(axis=(1, 2))
 
     def uv(self) -> np.ndarray:
-        """(f, 3, 2) places as glTF counts them: from the left and from the top, texel centres at halves."""
+        """Return (f, 3, 2) places as glTF counts them: from the left and from the top, texel centres at halves."""
         return (self.corners[..., ::-1] + 0.5) / np.array(self.shape[::-1])
 
 
@@ -78,7 +78,7 @@ def texture_atlas(atlas: Atlas) -> TextureAtlas:
 
 
 def fill_gaps(texture: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """The texture (rows, columns, channels) with the nearest known texel where none is known."""
+    """Return the texture (rows, columns, channels) with the nearest known texel where none is known."""
     if known.all() or not known.any():
         return texture
     from scipy import ndimage
@@ -88,7 +88,7 @@ def fill_gaps(texture: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def sample(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """(n, channels) bilinear look-ups at places (n, 2), row and column in texels."""
+    """Return (n, channels) bilinear look-ups at places (n, 2), row and column in texels."""
     rows, columns = texture.shape[:2]
     y, x = (np.clip(places[:, k], 0, size - 1) for k, size in enumerate((rows, columns)))
     i, j = (np.minimum(v.astype(np.int64), max(size - 2, 0)) for v, size in ((y, rows), (x, columns)))
@@ -140,7 +140,7 @@ class ObjectLook:
         return min(self.factor * NORMAL_REFLECTANCE, 1.0)
 
     def surface(self) -> SurfaceLook:
-        """The same in the words of USD and MaterialX."""
+        """Return the same in the words of USD and MaterialX."""
         return SurfaceLook(self.colour, self.roughness, self.normal_reflectance, weight=self.specular)
 
     def of_one_strength(self) -> ObjectLook:
@@ -154,7 +154,7 @@ class ObjectLook:
         return replace(self, roughness=np.rint(roughness).astype(np.uint8), specular=np.full_like(self.specular, mean))
 
     def figures(self) -> dict:
-        """What the diagnostics say of it."""
+        """Return what the diagnostics say of it."""
         placed = self.layout.placed
         return {
             "faces": int(placed.sum()),
@@ -166,7 +166,7 @@ class ObjectLook:
 
 
 def object_look(context: Context) -> ObjectLook:
-    """Textures from the decoded parameters."""
+    """Return textures from the decoded parameters."""
     decoded = DecodedObject.open(context.inputs)
     layout = texture_atlas(decoded.atlas)
     albedo, alpha, reflectance = textures(decoded, Texels(context.inputs["texels"].folder), layout)
@@ -180,7 +180,7 @@ def object_look(context: Context) -> ObjectLook:
 
 
 def object_mesh(context: Context, look: ObjectLook) -> TexturedMesh:
-    """The mesh in metres where its unit is known; a vertex once for each place in the textures."""
+    """Return the mesh in metres where its unit is known; a vertex once for each place in the textures."""
     layout, mesh = look.layout, look.decoded.mesh
     placed = layout.placed
     flat = np.column_stack([mesh.triangles[placed].ravel(), layout.corners[placed].reshape(-1, 2)])
@@ -193,7 +193,7 @@ def object_mesh(context: Context, look: ObjectLook) -> TexturedMesh:
 
 
 def coded(values: np.ndarray) -> np.ndarray:
-    """Eight bits of values in 0 to 1."""
+    """Return eight bits of values in 0 to 1."""
     return np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
 
@@ -227,8 +227,8 @@ def body_colour(
     parameters: tuple[np.ndarray, np.ndarray, np.ndarray],
     surface: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """(T, T, channels) albedo of a tile by least squares from all views that see a texel: from the diffuse light where
-    polarisers separated it, else from all light less the model's gloss.
+    """Return (T, T, channels) albedo of a tile by least squares from all views that see a texel: from the diffuse light
+    where polarisers separated it, else from all light less the model's gloss.
 
     The model's own K_d is smooth where the residual holds the detail. It stands where no view sees a texel, and weighs
     as much as a view that is lit to a fifth. parameters: kd, ks, sigma; surface: positions and normals.

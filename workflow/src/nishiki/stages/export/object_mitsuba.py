@@ -81,7 +81,7 @@ def write_folder(
 
 
 def model_textures(decoded: DecodedObject, layout: TextureAtlas) -> dict[str, np.ndarray]:
-    """kd, ks (rows, columns, 3) and sigma (rows, columns, 1) of the decoded model, float32, gaps filled."""
+    """Return kd, ks (rows, columns, 3) and sigma (rows, columns, 1) of the decoded model, float32, gaps filled."""
     stacked = np.zeros((*layout.shape, 7), np.float32)
     known = np.zeros(layout.shape, bool)
     for tile, (row, column) in enumerate(layout.origin):
@@ -97,8 +97,8 @@ def model_textures(decoded: DecodedObject, layout: TextureAtlas) -> dict[str, np
 
 
 def scene_facts(decoded: DecodedObject, positions: np.ndarray, unit: float) -> tuple[dict, float]:
-    """Cameras and lamps of every captured view, lengths times `unit`; the largest distance in pixels between what the
-    pinholes with square pixels show of `positions` and what the capture's cameras do."""
+    """Return cameras and lamps of every captured view, lengths times `unit`; the largest distance in pixels between
+    what the pinholes with square pixels show of `positions` and what the capture's cameras do."""
     middle, views, apart = positions.mean(axis=0), {}, 0.0
     points = positions / unit
     for name, camera in zip(decoded.views, decoded.cameras, strict=True):
@@ -113,8 +113,8 @@ def scene_facts(decoded: DecodedObject, positions: np.ndarray, unit: float) -> t
 
 
 def nearest_pinhole(camera: Camera, points: np.ndarray) -> Camera:
-    """The pinhole with square pixels at the camera's place that shows world points (n, 3) nearest to where the camera
-    has them (least squares of the distances in pixels); the camera itself where it is one.
+    """Return the pinhole with square pixels at the camera's place that shows world points (n, 3) nearest to where the
+    camera has them (least squares of the distances in pixels); the camera itself where it is one.
 
     Matrices without metric calibration, such as projective ones, have oblong pixels and an axis far off the picture.
     """
@@ -149,8 +149,8 @@ def nearest_pinhole(camera: Camera, points: np.ndarray) -> Camera:
 
 
 def camera_facts(camera: Camera, positions: np.ndarray, unit: float) -> dict:
-    """A pinhole as Mitsuba says it: camera to world with x to the left, y up and z ahead; `principal_offset`: of the
-    picture's middle from the optical axis, as shares of its width and height."""
+    """Return a pinhole as Mitsuba says it: camera to world with x to the left, y up and z ahead; `principal_offset`: of
+    the picture's middle from the optical axis, as shares of its width and height."""
     k, centre = camera.intrinsics, camera.centre * unit
     to_world = np.eye(4)
     to_world[:3] = np.column_stack([-camera.rotation[0], -camera.rotation[1], camera.rotation[2], centre])
@@ -167,9 +167,9 @@ def camera_facts(camera: Camera, positions: np.ndarray, unit: float) -> dict:
 
 
 def lamp_facts(lamp: Lamp, middle: np.ndarray, unit: float) -> dict:
-    """A lamp as scene.json says it. `distance` of a near one: at which a white that faces it shows 1; where it shows
-    that at any distance (`falloff` false), that of the object's middle (3,), metres. Surroundings of unknown lamps are
-    even light of their mean strength."""
+    """Return a lamp as scene.json says it. `distance` of a near one: at which a white that faces it shows 1; where it
+    shows that at any distance (`falloff` false), that of the object's middle (3,), metres. Surroundings of unknown
+    lamps are even light of their mean strength."""
     if lamp.form == POINT:
         position, known = np.asarray(lamp.vector, np.float64) * unit, lamp.reference > 0
         distance = lamp.reference * unit if known else float(np.linalg.norm(position - middle))
@@ -181,8 +181,8 @@ def lamp_facts(lamp: Lamp, middle: np.ndarray, unit: float) -> dict:
 
 
 def falling(lamp: Lamp, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """(n,) by how much a near lamp whose distance does not count in the capture is stronger at points (n, 3) for a
-    renderer, where it always counts; it is right at the object's middle (3,)."""
+    """Return (n,) by how much a near lamp whose distance does not count in the capture is stronger at points (n, 3) for
+    a renderer, where it always counts; it is right at the object's middle (3,)."""
     if lamp.form != POINT or lamp.reference > 0:
         return np.ones(len(points))
     distance = np.linalg.norm(points - lamp.vector, axis=1)
@@ -190,7 +190,7 @@ def falling(lamp: Lamp, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
 
 
 def falloff(lamp: Lamp, points: np.ndarray) -> float:
-    """Largest share by which such a lamp is stronger or weaker at points (n, 3)."""
+    """Return largest share by which such a lamp is stronger or weaker at points (n, 3)."""
     return float(np.abs(falling(lamp, points, points.mean(axis=0)) - 1).max())
 
 
@@ -229,8 +229,8 @@ def write_plain_scene(folder: Path, look: ObjectLook, facts: dict) -> None:
 def errors(
     context: Context, look: ObjectLook, parameters: dict[str, np.ndarray], middle: np.ndarray
 ) -> dict[str, dict]:
-    """PSNR against photographs of the reflection model and of principled, both with the colours of all photographs;
-    middle (3,): of the object in the cameras' world."""
+    """Return PSNR against photographs of the reflection model and of principled, both with the colours of all
+    photographs; middle (3,): of the object in the cameras' world."""
     colour = decode(look.colour / 255, "srgb")
     model = np.concatenate([colour * look.scale, parameters["ks"], parameters["sigma"]], axis=-1)
 
@@ -243,7 +243,7 @@ def errors(
 
 
 def by_principled(look: ObjectLook, middle: np.ndarray) -> Shown:
-    """What scene.xml shows of seen points; middle (3,): of the object in the cameras' world."""
+    """Return what scene.xml shows of seen points; middle (3,): of the object in the cameras' world."""
     weights = np.stack([look.roughness, look.specular], axis=-1) / 255
     stored = np.concatenate([decode(look.colour / 255, "srgb"), weights], axis=-1)
 

@@ -69,7 +69,7 @@ class SeenPoints:
         return irradiance, angles[:, 0]
 
     def cosines(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """(n,) of the normal with half vector, light and view, at least 0, and of view with half vector."""
+        """Return (n,) of the normal with half vector, light and view, at least 0, and of view with half vector."""
         light, towards = direction_to(self.lamp, self.positions), self.centre - self.positions
         towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
         half = light + towards
@@ -83,7 +83,7 @@ Shown = Callable[[SeenPoints], np.ndarray]
 
 
 def errors(context: Context, look: ObjectLook, formats: Sequence[str]) -> dict[str, dict[str, dict[str, float]]]:
-    """PSNR of the stored textures against photographs, as some of `gltf`, `usd` and `materialx` take them."""
+    """Return PSNR of the stored textures against photographs, as some of `gltf`, `usd` and `materialx` take them."""
     asked = {name: shown_in(look, name) for name in formats}
     return against_photographs(context, look, asked)
 
@@ -104,8 +104,8 @@ def shown_in(look: ObjectLook, name: str) -> Shown:
 def against_photographs(
     context: Context, look: ObjectLook, asked: Mapping[str, Shown]
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """PSNR of linear values that several programs show of seen points, in the capture's encoding: of left-out views
-    (`check`) and some others (`fitted`). Photographs are read once for all."""
+    """Return PSNR of linear values that several programs show of seen points, in the capture's encoding: of left-out
+    views (`check`) and some others (`fitted`). Photographs are read once for all."""
     decoded, settings, count = look.decoded, context.settings, len(look.decoded.views)
     left_out = decoded.numbers(settings.hold_out)
     seen = [view for view in range(count) if view not in left_out]
@@ -139,7 +139,7 @@ def viewer_light(look: ObjectLook, points: SeenPoints, texels: np.ndarray, *, wh
 
 
 def direction_to(lamp: Lamp, positions: np.ndarray) -> np.ndarray:
-    """(n, 3) unit vectors to a lamp; 0 for surroundings without a highlight."""
+    """Return (n, 3) unit vectors to a lamp; 0 for surroundings without a highlight."""
     vectors = lamp.vector - positions if lamp.form == POINT else np.broadcast_to(lamp.vector, positions.shape)
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
 
@@ -166,11 +166,11 @@ class ObjectSurface(ExportedSurface):
         return "metres" if unit in METRES else f"{unit} of the cameras"
 
     def look_of(self, name: str) -> SurfaceLook:
-        """Textures and material as a format takes them; the gloss has one strength in USD."""
+        """Return textures and material as a format takes them; the gloss has one strength in USD."""
         return (self.look.of_one_strength() if name == "usd" else self.look).surface()
 
     def losses(self, name: str) -> dict:
-        """What the diagnostics say of a format, its files left out."""
+        """Return what the diagnostics say of a format, its files left out."""
         return {**self.look.figures(), "kinds": {name: {"psnr_db": self._errors[name]}}}
 
     @cached_property

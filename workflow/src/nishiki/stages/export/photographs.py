@@ -143,7 +143,7 @@ class GridPictures(Photographs):
     def seen(
         self, rows: slice, pixels: slice | np.ndarray, values: np.ndarray, valid: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(nodes, 3, n) values and (nodes, n) bool of some pixels, known or photographed under every light."""
+        """Return (nodes, 3, n) values and (nodes, n) bool of some pixels, known or photographed under every light."""
         drawn = self.drawn(rows, pixels)
         rest = (values - drawn[: len(values)]) * valid[:, None]
         both = np.concatenate([drawn, rest]).reshape(self._of_both.shape[1], -1)
@@ -152,7 +152,7 @@ class GridPictures(Photographs):
         return np.clip(nodes, -BEYOND, 1 + BEYOND, out=nodes), np.broadcast_to(known, (len(nodes), len(known)))
 
     def drawn(self, rows: slice, pixels: slice | np.ndarray) -> np.ndarray:
-        """(captured lights and nodes, 3, n) of the fitted model."""
+        """Return (captured lights and nodes, 3, n) of the fitted model."""
         model = self._scene.fitted_model(rows)
 
         def some(maps: np.ndarray | None) -> np.ndarray | None:

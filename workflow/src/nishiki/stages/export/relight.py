@@ -152,7 +152,7 @@ class StoredModel:
         (folder / "info.json").write_text(text, encoding="utf-8")
 
     def info(self, frames: Observations, lights: np.ndarray, context: Context) -> dict:
-        """What the viewer reads."""
+        """Return what the viewer reads."""
         rows, columns = frames.shape
         material = {"scale": self.scale.tolist(), "bias": self.bias.tolist()}
         content = {

@@ -37,7 +37,7 @@ from nishiki.stages.export.scene import ExportedScene, reliefs
 
 
 def texture(file: str, *, raw: bool = True) -> dict[str, Any]:
-    """A picture of values (raw) or of sRGB colours, as Mitsuba's dictionary."""
+    """Return a picture of values (raw) or of sRGB colours, as Mitsuba's dictionary."""
     return {"type": "bitmap", "filename": file, "raw": raw, "wrap_mode": "clamp"}
 
 
@@ -53,7 +53,7 @@ def material(
 
 
 def film(columns: int, rows: int) -> dict[str, Any]:
-    """Film and sampler of a sensor; the parameter `samples` is the samples of a pixel."""
+    """Return film and sampler of a sensor; the parameter `samples` is the samples of a pixel."""
     return {
         "film": {
             **{"type": "hdrfilm", "width": columns, "height": rows, "rfilter": {"type": "box"}},
@@ -70,7 +70,7 @@ def shown(
     weight: np.ndarray | float,
     cosines: tuple[np.ndarray, ...],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Body (n, 3) and gloss (n,) of points, each to be multiplied by the irradiance of a white there.
+    """Return body (n, 3) and gloss (n,) of points, each to be multiplied by the irradiance of a white there.
 
     colour : (n, 3); roughness, weight : (n,) or numbers; reflectance : along the normal where the weight is 1; cosines
     : (n,) each, of the normal with half vector, light and view, and of view with half vector.
@@ -85,7 +85,7 @@ def shown(
 
 
 def dielectric(cosine: np.ndarray, index: float) -> np.ndarray:
-    """Exact reflectance of unpolarised light at a cosine, 0 to 1."""
+    """Return exact reflectance of unpolarised light at a cosine, 0 to 1."""
     inside = np.sqrt(np.maximum(1 - (1 - np.square(cosine)) / index**2, 0))
     across = (cosine - index * inside) / (cosine + index * inside)
     along = (index * cosine - inside) / (index * cosine + inside)
@@ -133,7 +133,7 @@ def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
 
 
 def model_textures(scene: ExportedScene, *, facets: bool, regions: bool) -> dict[str, Texture]:
-    """What `nishiki_paint.py` reads, by name; facets: slopes widen the gloss; regions: there are several."""
+    """Return what `nishiki_paint.py` reads, by name; facets: slopes widen the gloss; regions: there are several."""
     textures: dict[str, Texture] = {"albedo": scene.srgb, "normals": scene.shading_normals, "shading": scene.shading}
     if scene.has_directional_shading:
         textures["directional"] = lambda rows: np.pad(scene.directional_terms(rows), ((0, 0), (0, 0), (0, 1)))
@@ -145,7 +145,7 @@ def model_textures(scene: ExportedScene, *, facets: bool, regions: bool) -> dict
 
 
 def gloss_facts(parameters: dict | None) -> dict:
-    """Lobes of each region, and the losses of the body's light at the surface."""
+    """Return lobes of each region, and the losses of the body's light at the surface."""
     beta, gamma, index, transmission = gloss_table(parameters)
     names = ("beta", "gamma", "index")
     regions = [
@@ -197,7 +197,7 @@ def write_merl(context: Context, scene: ExportedScene) -> dict:
 def mean_body(
     scene: ExportedScene, labels: np.ndarray | None, region: int
 ) -> tuple[np.ndarray | None, np.ndarray, float]:
-    """Mean linear sRGB (3,) and terms of the body shading (3,) of a region, and the spread of its colour.
+    """Return mean linear sRGB (3,) and terms of the body shading (3,) of a region, and the spread of its colour.
 
     The spread is the root mean square distance from the mean, relative to it. None where no pixel has an estimate.
     """
@@ -219,7 +219,7 @@ def mean_body(
 
 
 def brdf_of(light, view, colour, shading, beta, gamma, index, transmission) -> np.ndarray:
-    """The BRDF (..., 3) per steradian; `MERL_HIDDEN` where light or view is below the surface.
+    """Return the BRDF (..., 3) per steradian; `MERL_HIDDEN` where light or view is below the surface.
 
     light, view (..., 3): unit vectors; colour (3,), shading (3,): of the body; beta, gamma (lobes,); index: of
     refraction; transmission: share of the surface's loss that the body's light suffers.

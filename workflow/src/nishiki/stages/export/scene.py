@@ -58,15 +58,15 @@ class ExportedScene:
         return "mm" if self.pitch_mm else "pixels"
 
     def bands(self) -> Iterator[slice]:
-        """Bands of rows from top to bottom."""
+        """Yield bands of rows from top to bottom."""
         return strips(self.shape[0], self.band_rows)
 
     def known(self, rows: slice) -> np.ndarray:
-        """(r, columns) bool: pixels with an estimate."""
+        """Return (r, columns) bool: pixels with an estimate."""
         return (self._maps.read("flags", rows) & NO_ESTIMATE) == 0
 
     def normals(self, rows: slice) -> np.ndarray:
-        """(r, columns, 3) float32 unit normals, x right, y up, z to the camera; 0 where there is no estimate."""
+        """Return (r, columns, 3) float32 unit normals, x right, y up, z to the camera; 0 where there is no estimate."""
         return np.where(self.known(rows)[..., None], self._maps.read("normals", rows), np.float32(0))
 
     def shading_normals(self, rows: slice) -> np.ndarray:
@@ -100,7 +100,7 @@ class ExportedScene:
         return squares - products(mean)
 
     def slope_variance(self, rows: slice, step: int = 1) -> np.ndarray:
-        """(r / step, columns / step): mean over the directions of what `slopes` has."""
+        """Return (r / step, columns / step): mean over the directions of what `slopes` has."""
         return self.slopes(rows, step)[..., ::2].mean(axis=-1)
 
     def relief_normals(self, rows: slice) -> np.ndarray:
@@ -110,7 +110,7 @@ class ExportedScene:
         return self._height.read("normals", rows)
 
     def height(self, rows: slice) -> np.ndarray:
-        """(r, columns) float32 height towards the camera in the unit of lengths, NaN where there is none."""
+        """Return (r, columns) float32 height towards the camera in the unit of lengths, NaN where there is none."""
         if self._height is None:
             raise UserError("export: the height is left out of this scene. Remedy: see ./nishiki plan for the reason")
         return self._height.read("height", rows)
@@ -140,16 +140,16 @@ class ExportedScene:
         return srgb_matrix() @ adaptation_matrix(colour.white, D65) @ colour.matrix
 
     def srgb(self, rows: slice) -> np.ndarray:
-        """(r, columns, 3) diffuse colour in linear sRGB; 0 where there is no estimate."""
+        """Return (r, columns, 3) diffuse colour in linear sRGB; 0 where there is no estimate."""
         return np.where(self.known(rows)[..., None], np.nan_to_num(self.coefficients(rows)) @ self.to_srgb().T, 0)
 
     def regions(self, rows: slice) -> np.ndarray | None:
-        """(r, columns) uint8 region of gloss of each pixel; None where the capture names no regions."""
+        """Return (r, columns) uint8 region of gloss of each pixel; None where the capture names no regions."""
         labels = self._frames.regions
         return None if labels is None else labels[rows]
 
     def fitted_model(self, rows: slice) -> FittedModel:
-        """What predicts photographs of these rows; without gloss where it is left out."""
+        """Return what predicts photographs of these rows; without gloss where it is left out."""
         parameters = read_json(self._inputs.get("brdf"), "parameters.json")
         labels = self.regions(rows) if parameters is not None and len(gloss_table(parameters)[0]) > 1 else None
         return FittedModel(
@@ -162,7 +162,7 @@ class ExportedScene:
         )
 
     def shading(self, rows: slice) -> np.ndarray:
-        """(r, columns, 3) terms a, b, d of the body shading, (1, 0, 0) for Lambert's law."""
+        """Return (r, columns, 3) terms a, b, d of the body shading, (1, 0, 0) for Lambert's law."""
         if "shading" in self._maps:
             return self._maps.read("shading", rows)[..., :3]
         return np.broadcast_to(np.float32([1, 0, 0]), (*self.known(rows).shape, 3))
@@ -173,7 +173,7 @@ class ExportedScene:
         return directional_shading(self._maps)
 
     def directional_terms(self, rows: slice) -> np.ndarray:
-        """(r, columns, 2) terms e_x, e_y of such a body shading."""
+        """Return (r, columns, 2) terms e_x, e_y of such a body shading."""
         return self._maps.read("shading", rows)[..., 3:]
 
     def to_xyz_d50(self) -> tuple[np.ndarray, str]:
@@ -189,7 +189,7 @@ class ExportedScene:
 
 
 def block_mean(values: np.ndarray, step: int) -> np.ndarray:
-    """Means over squares of pixels (the last ones may be smaller), float64."""
+    """Return means over squares of pixels (the last ones may be smaller), float64."""
     if step == 1:
         return values.astype(np.float64)
     sums = np.asarray(values, np.float64)
@@ -290,7 +290,7 @@ def _with_edges(values: np.ndarray, edges: tuple[int, int]) -> np.ndarray:
 
 
 def _triangles(numbers: np.ndarray) -> np.ndarray:
-    """(t, 3): two triangles between four neighbours that are all there; numbers (rows, columns), -1: none."""
+    """Return (t, 3): two triangles between four neighbours that are all there; numbers (rows, columns), -1: none."""
     a, b, c, d = numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, :-1], numbers[1:, 1:]
     all_there = np.minimum(np.minimum(a, b), np.minimum(c, d)) >= 0
     a, b, c, d = (corner[all_there] for corner in (a, b, c, d))

@@ -11,7 +11,7 @@ from nishiki.stages.base import Asked, Cost, SceneFacts, Stage
 
 
 def _albedo(diagnostics: Mapping[str, Any]) -> float | None:
-    """The largest share of light sent back, over the regions; along the normal where nothing else is known."""
+    """Return the largest share of light sent back, over the regions; along the normal where nothing else is known."""
     return extreme("albedo")(diagnostics) or extreme("albedo_normal")(diagnostics)
 
 

@@ -51,13 +51,13 @@ def run(context: Context) -> dict:
 
 
 def table_angles(source: Measurements) -> np.ndarray:
-    """(n, 4): theta_i, phi_i, theta_r, phi_r of a given table, degrees."""
+    """Return (n, 4): theta_i, phi_i, theta_r, phi_r of a given table, degrees."""
     incident, outgoing, _ = source.table
     return np.concatenate([incident, outgoing], axis=1)
 
 
 def from_table(source: Measurements) -> tuple[tuple[str, ...], Averaged, Readings | None]:
-    """The rows of a table of reflectances; those with a value of 0 or below are not valid."""
+    """Return the rows of a table of reflectances; those with a value of 0 or below are not valid."""
     values = source.table[2][:, None, :]
     valid = (values > 0).all(axis=2)
     values = np.where(valid[..., None], values, 0.0)
@@ -66,7 +66,7 @@ def from_table(source: Measurements) -> tuple[tuple[str, ...], Averaged, Reading
 
 
 def from_photographs(source: Measurements, context: Context) -> tuple[tuple[str, ...], Averaged, Readings]:
-    """Names of the regions, and the readings of all photographs."""
+    """Return names of the regions, and the readings of all photographs."""
     settings, attributes = context.settings, source.attributes
     if source.regions is None and settings.window_px > max(attributes["shape"]):
         raise UserError(
@@ -110,7 +110,7 @@ def diagnostics(
     made: Interpolation | None,
     covered: tuple[IncidenceCoverage, ...],
 ) -> dict:
-    """Plain values for the manifest."""
+    """Return plain values for the manifest."""
     values = measured.values[measured.valid]
     noise = measured.noise[measured.valid]
     sets = [

@@ -39,6 +39,6 @@ def run(context: Context) -> dict:
 
 
 def percentiles_deg(error: np.ndarray) -> dict[str, float]:
-    """Median and 95th percentile of the normals' expected error (pixels,), radians, in degrees."""
+    """Return median and 95th percentile of the normals' expected error (pixels,), radians, in degrees."""
     middle, high = np.degrees(np.percentile(error[:: max(1, error.size // 100_000)], [50, 95]))
     return {"expected_error_median_deg": float(middle), "expected_error_p95_deg": float(high)}

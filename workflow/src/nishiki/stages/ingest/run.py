@@ -56,7 +56,7 @@ def run_goniometer(capture: GoniometerCapture, context: Context) -> dict:
 
 
 def described(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> dict:
-    """What the capture says of itself, and what was read of it."""
+    """Return what the capture says of itself, and what was read of it."""
     block = context.settings
     read = usage_of(
         capture, without=block.without, channels=block.channels, tile_mib=block.tile_mib, white_block=block.white_block

@@ -77,7 +77,7 @@ def run(context: Context) -> dict:
 
 
 def described(light: SimplifiedMesh) -> dict:
-    """Figures of the decimation."""
+    """Return figures of the decimation."""
     return {
         "triangles_before": light.before,
         "deviation_px": light.deviation_px,
@@ -86,7 +86,7 @@ def described(light: SimplifiedMesh) -> dict:
 
 
 def source_of(source: str, views: Views) -> str:
-    """Where the surface comes from. UserError where the capture has not what was asked for."""
+    """Return where the surface comes from. UserError where the capture has not what was asked for."""
     there = {"file": bool(views.geometry["mesh"]), "scans": bool(views.geometry["scans"]), "silhouettes": True}
     if source == "auto":
         return next(name for name, available in there.items() if available)
@@ -97,12 +97,12 @@ def source_of(source: str, views: Views) -> str:
 
 
 def kept(masks: list, used: list[bool]) -> list:
-    """Masks of the views that may be used, None for the others."""
+    """Return masks of the views that may be used, None for the others."""
     return [mask if use else None for mask, use in zip(masks, used, strict=True)]
 
 
 def picture_of(views: Views, name: str) -> np.ndarray:
-    """(rows, columns, 3) uint8 sRGB of `linear_picture`."""
+    """Return (rows, columns, 3) uint8 sRGB of `linear_picture`."""
     return display(linear_picture(views, name))
 
 
@@ -114,8 +114,8 @@ def linear_picture(views: Views, name: str) -> np.ndarray:
 
 
 def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np.ndarray | None], list, dict]:
-    """Silhouettes of all views as given, else segmented where they are needed; what may be shadow beside the segmented
-    ones; figures of these by view."""
+    """Return silhouettes of all views as given, else segmented where they are needed; what may be shadow beside the
+    segmented ones; figures of these by view."""
     outlines, facts = [views.silhouette(name) for name in views.views], {}
     shadows = [None if outline is None else np.zeros_like(outline) for outline in outlines]
     missing = [place for place, outline in enumerate(outlines) if outline is None] if needed else []
@@ -129,7 +129,7 @@ def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np
 
 
 def find_outline(context: Context, views: Views, place: int, **bounds: np.ndarray) -> tuple[Silhouette, np.ndarray]:
-    """Silhouette in the photograph of a view, and what may be shadow beside it; bounds: inside, outside."""
+    """Return silhouette in the photograph of a view, and what may be shadow beside it; bounds: inside, outside."""
     picture = picture_of(views, views.views[place])
     segmented = segment(picture, background=background_of(context, views), **bounds)
     widest_px = context.settings.narrow_gap * np.sqrt(segmented.mask.sum())
@@ -137,13 +137,13 @@ def find_outline(context: Context, views: Views, place: int, **bounds: np.ndarra
 
 
 def background_of(context: Context, views: Views) -> str:
-    """What is behind the object: the setting, else as the capture says."""
+    """Return what is behind the object: the setting, else as the capture says."""
     named = context.settings.background
     return named if named != "capture" else views.attributes.get("background") or "auto"
 
 
 def expect_coherence(context: Context, views: Views, cameras: list[Camera], outlines: list) -> dict:
-    """Figures of the coherence of outlines and cameras, before anything is made to fit.
+    """Return figures of the coherence of outlines and cameras, before anything is made to fit.
 
     Raises CaptureError with the remedy where they contradict each other, unless the limit `contradiction` is allowed.
     """
@@ -181,7 +181,7 @@ def reconcile(
 def without_hollows(
     context: Context, views: Views, cameras: list[Camera], mesh: Mesh, masks: list[np.ndarray | None]
 ) -> tuple[Mesh, list[dict]]:
-    """The hull with the hollows that the photographs show, and figures of each."""
+    """Return the hull with the hollows that the photographs show, and figures of each."""
     used = [place for place, mask in enumerate(masks) if mask is not None]
     hull = carve(masks, cameras, cells=HOLLOW_CELLS, misses=context.settings.misses)
     coarse, _ = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
@@ -201,7 +201,7 @@ def read_file(context: Context, views: Views, cameras: list[Camera], mirror: lis
 
 
 def mirrored(vertices: np.ndarray, triangles: np.ndarray, mirror: list[int] | None) -> tuple[np.ndarray, np.ndarray]:
-    """The same surface in a world that the cameras stage has turned back; triangles keep facing outwards."""
+    """Return the same surface in a world that the cameras stage has turned back; triangles keep facing outwards."""
     if mirror is None:
         return vertices, triangles
     return vertices * np.array(mirror, np.float64), triangles[:, ::-1]
@@ -237,7 +237,7 @@ def sound(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera]):
 
 
 def on_grid(mesh: Mesh, cameras: list[Camera], shift_px: float) -> tuple[Mesh, float | None]:
-    """The mesh on the coarsest grid that moves no vertex by more than shift_px, and the grid's step."""
+    """Return the mesh on the coarsest grid that moves no vertex by more than shift_px, and the grid's step."""
     if not shift_px:
         return mesh, None
     from nishiki.codec.compact_mesh import grid_step
@@ -285,7 +285,7 @@ def write(context: Context, views: Views, cameras: list[Camera], mesh: Mesh, mas
 
 
 def preview(views: Views, cameras: list[Camera], mesh: Mesh) -> np.ndarray:
-    """(rows, columns, 3) uint8: photograph and shaded mesh in two views a quarter apart, side by side."""
+    """Return (rows, columns, 3) uint8: photograph and shaded mesh in two views a quarter apart, side by side."""
     import cv2
 
     from nishiki.geometry.outlines import shaded

@@ -48,7 +48,7 @@ WEIGHTED = 0.01  # mean change of the samples, relative, from which the shading 
 
 
 def scaled(observations: np.ndarray, parcel: Parcel) -> np.ndarray:
-    """Observations as if the lamps were as far from the parcel as from the centre."""
+    """Return observations as if the lamps were as far from the parcel as from the centre."""
     return observations * parcel.scale[:, None, None, None] if (parcel.scale != 1).any() else observations
 
 
@@ -146,7 +146,7 @@ def relit(observations: np.ndarray, valid: np.ndarray, parcel: Parcel, maps: dic
 
 
 def aligned(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The mask (rows, columns) with as many axes as the map."""
+    """Return the mask (rows, columns) with as many axes as the map."""
     return mask.reshape(mask.shape + (1,) * (values.ndim - 2))
 
 
@@ -162,7 +162,7 @@ def choose_fit(
     gloss: SceneGloss | None,
     settings: NormalsSettings,
 ) -> tuple[GlossProfile | None, str | None, list[Decision | None]]:
-    """Gloss of the joint fit, or None; the model of relighting, or None where there is none; what was decided.
+    """Return gloss of the joint fit, or None; the model of relighting, or None where there is none; what was decided.
 
     Captured lamps that are left out in turn decide, on a sample of the pixels, where the settings leave it open.
     """
@@ -217,7 +217,7 @@ def prediction_errors(
 def scene_gloss(
     frames: Observations, selection: Maps | None, lights: np.ndarray, settings: NormalsSettings
 ) -> SceneGloss | None:
-    """Gloss of the scene from a fixed sample of its pixels in a few bands; None where it is not asked for.
+    """Return gloss of the scene from a fixed sample of its pixels in a few bands; None where it is not asked for.
 
     The sample is the same for every machine and number of threads; it bounds the memory to that of one band.
     """
@@ -242,7 +242,7 @@ def scene_gloss(
 
 
 def sample_bands(frames: Observations, pixels: int | None = None) -> list[slice]:
-    """Bands of rows from which a sample is taken, evenly over the picture.
+    """Return bands of rows from which a sample is taken, evenly over the picture.
 
     pixels: size of the sample. Where it is given and the lamps are distant, the bands are thin and lie evenly over the
     rows of the object; together they hold about eight times as many pixels, so that little is read.
@@ -285,7 +285,7 @@ def sampled_pixels(
 
 
 def pick(array: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Pixels of an array (lights, rows, columns, ...) as (lights, 1, pixels, ...)."""
+    """Return pixels of an array (lights, rows, columns, ...) as (lights, 1, pixels, ...)."""
     return array.reshape(len(array), 1, -1, *array.shape[3:])[:, :, chosen]
 
 

@@ -72,7 +72,7 @@ def map_tiles(context: Context) -> dict:
 
 
 def merge(context: Context, tallies: list[dict]) -> dict:
-    """Counts of pixels and of flags; uncertainty over a sample of the pixels."""
+    """Return counts of pixels and of flags; uncertainty over a sample of the pixels."""
     counts: Counter[str] = Counter()
     for tally in tallies:
         counts.update(tally["counts"])
@@ -91,7 +91,7 @@ def fit_lights(
 
 
 def create_maps(context: Context, frames: Observations, *, terms: int, relight: bool) -> dict:
-    """The arrays of the artifact; terms: of the map `shading`, relight: with `shading_normals`."""
+    """Return the arrays of the artifact; terms: of the map `shading`, relight: with `shading_normals`."""
     rows, columns = frames.shape
     maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
     maps.group.update(pixel_pitch_mm=frames.pixel_pitch_mm, to_srgb=frames.to_srgb)
@@ -106,7 +106,7 @@ def create_maps(context: Context, frames: Observations, *, terms: int, relight: 
 
 
 def count_flags(flags: np.ndarray, inside: np.ndarray) -> dict[str, int]:
-    """Pixels of the object, those with an estimate, and those with each flag."""
+    """Return pixels of the object, those with an estimate, and those with each flag."""
     of_object = flags[inside]
     valid = int(((of_object & bits.NO_ESTIMATE) == 0).sum())
     named = {f"flagged_{name}": int(((of_object & bit) != 0).sum()) for bit, name in bits.NAMES.items()}

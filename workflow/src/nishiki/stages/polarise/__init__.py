@@ -11,13 +11,13 @@ from nishiki.stages.base import Cost, SceneFacts, Stage, no_method
 
 
 def _largest_beta(diagnostics: Mapping[str, Any]) -> float | None:
-    """Largest beta of a channel; of analysers, whose boards give a transmission, none."""
+    """Return largest beta of a channel; of analysers, whose boards give a transmission, none."""
     boards = [board for board in (diagnostics.get("boards") or {}).values() if board]
     return max(max(b["channel"]) for b in boards) if boards and diagnostics.get("method") == "circular" else None
 
 
 def _largest(diagnostics: Mapping[str, Any], name: str) -> float | None:
-    """Largest figure of a view."""
+    """Return largest figure of a view."""
     return extreme("views")({"views": [view.get(name) for view in diagnostics.get("by_view") or ()]})
 
 

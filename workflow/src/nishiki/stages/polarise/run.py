@@ -117,7 +117,7 @@ def separate(
 
 
 def smoothing_diagnostics(before: SeparatedView, after: SeparatedView, noise: PhotographNoise | None) -> dict:
-    """Noise of the photographs, and root mean square by which the smoothing changed the components."""
+    """Return noise of the photographs, and root mean square by which the smoothing changed the components."""
     pairs = {"diffuse": (before.diffuse, after.diffuse), "specular": (before.specular, after.specular)}
     changes = {name: (new - old)[after.valid] for name, (old, new) in pairs.items()}
     return {
@@ -130,7 +130,7 @@ def smoothing_diagnostics(before: SeparatedView, after: SeparatedView, noise: Ph
 
 
 def photographs(views: Views, place: int, light: str, thinned: Thinned) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """The view's photographs, one at a time, in the order of the states."""
+    """Yield the view's photographs, one at a time, in the order of the states."""
     for state in views.states:
         values, valid = views.read(place, state=state, light=light)
         thinned.add(values, valid)
@@ -176,7 +176,7 @@ def boards_of(views: Views, light: str, sums: StateSums, settings: PolariseSetti
 
 
 def unit_of(views: Views, sums: StateSums, boards: dict[str, Beta | None]) -> str:
-    """What the value 1 is: "white board", or "full scale" of the photographs at the longest exposure time.
+    """Return what the value 1 is: "white board", or "full scale" of the photographs at the longest exposure time.
 
     Boards behind circular polarisers give beta alone; those behind analysers divide the components.
     """
@@ -185,14 +185,14 @@ def unit_of(views: Views, sums: StateSums, boards: dict[str, Beta | None]) -> st
 
 
 def board_diagnostics(board: Beta | None) -> dict | None:
-    """A board in the diagnostics."""
+    """Return a board in the diagnostics."""
     if board is None:
         return None
     return {"channel": board.channel, "covered": board.covered, "low_pixels": board.low, "spread": board.spread}
 
 
 def wavelength_of(views: Views, settings: PolariseSettings) -> float | None:
-    """The setting, else the wavelength that a single channel has in its name ('630 nm')."""
+    """Return the setting, else the wavelength that a single channel has in its name ('630 nm')."""
     if settings.wavelength_nm is not None or len(views.channels) != 1:
         return settings.wavelength_nm
     text = views.channels[0].removesuffix("nm").strip()
@@ -200,7 +200,7 @@ def wavelength_of(views: Views, settings: PolariseSettings) -> float | None:
 
 
 def totals(statistics: list[SeparationStatistics]) -> dict:
-    """Means over the views that have anything valid."""
+    """Return means over the views that have anything valid."""
     known = [one for one in statistics if one.diffuse is not None]
     names = ("diffuse", "specular", "negative", "negative_mean", "noise", "doubtful")
     mean = {name: [getattr(one, name) for one in known if getattr(one, name) is not None] for name in names}
@@ -214,7 +214,7 @@ def totals(statistics: list[SeparationStatistics]) -> dict:
 
 
 def exposure_of(view: SeparatedView) -> float:
-    """Factor that brings all but the brightest half per cent of the whole to at most full scale."""
+    """Return factor that brings all but the brightest half per cent of the whole to at most full scale."""
     total = (view.diffuse + view.specular)[view.valid]
     top = float(np.percentile(total, 99.5)) if total.size else 0.0
     return 1 / top if top > 0 else 1.0
@@ -233,13 +233,13 @@ def picture(context: Context, name: str, place: int, view: SeparatedView, exposu
 
 
 def safe(name: str) -> str:
-    """A view's name as a part of a file name."""
+    """Return a view's name as a part of a file name."""
     kept = "".join(letter if letter.isalnum() or letter in "._-" else "-" for letter in name)
     return f"{kept}_" if kept else ""
 
 
 def display(linear: np.ndarray) -> np.ndarray:
-    """(rows, columns, 3) uint8 sRGB of linear values with one, three or more channels (one: grey; others: first "
-    "three)."""
+    """Return (rows, columns, 3) uint8 sRGB of linear values with one, three or more channels (one: grey; others: first
+    " "three)."""
     colours = linear[..., :3] if linear.shape[-1] >= 3 else np.repeat(linear[..., :1], 3, axis=-1)
     return np.rint(255 * encode(np.clip(colours, 0, 1), "srgb")).astype(np.uint8)

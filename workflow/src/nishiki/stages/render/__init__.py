@@ -75,7 +75,7 @@ class RenderSettings(Guarded, stage="render", version=2):
 
 
 def illuminants(settings: RenderSettings) -> set[str]:
-    """Every illuminant that the pictures and sequences name."""
+    """Return every illuminant that the pictures and sequences name."""
     names = {light.illuminant for picture in settings.pictures for light in picture.lights}
     return names | {sequence.illuminant for sequence in settings.sequences}
 
@@ -250,7 +250,7 @@ class ClothRenderSettings(Guarded, stage="cloth_render", version=2):
 
 
 def with_digest_of_mesh(mesh: MeshSettings | None, stage: str) -> dict:
-    """What the plan fills in for a stage: the digest of the file, where the settings state none."""
+    """Return what the plan fills in for a stage: the digest of the file, where the settings state none."""
     if mesh is None or mesh.sha256:
         return {"mesh": mesh}
     return {"mesh": mesh.model_copy(update={"sha256": digest_of(mesh.file, f"{stage}.mesh.file")})}

@@ -58,8 +58,8 @@ def run(context: Context) -> dict:
 
 
 def exposed(settings: ClothRenderSettings, pictures: list[ClothPicture]) -> float:
-    """The factor of the PNG pictures: a white sheet that faces the brightest lamp is white, so that a black cloth stays
-    black; less where the bright parts of the cloth would then exceed the display's white."""
+    """Return the factor of the PNG pictures: a white sheet that faces the brightest lamp is white, so that a black
+    cloth stays black; less where the bright parts of the cloth would then exceed the display's white."""
     if settings.exposure != "auto":
         return settings.exposure
     sheet = max((lamp.intensity for lamp in settings.lights.values()), default=0.0) + settings.around
@@ -68,7 +68,7 @@ def exposed(settings: ClothRenderSettings, pictures: list[ClothPicture]) -> floa
 
 
 def shown(settings: ClothRenderSettings, picture: ClothPicture, exposure: float) -> DisplayImage:
-    """The PNG picture, over white."""
+    """Return the PNG picture, over white."""
     soft = settings.tone == "soft"
     return developed(picture.linear, picture.coverage, exposure=exposure, soft=soft, background=1.0)
 

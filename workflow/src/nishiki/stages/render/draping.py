@@ -28,7 +28,7 @@ class DrapedCloth:
 
 
 def draped_cloth(settings: ClothRenderSettings) -> DrapedCloth:
-    """The cloth over the ball, or the surface of the file."""
+    """Return the cloth over the ball, or the surface of the file."""
     if settings.mesh is not None:
         return surface_from_file(settings.mesh)
     side = min(FINEST_SIDE, max(settings.view.rows, settings.view.columns) + 1)  # no more points than pixels
@@ -37,7 +37,7 @@ def draped_cloth(settings: ClothRenderSettings) -> DrapedCloth:
 
 
 def surface_from_file(wanted: MeshSettings) -> DrapedCloth:
-    """The surface of a file, with its weft. UserError where it cannot be used."""
+    """Return the surface of a file, with its weft. UserError where it cannot be used."""
     read = read_surface(Path(wanted.file), sha256=wanted.sha256, smooth=wanted.smooth)
     mesh, turn, uv = read.mesh, np.radians(wanted.turned_deg), None
     if wanted.weft == "texture":
@@ -60,7 +60,7 @@ def _sizes(mesh: Mesh) -> dict:
 
 
 def lights_of(settings: ClothRenderSettings) -> list[Lighting]:
-    """The lamps."""
+    """Return the lamps."""
     return [
         Lighting(
             np.radians(lamp.elevation_deg),
@@ -73,5 +73,5 @@ def lights_of(settings: ClothRenderSettings) -> list[Lighting]:
 
 
 def room(settings: ClothRenderSettings) -> dict:
-    """Light from around, and the paper."""
+    """Return light from around, and the paper."""
     return {"level": settings.around, "reflectance": settings.paper}

@@ -48,7 +48,7 @@ def run(context: Context) -> dict:
 
 
 def own_lamps(settings: ObjectRenderSettings) -> FreeLighting | None:
-    """The lamps of the settings; None where those of the capture light the object."""
+    """Return the lamps of the settings; None where those of the capture light the object."""
     if not settings.lamps:
         _refuse_what_needs_lamps(settings)
         return None
@@ -82,7 +82,7 @@ def _refuse_what_needs_lamps(settings: ObjectRenderSettings) -> None:
 
 
 def stills(decoded: DecodedObject, renderer: ObjectRenderer, settings: ObjectRenderSettings) -> list[tuple[str, Shot]]:
-    """(file name, shot) of every still picture."""
+    """Return (file name, shot) of every still picture."""
     count = len(decoded.views)
     if isinstance(settings.views, int):
         chosen = sorted({k * count // max(1, settings.views) for k in range(min(settings.views, count))})

@@ -58,7 +58,7 @@ def run(context: Context) -> dict:
 
 
 def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool) -> PlaneScene:
-    """The maps of the upstream artifacts; spectra where there are some, camera channels otherwise."""
+    """Return the maps of the upstream artifacts; spectra where there are some, camera channels otherwise."""
     maps = Maps(inputs["normals"].folder)
     known = (maps.read("flags") & NO_ESTIMATE) == 0
     normals = np.where(known[..., None], shading_normals(maps), np.float32(0))
@@ -87,7 +87,7 @@ def colours(inputs: dict[str, Artifact], maps: Maps) -> dict[str, np.ndarray]:
 
 
 def spectrum(name: str) -> np.ndarray:
-    """(61,) power of a CIE illuminant, or of a table (wavelength_nm, power)."""
+    """Return (61,) power of a CIE illuminant, or of a table (wavelength_nm, power)."""
     if not name.lower().endswith(".csv"):
         return cie_illuminant(name)
     curves = read_curves(Path(name), label=name)
@@ -97,7 +97,7 @@ def spectrum(name: str) -> np.ndarray:
 def paint(
     scene: PlaneScene, picture: PictureSettings, spectra: dict[str, np.ndarray], settings: RenderSettings
 ) -> Rendering:
-    """One picture in linear XYZ."""
+    """Return one picture in linear XYZ."""
     lights = [distant_lamp(light, spectra[light.illuminant]) for light in picture.lights]
     view = view_of(picture.view, scene)
     ambient = Ambient(spectrum=lights[0].spectrum, level=picture.ambient) if lights else Ambient(level=picture.ambient)
@@ -122,7 +122,7 @@ def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:
 
 
 def seen(made: Rendering) -> np.ndarray:
-    """Pixels (rows, columns) of the picture that show the object."""
+    """Return pixels (rows, columns) of the picture that show the object."""
     return (made.coverage > 0.5) & ((made.flags & UNUSABLE) == 0)
 
 
@@ -166,13 +166,13 @@ LONGER_SIDE, SHORTEST_SIDE = 1024, 16  # pixels of a picture whose size the sett
 
 
 def direction(elevation_deg: float, azimuth_deg: float) -> np.ndarray:
-    """Unit vector (3,) at an elevation above the object's plane, azimuth from x (right) towards y (up)."""
+    """Return unit vector (3,) at an elevation above the object's plane, azimuth from x (right) towards y (up)."""
     elevation, azimuth = np.radians([elevation_deg, azimuth_deg])
     return np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
 
 
 def distant_lamp(settings: LightSettings, spectrum: np.ndarray) -> Light:
-    """A distant distant_lamp; spectrum (61,)."""
+    """Return a distant lamp; spectrum (61,)."""
     towards = direction(settings.elevation_deg, settings.azimuth_deg)
     return Light(
         direction=tuple(towards), spectrum=spectrum, intensity=settings.intensity, angular_radius=LAMP_RADIUS_RAD
@@ -180,7 +180,7 @@ def distant_lamp(settings: LightSettings, spectrum: np.ndarray) -> Light:
 
 
 def view_of(settings: ViewSettings, scene: PlaneScene) -> View:
-    """The frontal view pixel by pixel, or a pinhole camera whose picture the object fills.
+    """Return the frontal view pixel by pixel, or a pinhole camera whose picture the object fills.
 
     The object is where the maps have normals: a small one in a large frame is framed as if it were alone. Where the
     settings leave a side of the picture open, the picture has the proportions of the object as the eye sees it.
@@ -235,7 +235,7 @@ def outline(scene: PlaneScene) -> np.ndarray:
 
 
 def _picture_size(settings: ViewSettings, proportion: float) -> tuple[int, int]:
-    """(rows, columns): as given; a side left open by the proportion (height over width) of the object."""
+    """Return (rows, columns): as given; a side left open by the proportion (height over width) of the object."""
     rows, columns = settings.rows, settings.columns
     if rows is None and columns is None:
         rows, columns = (None, LONGER_SIDE) if proportion <= 1 else (LONGER_SIDE, None)

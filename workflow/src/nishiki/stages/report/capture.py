@@ -57,7 +57,7 @@ def capture_section(
 
 
 def _corrected(corrections: dict[str, Any]) -> Table | None:
-    """One row a photograph that was put right or left out: what it showed before, and what was done."""
+    """Return one row a photograph that was put right or left out: what it showed before, and what was done."""
     done = corrections.get("done", {})
     rows = []
     for name, row in corrections.get("photographs", {}).items():
@@ -100,7 +100,7 @@ def facts_of_object(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def about_capture(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
-    """What capture.yaml says of the object, the photographer and the camera, and how codes became light."""
+    """Return what capture.yaml says of the object, the photographer and the camera, and how codes became light."""
     capture = diagnostics["capture"]
     facts = [(label, str(capture[key])) for key, label in FACTS if capture.get(key)]
     camera = capture.get("camera") or {}
@@ -135,7 +135,7 @@ def facts_of_painting(
 
 
 def _cropped(diagnostics) -> str:
-    """Where the picture lies in the photographs, where it is a part of them."""
+    """Return where the picture lies in the photographs, where it is a part of them."""
     (row, column, rows, columns), photograph = diagnostics["region"], diagnostics["photograph"]
     if [rows, columns] == list(photograph):
         return ""
@@ -149,7 +149,7 @@ def _named(illuminant: str) -> str:
 
 
 def _exposure(diagnostics, lights, kinds, directions) -> Table:
-    """One row a light: angles, saturated and dark shares, level and evenness of the white board."""
+    """Return one row a light: angles, saturated and dark shares, level and evenness of the white board."""
     rows = []
     for j, (name, kind) in enumerate(zip(lights, kinds, strict=True)):
         x, y, z = (float(v) for v in directions[j])
@@ -185,7 +185,7 @@ def _at(values: list, j: int, factor: float) -> float | None:
 
 
 def _saturation(diagnostics, lights) -> str:
-    """Bars of the saturated share of the lights that have any, the largest twelve."""
+    """Return bars of the saturated share of the lights that have any, the largest twelve."""
     shares = sorted(zip(diagnostics["saturated"], lights, strict=True), key=lambda pair: (-pair[0], pair[1]))
     shown = [(100 * share, name) for share, name in shares if share >= LEAST_SATURATED][:12]
     if not shown:
@@ -202,7 +202,7 @@ LEAST_PX = 0.01  # distances of cameras below it are rounding
 
 
 def export_section(export: Artifact | None) -> Section | None:
-    """The files of each format with their losses; None where nothing was exported."""
+    """Return the files of each format with their losses; None where nothing was exported."""
     if export is None:
         return None
     rows = []
@@ -215,7 +215,7 @@ def export_section(export: Artifact | None) -> Section | None:
 
 
 def lost(each: dict) -> str:
-    """What a format loses, in words."""
+    """Return what a format loses, in words."""
     texts = []
     if "largest_deg" in each:
         texts.append(f"16 bits move a normal by at most {figure(each['largest_deg'])}°")

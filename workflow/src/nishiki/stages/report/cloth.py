@@ -76,7 +76,7 @@ def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any] | None, regi
 
 
 def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> Section | None:
-    """Pictures of at most `widest` pixels across; None where there are none."""
+    """Return pictures of at most `widest` pixels across; None where there are none."""
     if render is None:
         return None
     groups: dict[str, list[Figure]] = {"lights": [], "dyes": [], "others": []}
@@ -114,7 +114,7 @@ def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> S
 
 
 def words(name: str) -> tuple[str, str, str]:
-    """Group, heading and caption of a picture."""
+    """Return group, heading and caption of a picture."""
     if name.startswith("drape-dye-"):
         return "dyes", name.removeprefix("drape-dye-").capitalize(), ""
     if name.startswith("drape-light-"):
@@ -127,7 +127,7 @@ def words(name: str) -> tuple[str, str, str]:
 
 
 def coverage_section(samples: Artifact) -> Section:
-    """The drawing, and a row for each direction of light."""
+    """Return the drawing, and a row for each direction of light."""
     blocks: list[Block] = ["Views that were measured for each direction of light."]
     if drawing := contents(samples, "coverage.svg"):
         caption = "Each disc is one direction of light; dots are views seen from above, the weft to the right."
@@ -139,7 +139,7 @@ def coverage_section(samples: Artifact) -> Section:
 
 
 def coverage_rows(stored: dict[str, Any]) -> list[tuple]:
-    """Coverage of each direction of light; stored : reflectance.json."""
+    """Return coverage of each direction of light; stored : reflectance.json."""
     return [
         (
             *(f"{figure(row.get(name))}°" for name in ("theta_deg", "phi_deg")),

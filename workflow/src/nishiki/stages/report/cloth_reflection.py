@@ -36,12 +36,12 @@ MODEL_NAMES = {
 
 
 def model_name(kind: str) -> str:
-    """A model in words."""
+    """Return a model in words."""
     return MODEL_NAMES.get(kind, kind.replace("_", " "))
 
 
 def reflection_section(cloth_brdf: Artifact | None, measured: Reflectances, region: str) -> Section | None:
-    """Discs and lobes of the region's default model, beside the measured disc; a table of all models."""
+    """Return discs and lobes of the region's default model, beside the measured disc; a table of all models."""
     if cloth_brdf is None:
         return None
     models = ClothModels(cloth_brdf.folder)
@@ -82,20 +82,20 @@ Lobe = tuple[str, np.ndarray, np.ndarray]
 
 
 def lobes(evaluate: Callable[[float, float, np.ndarray], np.ndarray], azimuth: float) -> list[Lobe]:
-    """Lobes in the plane of the light at this azimuth. evaluate(degrees, azimuth, directions): the BRDF."""
+    """Return lobes in the plane of the light at this azimuth. evaluate(degrees, azimuth, directions): the BRDF."""
     angle = np.radians(np.arange(-STEEPEST_DEG, STEEPEST_DEG + 1))
     along = np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
     return [(f"light at {degrees}°", angle, evaluate(degrees, azimuth, along)) for degrees in INCIDENCES_DEG]
 
 
 def light(degrees: float, azimuth: float) -> np.ndarray:
-    """Unit vector (3,) towards a light."""
+    """Return unit vector (3,) towards a light."""
     theta = np.radians(degrees)
     return np.array([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)])
 
 
 def table_of_models(models: dict[str, dict], default: str) -> Table:
-    """Reciprocity and albedo of each model, as the stage cloth_brdf reports them."""
+    """Return reciprocity and albedo of each model, as the stage cloth_brdf reports them."""
     angles = sorted({angle for facts in models.values() for angle in facts.get("albedo_max") or {}}, key=float)
     names = sorted(models, key=lambda name: (name != default, name))
     rows = []
@@ -118,7 +118,7 @@ def table_of_models(models: dict[str, dict], default: str) -> Table:
 
 
 def disc_directions(size: int = DISC) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors (n, 3) of the pixels inside a disc of views seen from above, and the mask (size, size).
+    """Return unit vectors (n, 3) of the pixels inside a disc of views seen from above, and the mask (size, size).
 
     Distance from the middle grows evenly with the polar angle; x (weft) to the right, y (warp) up.
     """
@@ -132,7 +132,7 @@ def disc_directions(size: int = DISC) -> tuple[np.ndarray, np.ndarray]:
 
 
 def disc_picture(values: np.ndarray, inside: np.ndarray, low: float, high: float) -> PagePicture:
-    """Logarithmic picture of values (n,) at the pixels of a disc; white outside."""
+    """Return logarithmic picture of values (n,) at the pixels of a disc; white outside."""
     table, picture = heat(), np.full((*inside.shape, 3), 255, np.uint8)
     logs = np.log10(np.maximum(values, 1e-12))
     picture[inside] = coloured(logs[None], table, np.log10(low), np.log10(high))[0]
@@ -141,7 +141,7 @@ def disc_picture(values: np.ndarray, inside: np.ndarray, low: float, high: float
 
 
 def lobes_plot(parts: list[Lobe], *, width: int = 520, height: int = 330) -> str:
-    """Half-plane polar diagram of lobes; one scale for all.
+    """Return half-plane polar diagram of lobes; one scale for all.
 
     The distance from the foot is the square root of the value, so that weak lobes beside strong ones still show.
     """
@@ -238,7 +238,7 @@ def _errors_of(region: dict[str, Any], default: str) -> list[Block]:
 
 
 def row_of(row: dict[str, Any]) -> list[Cell]:
-    """One plane of incidence of one model."""
+    """Return one plane of incidence of one model."""
     direction = row["peak_direction_deg"]
     return [
         *(f"{figure(row[name])}°" for name in ("theta_i_deg", "phi_i_deg")),
@@ -249,14 +249,14 @@ def row_of(row: dict[str, Any]) -> list[Cell]:
 
 
 def peak_error(part: dict[str, Any] | None) -> str | None:
-    """Error of the brightest view in words."""
+    """Return error of the brightest view in words."""
     if part is None or part["peak_value_rel"] is None:
         return None
     return f"{round(100 * part['peak_value_rel'])} %, {figure(part['peak_direction_deg'], 2)}°"
 
 
 def default_first(models: dict[str, Any], default: str) -> dict[str, Any]:
-    """Models with the default one first, the rest by error on what was held out, least first."""
+    """Return models with the default one first, the rest by error on what was held out, least first."""
 
     def order(name: str) -> tuple:
         error = mean_error((models[name].get("held_out") or {}).get("by_incidence") or {})
@@ -266,13 +266,13 @@ def default_first(models: dict[str, Any], default: str) -> dict[str, Any]:
 
 
 def mean_error(parts: dict[str, dict]) -> float | None:
-    """Mean relative error over incidences."""
+    """Return mean relative error over incidences."""
     values = [part["rms_rel"] for part in parts.values()]
     return float(np.mean(values)) if values else None
 
 
 def curves_section(evaluation: dict[str, Any] | None, region: str) -> Section | None:
-    """Charts of measured and predicted values in the plane of the light, for one region."""
+    """Return charts of measured and predicted values in the plane of the light, for one region."""
     if evaluation is None or not evaluation["regions"].get(region, {}).get("curves"):
         return None
     facts, default = evaluation["regions"][region], evaluation["default"]

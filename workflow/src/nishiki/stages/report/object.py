@@ -65,7 +65,7 @@ def run(context: Context) -> dict:
 
 
 def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Tile]:
-    """The figures that matter most; diagnostics : by stage."""
+    """Return the figures that matter most; diagnostics : by stage."""
     evaluation = diagnostics.get("object_evaluate") or {}
     psnr = evaluation.get("psnr") or {}
     left_out = next((figures for name, figures in psnr.items() if name.startswith("left_out")), {})
@@ -85,7 +85,7 @@ MOST_PICTURES = 6
 
 
 def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> Section | None:
-    """Pictures of at most `widest` pixels across; None where there are none."""
+    """Return pictures of at most `widest` pixels across; None where there are none."""
     if render is None:
         return None
     items, others = [], []
@@ -105,7 +105,7 @@ def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> S
 
 
 def words(name: str) -> str:
-    """A picture's file name in words."""
+    """Return a picture's file name in words."""
     kind, _, rest = name.partition("-")
     predicted = rest.endswith("-predicted")
     rest = rest.removesuffix("-predicted")
@@ -133,7 +133,7 @@ PICTURES = {
 
 
 def comparison_section(evaluate: Artifact | None, evaluation: dict[str, Any] | None) -> Section | None:
-    """Photograph, rendered view, model alone and difference of some views; evaluation : evaluation.json."""
+    """Return photograph, rendered view, model alone and difference of some views; evaluation : evaluation.json."""
     blocks: list[Block] = []
     for entry in (evaluation or {}).get("pictures") or []:
         data = contents(evaluate, entry["arrays"])
@@ -150,7 +150,7 @@ def comparison_section(evaluate: Artifact | None, evaluation: dict[str, Any] | N
 
 
 def views_section(evaluation: dict[str, Any] | None) -> Section | None:
-    """Figures over all views of each kind of picture, and every view's."""
+    """Return figures over all views of each kind of picture, and every view's."""
     if evaluation is None:
         return None
     scale = "sRGB-coded" if evaluation["encoding"] == "srgb" else "linear"
@@ -197,7 +197,7 @@ MOST_SEPARATED = 2
 
 
 def separation_section(polarise: Artifact | None, widest: int) -> Section | None:
-    """What the polarisers separated, with the first pictures that the stage drew."""
+    """Return what the polarisers separated, with the first pictures that the stage drew."""
     if polarise is None:
         return None
     shown = list((polarise.diagnostics.get("pictures") or {}).items())[:MOST_SEPARATED]
@@ -209,7 +209,7 @@ def separation_section(polarise: Artifact | None, widest: int) -> Section | None
 
 
 def sentences(diagnostics: dict[str, Any]) -> list[str]:
-    """Mean share of each component, of negative and of doubtful pixels; the white boards."""
+    """Return mean share of each component, of negative and of doubtful pixels; the white boards."""
     views = diagnostics.get("by_view") or []
 
     def mean(name: str) -> float | None:
@@ -260,7 +260,7 @@ def cameras_section(cameras: Artifact | None, held_out: set[str]) -> Section | N
 
 
 def facts(diagnostics: dict[str, Any], circle: dict[str, Any]) -> list[tuple[str, str]]:
-    """What is known of the cameras: label and text. diagnostics : of the stage; circle : a part of them."""
+    """Return what is known of the cameras: label and text. diagnostics : of the stage; circle : a part of them."""
     errors = [value for value in (diagnostics.get("reprojection_px") or {}).values() if value is not None]
     error = "not known: the matrices were given"
     if errors:
@@ -277,7 +277,7 @@ def facts(diagnostics: dict[str, Any], circle: dict[str, Any]) -> list[tuple[str
 
 
 def turn_plot(centres: np.ndarray, names: list[str], held_out: set[str], axis=None, centre=None) -> str:
-    """Cameras (views, 3) seen along the axis of the turn; views held out are open diamonds.
+    """Return cameras (views, 3) seen along the axis of the turn; views held out are open diamonds.
 
     axis, centre: of the circle; where they are not known, of the plane that fits the cameras best.
     """
@@ -307,7 +307,7 @@ def turn_plot(centres: np.ndarray, names: list[str], held_out: set[str], axis=No
 
 
 def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors across an axis."""
+    """Return two unit vectors across an axis."""
     axis = axis / np.linalg.norm(axis)
     helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
     right = np.cross(helper, axis)
@@ -319,7 +319,7 @@ PREVIEWS = ("preview.png", "mesh.png")
 
 
 def geometry_section(mesh: Artifact | None, widest: int) -> Section | None:
-    """Counts, silhouettes and a picture of the surface."""
+    """Return counts, silhouettes and a picture of the surface."""
     if mesh is None:
         return None
     blocks: list[Block] = [Table((), rows(mesh.diagnostics), "lr")]
@@ -330,7 +330,7 @@ def geometry_section(mesh: Artifact | None, widest: int) -> Section | None:
 
 
 def rows(mesh: dict[str, Any]) -> list[tuple[str, Cell]]:
-    """What is known of the surface: label and value; mesh : diagnostics of the stage."""
+    """Return what is known of the surface: label and value; mesh : diagnostics of the stage."""
     fit, decimation = mesh.get("fit") or {}, mesh.get("decimation") or {}
     values: list[tuple[str, Cell]] = [(name, mesh.get(name)) for name in ("source", "unit", "vertices", "triangles")]
     values.append(("watertight", {True: "yes", False: "no"}.get(mesh.get("watertight"))))

@@ -31,7 +31,7 @@ GAP = 2  # pixels between pieces
 
 
 def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest: int) -> Section | None:
-    """Parameter maps as sheets of all charts, and what the fit says of itself; None without both stages."""
+    """Return parameter maps as sheets of all charts, and what the fit says of itself; None without both stages."""
     if object_brdf is None or texels is None:
         return None
     maps, diagnostics = ParameterMaps(object_brdf.folder), object_brdf.diagnostics
@@ -75,8 +75,8 @@ def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest:
 
 
 def parameter_figures(parameters: np.ndarray) -> list[Figure]:
-    """Pictures of K_d, K_s and sigma, the latter two where there is any gloss; parameters : sheet (rows, columns, 2
-    channels + 1) of all three."""
+    """Return pictures of K_d, K_s and sigma, the latter two where there is any gloss; parameters : sheet (rows,
+    columns, 2 channels + 1) of all three."""
     channels = (parameters.shape[-1] - 1) // 2
     kd, ks = three(parameters[..., :channels]), three(parameters[..., channels : 2 * channels])
     glossy = bool((ks > 0).any())
@@ -102,7 +102,7 @@ class LeftOut:
 
 
 def sheet(read: Callable[[int], np.ndarray], atlas: Atlas, widest: int) -> tuple[np.ndarray, LeftOut]:
-    """(rows, columns, n) float32 sheet of what read(tile) gives, (T, T, n) with NaN where there is nothing.
+    """Return (rows, columns, n) float32 sheet of what read(tile) gives, (T, T, n) with NaN where there is nothing.
 
     Charts are cut to their connected pieces, which are packed by their bounding boxes. Tiles are averaged down to whole
     pixels, NaN left out, so that the sheet is at most `widest` pixels wide if it can be.
@@ -123,8 +123,8 @@ def sheet(read: Callable[[int], np.ndarray], atlas: Atlas, widest: int) -> tuple
 
 
 def _pieces(read: Callable[[int], np.ndarray], atlas: Atlas, side: int) -> tuple[list[np.ndarray], LeftOut]:
-    """Connected pieces of all charts, (rows, columns, n) with NaN outside, tiles averaged to `side` pixels a side;
-    those with less than `SPECK` of the known pixels are left out, but not the largest."""
+    """Return connected pieces of all charts, (rows, columns, n) with NaN outside, tiles averaged to `side` pixels a
+    side; those with less than `SPECK` of the known pixels are left out, but not the largest."""
     import cv2
 
     pieces, sizes = [], []
@@ -146,7 +146,7 @@ def _pieces(read: Callable[[int], np.ndarray], atlas: Atlas, side: int) -> tuple
 
 
 def _chart_picture(read: Callable[[int], np.ndarray], atlas: Atlas, chart: int, side: int) -> np.ndarray:
-    """(rows, columns, n) of one chart's tiles beside each other."""
+    """Return (rows, columns, n) of one chart's tiles beside each other."""
     _, rows, columns = (int(value) for value in atlas.chart_grid[chart])
     out = None
     for tile in np.flatnonzero(atlas.tile_chart == chart):
@@ -159,8 +159,8 @@ def _chart_picture(read: Callable[[int], np.ndarray], atlas: Atlas, chart: int, 
 
 
 def packed(boxes: list[tuple[int, int]]) -> tuple[list[Place], int, int]:
-    """Places (top, left) of boxes (rows, columns) on shelves, tallest first, with a gap; height and width of the sheet,
-    which is a little wider than high."""
+    """Return places (top, left) of boxes (rows, columns) on shelves, tallest first, with a gap; height and width of the
+    sheet, which is a little wider than high."""
     area = sum((rows + GAP) * (columns + GAP) for rows, columns in boxes)
     wide = max([int(np.ceil(np.sqrt(1.3 * area))), *(columns for _, columns in boxes)] or [1])
     places: list[Place] = [(0, 0)] * len(boxes)
@@ -176,7 +176,7 @@ def packed(boxes: list[tuple[int, int]]) -> tuple[list[Place], int, int]:
 
 
 def averaged(values: np.ndarray, side: int) -> np.ndarray:
-    """(side, side, n) means over areas of values (t, t, n), t >= side; NaN where nothing is known."""
+    """Return (side, side, n) means over areas of values (t, t, n), t >= side; NaN where nothing is known."""
     edges = np.arange(side + 1) * values.shape[0] // side
     known = np.isfinite(values).all(axis=-1, keepdims=True)
     sums, count = np.where(known, values, 0).astype(np.float64), known.astype(np.float64)
@@ -251,7 +251,7 @@ def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any]
 
 
 def bytes_bars(parts: dict[str, int]) -> str:
-    """Bytes of every part as bars, largest first; sums are left out."""
+    """Return bytes of every part as bars, largest first; sums are left out."""
     rows = sorted(((size, name) for name, size in parts.items() if name not in SUMS), key=lambda row: (-row[0], row[1]))
     labels = [_part_name(name) for _, name in rows]
     return bars([size / 1000 for size, _ in rows], labels, title="bytes by part", unit="kB") if rows else ""

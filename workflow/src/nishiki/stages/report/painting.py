@@ -142,7 +142,7 @@ def gloss_section(parameters: dict[str, Any] | None, *, true_gamma: list[float] 
 
 
 def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
-    """The profile with linear and with logarithmic strength."""
+    """Return the profile with linear and with logarithmic strength."""
     order = np.argsort(profile["phi"], kind="stable")
     phi = np.degrees(np.array(profile["phi"], float)[order])
     value, fitted, count = (np.array(profile[key], float)[order] for key in ("value", "fitted", "count"))
@@ -180,7 +180,7 @@ MOST_PICTURES = 8
 
 
 def appearance_section(render: Artifact | None, widest: int, video_mb: float, ruler: Ruler | None) -> Section | None:
-    """Pictures of at most `widest` pixels across, None without any; ruler : below those seen from the front."""
+    """Return pictures of at most `widest` pixels across, None without any; ruler : below those seen from the front."""
     if render is None:
         return None
     reported = render.diagnostics.get("pictures") or {}
@@ -218,7 +218,7 @@ def appearance_section(render: Artifact | None, widest: int, video_mb: float, ru
 
 
 def describe(picture: dict[str, Any]) -> str:
-    """Lights and view of a picture in words."""
+    """Return lights and view of a picture in words."""
     lights = [f"{light['illuminant']} from {_place(light)}" for light in picture["lights"]]
     view = picture["view"]
     seen = "seen from the front" if view["kind"] == "frontal" else f"seen from {_place(view)}"
@@ -227,7 +227,7 @@ def describe(picture: dict[str, Any]) -> str:
 
 
 def exposed(exposure: float | None, *, chosen: bool) -> str:
-    """What a caption says of the exposure; chosen: from the picture itself."""
+    """Return what a caption says of the exposure; chosen: from the picture itself."""
     if exposure is None:
         return ""
     why = ", chosen from the picture" if chosen else ""

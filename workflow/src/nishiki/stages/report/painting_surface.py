@@ -145,7 +145,7 @@ def _known(normals, rows: slice, mask: np.ndarray | None) -> np.ndarray:
 
 
 def _flags(normals, shape: tuple[int, int], block: int, mask: np.ndarray | None) -> np.ndarray:
-    """The gravest class of each block of pixels; NaN outside the mask."""
+    """Return the gravest class of each block of pixels; NaN outside the mask."""
     classes = shrink(lambda rows: _classes(normals.read("flags", rows)), shape, block, worst=True)
     if mask is None:
         return classes
@@ -201,7 +201,7 @@ def colour_section(
     expected_de00: dict[str, float] | None = None,
     ruler: Ruler | None = None,
 ) -> Section:
-    """Diffuse reflectance, spectra where there are some, and their errors.
+    """Return diffuse reflectance, spectra where there are some, and their errors.
 
     normals, spectra, evaluated : `Maps` of those stages or None; camera : map of the channels to XYZ, used where there
     are no spectra; evaluation : evaluation.json or None; known : (rows, columns) bool, pixels with an estimate;
@@ -250,7 +250,7 @@ def _diffuse(linear: np.ndarray, how: str, marks: tuple, ruler: Ruler | None) ->
 
 
 def _tables(expected_de00: dict[str, float], truth: dict[str, Any]) -> list[Block]:
-    """Colour errors to be expected, and errors of the reflectance against a truth."""
+    """Return colour errors to be expected, and errors of the reflectance against a truth."""
     tables: list[Block] = []
     if expected_de00:
         rows = [[ILLUMINANTS[light], value] for light, value in expected_de00.items()]
@@ -296,7 +296,7 @@ def _masked(values: np.ndarray, known: np.ndarray | None, rows: slice) -> np.nda
 
 
 def _of_regions(regions: list[dict], names: list[str], labels: np.ndarray | None) -> tuple[list[Figure], tuple]:
-    """Charts of regions that differ most in colour, the largest first; regions of a few pixels are left out.
+    """Return charts of regions that differ most in colour, the largest first; regions of a few pixels are left out.
 
     labels : (rows, columns) region of each pixel of the picture, or None. The marks stand where the regions are widest.
     """
@@ -318,7 +318,7 @@ def _of_regions(regions: list[dict], names: list[str], labels: np.ndarray | None
 
 
 def _widest_place(inside: np.ndarray) -> tuple[float, float]:
-    """(x, y) of the pixel of a region (rows, columns) bool that is farthest from its edge."""
+    """Return (x, y) of the pixel of a region (rows, columns) bool that is farthest from its edge."""
     import cv2
 
     depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]

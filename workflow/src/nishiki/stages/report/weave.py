@@ -54,7 +54,7 @@ PLANES = ("weft", "warp")
 
 
 def weave_section(weave: Artifact | None, widest: int) -> Section | None:
-    """Every region of weave.json; None where no weave was fitted."""
+    """Return every region of weave.json; None where no weave was fitted."""
     regions = (read_json(weave, "weave.json") or {}).get("regions") or {}
     blocks: list[Block] = []
     for name, entry in regions.items():
@@ -97,7 +97,7 @@ def tile_picture(data: bytes, widest: int) -> PagePicture:
 
 
 def summary(entry: dict[str, Any]) -> str:
-    """The fit in a few sentences: what it says of the weave, and how sure that is."""
+    """Return the fit in a few sentences: what it says of the weave, and how sure that is."""
     errors = entry["rms_rel"]
     rest = (
         f"What the sections leave unexplained is {100 * errors['weft']:.1f} % of the reflectance in the plane of the "
@@ -134,7 +134,7 @@ SECTION_UNKNOWNS = {f"{name}_{plane}" for name in ("theta_a", "flank", "humps") 
 
 
 def section_words(section: dict[str, float]) -> str:
-    """Main numbers of a section."""
+    """Return main numbers of a section."""
     text = f"flanks at {np.degrees(section['theta_a']):.1f}°"
     if "n" not in section:
         return f"{text}."
@@ -143,7 +143,7 @@ def section_words(section: dict[str, float]) -> str:
 
 
 def yarn_table(yarns: dict[str, Any], confidence: float) -> Table:
-    """Every number of the weave of elliptical yarns with its interval; no value where nothing tells it."""
+    """Return every number of the weave of elliptical yarns with its interval; no value where nothing tells it."""
     rows: list[list[Cell]] = []
     for name, words in YARN_MEANINGS.items():
         number = yarns["parameters"][name]
@@ -174,7 +174,7 @@ def parameters(region: dict[str, Any], at_bounds: Sequence[str] = ()) -> list[li
 
 
 def words_of(name: str) -> str:
-    """A parameter of the sections in words."""
+    """Return a parameter of the sections in words."""
     stem, _, plane = name.rpartition("_")
     kind = stem if plane in PLANES else name
     if kind not in MEANINGS:
@@ -200,7 +200,7 @@ def curve(values: dict[str, Any], plane: str) -> Figure:
 
 
 def notes(entry: dict[str, Any]) -> list[str]:
-    """What the data cannot tell of the sections."""
+    """Return what the data cannot tell of the sections."""
     identifiability = entry.get("identifiability") or {}
     texts = []
     if others := [text for text in identifiability.get("free") or [] if not is_length(text)]:
@@ -218,12 +218,12 @@ def notes(entry: dict[str, Any]) -> list[str]:
 
 
 def is_length(product: str) -> bool:
-    """Whether a product of powers is of lengths alone: their common scale is never known."""
+    """Return whether a product of powers is of lengths alone: their common scale is never known."""
     return all(factor.split("^")[0].rpartition("_")[0] in ("l", "r", "m") for factor in product.split(" · "))
 
 
 def in_words(product: str) -> str:
-    """The parameters of a product of powers that have the largest powers."""
+    """Return the parameters of a product of powers that have the largest powers."""
     powers = {}
     for factor in product.split(" · "):
         name, _, power = factor.partition("^")
@@ -233,7 +233,7 @@ def in_words(product: str) -> str:
 
 
 def bound_words(unknown: str) -> str:
-    """An unknown of the search in words."""
+    """Return an unknown of the search in words."""
     stem, _, plane = unknown.rpartition("_")
     words = {
         "flank": "share of the straight flanks",

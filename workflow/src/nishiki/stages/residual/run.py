@@ -115,7 +115,7 @@ def parts_beside(context: Context) -> dict[str, int]:
 
 
 def left_by_model(source: "ArtifactSource", scene: CodedScene, piloted: Pilot) -> Left:
-    """What the model alone leaves of the pictures, on tiles in even steps."""
+    """Return what the model alone leaves of the pictures, on tiles in even steps."""
     design, tiles = piloted.design, []
     there = [tile for tile in range(source.tiles) if piloted.refined[tile] is not None]
     if not design.model:
@@ -143,7 +143,7 @@ class ArtifactSource:
         self.kept = np.array([view not in without for _ in texels.lights for view in texels.views])
 
     def pixels(self, tile: int) -> Pixels:
-        """Object pixels of a tile, in the capture's encoding."""
+        """Return object pixels of a tile, in the capture's encoding."""
         # states of a polariser saturate one by one: what their sum would have been is not known
         saturated = tuple(self.texels.components) == ("total",)
         parts = [self.texels.samples(component, tile, saturated=saturated) for component in self.components]
@@ -152,11 +152,11 @@ class ArtifactSource:
         return Pixels(parts[0].observation[kept], parts[0].s[kept], parts[0].t[kept], values, ~parts[0].valid[kept])
 
     def surface(self, tile: int) -> Surface:
-        """Geometry of a tile."""
+        """Return geometry of a tile."""
         return Surface(*self.texels.geometry(tile))
 
     def maps(self, tile: int) -> Maps:
-        """Parameters as the reflection stage fitted them."""
+        """Return parameters as the reflection stage fitted them."""
         fitted = self.parameters.read(tile)
         return Maps(fitted.kd, fitted.ks, fitted.sigma)
 
@@ -172,7 +172,7 @@ class ArtifactSource:
 
 
 def scene_of(texels: Texels, lighting: dict) -> CodedScene:
-    """Camera centres and lamps of every observation, light by light."""
+    """Return camera centres and lamps of every observation, light by light."""
     lamps = Lighting.from_dict(lighting)
     pairs = [(camera, light) for light in range(len(texels.lights)) for camera in texels.cameras]
     return CodedScene(
@@ -181,7 +181,7 @@ def scene_of(texels: Texels, lighting: dict) -> CodedScene:
 
 
 def design_of(texels: Texels, components: tuple[str, ...], settings: ResidualSettings) -> Design:
-    """What the settings and the capture determine before anything is measured."""
+    """Return what the settings and the capture determine before anything is measured."""
     return Design(
         tile_size=texels.size,
         views=len(texels.views),
@@ -201,7 +201,7 @@ def design_of(texels: Texels, components: tuple[str, ...], settings: ResidualSet
 
 
 def goal_of(settings: ResidualSettings, counts: dict[str, int], others: dict[str, int], tiles: int) -> float:
-    """The target as what `measured` gives of a pass; UserError for a total that the other parts exceed."""
+    """Return the target as what `measured` gives of a pass; UserError for a total that the other parts exceed."""
     if settings.target == "psnr":
         return settings.amount / DECIBELS
     amounts = {
@@ -223,7 +223,7 @@ def goal_of(settings: ResidualSettings, counts: dict[str, int], others: dict[str
 
 
 def measured(point: Point, target: str) -> float:
-    """What a target is about, as a number that falls with the step."""
+    """Return what a target is about, as a number that falls with the step."""
     if target == "psnr":
         return point.psnr_db / DECIBELS
     return math.log(max(1, point.kept if target.startswith("kept") else point.bytes))
@@ -269,7 +269,7 @@ def search(run_pass, settings: ResidualSettings, goal: float, start: float, slop
 
 
 def diagnostics(encoded: EncodedObject, counts: dict[str, int]) -> dict:
-    """Figures of the pass that is stored; decibels over object pixels, full scale 1."""
+    """Return figures of the pass that is stored; decibels over object pixels, full scale 1."""
     samples = encoded.pixels * encoded.design.channels
     empty = [not any(len(s) for s in tile[1:]) for tile in encoded.streams]
     return {

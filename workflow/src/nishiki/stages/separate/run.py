@@ -72,12 +72,12 @@ def select(
 
 
 def scaled(observations: np.ndarray, parcel: Parcel) -> np.ndarray:
-    """Observations as if the lamps were as far from the parcel as from the centre."""
+    """Return observations as if the lamps were as far from the parcel as from the centre."""
     return observations * parcel.scale[:, None, None] if (parcel.scale != 1).any() else observations
 
 
 def merge(context: Context, tallies: list[dict]) -> dict:
-    """Fractions of all samples."""
+    """Return fractions of all samples."""
     totals = np.sum([tally["totals"] for tally in tallies], axis=0)
     names = ("usable", "highlight", "shadow", "valid")
     fractions = {f"{name}_fraction": float(n / tallies[0]["samples"]) for name, n in zip(names, totals, strict=True)}

@@ -72,7 +72,7 @@ def map_tiles(context: Context) -> dict:
 
 
 def merge(context: Context, tallies: list[dict]) -> dict:
-    """The estimator, the pixels with each flag, and the expected colour error of the sampled pixels by light."""
+    """Return the estimator, the pixels with each flag, and the expected colour error of the sampled pixels by light."""
     counts: Counter[str] = Counter()
     errors: Counter[str] = Counter()
     for tally in tallies:
@@ -87,7 +87,7 @@ def merge(context: Context, tallies: list[dict]) -> dict:
 
 
 def fit(context: Context, training: np.ndarray) -> tuple[SpectralEstimator, Decision | None]:
-    """The estimator for this capture's lamp and camera, and what was decided of its bases."""
+    """Return the estimator for this capture's lamp and camera, and what was decided of its bases."""
     curves = np.load(context.inputs["ingest"].path("curves.npz"))
     settings = context.settings
     lamp, camera = curves["illuminant"], curves["sensitivities"]

@@ -83,7 +83,7 @@ def check(views: Views, cameras: list[Camera]) -> None:
 
 
 def lay_out(mesh: Mesh, cameras: list[Camera], settings: TexelsSettings) -> tuple[Charts, Atlas]:
-    """Charts of the mesh, and tiles as dense as the capture's own sampling."""
+    """Return charts of the mesh, and tiles as dense as the capture's own sampling."""
     if not len(mesh.triangles):
         raise UserError("the mesh has no triangles. Remedy: look at the silhouettes or scans of the stage mesh")
     up, front = turning(cameras)
@@ -115,7 +115,7 @@ def write_preview(path: Path, atlas: Atlas, texels: np.ndarray, encoding: str) -
 
 
 def described(mesh: Mesh, charts: Charts, atlas: Atlas, writer: TexelsWriter, facts: dict) -> dict:
-    """Diagnostics."""
+    """Return diagnostics."""
     stretch = stretch_percentiles(mesh, atlas)
     per_pixel = [value for value in facts["per_pixel"] if value is not None]
     return {

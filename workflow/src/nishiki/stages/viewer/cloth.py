@@ -82,18 +82,18 @@ SIZE = {"rows": 600, "columns": 800}
 
 
 def draped() -> Studio:
-    """The cloth over a ball."""
+    """Return the cloth over a ball."""
     return on_paper(sheet(read_drape(), side=SIDE)[0])
 
 
 def on_paper(surface: Surface) -> Studio:
-    """A surface on paper without a wall: it is seen from all sides."""
+    """Return a surface on paper without a wall: it is seen from all sides."""
     view = {"elevation": np.radians(21), "azimuth": np.radians(12), "distance": 2.2}
     return studio([surface], [], **view, **SIZE, level=1.0, reflectance=PAPER, wall=False)
 
 
 def flat() -> Studio:
-    """A flat sample that faces the eye, weft to the right."""
+    """Return a flat sample that faces the eye, weft to the right."""
     view = {"elevation": 0.0, "azimuth": 0.0, "distance": 2.2}
     return studio([swatch(1.0, 1.0)], [], **view, **SIZE, level=1.0, reflectance=0.0)
 
@@ -110,7 +110,7 @@ FILE = "file"
 
 
 def surfaces(mesh: MeshSettings | None) -> dict[str, Callable[[], Studio]]:
-    """What the page shows, by name; the surface of a file first."""
+    """Return what the page shows, by name; the surface of a file first."""
     own = {} if mesh is None else {FILE: lambda: on_paper(surface_from_file(mesh).surface)}
     return own | SHAPES
 
@@ -124,7 +124,7 @@ class Shape:
 
 
 def shape_of(scene: Studio) -> Shape:
-    """A studio's surfaces: vertices as whole steps, unit vectors in 1/32767, openness in 1/255; differences of
+    """Return a studio's surfaces: vertices as whole steps, unit vectors in 1/32767, openness in 1/255; differences of
     consecutive rows, which deflate well, all but the openness."""
     mesh, weft, camera = scene.scene.mesh, scene.scene.weft, scene.camera
     cloth = np.zeros(len(mesh.vertices), bool)
@@ -154,14 +154,14 @@ def shape_of(scene: Studio) -> Shape:
 
 
 def differences(values: np.ndarray) -> np.ndarray:
-    """(n, k) integers less the row before, modulo their type's range."""
+    """Return (n, k) integers less the row before, modulo their type's range."""
     out = values.copy()
     out[1:] -= values[:-1]
     return out
 
 
 def unit_steps(vectors: np.ndarray) -> np.ndarray:
-    """Unit vectors (n, 3) in steps of 1/32767, int16."""
+    """Return unit vectors (n, 3) in steps of 1/32767, int16."""
     return np.round(32767 * np.asarray(vectors, np.float64)).astype(np.int16)
 
 
@@ -179,7 +179,7 @@ def material_arrays(brdf: Brdf) -> dict[str, dict[str, np.ndarray]]:
 
 
 def table_arrays(brdf: Brdf) -> dict[str, np.ndarray]:
-    """A BRDF's table, ring after ring as differences."""
+    """Return a BRDF's table, ring after ring as differences."""
     table = BrdfTable.of(brdf)
     codes = np.moveaxis(table.codes, 2, 0)
     changes = differences(codes.reshape(len(codes), -1))

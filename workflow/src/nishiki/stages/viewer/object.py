@@ -73,7 +73,7 @@ class StreamPart:
 
 
 def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
-    """The part of the page's manifest that only an object has, as plain data."""
+    """Return the part of the page's manifest that only an object has, as plain data."""
     design, turn = decoded.residual.design, fit_turn(list(decoded.cameras), full_turn=decoded.full_turn)
     centre, radius = ball_around(decoded.mesh)
     return {
@@ -94,7 +94,7 @@ def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
 
 
 def turn_numbers(turn: CameraPath) -> dict:
-    """A turn as plain data."""
+    """Return a turn as plain data."""
     return {
         "axis": turn.axis.tolist(),
         "point": turn.point.tolist(),
@@ -105,7 +105,7 @@ def turn_numbers(turn: CameraPath) -> dict:
 
 
 def decoder_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
-    """Mesh, charts, index of the streams, start states of the coder, wavelets and transforms along the views."""
+    """Return mesh, charts, index of the streams, start states of the coder, wavelets and transforms along the views."""
     residual = decoded.residual
     extents = [extent.row_of_numbers() for extent in residual.extents]
     lengths = [residual.stored(tile) for tile in range(residual.tiles)]
@@ -169,7 +169,7 @@ def plane_arrays(name: str, plane: Plane) -> dict[str, np.ndarray]:
 
 
 def stream_parts(decoded: DecodedObject) -> Iterator[StreamPart]:
-    """The coded streams, byte for byte, in parts that are loaded one by one: parameters first."""
+    """Yield the coded streams, byte for byte, in parts that are loaded one by one: parameters first."""
     residual = decoded.residual
     for kind, streams in (("parameters", slice(0, 1)), ("residual", slice(1, None))):
         first, held = 0, []
@@ -181,5 +181,5 @@ def stream_parts(decoded: DecodedObject) -> Iterator[StreamPart]:
 
 
 def smallest(values: np.ndarray) -> np.ndarray:
-    """The same numbers, none negative, as uint16 where they fit and as uint32 otherwise."""
+    """Return the same numbers, none negative, as uint16 where they fit and as uint32 otherwise."""
     return values.astype(np.uint16 if values.max(initial=0) < 1 << 16 else np.uint32)

@@ -91,7 +91,7 @@ def run(context: Context) -> dict:
 
 
 def illuminants(ingest: Artifact) -> dict[str, dict[str, list[float]]]:
-    """Spectra on offer, {name: {nm, power}}; `capture`: that of the lamp, where the capture states it."""
+    """Return spectra on offer, {name: {nm, power}}; `capture`: that of the lamp, where the capture states it."""
     powers = {name: cie_illuminant(name) for name in ILLUMINANTS}
     path = ingest.path("curves.npz")
     curves = load_arrays(path) if path.is_file() else {}
@@ -138,7 +138,7 @@ def _averaged(shape: tuple[int, ...]) -> int:
 
 
 def _reduced(maps: Maps, key: str, factor: float = 1.0) -> np.ndarray:
-    """A map averaged over blocks to at most `MOST_PIXELS`, NaN where nothing is known; read by bands."""
+    """Return a map averaged over blocks to at most `MOST_PIXELS`, NaN where nothing is known; read by bands."""
     shape = maps.group[key].shape
     step = _averaged(shape)
     bands = []
@@ -155,7 +155,7 @@ def _reduced(maps: Maps, key: str, factor: float = 1.0) -> np.ndarray:
 
 
 def _mean_difference(maps: Maps, lights: int) -> np.ndarray | None:
-    """Mean colour difference over the lights left out, NaN where none was compared."""
+    """Return mean colour difference over the lights left out, NaN where none was compared."""
     names = [name for name in (f"de00_{light:03d}" for light in range(lights)) if name in maps]
     if not names:
         return None
@@ -167,7 +167,7 @@ def _mean_difference(maps: Maps, lights: int) -> np.ndarray | None:
 
 
 def _measured(name: str, unit: str, colours: str, values: np.ndarray, blocks: Blocks) -> dict[str, Any]:
-    """Codes of the range of the values; those beyond its ends take its ends."""
+    """Return codes of the range of the values; those beyond its ends take its ends."""
     known = np.isfinite(values)
     low, high = np.percentile(values[known], (100 - FARTHEST, FARTHEST)) if known.any() else (0.0, 1.0)
     low, high = float(low), float(max(high, low + 1e-9))
@@ -178,7 +178,7 @@ def _measured(name: str, unit: str, colours: str, values: np.ndarray, blocks: Bl
 
 
 def _counted(name: str, unit: str, colours: str, maps: Maps, blocks: Blocks) -> dict[str, Any]:
-    """Whole numbers, the pixel in the middle of every block."""
+    """Return whole numbers, the pixel in the middle of every block."""
     step = _averaged(maps.group[name].shape)
     rows = maps.group[name].shape[0]
     band = step * 64

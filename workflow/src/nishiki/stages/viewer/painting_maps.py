@@ -54,7 +54,7 @@ class PaintingMaps:
 
     @classmethod
     def of(cls, inputs: dict[str, Artifact]) -> PaintingMaps:
-        """The maps of the upstream artifacts."""
+        """Return the maps of the upstream artifacts."""
         brdf = inputs.get("brdf")
         return cls(
             Maps(inputs["normals"].folder),
@@ -84,7 +84,7 @@ class PaintingMaps:
         return not directional_shading(self.normals)
 
     def read(self, rows: slice) -> np.ndarray:
-        """Records (rows, columns, 1 + 3 + K + terms + 1) float32 of some rows; 0 where nothing is known."""
+        """Return records (rows, columns, 1 + 3 + K + terms + 1) float32 of some rows; 0 where nothing is known."""
         normals = shading_normals(self.normals, rows)
         if self.spectra is None:
             to_srgb = self.normals.group.attrs.get("to_srgb")
@@ -101,7 +101,7 @@ class PaintingMaps:
         return np.concatenate([values, regions[..., None].astype(np.float32)], axis=-1)
 
     def sample(self, band_rows: int) -> np.ndarray:
-        """(n, fields) records of known pixels, evenly spread."""
+        """Return (n, fields) records of known pixels, evenly spread."""
         rows, columns = self.shape
         step = max(1, round(np.sqrt(rows * columns / SAMPLES)))
         taken = []
@@ -140,7 +140,7 @@ class PaintingCode:
         )
 
     def encode(self, values: np.ndarray) -> list[np.ndarray]:
-        """Planes of codes (rows, columns) uint8; the last is the region of a pixel, or `UNKNOWN_REGION`.
+        """Return planes of codes (rows, columns) uint8; the last is the region of a pixel, or `UNKNOWN_REGION`.
 
         values : (rows, columns, fields) float32, records or means of them.
         """
@@ -244,7 +244,7 @@ def photographs_of(maps: PaintingMaps, frames: Observations, blocks: Blocks, pro
 
 
 def sampled_model(maps: PaintingMaps, frames: Observations, first: list[int], step: int) -> FittedModel:
-    """The maps of the fit at the samples; slopes inside a pixel from its neighbours at full resolution."""
+    """Return the maps of the fit at the samples; slopes inside a pixel from its neighbours at full resolution."""
     gloss = Gloss.none() if maps.parameters is None else Gloss(*gloss_table(maps.parameters))
     facets = maps.parameters is not None and is_facets(maps.parameters)
     parts: dict[str, list[np.ndarray]] = {"normals": [], "reflectance": [], "labels": [], "shading": [], "slopes": []}

@@ -54,7 +54,7 @@ def run(context: Context) -> dict:
 
 
 def search_of(context: Context, reflectances: Reflectances, region: int) -> YarnSearch | None:
-    """The search for the weave of elliptical yarns, where it is asked for."""
+    """Return the search for the weave of elliptical yarns, where it is asked for."""
     settings = context.settings
     if not settings.yarns:
         return None
@@ -64,7 +64,7 @@ def search_of(context: Context, reflectances: Reflectances, region: int) -> Yarn
 
 
 def surface_of(context: Context, fit: WeaveFit, search: YarnSearch | None, weave: str, harness: int) -> Surface:
-    """The surface of the yarns, or where they were not fitted that of both sections."""
+    """Return the surface of the yarns, or where they were not fitted that of both sections."""
     ratio = context.settings.spacing_ratio
     if search is None:
         return make_surface(fit.model.weft, fit.model.warp, weave=weave, harness=harness, spacing_ratio=ratio)
@@ -82,7 +82,7 @@ def picture(context: Context, fit: WeaveFit, suffix: str, surface: Surface) -> N
 
 
 def report(fit: WeaveFit, weave: str, harness: int, measured: list[bool]) -> dict:
-    """What stands in the manifest."""
+    """Return what stands in the manifest."""
     return {
         "weave": weave,
         "harness": harness,
