@@ -239,7 +239,6 @@ def safe(name: str) -> str:
 
 
 def display(linear: np.ndarray) -> np.ndarray:
-    """Return (rows, columns, 3) uint8 sRGB of linear values with one, three or more channels (one: grey; others: first
-    " "three)."""
+    """Return (rows, columns, 3) uint8 sRGB of linear values: one channel as grey, of three or more the first three."""
     colours = linear[..., :3] if linear.shape[-1] >= 3 else np.repeat(linear[..., :1], 3, axis=-1)
     return np.rint(255 * encode(np.clip(colours, 0, 1), "srgb")).astype(np.uint8)

@@ -158,7 +158,7 @@ def film(
 
 
 LAMP_RADIUS_RAD = np.radians(0.75)
-"""Radius of a distant_lamp as the object sees it: the soft edge of cast shadows."""
+"""Radius of a lamp as the object sees it: the soft edge of cast shadows."""
 FIELD_OF_VIEW_MARGIN = 1.05
 CENTRING_STEPS = 8  # of the camera's target; the middle of the object converges in a few
 NEAREST = 1e-3  # depth of points beside or behind the eye, in lengths of the object
@@ -247,7 +247,7 @@ def _picture_size(settings: ViewSettings, proportion: float) -> tuple[int, int]:
 
 
 def white_sheet(lights: Iterable[LightSettings], ambient: float) -> float:
-    """Luminance of a perfect white sheet that lies in the plane of the object, 1: one that faces a distant_lamp."""
+    """Luminance of a perfect white sheet that lies in the plane of the object, 1: one that faces a lamp."""
     return ambient + sum(light.intensity * float(np.sin(np.radians(light.elevation_deg))) for light in lights)
 
 

@@ -133,14 +133,14 @@ def layers_of(inputs: dict[str, Artifact], blocks: Blocks) -> list[dict[str, Any
     return layers
 
 
-def _averaged(shape: tuple[int, ...]) -> int:
+def _block_side(shape: tuple[int, ...]) -> int:
     return int(np.ceil(np.sqrt(shape[0] * shape[1] / MOST_PIXELS)))
 
 
 def _reduced(maps: Maps, key: str, factor: float = 1.0) -> np.ndarray:
     """Return a map averaged over blocks to at most `MOST_PIXELS`, NaN where nothing is known; read by bands."""
     shape = maps.group[key].shape
-    step = _averaged(shape)
+    step = _block_side(shape)
     bands = []
     for first in range(0, shape[0], step * 64):
         values = maps.read(key, slice(first, min(first + step * 64, shape[0]))).astype(np.float32) * factor
@@ -179,7 +179,7 @@ def _measured(name: str, unit: str, colours: str, values: np.ndarray, blocks: Bl
 
 def _counted(name: str, unit: str, colours: str, maps: Maps, blocks: Blocks) -> dict[str, Any]:
     """Return whole numbers, the pixel in the middle of every block."""
-    step = _averaged(maps.group[name].shape)
+    step = _block_side(maps.group[name].shape)
     rows = maps.group[name].shape[0]
     band = step * 64
     parts = [
