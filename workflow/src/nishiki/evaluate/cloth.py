@@ -3,7 +3,7 @@ incidence."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,10 +36,6 @@ class Judged:
     peak_direction_deg: float | None
     peak_value_rel: float | None
     noise_rel: float | None
-
-    def as_dict(self) -> dict:
-        """Return plain data."""
-        return asdict(self)
 
 
 def plane_name(phi_deg: float) -> str:

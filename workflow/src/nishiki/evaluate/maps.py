@@ -24,10 +24,6 @@ class Summary:
     worst: float | None
     dropped: int = 0
 
-    def as_dict(self) -> dict:
-        """Return plain values, for JSON."""
-        return asdict(self)
-
 
 def summarise(values: np.ndarray, *, where: np.ndarray | None = None) -> Summary:
     """Return summary of an array of errors, any shape; `where` (same shape, bool) selects the pixels that count.
@@ -106,8 +102,8 @@ class NormalErrors:
         """Return plain values, for JSON."""
         sets = ("inside", "estimated", "unflagged", "flagged")
         return {
-            **{name: getattr(self, name).as_dict() for name in sets},
-            "by_slope": [{"from_deg": a, "to_deg": b, **s.as_dict()} for (a, b), s in self.by_slope.items()],
+            **{name: asdict(getattr(self, name)) for name in sets},
+            "by_slope": [{"from_deg": a, "to_deg": b, **asdict(s)} for (a, b), s in self.by_slope.items()],
             "no_estimate": self.no_estimate,
         }
 
@@ -182,10 +178,6 @@ class HeightError:
     relief_rms: float | None
     tilt_deg: float | None
     pixels: int
-
-    def as_dict(self) -> dict:
-        """Return plain values, for JSON."""
-        return asdict(self)
 
 
 def height_error(height: np.ndarray, truth: np.ndarray, *, pixels: np.ndarray, pitch: float = 1.0) -> HeightError:
@@ -264,8 +256,8 @@ class ReflectanceErrors:
             }
             for r in self.regions
         ]
-        de00 = {name: summary.as_dict() for name, summary in self.de00.items()}
-        return {"rmse": self.rmse.as_dict(), "de00": de00, "regions": regions}
+        de00 = {name: asdict(summary) for name, summary in self.de00.items()}
+        return {"rmse": asdict(self.rmse), "de00": de00, "regions": regions}
 
 
 def reflectance_errors(

@@ -1,6 +1,6 @@
 """Predicted against photographed light, pixel by pixel, and small pictures of both."""
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -57,8 +57,8 @@ class LightScore:
         """Return plain values, for JSON."""
         return {
             **self.error.as_dict(),
-            "de00": self.de00.as_dict(),
-            "by_class": {name: {**e.as_dict(), "de00": s.as_dict()} for name, (e, s) in self.by_class.items()},
+            "de00": asdict(self.de00),
+            "by_class": {name: {**e.as_dict(), "de00": asdict(s)} for name, (e, s) in self.by_class.items()},
             "excluded": self.excluded,
         }
 

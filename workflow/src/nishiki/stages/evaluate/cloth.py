@@ -1,5 +1,7 @@
 """Cloth evaluation: what the cloth's models predict against what was measured and no fit has seen."""
 
+from dataclasses import asdict
+
 import numpy as np
 
 from nishiki.artifacts.stage import Context
@@ -82,7 +84,7 @@ def judged(measured: Reflectances, number: int, predicted: np.ndarray, rows: np.
     values, noise = measured.values[rows, number], measured.noise[rows, number]
     directions = measured.incident[rows], measured.outgoing[rows]
     errors = judge(*directions, values, predicted[rows], noise, quarter=measured.symmetry == "quarter")
-    return {"measurements": len(rows), "rows": [row.as_dict() for row in errors], "by_incidence": by_incidence(errors)}
+    return {"measurements": len(rows), "rows": [asdict(row) for row in errors], "by_incidence": by_incidence(errors)}
 
 
 def curves(measured, number: int, predicted: dict, valid: np.ndarray, held_out: np.ndarray, count: int) -> list[dict]:

@@ -1,6 +1,7 @@
 """Evaluate: errors against truth where there is one, and predictions of lights that the fit never saw."""
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 
@@ -35,7 +36,7 @@ def run(context: Context) -> dict:
     evaluation = {"pixels": int(np.count_nonzero(frames.mask)), **against_truth(truth, scene, out)}
     evaluation["colour"] = {"how": scene.camera.how, "rmse_xyz": scene.camera.rmse}
     evaluation["lights"], pooled = relight(context, scene, truth, out)
-    evaluation["overall"] = {"de00": pooled.as_dict(), "levels": levels(pooled.mean, pooled.p90)}
+    evaluation["overall"] = {"de00": asdict(pooled), "levels": levels(pooled.mean, pooled.p90)}
     evaluation["classes_from"] = "truth" if truth.checks else "model"
     evaluation["gloss"] = {"true_gamma_rad": truth.equivalent_gamma(), "gamma_rad": scene.model.gloss.gamma.tolist()}
     write_tables(context, evaluation, COLUMNS, rows_of(evaluation))
@@ -122,7 +123,7 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
     if has_height:
         inside = scene.frames.mask & scene.known
         error = height_error(scene.height, truth.height_mm, pixels=inside, pitch=scene.pitch)
-        result["height"] = {"unit": "mm", **error.as_dict()}
+        result["height"] = {"unit": "mm", **asdict(error)}
     if truth.paints is not None and scene.coefficients is not None:
         errors = reflectance_errors(
             scene.coefficients,
@@ -233,5 +234,5 @@ def compare_pictures(truth, pictures: dict, views: dict, classes: np.ndarray) ->
     for case, picture in pictures.items():
         true = truth.xyz_lamp if case == "lamp" else truth.xyz_d65
         total, by_class, _ = truth_difference(picture, true, views[case].white, classes=classes)
-        result[case] = {"de00": total.as_dict(), "by_class": {name: s.as_dict() for name, s in by_class.items()}}
+        result[case] = {"de00": asdict(total), "by_class": {name: asdict(s) for name, s in by_class.items()}}
     return result
