@@ -283,10 +283,8 @@ def _content_problems(
         usable = np.ones((rows, columns), np.uint8)  # reported already
     pairs, repeated = PairLevels(reader, darks, usable), RepeatedFiles()
     reduced = ReducedPhotographs(reader, darks, usable)
-    for frame in capture.frames:
-        if frame.role == "dark":
-            continue
-        found = attempt(lambda frame=frame: _frame_content(reader, frame, usable, darks, edges, (pairs, reduced)))
+    for frame, codes in reader.read_ahead([frame for frame in capture.frames if frame.role != "dark"]):
+        found = attempt(partial(_frame_content, reader, frame, codes, usable, darks, edges, (pairs, reduced)))
         if len(capture.frames_of("sample")) > FEWEST_LAMPS and frame.role != "white":  # ingest leaves it out
             found = [replace(p, severity="warning") if p.kind == "all-dark" else p for p in found]
         problems += found
@@ -310,9 +308,15 @@ def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tu
 
 
 def _frame_content(
-    reader: FrameReader, frame: Frame, usable: np.ndarray, darks: DarkField, edges: tuple, collectors: tuple
+    reader: FrameReader,
+    frame: Frame,
+    decode: Callable[[], np.ndarray],
+    usable: np.ndarray,
+    darks: DarkField,
+    edges: tuple,
+    collectors: tuple,
 ) -> list[Problem]:
-    codes = reader.read(frame)
+    codes = decode()
     if frame.role in ("sample", "check", "white") and reader.capture.lights.index(frame.light) is not None:
         for collector in collectors:
             collector.add(frame, codes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -216,15 +216,20 @@ class FrameReader:
             raise CaptureError(error("coding-differs", file, "coding differs", expected=expected, found=found))
         return read_codes(part.path, channels, header=header, luma=luma, region=self.region, name=file)
 
-    def read_all(self, frames: tuple[Frame, ...]) -> Iterator[tuple[Frame, np.ndarray]]:
-        """Each frame with its codes, in order; the next one is decoded while the caller works: two in memory."""
+    def read_ahead(self, frames: Sequence[Frame]) -> Iterator[tuple[Frame, Callable[[], np.ndarray]]]:
+        """Each frame with a function that returns its codes; the next one is decoded while the caller works."""
         with ThreadPoolExecutor(max_workers=1) as decoder:
-            coming = decoder.submit(self.read, frames[0]) if frames else None
+            coming = [decoder.submit(self.read, frame) for frame in frames[:1]]
             for i, frame in enumerate(frames):
-                codes = coming.result()
-                coming = decoder.submit(self.read, frames[i + 1]) if i + 1 < len(frames) else None
-                yield frame, codes
-                del codes
+                current = coming.pop()
+                current.exception()
+                coming += [decoder.submit(self.read, after) for after in frames[i + 1 : i + 2]]
+                yield frame, current.result
+
+    def read_all(self, frames: Sequence[Frame]) -> Iterator[tuple[Frame, np.ndarray]]:
+        """Each frame with its codes, in order; two are in memory at a time."""
+        for frame, codes in self.read_ahead(frames):
+            yield frame, codes()
 
     def see(self, frame: Frame, highest: float) -> None:
         """Remember a frame's largest code. CaptureError (bits-exceeded) where it is beyond what camera.bits says."""

@@ -33,6 +33,8 @@ ROUNDS = 24  # of robust least squares
 FINE, COARSER = 1.0, 1.6  # standard deviations of the Gaussians whose difference is the Laplacian, pixels
 FLOOR = 0.03  # of the bright parts, added before the logarithm
 CLIP = 4.0  # robust standard deviations at which features end
+PEAK_WIDTH = 0.7  # pixels: standard deviation of the Gaussian that smooths the correlation
+AT_A_TIME = 1 << 22  # pixels of correlation
 WHITENING = 0.3  # part of the mean amplitude below which frequencies count less
 
 
@@ -110,25 +112,34 @@ class Window:
         return Window(self.pictures[:, rows, columns], self.inside[rows, columns], corner, self.step)
 
 
-def choose_places(reduced: np.ndarray, inside: np.ndarray, factor: int) -> list[tuple[slice, slice]]:
+def choose_places(
+    reduced: np.ndarray, inside: np.ndarray, step: int, part: tuple[slice, slice]
+) -> list[tuple[slice, slice]]:
     """Choose windows at full resolution: in each cell of a grid where a photograph has most texture.
 
-    reduced: (rows, columns), of a photograph that is `factor` times as large; inside: (rows, columns) bool, the object.
+    reduced: (rows, columns) of the part of a photograph that is `step` times as large; inside: (rows, columns) bool,
+    the object.
     """
     from scipy.ndimage import uniform_filter
 
-    strength = uniform_filter(np.abs(_features(reduced[None], inside)[0]), max(WINDOW // factor, 1), mode="constant")
-    shape, side = factor * np.array(reduced.shape), WINDOW + 2 * MARGIN
+    strength = uniform_filter(np.abs(_features(reduced[None], inside)[0]), max(WINDOW // step, 1), mode="constant")
+    side = WINDOW + 2 * MARGIN
     cells = [np.linspace(0, n, GRID + 1).astype(int) for n in reduced.shape]
     places = []
     for top, bottom in zip(cells[0][:-1], cells[0][1:], strict=True):
         for left, right in zip(cells[1][:-1], cells[1][1:], strict=True):
             cell = strength[top:bottom, left:right]
             if cell.max(initial=0) > 0:
-                middle = np.array(np.unravel_index(np.argmax(cell), cell.shape)) + np.array([top, left])
-                start = np.clip(middle * factor - side // 2, 0, np.maximum(shape - side, 0))
-                rows, columns = (slice(int(a), int(min(a + side, n))) for a, n in zip(start, shape, strict=True))
-                places.append((rows, columns))
+                middle = np.add(np.unravel_index(np.argmax(cell), cell.shape), (top, left))
+                starts = middle * step - side // 2
+                place = [
+                    slice(
+                        first := int(np.clip(p.start + start, p.start, max(p.stop - side, p.start))),
+                        min(first + side, p.stop),
+                    )
+                    for start, p in zip(starts, part, strict=True)
+                ]
+                places.append((place[0], place[1]))
     return places
 
 
@@ -140,9 +151,11 @@ def measure_movement(whole: Window, windows: list[Window], directions: np.ndarra
     halves = [(slice(0, n // 2), slice(n // 2, n)) for n in whole.inside.shape]
     parts = [whole, *(whole.part(rows, columns) for rows in halves[0] for columns in halves[1])]
     shape = whole.step[::-1] * whole.inside.shape
-    pairs, movement = choose_pairs(directions), None
-    for chosen in (parts, parts, windows):
-        movement = solve_movement(chosen, pairs, shape, movement) if chosen else movement
+    count, centre = len(directions), whole.corner + whole.step * (np.array(whole.inside.shape[::-1]) - 1) / 2
+    movement = Movement(np.zeros((count, 2)), *np.zeros((3, count)), float(np.hypot(*shape)) / 2, centre)
+    pairs = choose_pairs(directions)
+    for chosen in (parts, windows or parts):
+        movement = solve_movement(chosen, pairs, movement)
     return movement
 
 
@@ -154,42 +167,25 @@ def choose_pairs(directions: np.ndarray) -> np.ndarray:
     return np.array(sorted(pairs | {(j, j + 1) for j in range(count - 1)}), np.int64)
 
 
-def solve_movement(
-    windows: list[Window], pairs: np.ndarray, shape: np.ndarray, before: Movement | None = None
-) -> Movement:
-    """Determine the movements from windows of the photographs.
+def solve_movement(windows: list[Window], pairs: np.ndarray, before: Movement) -> Movement:
+    """Determine the movements from windows of the photographs, which an earlier result aligns first.
 
-    Parameters
-    ----------
-    windows : list of Window
-    pairs : (pairs, 2) int64
-        Photographs that are compared with each other.
-    shape : (2,) int
-        Rows and columns of the whole picture.
-    before : Movement, optional
-        Earlier result; the windows are aligned by it first.
-
-    Returns
-    -------
-    Movement
+    pairs (pairs, 2) int64: photographs that are compared with each other.
     """
-    count = len(windows[0].pictures)
-    centre, reach = (np.asarray(shape)[::-1] - 1) / 2, float(np.hypot(*shape)) / 2
-    start = before or Movement(np.zeros((count, 2)), *np.zeros((3, count)), reach, centre)
-    compared = [_compare(window, pairs, start) for window in windows]
+    count, centre, reach = len(windows[0].pictures), before.centre, before.reach
+    compared = [_compare(window, pairs, before) for window in windows]
     measured = np.concatenate([shifts for shifts, _ in compared])
     peaks = np.concatenate([heights for _, heights in compared])
     places = np.concatenate([np.tile((window.centre - centre) / reach, (len(pairs), 1)) for window in windows])
     pair = np.tile(pairs, (len(windows), 1))
     change, sigma = fit_movements(places, measured, peaks, pair, count)
+    turn, scale = before.turn + change[:, 2] / reach, before.scale + change[:, 3] / reach
     lever = np.sqrt(np.average(np.square(places).sum(axis=1), weights=np.maximum(peaks - LEAST_PEAK, 1e-9)))
-    outer = lever * np.hypot(change[:, 2] + reach * start.turn, change[:, 3] + reach * start.scale)
-    known = np.isfinite(sigma[:, 1])
+    outer, known = lever * reach * np.hypot(turn, scale), np.isfinite(sigma[:, 1])
     if not (outer[known] > np.maximum(TURN_LIMIT, SIGMAS * lever * sigma[known, 1])).any():
-        start = Movement(start.shift, *np.zeros((2, count)), start.sigma, reach, centre)
+        turn = scale = np.zeros(count)
         change, sigma = fit_movements(places, measured, peaks, pair, count, turn=False)
-    turn, scale = start.turn + change[:, 2] / reach, start.scale + change[:, 3] / reach
-    return Movement(start.shift + change[:, :2], turn, scale, np.hypot(sigma[:, 0], LIGHT_BIAS), reach, centre)
+    return Movement(before.shift + change[:, :2], turn, scale, np.hypot(sigma[:, 0], LIGHT_BIAS), reach, centre)
 
 
 def fit_movements(
@@ -202,8 +198,8 @@ def fit_movements(
     Returns (count, 4) pixels: shift along columns and rows, turn and scale times the reach, against the first
     photograph that could be compared; and standard errors (count, 2) of shift and turn, infinite without support.
     """
-    from scipy.linalg import inv, solve
-    from scipy.sparse import csr_matrix
+    from scipy.sparse import csr_matrix, identity
+    from scipy.sparse.linalg import splu
 
     n, x, y, one, none = len(pairs), *places.T, np.ones(len(pairs)), np.zeros(len(pairs))
     terms = np.stack([np.stack([one, none, -y, x], 1), np.stack([none, one, x, y], 1)])[:, :, : 4 if turn else 2]
@@ -217,10 +213,10 @@ def fit_movements(
     target, weights = measured.T.ravel(), strength
     for rounds in range(ROUNDS):
         double = np.tile(weights, 2)
-        normal = (design.T @ design.multiply(double[:, None])).toarray()
-        ridge = 1e-8 * max(float(np.trace(normal)) / len(normal), 1e-9)
-        normal += ridge * np.eye(len(normal))
-        found = solve(normal, design.T @ (double * target), assume_a="pos")
+        normal = design.T @ design.multiply(double[:, None])
+        ridge = 1e-8 * max(float(normal.diagonal().mean()), 1e-9)
+        factors = splu((normal + ridge * identity(unknowns * count)).tocsc())  # dense solvers wait for their threads
+        found = factors.solve(design.T @ (double * target))
         residual = np.hypot(*(target - design @ found).reshape(2, n))
         if rounds < ROUNDS // 2:  # least absolute deviations first: the minority of wrong peaks must not pull
             weights = strength / np.maximum(residual, 0.02)
@@ -230,7 +226,7 @@ def fit_movements(
     agrees = (residual < AGREE) & (strength > 0)
     support = np.bincount(pairs[agrees].ravel(), minlength=count)
     first = int(np.argmax(support >= LEAST_SUPPORT))
-    inverse = inv(normal)
+    inverse = factors.solve(np.eye(unknowns * count))
     degrees = max(2 * int((weights > 0).sum()) - unknowns * count, 1)
     spread = float((weights * np.square(residual)).sum()) / degrees
     contrast = np.eye(count)
@@ -255,7 +251,6 @@ def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
 def _features(pictures: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Laplacians of the logarithms (lights, rows, columns), clipped, 0 at and beyond the rim of the object."""
     import cv2
-    from scipy.ndimage import gaussian_filter
 
     depth = cv2.distanceTransform(np.pad(inside.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
     taper = np.clip((depth - 4) / 8, 0, 1).astype(np.float32)
@@ -268,7 +263,7 @@ def _features(pictures: np.ndarray, inside: np.ndarray) -> np.ndarray:
         if floor <= 0:
             continue
         logarithm = np.log(np.maximum(known, 0) + floor)
-        curved = gaussian_filter(logarithm, COARSER) - gaussian_filter(logarithm, FINE)
+        curved = cv2.GaussianBlur(logarithm, (0, 0), COARSER) - cv2.GaussianBlur(logarithm, (0, 0), FINE)
         unit = 1.4826 * np.median(np.abs(curved[taper > 0])) + 1e-12
         out[...] = np.clip(curved / unit, -CLIP, CLIP) * taper
     return features
@@ -276,20 +271,23 @@ def _features(pictures: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 def _compare(window: Window, pairs: np.ndarray, movement: Movement) -> tuple[np.ndarray, np.ndarray]:
     """Displacements (pairs, 2) in pixels of the whole picture, after alignment, and the heights of their peaks."""
-    from scipy.fft import irfft2, rfft2
+    from scipy.fft import fftfreq, irfft2, rfft2, rfftfreq
 
     features = _features(*align_window(window, movement))
     shape = features.shape[1:]
-    spectra = rfft2(features)
-    reach = max(min(*shape) // 4, 3)
+    spectra, reach = rfft2(features), max(min(*shape) // 4, 3)
+    frequencies = np.square(fftfreq(shape[0]))[:, None] + np.square(rfftfreq(shape[1]))
+    smooth = np.exp(-2 * np.square(np.pi * PEAK_WIDTH) * frequencies).astype(np.float32)
+    rows, columns = (np.arange(-reach, reach + 1) % n for n in shape)
     shifts, heights = np.zeros((len(pairs), 2)), np.zeros(len(pairs))
-    for i, (j, k) in enumerate(pairs):
-        cross = np.conj(spectra[j]) * spectra[k]
+    step = max(1, AT_A_TIME // features[0].size)
+    for first in range(0, len(pairs), step):
+        part = slice(first, first + step)
+        cross = np.conj(spectra[pairs[part, 0]]) * spectra[pairs[part, 1]]
         amplitude = np.abs(cross)
-        mean = float(amplitude.mean())
-        if mean > 0:
-            plane = irfft2(cross / (amplitude + WHITENING * mean), s=shape)
-            shifts[i], heights[i] = _peak(plane, reach)
+        floor = WHITENING * amplitude.mean(axis=(1, 2), keepdims=True) + 1e-30
+        planes = irfft2(cross * (smooth / (amplitude + floor)), s=shape)[:, rows[:, None], columns]
+        shifts[part], heights[part] = _peaks(planes)
     return shifts * window.step, heights
 
 
@@ -300,7 +298,6 @@ def align_window(window: Window, movement: Movement, *, replicate: bool = True) 
     """
     import cv2
 
-    border = cv2.BORDER_REPLICATE if replicate else cv2.BORDER_CONSTANT
     pictures, inside, edge = window.pictures, window.inside, window.margin
     if movement.largest.any():
         moved, size, flags = [], inside.shape[::-1], cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
@@ -309,25 +306,27 @@ def align_window(window: Window, movement: Movement, *, replicate: bool = True) 
             turned = matrix[:, :2]
             offset = (turned @ window.corner + matrix[:, 2] - window.corner) / window.step
             local = np.column_stack([turned, offset])
-            picture = cv2.warpAffine(picture, local, size, flags=flags, borderMode=border, borderValue=(np.nan,) * 4)
+            picture = cv2.warpAffine(picture, local, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+            if not replicate:
+                shown = cv2.warpAffine(np.ones(inside.shape, np.uint8), local, size, flags=cv2.WARP_INVERSE_MAP)
+                picture[shown == 0] = np.nan
             moved.append(picture)
         pictures = np.stack(moved)
     rows, columns = (slice(edge, max(n - edge, edge + 1)) for n in inside.shape)
     return pictures[:, rows, columns], inside[rows, columns]
 
 
-def _peak(plane: np.ndarray, reach: int) -> tuple[tuple[float, float], float]:
-    """Column and row of the largest value of a cyclic plane of correlation within reach, and its height."""
-    from scipy.ndimage import gaussian_filter
+def _peaks(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Column and row of the largest value of each plane (n, 2 reach + 1, 2 reach + 1), and its robust deviation."""
+    count, side, number = len(planes), planes.shape[1] - 2, np.arange(len(planes))
+    row, column = np.divmod(planes[:, 1:-1, 1:-1].reshape(count, -1).argmax(axis=1), side)
+    middle = planes[number, row + 1, column + 1]
+    flat = planes.reshape(count, -1)
+    spread = 1.4826 * np.median(np.abs(flat - np.median(flat, axis=1, keepdims=True)), axis=1) + 1e-12
 
-    near = gaussian_filter(np.roll(plane, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1], 0.7)
-    row, column = np.unravel_index(np.argmax(near[1:-1, 1:-1]), (2 * reach - 1, 2 * reach - 1))
-    row, column = int(row) + 1, int(column) + 1
-    spread = 1.4826 * float(np.median(np.abs(near - np.median(near)))) + 1e-12
+    def vertex(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        return 0.5 * (before - after) / np.minimum(before - 2 * middle + after, -1e-12)
 
-    def vertex(a: float, b: float, c: float) -> float:
-        return 0.5 * (a - c) / min(a - 2 * b + c, -1e-12)
-
-    across = column - reach + vertex(*near[row, column - 1 : column + 2])
-    down = row - reach + vertex(*near[row - 1 : row + 2, column])
-    return (across, down), float(near[row, column]) / spread
+    across = column + vertex(planes[number, row + 1, column], planes[number, row + 1, column + 2])
+    down = row + vertex(planes[number, row, column + 1], planes[number, row + 2, column + 1])
+    return np.stack([across, down], axis=1) - side // 2, middle / spread

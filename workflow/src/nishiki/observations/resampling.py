@@ -12,13 +12,14 @@ from nishiki.observations.linearise import straight_scale
 FINE_CODES = 1 << 16  # steps of linear light in a table from light to 8-bit codes: 20 of the smallest sRGB step
 ROWS = 256  # that are computed at a time
 MOST_CHANNELS = 4  # that OpenCV resamples at a time
+REACH = 4  # pixels, of the kernel of Lanczos
 
 
 def region_behind(matrix: np.ndarray, region: Region, rows: int, columns: int) -> Region:
     """The part of a photograph of these rows and columns that a region needs after it is moved by matrix (2, 3)."""
     row, column, height, width = region
     corners = matrix[:, :2] @ np.array([[0, width, 0, width], [0, 0, height, height]]) + matrix[:, 2:]
-    reach = 3  # of the cubic kernel, and of the mark around saturated pixels
+    reach = REACH + 1  # and of the mark around saturated pixels, which is interpolated
     low = np.floor(corners.min(axis=1)).astype(int) - reach + (column, row)
     high = np.ceil(corners.max(axis=1)).astype(int) + reach + (column, row)
     left, top = np.clip(low, 0, (columns - 1, rows - 1))
@@ -29,7 +30,7 @@ def region_behind(matrix: np.ndarray, region: Region, rows: int, columns: int) -
 def move_codes(
     codes: np.ndarray, matrix: np.ndarray, shape: Sequence[int], saturated: np.number, clip: np.number
 ) -> np.ndarray:
-    """Resample codes (rows, columns, channels) to the place that they have in the first photograph, by cubic splines.
+    """Resample codes (rows, columns, channels) to the place that they have in the first photograph, by Lanczos' kernel.
 
     Parameters
     ----------
@@ -58,10 +59,10 @@ def move_codes(
     hot = (codes >= saturated).any(axis=2).astype(np.uint8)
     cold = (codes <= clip).all(axis=2).astype(np.uint8)
     parts = [codes[:, :, k : k + MOST_CHANNELS] for k in range(0, codes.shape[2], MOST_CHANNELS)]
-    warped = (warp(np.ascontiguousarray(part), cv2.INTER_CUBIC) for part in parts)
+    warped = (warp(np.ascontiguousarray(part), cv2.INTER_LANCZOS4) for part in parts)
     moved = np.concatenate([part.reshape(*size[::-1], -1) for part in warped], axis=2)
     if hot.any():
-        reach = warp(cv2.dilate(hot, np.ones((3, 3), np.uint8)) * np.uint8(255), cv2.INTER_LINEAR)
+        reach = warp(cv2.dilate(hot, np.ones((2 * REACH - 1,) * 2, np.uint8)) * np.uint8(255), cv2.INTER_LINEAR)
         moved[reach > 0] = saturated
     moved[warp(cold, cv2.INTER_NEAREST, cv2.BORDER_CONSTANT) > 0] = clip
     return moved

@@ -15,36 +15,39 @@ from nishiki.report.svg import PALETTE, SOFT, Drawing
 from nishiki.version import PROJECT_VERSION
 
 WIDTH = 260  # of a photograph on the sheet, pixels
-STATED, SHOWN = PALETTE[0], PALETTE[1]
-LAMP_ELSEWHERE_DEG, HALF_AS_STRONG, ROOM_LIGHT = 10.0, np.log(2), 0.1
+STATED, SHOWN, MOVED = PALETTE[:3]
+LAMP_ELSEWHERE_DEG, HALF_AS_STRONG, ROOM_LIGHT, SHIFT_PX = 10.0, np.log(2), 0.1, 1.0
 """What counts as one mark against a photograph when the odd ones are sorted to the front."""
+SHIFT_ENLARGED = 10.0  # times that a shift is drawn, at most to the rim of the picture
+KEY = (
+    "Arrows point towards the lamp: blue as stated, orange as the photograph shows it. A green "
+    "arrow in the corner is the shift of the photograph against the first one, ten times enlarged."
+)
+UNITS = (
+    "Gains are relative to the median photograph; the offset is light that does not follow the lamp, relative to a "
+    "frontal lamp; the numbers after the signs are standard errors; shifts are columns and rows, in pixels. Where the "
+    "camera moved, gain, offset and direction are those after the photographs are brought together."
+)
 
 
 def contact_sheet(judgement: Judgement, problems: Sequence[Problem], title: str) -> str:
     """Draw the page (HTML) of one capture; the photographs that differ most from what is stated come first."""
-    seen, odd = _seen(judgement), _oddness(judgement)
-    order = np.argsort(-odd, kind="stable")
-    figures = [_figure(judgement, int(j), seen) for j in order]
+    marks, directions = _rate(judgement), _shown_directions(judgement)
+    order = np.argsort(-marks, kind="stable")
+    figures = [_figure(judgement, int(j), directions[j]) for j in order]
     blocks: list[Block] = []
-    told = [str(problem) for problem in problems if problem.severity == "error"]
-    told += [str(problem) for problem in problems if problem.severity != "error"]
-    if told:
-        blocks.append(Note(told, listed=True, warning=True))
+    if problems:
+        blocks.append(Note([str(p) for p in sorted(problems, key=lambda p: p.severity)], listed=True, warning=True))
     if judgement.consistency is None:
         blocks.append("Nothing can be predicted here: too few lamps, too few pixels with light, or a mirror.")
-    key = "Arrows point towards the lamp: blue as stated, orange as the photograph shows it, compared with the others."
-    units = (
-        "Gains are relative to the median photograph; the offset is light that does not follow the lamp, relative to "
-        "a frontal lamp; the numbers after the signs are standard errors."
-    )
-    sheet = Section("photographs", "Photographs, the odd ones first", [key, units, Figures(figures, columns=4)])
+    sheet = Section("photographs", "Photographs, the odd ones first", [KEY, UNITS, Figures(figures, columns=4)])
     said = Section("problems", "What was found", blocks or ["Nothing."])
     return render_page(
         Page(title, "The photographs against each other", [said, sheet], PROJECT_VERSION, "./nishiki check")
     )
 
 
-def _seen(judgement: Judgement) -> np.ndarray:
+def _shown_directions(judgement: Judgement) -> np.ndarray:
     """Return directions (lights, 3) that the photographs show; NaN where nothing can be told."""
     found = judgement.arrangement
     if found is not None and not found.as_stated:
@@ -55,11 +58,14 @@ def _seen(judgement: Judgement) -> np.ndarray:
 
 
 def _angles(judgement: Judgement) -> np.ndarray:
-    return np.degrees(np.arccos(np.clip((_seen(judgement) * judgement.directions).sum(axis=1), -1, 1)))
+    cosines = (_shown_directions(judgement) * judgement.directions).sum(axis=1)
+    return np.degrees(np.arccos(np.clip(cosines, -1, 1)))
 
 
-def _oddness(judgement: Judgement) -> np.ndarray:
+def _rate(judgement: Judgement) -> np.ndarray:
+    """Sum the marks (lights,) against each photograph."""
     marks = np.nan_to_num(_angles(judgement)) / LAMP_ELSEWHERE_DEG
+    marks = marks + np.where(judgement.moved, judgement.movement.largest / SHIFT_PX, 0)
     found = judgement.consistency
     if found is not None:
         marks = marks + np.abs(np.log(np.maximum(found.gain, 1e-3))) / HALF_AS_STRONG
@@ -68,27 +74,26 @@ def _oddness(judgement: Judgement) -> np.ndarray:
     return np.round(marks, 2)  # below that the order of the photographs stays
 
 
-def _figure(judgement: Judgement, j: int, seen: np.ndarray) -> Figure:
-    """Return one photograph with the arrows of its lamp, and its numbers."""
-    values = judgement.values[j]
-    top = max(float(np.nanquantile(judgement.values, 0.98)), 1e-12)
+def _figure(judgement: Judgement, j: int, shown: np.ndarray) -> Figure:
+    """Draw one photograph with the arrows of its lamp and of its shift, and its numbers."""
+    values, top = judgement.grey[j], max(float(np.nanquantile(judgement.grey, 0.98)), 1e-12)
     picture = colour_picture(np.repeat(np.clip(values / top, 0, 1)[..., None], 3, axis=2))
-    rows, columns = values.shape
-    height = WIDTH * rows / columns
-    drawing = Drawing(WIDTH, height, f"{judgement.names[j]} with the directions of its lamp")
+    height = WIDTH * values.shape[0] / values.shape[1]
+    drawing = Drawing(WIDTH, height, f"{judgement.names[j]} with the directions of its lamp and its shift")
     drawing.picture(0, 0, WIDTH, height, picture.source)
-    for direction, colour, width in ((judgement.directions[j], STATED, 6.0), (seen[j], SHOWN, 2.5)):
-        if np.isfinite(direction).all():
-            _arrow(drawing, direction, colour, width, height)
+    reach = 0.45 * min(WIDTH, height)
+    for direction, colour, width in ((judgement.directions[j], STATED, 6.0), (shown, SHOWN, 2.5)):
+        if np.isfinite(direction).all():  # as long as the lamp is low
+            _arrow(drawing, (WIDTH / 2, height / 2), reach * direction[:2] * (1, -1), colour, width)
+    if judgement.moved[j]:
+        corner, shift = np.array([0.2 * WIDTH, 0.8 * height]), SHIFT_ENLARGED * judgement.movement.shift[j]
+        room = 0.18 * min(WIDTH, height) / max(float(np.abs(shift).max()), 1e-9)
+        _arrow(drawing, corner, shift * min(1.0, room), MOVED, 4.0)
     return Figure(judgement.names[j].split("/")[-1], "; ".join(_numbers(judgement, j)), svg=drawing.finish())
 
 
-def _arrow(drawing: Drawing, direction: np.ndarray, colour: str, width: float, height: float) -> None:
-    """From the middle towards the lamp, as long as the lamp is low."""
-    reach = 0.45 * min(WIDTH, height)
-    x, y = WIDTH / 2, height / 2
-    right, down = reach * direction[0], -reach * direction[1]
-    tip_x, tip_y = x + right, y + down
+def _arrow(drawing: Drawing, start: Sequence[float], step: np.ndarray, colour: str, width: float) -> None:
+    (x, y), (tip_x, tip_y) = start, np.asarray(start) + step
     for paint, broad in (("#fff", width + 2), (colour, width)):  # light seam, so that it is seen on any picture
         drawing.path(f"M{x:.1f} {y:.1f}L{tip_x:.1f} {tip_y:.1f}", stroke=paint, width=broad)
         drawing.circle(tip_x, tip_y, broad + 1, fill=paint)
@@ -96,26 +101,27 @@ def _arrow(drawing: Drawing, direction: np.ndarray, colour: str, width: float, h
 
 
 def _numbers(judgement: Judgement, j: int) -> list[str]:
-    direction = judgement.directions[j]
-    stated = f"stated {_degrees(direction)}"
+    stated, shown = (_degrees(some[j]) for some in (judgement.directions, _shown_directions(judgement)))
+    (x, y), sigma = judgement.movement.shift[j], judgement.movement.sigma[j]
+    shift = [f"shift {x:+z.2f}, {y:+z.2f} ± {sigma:.2f} px"] if np.isfinite(sigma) else []
     arrangement, found = judgement.arrangement, judgement.consistency
-    lines = [stated]
+    lines = [f"stated {stated}"]
     if arrangement is not None and not arrangement.as_stated:
         lamp = judgement.names[arrangement.order[j]].split("/")[-1]
-        return [stated, f"shows {_degrees(_seen(judgement)[j])}, the lamp listed for {lamp}"]
+        return [*lines, f"shows {shown}, the lamp listed for {lamp}", *shift]
     if found is None or not np.isfinite(found.residual[j]):
-        return lines
+        return [*lines, *shift]
     if j in found.failed:
         lines.append("no light of its lamp")
     lines += [f"repeats {judgement.names[b].split('/')[-1]}" for a, b in found.repeats if a == j]
-    lines += [
-        f"shows {_degrees(found.direction[j])} ± {found.direction_sigma_deg[j]:.1f}°, "
-        f"{_angles(judgement)[j]:.1f}° from it",
+    return [
+        *lines,
+        f"shows {shown} ± {found.direction_sigma_deg[j]:.1f}°, {_angles(judgement)[j]:.1f}° from it",
         f"gain {found.gain[j]:.3f} ± {found.gain_sigma[j]:.3f}",
         f"offset {found.offset[j] + 0.0:z.3f} ± {found.offset_sigma[j]:.3f}",
+        *shift,
         f"misfit {100 * found.residual[j]:.1f} %",
     ]
-    return lines
 
 
 def _degrees(direction: np.ndarray) -> str:
