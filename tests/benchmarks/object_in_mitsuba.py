@@ -106,7 +106,7 @@ def measured(mi, folder: Path, count: int):
         points = SeenPoints.of(SimpleNamespace(decoded=decoded, layout=layout), view)
         kd, ks, sigma = np.split(sample(textures, points.places), [3, 6], axis=1)
         modelled = predict(kd, ks, sigma[:, 0], points.positions, points.normals, points.centre, points.lamp)
-        picture = three_channels(renderer.view(view).linear)[points.covered]
+        picture = three_channels(next(renderer.render([renderer.captured(view)])).linear)[points.covered]
         scene = mi.load_dict(module.description(view=decoded.views[view], body="model", folder=made[-1]))
         rays = points.positions - camera.centre
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)

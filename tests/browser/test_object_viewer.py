@@ -180,7 +180,7 @@ def test_probe_gives_the_parameters(shown):
     canvas(shown, view={"captured": 0})
     probed = shown.page.page.evaluate("nishiki.scene.probe(75, 65, nishiki.state)")
     renderer = shown.decoded.renderer()
-    picture = renderer.view(0)
+    picture = next(renderer.render([renderer.captured(0)]))
     place = [np.atleast_1d(v) for v in (picture.triangle[65, 75], picture.barycentric[65, 75][None])]
     tile, s, t = (v[0] for v in shown.decoded.atlas.locate(*place))
     kd, _, sigma = shown.decoded.residual.parameters(int(tile))
@@ -200,7 +200,8 @@ def test_probe_gives_the_parameters(shown):
 def test_points_of_the_surface_for_the_ruler(shown):
     page, camera = shown.page.page, shown.decoded.cameras[0]
     canvas(shown, view={"captured": 0})
-    picture = shown.decoded.renderer().view(0)
+    renderer = shown.decoded.renderer()
+    picture = next(renderer.render([renderer.captured(0)]))
     for row, column in ((65, 75), (50, 60), (80, 90)):
         corners = shown.decoded.mesh.vertices[shown.decoded.mesh.triangles[picture.triangle[row, column]]]
         u, v = picture.barycentric[row, column]

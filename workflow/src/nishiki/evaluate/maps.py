@@ -78,6 +78,7 @@ class Pool:
 
 
 SLOPE_EDGES_DEG = (0.0, 10.0, 20.0, 30.0, 50.0, 90.0)
+"""Classes of the angle between true normal and z."""
 _BAND_ROWS = 256
 
 
@@ -129,13 +130,12 @@ def normal_errors(
     *,
     flags: np.ndarray,
     mask: np.ndarray | None = None,
-    slope_edges_deg: tuple[float, ...] = SLOPE_EDGES_DEG,
 ) -> NormalErrors:
     """Return errors of a field of normals.
 
     estimate, truth : (rows, columns, 3), right-handed, y up, z to the camera; a truth of zero or NaN means: not known.
-    flags : (rows, columns) uint8 of the normals stage. mask : (rows, columns) bool, pixels of the object.
-    slope_edges_deg : rising; classes of the angle between true normal and z. Raises UserError where shapes differ.
+    flags : (rows, columns) uint8 of the normals stage. mask : (rows, columns) bool, pixels of the object. Raises
+    UserError where shapes differ.
     """
     if estimate.shape != truth.shape or flags.shape != truth.shape[:2]:
         raise UserError(
@@ -152,7 +152,7 @@ def normal_errors(
     angles[~inside] = np.nan
     has = inside & ((flags & NO_ESTIMATE) == 0)
     clean = has & (flags == 0)
-    edges = itertools.pairwise(slope_edges_deg)
+    edges = itertools.pairwise(SLOPE_EDGES_DEG)
     return NormalErrors(
         map_deg=angles,
         inside=summarise(angles, where=inside),

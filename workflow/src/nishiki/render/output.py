@@ -31,30 +31,18 @@ def write_exr(
     *,
     stamp: Mapping[str, str],
     colours: str = "xyz",
-    half: bool = False,
     coverage: np.ndarray | None = None,
-    white_luminance: float = 100.0,
-    owner: str = "",
-    captured: str = "",
 ) -> None:
-    """Linear picture (rows, columns, 3) in XYZ or linear sRGB (= Rec. 709) as R, G, B with their chromaticities.
+    """Write a linear picture (rows, columns, 3), XYZ or linear sRGB (= Rec. 709), as R, G, B with chromaticities.
 
-    white_luminance: cd/m^2 of the value 1; the values are relative to the white reference, so that this is a statement
-    about the room and no measurement.  captured: "YYYY:MM:DD hh:mm:ss", the photographs' date.  coverage becomes alpha.
-    half: 16-bit values, relative precision 5e-4 between 6e-5 and 65504; values beyond that are an error.
+    The value 1 is the white reference, stated as 100 cd/m^2, which is no measurement. coverage becomes alpha.
     """
     if colours not in _CHROMATICITIES:
         raise UserError(f"EXR colours: expected xyz or srgb, found {colours!r}; choose one of the two")
-    values = np.asarray(linear, np.float32)
-    if half and values.size and np.abs(values).max() > 65504:
-        raise UserError(f"{path}: {np.abs(values).max():g} does not fit in 16 bits (65504); write float32 instead")
-    kind = np.float16 if half else np.float32
-    channels = {name: np.ascontiguousarray(values[..., k], kind) for k, name in enumerate("RGB")}
+    channels = {name: np.ascontiguousarray(linear[..., k], np.float32) for k, name in enumerate("RGB")}
     if coverage is not None:
-        channels["A"] = np.ascontiguousarray(coverage, kind)
-    header = {"chromaticities": _CHROMATICITIES[colours], "whiteLuminance": float(white_luminance)}
-    header |= {name: text for name, text in (("owner", owner), ("capDate", captured)) if text}
-    _write_exr(path, header, channels, stamp)
+        channels["A"] = np.ascontiguousarray(coverage, np.float32)
+    _write_exr(path, {"chromaticities": _CHROMATICITIES[colours], "whiteLuminance": 100.0}, channels, stamp)
 
 
 def write_normals_exr(path: Path, normals: np.ndarray, *, stamp: Mapping[str, str]) -> None:

@@ -65,12 +65,11 @@ def light_sequence(
 
 
 def view_sequence(
-    scene: PlaneScene, lights: list[Light], views: Iterable[View], *, ambient: Ambient | None = None,
-    shadows: str = "sweep", **settings
-) -> Iterator[Rendering]:  # fmt: skip
+    scene: PlaneScene, lights: list[Light], views: Iterable[View], *, ambient: Ambient | None = None, **settings
+) -> Iterator[Rendering]:
     """Yield a picture for each view under the same lights; shadows are cast once. `settings` as in `render`."""
     visibility = None
-    if shadows != "none" and scene.height is not None and lights:
-        visibility = cast_shadows(scene.height, lights, pitch=scene.pitch, method=shadows).visibility
+    if scene.height is not None and lights:
+        visibility = cast_shadows(scene.height, lights, pitch=scene.pitch).visibility
     for view in views:
         yield render(scene, lights, view, ambient=ambient, visibility=visibility, shadows="none", **settings)

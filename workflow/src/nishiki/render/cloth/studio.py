@@ -165,11 +165,11 @@ def moved(surface: Surface, by: np.ndarray) -> Surface:
     return replace(surface, mesh=Mesh(mesh.vertices + by, mesh.triangles, mesh.normals))
 
 
-def tubes(*, radius: float = 0.11, height: float = 0.42, gap: float = 0.07) -> list[Surface]:
-    """Three upright cylinders of the cloth side by side: warp upright, oblique, and around."""
-    step = 2 * radius + gap
+def tubes() -> list[Surface]:
+    """Return three upright cylinders of the cloth side by side: warp upright, oblique, and around."""
+    radius, height, gap = 0.11, 0.42, 0.07
     return [
-        cylinder(radius, height, centre=((k - 1) * step, 0.0, 0.0), turn=-turn)
+        cylinder(radius, height, centre=((k - 1) * (2 * radius + gap), 0.0, 0.0), turn=-turn)
         for k, turn in enumerate((0.0, np.pi / 4, np.pi / 2))
     ]
 

@@ -234,7 +234,7 @@ def grid_triangles(rows: int, columns: int) -> np.ndarray:
     return np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
 
 
-def sheet(points: np.ndarray, *, side: int | None = None, material: int = 0) -> tuple[Surface, np.ndarray]:
+def sheet(points: np.ndarray, *, side: int | None = None) -> tuple[Surface, np.ndarray]:
     """Return a grid of points (n, n, 3), [i, j] at weft i and warp j, as surface: the bicubic spline through them, at
     `side` points a side; and its texture coordinates (v, 2), 0 to 1.
 
@@ -257,33 +257,31 @@ def sheet(points: np.ndarray, *, side: int | None = None, material: int = 0) -> 
     weft = unit(weft - np.sum(weft * normal, axis=1, keepdims=True) * normal)
     mesh = Mesh(np.ascontiguousarray(place), grid_triangles(side, side), normal.astype(np.float32))
     u, v = np.meshgrid(to, to, indexing="ij")
-    return Surface(mesh, weft, material), np.column_stack([u.ravel(), v.ravel()])
+    return Surface(mesh, weft), np.column_stack([u.ravel(), v.ravel()])
 
 
-def cylinder(
-    radius: float, height: float, *, centre=(0.0, 0.0, 0.0), turn: float = 0.0, sectors: int = 192, material: int = 0
-) -> Surface:
+def cylinder(radius: float, height: float, *, centre=(0.0, 0.0, 0.0), turn: float = 0.0) -> Surface:
     """Return an upright tube of cloth, its weft around, its warp upwards; turn: radians from weft to warp."""
-    angle, rise = np.linspace(0, 2 * np.pi, sectors + 1), np.linspace(-0.5, 0.5, 33)
+    angle, rise = np.linspace(0, 2 * np.pi, 193), np.linspace(-0.5, 0.5, 33)
     a, y = np.meshgrid(angle, rise, indexing="ij")
     across = np.stack([np.sin(a), np.zeros_like(a), np.cos(a)], axis=2).reshape(-1, 3)
     place = radius * across + np.stack([0 * y, height * y, 0 * y], axis=2).reshape(-1, 3) + np.asarray(centre, float)
-    mesh = Mesh(place, grid_triangles(sectors + 1, 33), across.astype(np.float32))
+    mesh = Mesh(place, grid_triangles(193, 33), across.astype(np.float32))
     uv = np.column_stack([radius * a.ravel(), height * y.ravel()])
     field = from_texture(mesh.vertices, mesh.triangles, mesh.normals, uv, turn=turn)
-    return Surface(mesh, field.weft, material)
+    return Surface(mesh, field.weft)
 
 
-def swatch(width: float, height: float, *, centre=(0.0, 0.0, 0.0), turn: float = 0.0, material: int = 0) -> Surface:
+def swatch(width: float, height: float, *, centre=(0.0, 0.0, 0.0), turn: float = 0.0) -> Surface:
     """Return a flat rectangle that faces z, weft to the right."""
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, 9) * width, np.linspace(-0.5, 0.5, 9) * height, indexing="ij")
     place = np.stack([x, y, 0 * x], axis=2).reshape(-1, 3) + np.asarray(centre, float)
     normals = np.tile(np.float32([0, 0, 1]), (len(place), 1))
     weft = np.tile([np.cos(turn), np.sin(turn), 0.0], (len(place), 1))
-    return Surface(Mesh(place, grid_triangles(9, 9), normals), weft, material)
+    return Surface(Mesh(place, grid_triangles(9, 9), normals), weft)
 
 
-def paper(width: float, depth: float, height: float, bend: float, *, turn: float = 0.0, material: int = 1) -> Surface:
+def paper(width: float, depth: float, height: float, bend: float, *, turn: float = 0.0) -> Surface:
     """Return a studio's seamless paper: a floor y = 0 that reaches `depth` back and front, bent up into a wall behind.
 
     bend: radius of the bend. turn: azimuth of the camera about the vertical, so that the wall stands behind the scene.
@@ -299,7 +297,7 @@ def paper(width: float, depth: float, height: float, bend: float, *, turn: float
     c, s = np.cos(turn), np.sin(turn)
     place = place.reshape(-1, 3) @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
     mesh = Mesh.of(place, grid_triangles(len(x), len(z)))
-    return Surface(mesh, np.tile([c, 0.0, -s], (len(place), 1)), material)
+    return Surface(mesh, np.tile([c, 0.0, -s], (len(place), 1)), material=1)
 
 
 @dataclass(frozen=True)

@@ -106,11 +106,11 @@ class ObjectRenderer:
         """Return the picture of a captured view without its own residual: interpolated between the other views."""
         return self._shot(self.cameras[index], float(self.turn.position[index]), light, self.without | {index})
 
-    def between(self, index: int, fraction: float, *, light: int = 0, scale: Callable | None = None) -> Shot:
+    def between(self, index: int, fraction: float, *, scale: Callable | None = None) -> Shot:
         """A picture `fraction` of the way from captured view `index` to the next; scale(camera): another size."""
         camera = camera_between(self.cameras, self.turn, index, fraction)
         position = self.turn.locate(index, fraction)
-        return self._shot(scale(camera) if scale else camera, position, light, self.without)
+        return self._shot(scale(camera) if scale else camera, position, 0, self.without)
 
     def _shot(self, camera: Camera, position: float, light: int, without: frozenset[int]) -> Shot:
         full = neighbours(self.turn, position, method=self.method, without=without)
@@ -118,11 +118,6 @@ class ObjectRenderer:
         if self.method == "cubic":
             plain = neighbours(self.turn, position, method="linear", without=without)
         return Shot(camera, full, plain, ((light, 1.0),))
-
-    def view(self, index: int, *, light: int = 0) -> ObjectPicture:
-        """Return a captured view; where it was left out of the fit, from the residual of its neighbours."""
-        shot = self.predicted if index in self.without else self.captured
-        return next(self.render([shot(index, light=light)]))
 
     def render(self, shots: Iterable[Shot]) -> Iterator[ObjectPicture]:
         """Yield the pictures of the shots, in order; as many at a time as fit into the memory set aside for them."""

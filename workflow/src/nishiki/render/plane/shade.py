@@ -205,7 +205,7 @@ class Prediction:
     """One light's predicted photograph."""
 
     observations: np.ndarray  # (rows, columns, channels) float32, a perfect white that faces the lamp is 1
-    flags: np.ndarray  # (rows, columns) uint8, bits of nishiki.render.plane.scene
+    flags: np.ndarray  # (rows, columns) uint8, bits of nishiki.render.plane.flags
     visibility: np.ndarray | None  # (rows, columns) float32, what each pixel sees of the lamp; None without a height
 
 
@@ -220,12 +220,11 @@ def predict_observations(
     labels: np.ndarray | None = None,
     height: np.ndarray | None = None,
     pitch: float = 1.0,
-    shadows: str = "sweep",
 ) -> Iterator[Prediction]:
     """Yield one prediction a light, in order, so that a stack of them need not be held in memory.
 
     normals: (rows, columns, 3); albedo: (rows, columns, channels), perfect white 1; shading, slopes, gloss, labels,
-    height, pitch as in `PlaneScene`; shadows: "sweep", "march" or "none".  The spectra of the lights are not used; a
+    height, pitch as in `PlaneScene`.  The spectra of the lights are not used; a
     white board at the same place has divided out intensity and fall-off, which should therefore stay 1 and False.
     """
     if albedo.ndim != 3 or albedo.shape[:2] != normals.shape[:2] or normals.shape[2:] != (3,):
@@ -241,10 +240,7 @@ def predict_observations(
         np.eye(channels)[None], np.zeros((1, channels)), np.ones((1, channels)), np.zeros(1, np.int64), 0
     )
     for light in lights:
-        visibility = None
-        if height is not None and shadows != "none":
-            cast = cast_shadows(height, [light], pitch=pitch, method=shadows)
-            visibility = cast.visibility
+        visibility = None if height is None else cast_shadows(height, [light], pitch=pitch).visibility
         seen = shade_channels(
             normals,
             albedo,
