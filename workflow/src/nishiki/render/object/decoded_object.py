@@ -73,19 +73,7 @@ class DecodedObject:
             points = texel_points(mesh, self.atlas, self.surface, slice(tile, tile + 1))
             return tuple(values[0] for values in points)
 
-        return ObjectRenderer(
-            mesh,
-            self.atlas,
-            self.cameras,
-            self.residual,
-            self.lighting,
-            geometry=geometry,
-            encoding=self.encoding,
-            full_turn=self.full_turn,
-            channels=self.channels,
-            ceiling=self.ceiling,
-            **options,
-        )
+        return ObjectRenderer(self, mesh, geometry, **options)
 
     def numbers(self, names) -> frozenset[int]:
         """Return places of named views in the order of the turn; UserError for a name that is not there."""

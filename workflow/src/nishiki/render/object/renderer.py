@@ -16,6 +16,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -45,54 +46,49 @@ from nishiki.render.object.shots import (
 from nishiki.render.object.visibility import DepthMaps
 from nishiki.threads import threads as given_threads
 
+if TYPE_CHECKING:
+    from nishiki.render.object.decoded_object import DecodedObject
+
 BATCH_BYTES = 32 << 20  # of pictures in hand while all decoded tiles fit into the cache
 LARGE_BATCH_BYTES = 384 << 20  # once they do not: a tile is decoded again for each batch
 CACHE_BYTES = 256 << 20
 
 
 class ObjectRenderer:
-    """A decoded object.
+    """A renderer of a decoded object.
 
-    mesh, atlas, cameras (of the captured views), residual and lighting as their rooms give them; geometry(tile) ->
-    positions (T, T, 3), normals (T, T, 3), inside (T, T); encoding: of the capture; without: views that were left out
-    of the fit and may not lend their residual to others; level > 0: a preview from the coarse part of the residual;
-    model_only: without the residual; own_lamps: light the object in place of the captured ones (the model alone, since
-    a residual belongs to its light); rim: pixels by which values are carried on beyond the surface's edge; ceiling:
-    largest linear value that the capture could hold (None: any).  What was saturated or never seen is not bound by any
-    photograph, and a lobe can grow there without limit: pictures are clipped to 0 .. ceiling, as the camera's were;
-    under own_lamps, of any intensity, the ceiling says nothing.
+    mesh: the object's, or the same triangles at other places; geometry(tile) -> positions (T, T, 3), normals (T, T, 3),
+    inside (T, T) on it; without: views that were left out of the fit and may not lend their residual to others;
+    level > 0: a preview from the coarse part of the residual; model_only: without the residual; own_lamps: light the
+    object in place of the captured ones (the model alone, since a residual belongs to its light); rim: pixels by which
+    values are carried on beyond the surface's edge. What was saturated or never seen is not bound by any photograph,
+    and a lobe can grow there without limit: pictures are clipped to 0 .. the object's ceiling, the largest linear value
+    that the capture could hold, as the camera's were; under own_lamps, of any intensity, the ceiling says nothing.
     """
 
     def __init__(
         self,
+        decoded: DecodedObject,
         mesh: Mesh,
-        atlas,
-        cameras: list[Camera],
-        residual,
-        lighting,
-        *,
         geometry: Callable,
-        encoding: str,
-        full_turn: bool,
-        channels: int,
+        *,
         without: frozenset[int] = frozenset(),
         method: Method = "cubic",
         level: int = 0,
         model_only: bool = False,
         own_lamps: FreeLighting | None = None,
         rim: int = 2,
-        ceiling: float | None = None,
         threads: int | None = None,
     ):
-        self.mesh, self.atlas, self.cameras = mesh, atlas, list(cameras)
-        self.residual, self.lighting, self.geometry = residual, lighting, geometry
-        self.encoding, self.channels = encoding, channels
-        self.turn = fit_turn(self.cameras, full_turn=full_turn)
+        self.mesh, self.atlas, self.cameras, self.geometry = mesh, decoded.atlas, list(decoded.cameras), geometry
+        self.residual, self.lighting, self.ceiling = decoded.residual, decoded.lighting, decoded.ceiling
+        self.encoding, self.channels = decoded.encoding, decoded.channels
+        self.turn = fit_turn(self.cameras, full_turn=decoded.full_turn)
         self.without, self.method, self.level = without, method, level
         self.lit = None if own_lamps is None else LitObject(mesh, own_lamps)
-        self.model_only, self.rim, self.ceiling = model_only or self.lit is not None, rim, ceiling
+        self.model_only, self.rim = model_only or self.lit is not None, rim
         self.threads = threads or given_threads()
-        self.parts = coded_parts(residual, encoding)
+        self.parts = coded_parts(self.residual, self.encoding)
         self.depths = DepthMaps(mesh)
         self._cache: OrderedDict[int, Tile] = OrderedDict()
         self._held, self._dropped, self._lock = 0, False, threading.Lock()
