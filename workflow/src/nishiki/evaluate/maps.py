@@ -56,7 +56,7 @@ class Pool:
         self.count, self.total, self.worst = 0, 0.0, None
 
     def add(self, values: np.ndarray) -> None:
-        """Errors of any shape, >= 0; those that are not finite are left out."""
+        """Add errors of any shape, >= 0; those that are not finite are left out."""
         for part in np.array_split(np.asarray(values).ravel(), max(1, np.size(values) >> 20)):
             part = part[np.isfinite(part)]
             if part.size:

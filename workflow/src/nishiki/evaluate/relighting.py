@@ -23,7 +23,7 @@ class SquaredError:
     bias: float = 0.0
 
     def add(self, sums: np.ndarray) -> None:
-        """Sums (SUMS,) of the comparison kernel."""
+        """Add sums (SUMS,) of the comparison kernel."""
         self.samples += int(sums[0])
         self.linear += float(sums[1])
         self.coded += float(sums[2])
@@ -93,7 +93,7 @@ class LightComparison:
         inside: np.ndarray,
         classes: np.ndarray,
     ) -> None:
-        """One band: predicted, observed (rows, columns, channels) relative to white.
+        """Add one band: predicted, observed (rows, columns, channels) relative to white.
 
         usable : photograph neither saturated nor dark-clipped there; known : the model has a normal and a colour
         there; inside : pixel of the object; classes : see `classify`. Pixels that are not finite are excluded.

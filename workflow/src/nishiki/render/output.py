@@ -46,7 +46,7 @@ def write_exr(
 
 
 def write_normals_exr(path: Path, normals: np.ndarray, *, stamp: Mapping[str, str]) -> None:
-    """Unit normals (rows, columns, 3) as float32 channels N.X, N.Y, N.Z: x right, y up, z out of the surface."""
+    """Write unit normals (rows, columns, 3) as float32 channels N.X, N.Y, N.Z: x right, y up, z out of the surface."""
     channels = {f"N.{n}": np.ascontiguousarray(normals[..., k], np.float32) for k, n in enumerate("XYZ")}
     _write_exr(path, {}, channels, stamp)
 
@@ -70,7 +70,7 @@ def _write_exr(path: Path, header: dict, channels: dict, stamp: Mapping[str, str
 
 
 def write_png(path: Path, pixels: np.ndarray, *, stamp: Mapping[str, str], srgb: bool = True) -> None:
-    """(rows, columns, 3) uint8 or uint16 as PNG; `srgb` says that the values are sRGB-coded colours."""
+    """Write (rows, columns, 3) uint8 or uint16 as PNG; `srgb` says that the values are sRGB-coded colours."""
     import cv2
 
     if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim != 3 or pixels.shape[2] != 3:
@@ -81,7 +81,7 @@ def write_png(path: Path, pixels: np.ndarray, *, stamp: Mapping[str, str], srgb:
 
 
 def write_normals_png(path: Path, normals: np.ndarray, *, stamp: Mapping[str, str]) -> None:
-    """Normals (rows, columns, 3) as 16-bit PNG, OpenGL convention (y up); missing ones are black."""
+    """Write normals (rows, columns, 3) as 16-bit PNG, OpenGL convention (y up); missing ones are black."""
     write_png(path, normals_as_colours(normals), stamp=stamp, srgb=False)
 
 
@@ -121,7 +121,7 @@ def write_video(
     stamp: Mapping[str, str],
     quality: int = 18,
 ) -> VideoWritten:
-    """Frames (rows, columns, 3) uint8 sRGB, all of one size, as MP4 (H.264, 4:2:0) by PyAV.
+    """Write frames (rows, columns, 3) uint8 sRGB, all of one size, as MP4 (H.264, 4:2:0) by PyAV.
 
     One encoding thread and no date: the same frames give the same bytes with the same PyAV.  quality: constant rate
     factor, 0 lossless .. 51.  Without PyAV an animated PNG with the name of `path` and .png is written instead.

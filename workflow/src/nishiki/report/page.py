@@ -180,7 +180,7 @@ def render_page(page: Page) -> str:
 
 
 def templates():
-    """The environment (`jinja2.Environment`) of the templates beside this module."""
+    """Return the environment (`jinja2.Environment`) of the templates beside this module."""
     import jinja2
 
     environment = jinja2.Environment(

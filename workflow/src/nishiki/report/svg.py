@@ -37,7 +37,7 @@ class Drawing:
         return "".join([*self.parts, "</svg>"])
 
     def text(self, x, y, text, *, anchor="start", size=12, colour=INK, upwards=False) -> None:
-        """A text whose `anchor` (start, middle, end) is at x."""
+        """Draw a text whose `anchor` (start, middle, end) is at x."""
         turned = f' transform="rotate(-90 {x:.1f} {y:.1f})"' if upwards else ""
         self.parts.append(
             f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" fill="{colour}" text-anchor="{anchor}"{turned}>'
@@ -45,27 +45,27 @@ class Drawing:
         )
 
     def line(self, x0, y0, x1, y1, colour) -> None:
-        """A thin line."""
+        """Draw a thin line."""
         self.parts.append(f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{colour}"/>')
 
     def circle(self, x, y, radius, *, tip="", **paint) -> None:
-        """A disc or a ring; tip : what a pointer on it is told."""
+        """Draw a disc or a ring; tip : what a pointer on it is told."""
         self._shape(f'circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}"', tip, **paint)
 
     def path(self, commands, *, tip="", **paint) -> None:
-        """Any outline, by the commands of SVG."""
+        """Draw any outline, by the commands of SVG."""
         self._shape(f'path d="{commands}"', tip, **paint)
 
     def diamond(self, x, y, half, *, tip="", **paint) -> None:
-        """A square that stands on its corner."""
+        """Draw a square that stands on its corner."""
         self.path(f"M{x:.1f} {y - half:.1f}l{half} {half}l-{half} {half}l-{half} -{half}z", tip=tip, **paint)
 
     def bar(self, x, y, width, height, colour) -> None:
-        """A filled rectangle."""
+        """Draw a filled rectangle."""
         self.parts.append(f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" fill="{colour}"/>')
 
     def picture(self, x, y, width, height, source) -> None:
-        """A picture by its data URI, stretched to this size."""
+        """Draw a picture by its data URI, stretched to this size."""
         self.parts.append(f'<image x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" href="{source}"/>')
 
     def _shape(
@@ -131,7 +131,7 @@ def ticks(low: float, high: float, count: int = 6) -> list[float]:
 
 
 def draw_axes(drawing: Drawing, x: Axis, y: Axis, x_label: str, y_label: str) -> None:
-    """Grid, numbers and labels of two axes."""
+    """Draw grid, numbers and labels of two axes."""
     for value, at in zip(x.marks(), x(x.marks()), strict=True):
         drawing.line(at, y.end, at, y.start, GRID)
         drawing.text(at, max(y.start, y.end) + 16, _number(value), anchor="middle")

@@ -13,7 +13,7 @@ from nishiki.stages.base import declaration_of
 
 
 def main() -> None:
-    """Arguments in, one artifact out; the first argument names the stage.
+    """Make one artifact from the arguments, the first of which names the stage.
 
     A bug ends with exit status 1 and a traceback, whose last line names the scene and the stage.
     """

@@ -42,7 +42,7 @@ class ClothModels:
         return list(self._region(region))
 
     def brdf(self, region: str, model: str | None = None):
-        """BRDF of a region: of this model, or of the default one. UserError where there is none."""
+        """Load the BRDF of a region: of this model, or of the default one. UserError where there is none."""
         name = model or self.default
         if name not in self._region(region):
             known = ", ".join(self._region(region))

@@ -162,7 +162,7 @@ class ObjectRenderer:
             yield self._picture(batch.pop(0))
 
     def _draw(self, tile: int, batch: list[Prepared]) -> None:
-        """All pixels of all pictures of a batch that show this tile."""
+        """Draw all pixels of all pictures of a batch that show this tile."""
         flat = self._tile(tile)
         for prepared in batch:
             slot = prepared.slots.get(tile)

@@ -30,7 +30,7 @@ class Blocks:
         self.bytes: dict[str, int] = {}
 
     def add(self, name: str, data: bytes) -> None:
-        """The next block."""
+        """Add the next block."""
         self.bytes[name] = len(data)
         if self.kept is None:
             self._write(name, data)
@@ -42,7 +42,7 @@ class Blocks:
             self.kept = None
 
     def _write(self, name: str, data: bytes) -> None:
-        """A script whose text is the bytes, for a page that reads it as windows-1252 (page/loader.js)."""
+        """Write a script whose text is the bytes, for a page that reads it as windows-1252 (page/loader.js)."""
         text = data
         for letter, escaped in ESCAPED:
             text = text.replace(letter, escaped)

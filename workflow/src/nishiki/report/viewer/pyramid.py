@@ -45,7 +45,7 @@ class Pyramid:
         return [(FACTOR**self.level, self.shape), *(self.above.levels() if self.above else [])]
 
     def push(self, rows: np.ndarray) -> None:
-        """The next rows (n, columns, fields) of the map; after the last of them every tile is written."""
+        """Add the next rows (n, columns, fields) of the map; after the last of them every tile is written."""
         if self.above:
             pending = np.concatenate([self.left_over, rows])
             complete = self.first + len(self.held) + len(rows) == self.shape[0]

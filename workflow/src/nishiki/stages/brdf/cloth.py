@@ -125,7 +125,7 @@ def judged(measured: Measured, fit: Fitted) -> dict:
 
 
 def export(context: Context, brdf, suffix: str, channels) -> None:
-    """The default model in the formats asked for."""
+    """Write the default model in the formats asked for."""
     formats = context.settings.export
     if "table" in formats:
         save_brdf(context.output.path(f"table{suffix}.npz"), TableBrdf.sample(brdf))

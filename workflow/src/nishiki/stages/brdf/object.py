@@ -112,7 +112,7 @@ def lamps(texels: Texels, views: Views, kind: str) -> tuple[Lighting, list, np.n
 
 
 def reader(texels: Texels, separated: bool, hold_out: tuple[str, ...]):
-    """read(tile) for the fit; views left out are not visible in it, whatever the store holds."""
+    """Return read(tile) for the fit; views left out are not visible in it, whatever the store holds."""
     kept = np.array([view not in hold_out for _ in texels.lights for view in texels.views])
 
     def read(tile: int) -> Tile:

@@ -123,7 +123,7 @@ class Work:
         return rows
 
     def show(self, name: str, left_out: bool, inside: np.ndarray, photograph: np.ndarray, coded: dict) -> None:
-        """One picture file: photograph, rendering, model alone, ten times the difference; and their arrays."""
+        """Write one picture of photograph, rendering, model alone, ten times the difference; and their arrays."""
         best = coded[INTERPOLATED] if left_out else coded[DECODED]
         panels = comparison(photograph, best, coded[MODEL], inside, self.decoded.encoding, self.settings.columns)
         stem = f"compare-{name}"

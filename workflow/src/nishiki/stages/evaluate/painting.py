@@ -141,7 +141,7 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
 
 
 def relight(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter):
-    """Scores of every light that no fit has seen, and the pooled differences of all of them."""
+    """Score every light that no fit has seen, and pool the differences of all of them."""
     frames = scene.frames
     chosen = [
         j for j, role in enumerate(frames.roles) if role == "check" or frames.lights[j] in context.settings.hold_out

@@ -135,7 +135,7 @@ def write_gltf(context: Context, cloth: ExportedCloth) -> dict:
 
 
 def write_mitsuba(context: Context, cloth: ExportedCloth) -> dict:
-    """The folder `mitsuba`; how far its table is from the model."""
+    """Write the folder `mitsuba`; return how far its table is from the model."""
     folder = context.output.path("exports/mitsuba/scene.json").parent
     shown, surface = cloth.shown, cloth.draped.surface
     azimuth = np.radians(shown.view.azimuth_deg)
@@ -196,7 +196,7 @@ def camera_facts(camera: Camera, middle: np.ndarray) -> dict:
 
 
 def write_bsdf(context: Context, cloth: ExportedCloth) -> dict:
-    """`cloth.bsdf`; how far its table is from the model."""
+    """Write `cloth.bsdf`; return how far its table is from the model."""
     table = HalfVectorTable.of(lambda light, eye: three(cloth.brdf.evaluate(light, eye)))
     described = f"{context.stamp['scene']}, {cloth.region}, {cloth.model}; x weft, y warp; {software(context)}"
     context.output.path("exports/cloth.bsdf").write_bytes(bsdf_bytes(table.arrays(described)))

@@ -55,7 +55,7 @@ LAYERS: dict[str, tuple[str, Callable[[ExportedScene, slice], np.ndarray]]] = {
 
 
 def write_iiif(context: Context, scene: ExportedScene) -> dict:
-    """Folder `iiif`: `manifest.json`, and a folder of tiles for each layer."""
+    """Write the folder `iiif`: `manifest.json`, and a folder of tiles for each layer."""
     address = context.settings.iiif.address.rstrip("/")
     folder = context.output.path("exports/iiif/manifest.json").parent
     psnr_db = {}
@@ -79,7 +79,7 @@ def tiles_psnr_db(folder: Path, picture: np.ndarray) -> float:
 
 
 def write_manifest(folder: Path, content: dict) -> None:
-    """`manifest.json` of a folder."""
+    """Write `manifest.json` of a folder."""
     text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
     (folder / "manifest.json").write_text(text, encoding="utf-8")
 

@@ -49,7 +49,7 @@ def add_object(
     *,
     extras: Mapping[str, Any] | None = None,
 ) -> None:
-    """Mesh and material of the object; texture: number of a named picture; extras: of the material."""
+    """Add mesh and material of the object; texture: number of a named picture; extras: of the material."""
     mesh, look = surface.mesh, surface.look
     attributes = {
         "POSITION": glb.vertices(mesh.positions, bounds=True),
@@ -146,7 +146,7 @@ def _shares(own: np.ndarray, widths: np.ndarray) -> np.ndarray:
 
 
 def write_kintsugi(context: Context, surface: ObjectSurface) -> dict:
-    """The folder `kintsugi`; its error against photographs."""
+    """Write the folder `kintsugi`; return its error against photographs."""
     look = surface.look
     model = model_textures(look.decoded, look.layout)
     basis = LobeBasis.of(model["ks"] / look.scale, model["sigma"][..., 0])

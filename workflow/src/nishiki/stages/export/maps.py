@@ -20,7 +20,7 @@ AXES = "x right, y up, z out of the surface towards the camera; row 0 is the top
 
 
 def write_normals(context: Context, scene: ExportedScene) -> dict:
-    """`normals.tif` and `normals.exr`; the angle that 16 bits lose."""
+    """Write `normals.tif` and `normals.exr`; return the angle that 16 bits lose."""
     down = context.settings.normals_y == "down"
     convention = (
         f"Unit normals, {'DirectX (y down)' if down else 'OpenGL (y up)'}: value = (n + 1) / 2 * 65535 of x right, "
@@ -79,7 +79,7 @@ FACE = np.dtype([("count", "u1"), ("corner", "<i4", 3)])
 
 
 def write_height(context: Context, scene: ExportedScene) -> dict:
-    """`height.tif` and `height.ply`."""
+    """Write `height.tif` and `height.ply`."""
     path = context.output.path
     description = (
         f"Height in {scene.unit}, towards the camera; NaN: none. Integrated from normals: parts that do not touch have "
@@ -104,7 +104,7 @@ def write_height(context: Context, scene: ExportedScene) -> dict:
 
 
 def write_ply(context: Context, scene: ExportedScene) -> tuple[int, int, int]:
-    """The mesh, row by row of vertices: pixels along the side of a vertex, vertices, faces."""
+    """Write the mesh row by row; return pixels along the side of a vertex, vertices, faces."""
     most = context.settings.mesh_vertices
     step = counted = corners = 0
     for relief in reliefs(scene, most, colours=None):
@@ -143,7 +143,7 @@ def vertex_bytes(relief: Relief) -> bytes:
 
 
 def write_albedo(context: Context, scene: ExportedScene) -> dict:
-    """`albedo.tif`; the share of its samples that are outside of the space."""
+    """Write `albedo.tif`; return the share of its samples that are outside of the space."""
     matrix, how = scene.to_xyz_d50()
     matrix = np.linalg.inv(ROMM.to_xyz()) @ matrix
     description = (
@@ -183,7 +183,7 @@ def channel(wavelength_nm: float) -> str:
 
 
 def write_spectral(context: Context, scene: ExportedScene) -> dict:
-    """`spectra.exr`, and `spectra.img` with its `spectra.hdr`."""
+    """Write `spectra.exr`, and `spectra.img` with its `spectra.hdr`."""
     basis = scene.basis
     if basis is None:
         raise UserError(

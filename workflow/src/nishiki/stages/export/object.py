@@ -38,7 +38,7 @@ BEHAVIOR = "individuals"  # of the manifest: each view is a picture of its own, 
 
 
 def write_iiif(context: Context, _surface: ObjectSurface) -> dict:
-    """Folder `iiif`: `manifest.json`, and a folder of tiles for each view and layer; errors against photographs."""
+    """Write `manifest.json` and tiles for each view and layer; return errors against photographs."""
     decoded, photographs = DecodedObject.open(context.inputs), Photographs(context.inputs)
     left_out = decoded.numbers(context.settings.hold_out)
     address = context.settings.iiif.address.rstrip("/")

@@ -30,7 +30,7 @@ FITTED_POINTS = 1000  # of the mesh, to which a pinhole is fitted
 
 
 def write_mitsuba(context: Context, surface: ObjectSurface) -> dict:
-    """The folder `mitsuba`; its errors against photographs, and how far its cameras are from the capture's."""
+    """Write the folder `mitsuba`; return its errors, and how far its cameras are from the capture's."""
     look = surface.look
     parameters = model_textures(look.decoded, look.layout)
     unit = METRES.get(context.inputs["mesh"].diagnostics.get("unit"), 1.0)
@@ -195,7 +195,7 @@ def falloff(lamp: Lamp, points: np.ndarray) -> float:
 
 
 def write_plain_scene(folder: Path, look: ObjectLook, facts: dict) -> None:
-    """scene.xml with the material `principled`, and camera and lamp of every view and light in the folder views."""
+    """Write scene.xml with the material `principled`, and camera and lamp of every view and light."""
     material = principled.material(
         principled.texture("colour.png", raw=False),
         principled.texture("roughness.png"),

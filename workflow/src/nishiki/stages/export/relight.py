@@ -236,7 +236,7 @@ def file_rows(path: Path, frames: Observations) -> Iterator[DecodedRows]:
 
 
 def write_layers(folder: Path, scene: ExportedScene, context: Context) -> None:
-    """normals.jpg and albedo.jpg, for viewers that show layers beside the relightable one, where one file does."""
+    """Write normals.jpg and albedo.jpg for viewers that show layers, where one file does."""
     if max(scene.shape) > LARGEST_SINGLE:
         return
     everything = slice(0, scene.shape[0])

@@ -98,7 +98,7 @@ Texture = Callable[[slice], np.ndarray]
 
 
 def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
-    """The folder `mitsuba`; what of the model it leaves out."""
+    """Write the folder `mitsuba`; return what of the model it leaves out."""
     folder = context.output.path("exports/mitsuba/scene.json").parent
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
     regions = len(region_materials(context, scene)) > 1
@@ -155,7 +155,7 @@ def gloss_facts(parameters: dict | None) -> dict:
 
 
 def write_relief(folder: Path, context: Context, scene: ExportedScene) -> int:
-    """relief.ply, the displaced plane with the place of each vertex in the textures, and flat.ply; its vertices.
+    """Write relief.ply, the displaced plane with its texture coordinates, and flat.ply; return the count of vertices.
 
     Their normals are those of the plane: the model takes those of the faces.
     """
@@ -176,7 +176,7 @@ def write_relief(folder: Path, context: Context, scene: ExportedScene) -> int:
 
 
 def write_merl(context: Context, scene: ExportedScene) -> dict:
-    """A table a region: its lobes, and the mean of its body colour and body shading."""
+    """Write a table a region: its lobes, and the mean of its body colour and body shading."""
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
     beta, gamma, index, transmission = gloss_table(parameters)
     labels = Observations(context.inputs["ingest"].folder).regions if len(index) > 1 else None

@@ -37,7 +37,7 @@ def run(context: Context) -> dict:
 
 
 def run_views(capture: TurntableCapture, context: Context) -> dict:
-    """The views of a turntable or of a polarisation series, and copies of the files of its geometry."""
+    """Write the views of a turntable or of a polarisation series, and copies of the files of its geometry."""
     result = write_views(capture, context.output.folder, settings=context.settings, progress=context.progress)
     for source, name in geometry_sources(chosen(capture, context.settings.without).capture):
         shutil.copyfile(source, context.output.path(name))
@@ -47,7 +47,7 @@ def run_views(capture: TurntableCapture, context: Context) -> dict:
 
 
 def run_goniometer(capture: GoniometerCapture, context: Context) -> dict:
-    """The windows of a goniometer's photographs, or its table."""
+    """Write the windows of a goniometer's photographs, or its table."""
     result = write_goniometer(capture, context.output.folder, settings=context.settings, progress=context.progress)
     if capture.table is None:
         stamp_store(context, WINDOWS)

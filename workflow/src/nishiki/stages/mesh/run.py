@@ -193,7 +193,7 @@ def without_hollows(
 
 
 def read_file(context: Context, views: Views, cameras: list[Camera], mirror: list[int] | None):
-    """Vertices and triangles of the capture's mesh, in the cameras' world."""
+    """Read vertices and triangles of the capture's mesh, in the cameras' world."""
     vertices, triangles = read_triangles(context.inputs["ingest"].path(views.geometry["mesh"]))
     if "mesh_placement" in views.attributes:
         vertices, triangles = move_mesh(vertices, triangles, *views.attributes["mesh_placement"])
@@ -208,7 +208,7 @@ def mirrored(vertices: np.ndarray, triangles: np.ndarray, mirror: list[int] | No
 
 
 def merge_scans(context: Context, views: Views, cameras: list[Camera], mirror: list[int] | None):
-    """Range scans registered to the first and merged, in the cameras' world."""
+    """Merge range scans, registered to the first, in the cameras' world."""
     from nishiki.geometry.merging import merge
     from nishiki.geometry.scans import register
 
@@ -263,7 +263,7 @@ def fit_of(mesh: Mesh, cameras: list[Camera], masks: list, used: list[bool]) -> 
 
 
 def write(context: Context, views: Views, cameras: list[Camera], mesh: Mesh, masks: list) -> None:
-    """Mesh, silhouettes where all are known, preview."""
+    """Write mesh, silhouettes where all are known, preview."""
     mesh.save(context.output.path("mesh.npz"))
     write_ply(context.output.path("mesh.ply"), mesh, stamp=context.stamp, unit=views.unit)
     if all(mask is not None for mask in masks):

@@ -87,7 +87,7 @@ def swatches(context: Context, brdf: Brdf, cloths: dict[str, Brdf]) -> dict:
 
 
 def save(context: Context, name: str, picture: ClothPicture, exposure: float) -> dict:
-    """Linear EXR and 8-bit PNG; what the PNG could not show."""
+    """Write linear EXR and 8-bit PNG; return what the PNG could not show."""
     path, settings = context.output.path, context.settings
     write_exr(path(f"{name}.exr"), picture.linear, stamp=context.stamp, colours="srgb", coverage=picture.coverage)
     image = shown(settings, picture, exposure)
@@ -115,7 +115,7 @@ def film(context: Context, surface: Surface, brdf: Brdf) -> tuple[dict, list[str
 
 
 def frames_of(context: Context, surface: Surface, brdf: Brdf):
-    """Frames (rows, columns, 3) uint8; a turn of the cloth is one of camera and lamps about it."""
+    """Yield frames (rows, columns, 3) uint8; a turn of the cloth is one of camera and lamps about it."""
     settings, block = context.settings, context.settings.film
     rows = round(block.columns * settings.view.rows / settings.view.columns)
     rows += rows % 2

@@ -105,7 +105,7 @@ def stills(decoded: DecodedObject, renderer: ObjectRenderer, settings: ObjectRen
 
 
 def save(context: Context, renderer: ObjectRenderer, name: str, shot: Shot, picture: ObjectPicture) -> dict:
-    """Linear EXR with alpha, 8-bit PNG, and normals and depth where asked for."""
+    """Write linear EXR with alpha, 8-bit PNG, and normals and depth where asked for."""
     settings, stamp = context.settings, context.stamp
     alpha = np.where(picture.reached, coverage(renderer.mesh, shot.camera), 0).astype(np.float32)
     linear = three_channels(picture.linear)

@@ -105,7 +105,7 @@ def paint(
 
 
 def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:
-    """Linear EXR and 8-bit sRGB PNG; what the PNG clipped and what was flagged."""
+    """Write linear EXR and 8-bit sRGB PNG; return what the PNG clipped and what was flagged."""
     coverage = None if picture.view.kind == "frontal" else made.coverage
     write_exr(context.output.path(f"{picture.name}.exr"), made.xyz, stamp=context.stamp, coverage=coverage)
     exposure = picture.exposure

@@ -22,7 +22,7 @@ from nishiki.stages.texels import TexelsSettings
 
 
 def run(context: Context) -> dict:
-    """Charts and atlas once, then one view after another."""
+    """Lay out charts and atlas once, then read one view after another."""
     settings = context.settings
     views = Views(context.inputs["ingest"].folder)
     cameras = load_cameras(context.inputs["cameras"].path("cameras.json"))
@@ -67,7 +67,7 @@ def run(context: Context) -> dict:
 
 
 def check(views: Views, cameras: list[Camera]) -> None:
-    """UserError where cameras and photographs do not belong together."""
+    """Raise UserError where cameras and photographs do not belong together."""
     names = tuple(camera.name for camera in cameras)
     if names != tuple(views.views):
         raise UserError(
@@ -102,7 +102,7 @@ def lay_out(mesh: Mesh, cameras: list[Camera], settings: TexelsSettings) -> tupl
 
 
 def write_preview(path: Path, atlas: Atlas, texels: np.ndarray, encoding: str) -> None:
-    """The mean colour of every texel, chart by chart; grey where no observation shows it."""
+    """Write the mean colour of every texel, chart by chart; grey where no observation shows it."""
     import cv2
 
     picture = atlas_picture(atlas, texels)

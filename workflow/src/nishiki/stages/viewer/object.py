@@ -40,7 +40,7 @@ def run(context: Context) -> dict:
 
 
 def write_object(decoded: DecodedObject, blocks: Blocks, about: dict, *, without: frozenset[int]) -> dict:
-    """Blocks and page of an object; sizes in bytes. about: title, stamp, unit; without: views left out of the fit."""
+    """Write blocks and page of an object; return sizes in bytes. about: title, stamp, unit; without: views left out."""
     described = pack_arrays(decoder_arrays(decoded))
     blocks.add("object", described)
     streams, coded_bytes = [], 0

@@ -72,7 +72,7 @@ def surface_of(context: Context, fit: WeaveFit, search: YarnSearch | None, weave
 
 
 def picture(context: Context, fit: WeaveFit, suffix: str, surface: Surface) -> None:
-    """Drawings of both sections, the mesh and its picture."""
+    """Write drawings of both sections, the mesh and its picture."""
     for name, section in (("weft", fit.model.weft), ("warp", fit.model.warp)):
         drawing = draw_section(section, title=f"section along the {name}")
         context.output.path(f"section_{name}{suffix}.svg").write_text(drawing + "\n", encoding="utf-8")
