@@ -300,6 +300,23 @@ def test_a_termination_reaches_an_engine_that_heeds_no_interrupt(start):
     assert [record.state for record in records(Path("results"))] == ["ended"]
 
 
+@pytest.mark.parametrize("interrupts", [1, 2])
+def test_an_interrupt_ends_a_job_that_heeds_none_and_a_second_one_the_engine_too(start, interrupts):
+    """A job that compiles does not come to its own handler for seconds."""
+    deaf = "import signal,time; signal.signal(2, signal.SIG_IGN); "
+    job = deaf + "print('ready', flush=True); time.sleep(60)"
+    child = deaf + f"import subprocess,sys; job = subprocess.Popen([sys.executable, '-c', {job!r}, 'stage.py']); "
+    child += "job.wait(); " + ("sys.exit(7)" if interrupts == 1 else "time.sleep(60)")
+    heed = "import signal; signal.signal(2, signal.default_int_handler); "
+    process = start("a", heed + "sys.exit(" + CALL.format(child=child) + ")")
+    for number in range(interrupts):
+        time.sleep(number)
+        os.kill(process.pid, signal.SIGINT)
+    status = process.wait(timeout=20)
+    assert status == 7 if interrupts == 1 else status not in (0, 7)
+    assert [(record.state, record.unclean) for record in records(Path("results"))] == [("ended", True)]
+
+
 def test_only_one_registers_at_a_time(start):
     inside = "import fcntl, os; f = os.open('results/.runs/register', os.O_RDWR); fcntl.flock(f, fcntl.LOCK_EX); "
     start("b", inside + "print('ready', flush=True); time.sleep(0.5); os.close(f); time.sleep(60)")

@@ -91,7 +91,7 @@ def marked(variable: str, value: str) -> list[int]:
     Whatever a process starts inherits its environment: children are found even where their parents are gone.
     """
     entry = f"{variable}={value}".encode()
-    matching = [pid for pid in pids() if pid != os.getpid() and entry in _environment(pid)]
+    matching = [pid for pid in pids() if pid != os.getpid() and entry in _words(pid, "environ")]
     return [pid for pid in matching if start_ticks(pid) is not None]
 
 
@@ -100,9 +100,14 @@ def pids() -> list[int]:
     return [int(name) for name in os.listdir("/proc") if name.isdigit()]
 
 
-def _environment(pid: int) -> list[bytes]:
+def runs(pid: int, script: str) -> bool:
+    """Whether a process was started with a script of this name."""
+    return any(Path(os.fsdecode(word)).name == script for word in _words(pid, "cmdline"))
+
+
+def _words(pid: int, which: str) -> list[bytes]:
     try:
-        return Path("/proc", str(pid), "environ").read_bytes().split(b"\0")
+        return Path("/proc", str(pid), which).read_bytes().split(b"\0")
     except OSError:
         return []
 

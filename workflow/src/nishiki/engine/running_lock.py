@@ -32,6 +32,8 @@ MARK = "NISHIKI_RUN"
 """Environment variable that all processes of a run carry."""
 UNFINISHED = "unfinished"
 """Entry of a run's record: scenes that its Snakemake is to look at; all, where there is none."""
+PATIENCE_S = 2.0
+"""Time that an interrupted run's jobs have to end in order."""
 LARGEST = 2**24
 """Bytes of the largest record that is read; the names of a hundred thousand scenes have a tenth of that."""
 
@@ -135,19 +137,41 @@ class HeldRun:
         passed_on = signal.SIGINT if heeded else signal.SIGTERM
 
         def stop(*_: object) -> None:
-            self.ended = "interrupted"
             child.send_signal(passed_on)
+            raise KeyboardInterrupt
 
         before = signal.signal(signal.SIGTERM, stop) if ours else None
+        interrupts = 0
         try:
             while True:
                 try:
+                    if interrupts:
+                        self._end_jobs(child, everything=interrupts > 1)
                     return child.wait()
                 except KeyboardInterrupt:
                     self.ended = "interrupted"
+                    interrupts += 1
         finally:
             if ours:
                 signal.signal(signal.SIGTERM, before)
+
+    def _end_jobs(self, child: subprocess.Popen[bytes], *, everything: bool) -> None:
+        """End the jobs of this machine that an interrupt has not ended in PATIENCE_S; everything: Snakemake too, now.
+
+        A job that compiles or is inside a kernel heeds no interrupt before it returns, and one that reaches Python
+        inside a finaliser is lost. A cluster's jobs are left to Snakemake, which cancels them.
+        """
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(0 if everything else PATIENCE_S)
+            return
+        self.facts["unclean"] = True
+
+        def left() -> list[int]:
+            child.poll()  # what has ended is no process any more
+            pids = processes.marked(MARK, self.facts["id"])
+            return pids if everything else [pid for pid in pids if processes.runs(pid, "stage.py")]
+
+        processes.stop(left, patience_s=1.0)
 
 
 @contextmanager
