@@ -47,8 +47,8 @@ def test_reference():
     outputs = lambertian(stack, lights, usable, 1e4)
     assert ((outputs[3] & bits.NO_ESTIMATE) == 0).all()
     found = distrusted(stack, lights, usable, known, outputs)
-    np.testing.assert_array_equal(found, reference(stack, lights, usable, known))
-    assert 20 < found.sum() < 380
+    np.testing.assert_array_equal(found, np.flatnonzero(reference(stack, lights, usable, known)))
+    assert 20 < len(found) < 380
 
 
 def test_a_row_of_lamps_is_not_followed():
@@ -78,7 +78,7 @@ def test_gloss_left_out_stays_left_out():
     stack[usable == 0] *= 1.3
     known = np.ones_like(usable)
     found = distrusted(stack, lights, usable, known, lambertian(stack, lights, usable, 1e4))
-    assert found.tolist() == [False, True]
+    assert found.tolist() == [1]
 
 
 def test_pixels_without_lamps_enough_stay_without():
@@ -86,7 +86,7 @@ def test_pixels_without_lamps_enough_stay_without():
     usable = np.zeros((16, 3), np.uint8)
     usable[:2] = 1
     stack, known = np.ones((16, 3), np.float32), np.ones((16, 3), np.uint8)
-    assert not distrusted(stack, lights, usable, known, lambertian(stack, lights, usable, 1e4)).any()
+    assert not len(distrusted(stack, lights, usable, known, lambertian(stack, lights, usable, 1e4)))
 
 
 @pytest.mark.data

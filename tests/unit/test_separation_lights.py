@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from nishiki.errors import UserError
 from nishiki.photometric import light_selection as selection
-from nishiki.photometric.light_selection import pack_lights, select_diffuse, unpack_lights
-from nishiki.photometric.ranks import sorting_network
+from nishiki.photometric.light_selection import pack_lights, select_diffuse, sorting_network, unpack_lights
 
 
 def directions_of(count, lowest=0.3):

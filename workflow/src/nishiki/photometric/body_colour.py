@@ -20,11 +20,11 @@ for gloss adds nothing across w0. s is what the most saturated samples have, for
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from nishiki.photometric.lanes import LANES, choose, load, load_three, planes, repeated, root, splat, store
+from nishiki.threads import over_rows
 
-CHUNK = 32  # blocks that share one set of work arrays
 LIT = 0.3  # of the lower mean of a pixel: darker samples are shadow, whose colour is that of the noise
 ERROR = 0.1  # standard deviation E of a sample's error, relative to the pixel's lower mean
 FAINT = 0.05  # saturation below which a colour is not told from errors of the white balance
@@ -58,35 +58,34 @@ def body_intensity(observations: np.ndarray, valid: np.ndarray) -> np.ndarray:
     stack = np.ascontiguousarray(observations).reshape(lights, rows * columns, channels)
     known = np.ascontiguousarray(np.broadcast_to(valid, out.shape)).reshape(lights, rows * columns)
     if rows * columns >= LANES:
-        _weigh(stack, known, out.reshape(lights, rows * columns))
+        over_rows(_weigh, -(-rows * columns // LANES), stack, known, out.reshape(lights, rows * columns))
     elif out.size:
         block = np.empty((lights, LANES), np.float32)
-        _weigh(repeated(stack, LANES), repeated(known, LANES), block)
+        _weigh(0, 1, repeated(stack, LANES), repeated(known, LANES), block)
         out.reshape(lights, rows * columns)[...] = block[:, : rows * columns]
     return out
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def _weigh(observations, valid, out):
+@njit(cache=True, nogil=True, error_model="numpy")
+def _weigh(begin, end, observations, valid, out):
     lights, pixels, channels = observations.shape
-    blocks = (pixels + LANES - 1) // LANES
-    for chunk in prange((blocks + CHUNK - 1) // CHUNK):
-        samples, colour = planes(lights * channels, LANES), planes(channels, LANES)
-        mean, across, lit = planes(lights, LANES), planes(lights, LANES), planes(lights, LANES)
-        for block in range(chunk * CHUNK, min((chunk + 1) * CHUNK, blocks)):
-            start = min(block * LANES, pixels - LANES)  # the last block overlaps: its pixels get the same twice
-            peak = _load_block(observations, valid, start, samples, mean, lit)
-            lower = _leave_out_shadow(mean, lit)
-            _body_colour(samples, mean, lit, colour)
-            _project(samples, colour, across)
-            saturation = _body_saturation(mean, across, lit)
-            t = _gloss_share(mean, across, lit, lower, saturation)
-            # the intensity of a sample, in the units of the observations
-            rest = splat(np.float32(1.0)) - t
-            unit = peak / (rest + saturation * saturation)
-            of_mean, of_colour = rest * unit, saturation * unit
-            for j in range(lights):
-                store(out, (j, start), of_mean * load(mean, (j, 0)) + of_colour * load(across, (j, 0)))
+    memory, row = planes(lights * channels + channels + 3 * lights, LANES), lights * channels + channels
+    samples, colour = memory[: lights * channels], memory[lights * channels : row]
+    mean, across, lit = memory[row : row + lights], memory[row + lights : row + 2 * lights], memory[row + 2 * lights :]
+    for block in range(begin, end):
+        start = min(block * LANES, pixels - LANES)  # the last block overlaps: its pixels get the same twice
+        peak = _load_block(observations, valid, start, samples, mean, lit)
+        lower = _leave_out_shadow(mean, lit)
+        _body_colour(samples, mean, lit, colour)
+        _project(samples, colour, across)
+        saturation = _body_saturation(mean, across, lit)
+        t = _gloss_share(mean, across, lit, lower, saturation)
+        # the intensity of a sample, in the units of the observations
+        rest = splat(np.float32(1.0)) - t
+        unit = peak / (rest + saturation * saturation)
+        of_mean, of_colour = rest * unit, saturation * unit
+        for j in range(lights):
+            store(out, (j, start), of_mean * load(mean, (j, 0)) + of_colour * load(across, (j, 0)))
 
 
 @njit(cache=True, error_model="numpy")

@@ -6,14 +6,13 @@ channels, along those normals: light is predicted with all of the gloss and with
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from nishiki.photometric import flags as bits
 from nishiki.photometric.lanes import LANES, choose, load, planes, splat, store, widen
 from nishiki.photometric.lobe import BLOCK, powers
 from nishiki.photometric.refine import LEAST_FACTOR, WIDTH
 
-CHUNK = 32  # blocks that share one set of work arrays
 TERMS = 11  # six products of (c, c^2, c x^8), three right-hand sides, the sum of squares, the weight
 
 
@@ -136,14 +135,15 @@ def choose_again(values, known, vectors, normals, terms, limit, weights):
             store(weights, (j, p), choose(fits, load(known, (j, p)), zero))
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def fit_body_terms(intensity, mean, usable, known, vectors, settings, normals, flags, shading):
+@njit(cache=True, nogil=True, error_model="numpy")
+def fit_body_terms(begin, end, intensity, mean, usable, known, vectors, settings, normals, flags, shading):
     """Replace the body shading of pixels whose normals come from another intensity than the mean of the channels.
 
     Parameters
     ----------
+    begin, end : int
+        Blocks of BLOCK pixels, of which there are at least one.
     intensity, mean : (lights, pixels) float32
-        Of at least BLOCK pixels.
     usable, known : (lights, pixels) uint8
         Samples to start from; those to choose from again, by their residuals.
     vectors : (6, lights) float32
@@ -158,29 +158,32 @@ def fit_body_terms(intensity, mean, usable, known, vectors, settings, normals, f
     """
     lights, pixels = mean.shape
     prior, noise, at_least, least_change = settings[0], settings[1], settings[2], settings[3]
-    blocks = (pixels + BLOCK - 1) // BLOCK
-    for chunk in prange((blocks + CHUNK - 1) // CHUNK):
-        values, may, weights = planes(lights, BLOCK), planes(lights, BLOCK), planes(lights, BLOCK)
-        change, limit, surface = planes(1, BLOCK)[0], planes(1, BLOCK)[0], planes(3, BLOCK).ravel()
-        sums, terms = np.zeros(TERMS * BLOCK), np.zeros(4 * BLOCK)
-        going = np.zeros(BLOCK)
-        for block in range(chunk * CHUNK, min((chunk + 1) * CHUNK, blocks)):
-            start = min(block * BLOCK, pixels - BLOCK)  # the last block overlaps: its pixels get the same twice
-            load_block(intensity, mean, usable, known, start, values, may, weights, change)
-            for p in range(BLOCK):
-                fitted = not flags[start + p] & (bits.NO_ESTIMATE | bits.FALLBACK)
-                going[p] = 1.0 if fitted and change[p] > least_change else 0.0
+    memory = planes(3 * lights + 5, BLOCK)
+    values, may, weights = memory[:lights], memory[lights : 2 * lights], memory[2 * lights : 3 * lights]
+    change, limit, surface = memory[3 * lights], memory[3 * lights + 1], memory[3 * lights + 2 :].ravel()
+    sums, terms, going, rounded = np.zeros(TERMS * BLOCK), np.zeros(4 * BLOCK), np.zeros(BLOCK), surface.copy()
+    for block in range(begin, end):
+        start = min(block * BLOCK, pixels - BLOCK)  # the last block overlaps: its pixels get the same twice
+        load_block(intensity, mean, usable, known, start, values, may, weights, change)
+        any_going = False
+        for p in range(BLOCK):
+            fitted = not flags[start + p] & (bits.NO_ESTIMATE | bits.FALLBACK)
+            going[p] = 1.0 if fitted and change[p] > least_change else 0.0
+            any_going |= going[p] > 0.0
+            for k in range(3):
+                surface[p + k * BLOCK] = normals[start + p, k]
+            for k in range(4):
+                terms[p + k * BLOCK] = 0.0
+        if not any_going:
+            continue
+        for step in range(2):
+            if step > 0:
+                for p in range(3 * BLOCK):
+                    rounded[p] = np.float32(terms[p])
+                choose_again(values, may, vectors, surface, rounded, limit, weights)
+            add_up_terms(values, weights, vectors, surface, sums)
+            solve_terms(sums, prior, noise, at_least, going, terms, limit)
+        for p in range(BLOCK):
+            if terms[p + 3 * BLOCK] > 0.0:
                 for k in range(3):
-                    surface[p + k * BLOCK] = normals[start + p, k]
-            if going.max() == 0.0:
-                continue
-            terms[:] = 0.0
-            for step in range(2):
-                if step > 0:
-                    choose_again(values, may, vectors, surface, terms.astype(np.float32), limit, weights)
-                add_up_terms(values, weights, vectors, surface, sums)
-                solve_terms(sums, prior, noise, at_least, going, terms, limit)
-            for p in range(BLOCK):
-                if terms[p + 3 * BLOCK] > 0.0:
-                    for k in range(3):
-                        shading[start + p, k] = terms[p + k * BLOCK] / terms[p + 3 * BLOCK]
+                    shading[start + p, k] = terms[p + k * BLOCK] / terms[p + 3 * BLOCK]

@@ -11,18 +11,18 @@ SUSPECT):
 """
 
 import numpy as np
-from numba import njit, prange
 
 from nishiki.photometric import flags as bits
-from nishiki.photometric.least_squares import conditioned
+from nishiki.photometric.light_selection import distinct_sets, half_vectors
 
 SUSPECT = 40.0
 WORSE, SOMEWHAT = 16.0, 1.3
-CHUNK = 256
+COPLANAR = 1e12  # condition above which double precision cannot tell the normal matrix from a singular one
+PIXELS = 1 << 14  # at a time
 
 
 def distrusted(stack, directions, usable, known, outputs):
-    """Pixels (pixels,) bool whose selected samples are not to be followed.
+    """Find the pixels whose selected samples are not to be followed.
 
     Parameters
     ----------
@@ -31,64 +31,44 @@ def distrusted(stack, directions, usable, known, outputs):
     usable, known : (lights, pixels) uint8, 1 for the selected and for the valid samples.
     outputs : normals, scalars, lights used and flags of Lambert's law on the selected samples
         (`nishiki.photometric.solve.lambertian`).
+
+    Returns
+    -------
+    (n,) int64, numbers of the pixels.
     """
-    halves = directions + np.array([0.0, 0.0, 1.0])
-    halves /= np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
-    distrust = np.zeros(stack.shape[1], np.bool_)
     normals, scalars, _, flags = outputs
-    _distrusted(stack, np.ascontiguousarray(directions), halves, usable, known, normals, scalars, flags, distrust)
-    return distrust
+    fitted = (flags & (bits.TOO_FEW_LIGHTS | bits.NO_SIGNAL)) == 0
+    suspects = np.flatnonzero((scalars[2] > SUSPECT) & fitted)
+    halves, found = half_vectors(directions), []
+    for start in range(0, len(suspects), PIXELS):
+        here = suspects[start : start + PIXELS]
+        valid, condition = known[:, here] > 0, scalars[2, here].astype(np.float64)
+        first, member = distinct_sets(valid)
+        least = condition_of(valid[:, first], directions)[member]
+        distrust = condition > WORSE * least
+        between = np.flatnonzero((condition > SOMEWHAT * least) & ~distrust)
+        p = here[between]
+        distrust[between] = ~gloss_explains(
+            stack[:, p], directions, halves, usable[:, p] > 0, valid[:, between], normals[p], scalars[0, p]
+        )
+        found.append(here[distrust])
+    return np.concatenate(found) if found else suspects
 
 
-@njit(cache=True, error_model="numpy")
-def condition_of(known, directions, p, sums):
-    """Condition of the normal matrix of a pixel's valid samples; infinite where it is singular."""
-    sums[:] = 0.0
-    count = 0
-    for j in range(len(directions)):
-        if known[j, p]:
-            x, y, z = directions[j, 0], directions[j, 1], directions[j, 2]
-            sums[0] += x * x
-            sums[1] += x * y
-            sums[2] += x * z
-            sums[3] += y * y
-            sums[4] += y * z
-            sums[5] += z * z
-            count += 1
-    return conditioned(sums, count)[0]
+def condition_of(chosen, directions):
+    """Condition (n,) of the normal matrix of the chosen (lights, n) lights; infinite where it is singular."""
+    outer = (directions[:, :, None] * directions[:, None, :]).reshape(len(directions), -1)
+    values = np.linalg.eigvalsh((chosen.T.astype(np.float64) @ outer).reshape(-1, 3, 3))
+    least, largest = values[:, 0], values[:, 2]
+    sound = (chosen.sum(axis=0) >= 3) & (least > largest / COPLANAR)
+    return np.where(sound, largest / np.where(sound, least, 1.0), np.inf)
 
 
-@njit(cache=True, error_model="numpy")
-def gloss_explains(stack, directions, halves, usable, known, normal, albedo, p):
-    """Whether the samples left out as too bright lie nearer to the mirror direction, on average, than those kept."""
-    bright, kept, brights, keeps = 0.0, 0.0, 0, 0
-    for j in range(len(directions)):
-        if not known[j, p]:
-            continue
-        x = normal[0] * halves[j, 0] + normal[1] * halves[j, 1] + normal[2] * halves[j, 2]
-        x = max(x, 0.0)
-        if usable[j, p]:
-            kept, keeps = kept + x, keeps + 1
-            continue
-        c = normal[0] * directions[j, 0] + normal[1] * directions[j, 1] + normal[2] * directions[j, 2]
-        if stack[j, p] > albedo * max(c, 0.0):
-            bright, brights = bright + x, brights + 1
-    return brights == 0 or keeps == 0 or bright * keeps >= kept * brights
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def _distrusted(stack, directions, halves, usable, known, normals, scalars, flags, distrust):
-    pixels = stack.shape[1]
-    for chunk in prange((pixels + CHUNK - 1) // CHUNK):
-        sums = np.empty(6)
-        for p in range(chunk * CHUNK, min((chunk + 1) * CHUNK, pixels)):
-            condition = np.float64(scalars[2, p])
-            if not condition > SUSPECT or flags[p] & (bits.TOO_FEW_LIGHTS | bits.NO_SIGNAL):
-                continue
-            least = condition_of(known, directions, p, sums)
-            if condition > WORSE * least:
-                distrust[p] = True
-            elif condition > SOMEWHAT * least:
-                distrust[p] = not gloss_explains(
-                    stack, directions, halves, usable, known, normals[p], np.float64(scalars[0, p]), p
-                )
+def gloss_explains(samples, directions, halves, usable, known, normals, albedo):
+    """Whether samples left out as too bright lie nearer to the mirror direction, on average, than those kept; (n,)."""
+    mirror = np.maximum(halves @ normals.T, 0.0)
+    bright = known & ~usable & (samples > albedo * np.maximum(directions @ normals.T, 0.0))
+    kept = known & usable
+    brights, keeps = bright.sum(axis=0), kept.sum(axis=0)
+    nearer = (mirror * bright).sum(axis=0) * keeps >= (mirror * kept).sum(axis=0) * brights
+    return (brights == 0) | (keeps == 0) | nearer

@@ -1,13 +1,12 @@
 """Lambert's law by least squares: the kernels that turn observations into albedo times normal."""
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from nishiki.photometric import flags as bits
 from nishiki.photometric.lanes import LANES, choose, load, root, splat, store, widen
 
 BLOCK = 64
-CHUNK = 64  # blocks that share one set of work arrays
 COPLANAR = 1e12  # condition above which double precision cannot tell the normal matrix from a singular one
 LEAST_ALBEDO, LARGEST = 1e-45, 3.4028234e38  # of float32, subnormal numbers included
 TERMS = 10  # six products of the direction, three of the right-hand side, the sum of squares
@@ -125,21 +124,12 @@ def solve_block(right, inverse_of, count, weight, solved):
 
 
 @njit(cache=True, error_model="numpy")
-def conditioned(t, count):
-    """Condition number and inverse of the normal matrix in t; infinite where there are fewer than three lights."""
-    if count < 3:
-        return np.inf, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    least, largest = eigenvalues(t[0], t[1], t[2], t[3], t[4], t[5])
-    m = inverse(t[0], t[1], t[2], t[3], t[4], t[5])
-    # a pivot that rounding has made 0 or negative says the same as a smallest eigenvalue that is lost in it
-    if not (least > largest / COPLANAR and m[0] > 0.0 and m[3] > 0.0 and m[5] > 0.0):
-        return np.inf, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return largest / least, m
-
-
-@njit(cache=True, error_model="numpy")
 def condition_block(matrices, count, conditions, inverses):
-    """`conditioned` of the matrices (6, BLOCK) of a block, into conditions (BLOCK,) and inverses (6, BLOCK)."""
+    """Condition numbers (BLOCK,) and inverses (6, BLOCK) of the normal matrices (6, BLOCK) of a block.
+
+    Infinite where there are fewer than three lights, and where a pivot that rounding has made 0 or negative says the
+    same as a smallest eigenvalue that is lost in it.
+    """
     for p in range(0, BLOCK, LANES):
         a, b, c = load(matrices, (0, p)), load(matrices, (1, p)), load(matrices, (2, p))
         d, e, f = load(matrices, (3, p)), load(matrices, (4, p)), load(matrices, (5, p))
@@ -186,20 +176,30 @@ def write_block(solved, condition, count, max_condition, start, width, normals, 
         flags[p] = flag
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def solve_weighted(observations, weights, products, max_condition, normals, scalars, lights_used, flags):
-    """Least squares with weights of its own at every pixel (a mask is a weight of 0 or 1).
+@njit(cache=True, error_model="numpy")
+def block_work():
+    """New sums (4, BLOCK), solutions, matrices and inverses (6, BLOCK), conditions and counts (BLOCK,)."""
+    memory = np.zeros((24, BLOCK))
+    return memory[:4], memory[4:10], memory[10:16], memory[16:22], memory[22], memory[23]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve_weighted(begin, end, observations, weights, products, max_condition, normals, scalars, lights_used, flags):
+    """Least squares with weights of its own at every pixel of the blocks begin .. end - 1; a mask is 0 or 1.
 
     observations (lights, pixels) float32; weights (lights, pixels) uint8 or float32; products (lights, 9): the six
     products of each direction with itself, then the direction. Accumulated in float64, a light at a time over BLOCK
     neighbouring pixels, so that the result of a pixel does not depend on where tiles begin.
     """
     lights, pixels = observations.shape
-    for block in prange((pixels + BLOCK - 1) // BLOCK):
+    # One flat array of sums: with a single pair of arrays to tell apart the compiler makes SIMD code of the loop.
+    sums = np.zeros((TERMS + 2) * BLOCK)
+    _, solved, _, inverses, conditions, _ = block_work()
+    for block in range(begin, end):
         start = block * BLOCK
         width = min(BLOCK, pixels - start)
-        # One flat array of sums: with a single pair of arrays to tell apart the compiler makes SIMD code of the loop.
-        sums = np.zeros((TERMS + 2) * BLOCK)
+        for p in range((TERMS + 2) * BLOCK):
+            sums[p] = 0.0
         for j in range(lights):
             row, weight = observations[j, start : start + width], weights[j, start : start + width]
             xx, xy, xz = products[j, 0], products[j, 1], products[j, 2]
@@ -221,7 +221,6 @@ def solve_weighted(observations, weights, products, max_condition, normals, scal
                 sums[p + 9 * BLOCK] += weighted * value
                 sums[p + 10 * BLOCK] += w
                 sums[p + 11 * BLOCK] += 1.0 if w > 0 else 0.0
-        inverses, conditions, solved = np.empty((6, BLOCK)), np.empty(BLOCK), np.empty((6, BLOCK))
         rows = sums.reshape(TERMS + 2, BLOCK)
         condition_block(rows, rows[11], conditions, inverses)
         solve_block(rows[6:10], inverses, rows[11], rows[10], solved)
@@ -271,49 +270,50 @@ def add_matrices(mask, products, start, matrices, count):
 @njit(cache=True, error_model="numpy")
 def copy_block(values, mask, start, width, spare, spare_mask):
     """A block that is not full, with nothing behind it."""
-    spare_mask[:] = 0
     for j in range(values.shape[0]):
-        for p in range(width):
-            spare[j, p], spare_mask[j, p] = values[j, start + p], mask[j, start + p]
+        for p in range(BLOCK):
+            spare_mask[j, p] = mask[j, start + p] if p < width else 0
+            if p < width:
+                spare[j, p] = values[j, start + p]
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def solve_masked(observations, selected, products, max_condition, normals, scalars, lights_used, flags):
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve_masked(begin, end, observations, selected, products, max_condition, normals, scalars, lights_used, flags):
     """Least squares on the samples that `selected` (lights, pixels) uint8 marks; otherwise as `solve_weighted`."""
     lights, pixels = observations.shape
-    blocks = (pixels + BLOCK - 1) // BLOCK
-    for chunk in prange((blocks + CHUNK - 1) // CHUNK):
-        sums, solved = np.empty((4, BLOCK)), np.empty((6, BLOCK))
-        matrices, inverses = np.empty((6, BLOCK)), np.empty((6, BLOCK))
-        conditions, counts = np.empty(BLOCK), np.empty(BLOCK)
-        spare, spare_mask = np.zeros((lights, BLOCK), np.float32), np.zeros((lights, BLOCK), np.uint8)
-        for block in range(chunk * CHUNK, min((chunk + 1) * CHUNK, blocks)):
-            start = block * BLOCK
-            width = min(BLOCK, pixels - start)
-            values, mask, first = observations, selected, start
-            if width < BLOCK:
-                copy_block(observations, selected, start, width, spare, spare_mask)
-                values, mask, first = spare, spare_mask, 0
-            add_masked(values, mask, products, first, sums)
-            add_matrices(mask, products, first, matrices, counts)
-            condition_block(matrices, counts, conditions, inverses)
-            solve_block(sums, inverses, counts, counts, solved)
-            write_block(solved, conditions, counts, max_condition, start, width, normals, scalars, lights_used, flags)
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
-def solve_shared(observations, products, max_condition, normals, scalars, lights_used, flags):
-    """Least squares where every light is usable everywhere: one normal matrix serves all pixels."""
-    lights, pixels = observations.shape
-    shared = np.zeros(TERMS)
-    for j in range(lights):
-        for k in range(6):
-            shared[k] += products[j, k]
-    condition, m = conditioned(shared, lights)
-    for block in prange((pixels + BLOCK - 1) // BLOCK):
+    sums, solved, matrices, inverses, conditions, counts = block_work()
+    spare, spare_mask = np.zeros((lights, BLOCK), np.float32), np.zeros((lights, BLOCK), np.uint8)
+    for block in range(begin, end):
         start = block * BLOCK
         width = min(BLOCK, pixels - start)
-        sums = np.zeros((4, BLOCK))
+        values, mask, first = observations, selected, start
+        if width < BLOCK:
+            copy_block(observations, selected, start, width, spare, spare_mask)
+            values, mask, first = spare, spare_mask, 0
+        add_masked(values, mask, products, first, sums)
+        add_matrices(mask, products, first, matrices, counts)
+        condition_block(matrices, counts, conditions, inverses)
+        solve_block(sums, inverses, counts, counts, solved)
+        write_block(solved, conditions, counts, max_condition, start, width, normals, scalars, lights_used, flags)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve_shared(begin, end, observations, products, max_condition, normals, scalars, lights_used, flags):
+    """Least squares where every light is usable everywhere: one normal matrix serves all pixels."""
+    lights, pixels = observations.shape
+    sums, solved, matrices, inverses, conditions, counts = block_work()
+    for p in range(BLOCK):
+        counts[p] = lights
+        for j in range(lights):
+            for k in range(6):
+                matrices[k, p] += products[j, k]
+    condition_block(matrices, counts, conditions, inverses)
+    for block in range(begin, end):
+        start = block * BLOCK
+        width = min(BLOCK, pixels - start)
+        for k in range(4):
+            for p in range(BLOCK):
+                sums[k, p] = 0.0
         for j in range(lights):
             x, y, z = products[j, 6], products[j, 7], products[j, 8]
             for p in range(width):
@@ -322,9 +322,5 @@ def solve_shared(observations, products, max_condition, normals, scalars, lights
                 sums[1, p] += value * y
                 sums[2, p] += value * z
                 sums[3, p] += value * value
-        inverses, conditions, counts = np.empty((6, BLOCK)), np.full(BLOCK, condition), np.full(BLOCK, lights * 1.0)
-        for k in range(6):
-            inverses[k] = m[k]
-        solved = np.empty((6, BLOCK))
         solve_block(sums, inverses, counts, counts, solved)
         write_block(solved, conditions, counts, max_condition, start, width, normals, scalars, lights_used, flags)

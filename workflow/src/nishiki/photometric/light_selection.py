@@ -1,11 +1,13 @@
 """Separation by light selection: which lights show each pixel's diffuse reflection alone."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil
 
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.threads import over_rows
 
 METHODS = ("refit", "trimmed", "threshold", "none")
 
@@ -92,21 +94,17 @@ def select_diffuse(
     elif method == "refit":
         refit(stack, known, directions, starts, noise, min_lights, usable, highlights, shadows)
     elif method == "threshold":
-        from nishiki.photometric.thresholds import threshold_selection
-
         if not 0 <= w2 < w1:
             raise UserError(f"light selection by thresholds: expected 0 <= w2 < w1, found w1 = {w1}, w2 = {w2}")
-        threshold_selection(stack, known, float(w1), float(w2), usable, highlights, shadows)
+        mean = np.where(known, stack, np.float32(0)).sum(axis=0, dtype=np.float64) / np.maximum(known.sum(axis=0), 1)
+        reject(stack, known, w2 * mean, w1 * mean, usable, highlights, shadows)
     elif method == "trimmed":
-        from nishiki.photometric.ranks import rank_selection, sorting_network
-
         low, high = keep
         if not 0 <= low < high <= 1:
             raise UserError(
                 f"light selection by rank: expected keep = [low, high] with 0 <= low < high <= 1, found {keep}"
             )
-        network = sorting_network(stack.shape[0])
-        rank_selection(stack, known, network, float(low), float(high), int(min_lights), usable, highlights, shadows)
+        reject(stack, known, *rank_limits(stack, known, low, high, min_lights), usable, highlights, shadows)
     else:
         raise UserError(f"light selection: expected a method of {', '.join(METHODS)}, found {method!r}")
     invalid = np.broadcast_to((~known).sum(axis=0, dtype=np.uint16), pixels)
@@ -120,10 +118,79 @@ def select_diffuse(
     )
 
 
+def reject(stack, known, least, most, usable, highlights, shadows):
+    """Mark the valid samples from `least` to `most` (pixels,), and count those above and below."""
+    high, low = known & (stack > most), known & (stack < least)
+    usable[...] = known & ~high & ~low
+    highlights[:] = high.sum(axis=0)
+    shadows[:] = (low & ~high).sum(axis=0)
+
+
+def rank_limits(stack, known, low, high, at_least):
+    """Find the smallest and the largest value (pixels,) of the share low .. high of each pixel's valid samples.
+
+    The share is widened to `at_least` samples, towards the dark side first: highlights mislead more than attached
+    shadows do.
+    """
+    count = np.broadcast_to(known.sum(axis=0), stack.shape[1])
+    first, last = np.floor(low * count + 0.5).astype(int), np.floor(high * count + 0.5).astype(int) - 1
+    for _ in range(at_least):
+        first = first - ((last - first + 1 < at_least) & (first > 0))
+        last = last + ((last - first + 1 < at_least) & (last < count - 1))
+    values = np.sort(np.where(known, stack, np.float32(np.inf)), axis=0)
+    return (np.take_along_axis(values, np.maximum(rank, 0)[None], 0)[0] for rank in (first, last))
+
+
+@lru_cache(maxsize=64)
+def sorting_network(size, smallest=None):
+    """Comparators (n, 2) int32 of Batcher's odd-even merge sort for any number of values.
+
+    smallest: number of values, counted from the smallest, that have to be in their places; default all. Comparators
+    that reach none of them are left out.
+
+    A network compares the same places whatever the values are, so that one pass sorts as many pixels as the vector
+    unit has lanes. Source: K. E. Batcher, Sorting networks and their applications, AFIPS 1968; for sizes that are no
+    power of two, Knuth, The Art of Computer Programming 3, section 5.2.2, algorithm M.
+    """
+    pairs = []
+    span = 1 << max(0, (size - 1).bit_length() - 1)
+    p = span
+    while p > 0:
+        q, r, d = span, 0, p
+        while True:
+            pairs += [(i, i + d) for i in range(size - d) if i & p == r]
+            if q == p:
+                break
+            d, q, r = q - p, q >> 1, p
+        p >>= 1
+    needed, kept = set(range(size if smallest is None else smallest)), []
+    for pair in reversed(pairs):
+        if needed & {*pair}:
+            needed |= {*pair}
+            kept.append(pair)
+    return np.array(kept[::-1], dtype=np.int32).reshape(-1, 2)
+
+
+def half_vectors(directions):
+    """Unit vectors (lights, 3) halfway between light and view."""
+    halves = directions + np.array([0.0, 0.0, 1.0])
+    return halves / np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
+
+
+def distinct_sets(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return one column of chosen (lights, n) bool for each distinct column, and the number of each column's set."""
+    first, member = np.zeros(1, np.int64), np.zeros(chosen.shape[1], np.int64)
+    for start in range(0, len(chosen), 32):
+        bits = chosen[start : start + 32]
+        words = (1 << np.arange(len(bits))) @ bits.astype(np.float64)
+        keys = member << 32 | words.astype(np.int64)
+        _, first, member = np.unique(keys, return_index=True, return_inverse=True)
+    return first, member
+
+
 def refit(stack, known, directions, starts, noise, min_lights, usable, highlights, shadows):
     """Run `refit_selection` with the project's constants (docs/stages/separate.md gives their reasons)."""
     from nishiki.photometric.lanes import repeated
-    from nishiki.photometric.ranks import sorting_network
     from nishiki.photometric.refit import BLOCK, refit_selection
 
     if not (1 <= starts <= 32 and 0 <= noise < 1 and min_lights >= 3):
@@ -140,12 +207,13 @@ def refit(stack, known, directions, starts, noise, min_lights, usable, highlight
     lights, pixels = stack.shape
     networks = sorting_network(lights), sorting_network(lights, min(lights, max(min_lights, ceil(COVERAGE * lights))))
     if pixels >= BLOCK:
-        refit_selection(stack, known, vectors, products, *networks, settings, usable, highlights, shadows)
+        given = stack, known, vectors, products, *networks, settings, usable, highlights, shadows
+        over_rows(refit_selection, -(-pixels // BLOCK), *given)
     elif pixels:
         known = known if known.shape[1] == 1 else repeated(known, BLOCK)
         stack = repeated(stack, BLOCK)
         block = np.empty(stack.shape, np.bool_), np.empty(BLOCK, np.uint16), np.empty(BLOCK, np.uint16)
-        refit_selection(stack, known, vectors, products, *networks, settings, *block)
+        refit_selection(0, 1, stack, known, vectors, products, *networks, settings, *block)
         usable[...], highlights[...], shadows[...] = (values[..., :pixels] for values in block)
 
 

@@ -300,9 +300,10 @@ def any_above_zero(active):
 def descend(values, weights, vectors, prior, rounds, active, fit, surface, sums, work):
     """Damped Gauss-Newton of the active pixels of a block from `fit`; fit, surface and sums are those of the end."""
     moved, trial_surface, trial, damping, turn, better, going, slopes = work
-    moved[:] = fit
-    damping[:] = 1e-3
-    going[:] = active
+    for p in range(fit.size):
+        moved[p] = fit[p]
+    for p in range(BLOCK):
+        damping[p], going[p] = 1e-3, active[p]
     for step in range(rounds + 1):  # the first one is that of no length
         if step > 0:
             propose(fit, surface, sums, damping, prior, moved, turn, going)
@@ -319,16 +320,11 @@ def descend(values, weights, vectors, prior, rounds, active, fit, surface, sums,
 @njit(cache=True, error_model="numpy")
 def descent_work(lights):
     """Arrays for `descend`."""
-    return (
-        np.zeros(FIT * BLOCK),
-        planes(SURFACE, BLOCK).ravel(),
-        planes(SUMS, BLOCK).ravel(),
-        np.zeros(BLOCK),
-        np.zeros(BLOCK),
-        planes(1, BLOCK)[0],
-        np.zeros(BLOCK),
-        planes(SLOPES * lights, LANES),
-    )
+    memory, wide = planes(SURFACE + SUMS + 1, BLOCK), np.zeros((FIT + 3) * BLOCK)
+    moved, damping, turn = wide[: FIT * BLOCK], wide[FIT * BLOCK :], wide[(FIT + 1) * BLOCK :]
+    surface, sums = memory[:SURFACE].ravel(), memory[SURFACE : SURFACE + SUMS].ravel()
+    going, better, slopes = wide[(FIT + 2) * BLOCK :], memory[SURFACE + SUMS], planes(SLOPES * lights, LANES)
+    return moved, surface, sums, damping, turn, better, going, slopes
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,7 +1,7 @@
 """Refine Lambertian normals by the lobe model, and choose the samples of every pixel again."""
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from nishiki.photometric import flags as bits
 from nishiki.photometric.lanes import LANES, choose, load, planes, splat, store
@@ -22,7 +22,6 @@ WIDTH = 0.25  # standard deviation expected of b and d, relative to the albedo, 
 FARTHEST = np.float32(1e12)  # times the albedo
 LEAST_FACTOR = 0.01  # mean body factor, relative to Lambert's albedo, below which Lambert's law is kept for the shading
 FIRST_ROUNDS, ROUNDS = 4, 3  # Gauss-Newton steps for the samples first chosen, and for those chosen again
-CHUNK = 512  # pixels that share one set of work arrays
 
 
 @njit(cache=True, error_model="numpy")
@@ -32,7 +31,8 @@ def load_block(observations, usable, known, index, width, scalars, normals, valu
     start (FIT * BLOCK): Lambert's fits. Samples of what is no real pixel are unknown.
     """
     shared_usable, shared_known = usable.shape[1] == 1, known.shape[1] == 1
-    albedo = planes(1, BLOCK)[0]
+    memory = planes(2, BLOCK)
+    albedo, row = memory[0], memory[1:]
     for p in range(BLOCK):
         q = index[p if p < width else 0]
         albedo[p] = scalars[0, q]
@@ -41,11 +41,7 @@ def load_block(observations, usable, known, index, width, scalars, normals, valu
         start[p + 3 * BLOCK], start[p + 4 * BLOCK], start[p + 5 * BLOCK] = 1.0, 0.0, 0.0
     first = index[0]
     neighbours = width == BLOCK and index[BLOCK - 1] == first + BLOCK - 1
-    row, there, is_usable = (
-        np.empty((1, BLOCK), np.float32),
-        np.empty((1, BLOCK), np.uint8),
-        np.empty((1, BLOCK), np.uint8),
-    )
+    there, is_usable = np.zeros((1, BLOCK), np.uint8), np.zeros((1, BLOCK), np.uint8)
     for j in range(values.shape[0]):
         if neighbours and not shared_known and not shared_usable:
             load_light(observations, known, usable, (j, first), albedo, values, may, use, j)
@@ -85,9 +81,13 @@ def fit_block(
     fit, surface, sums, weights, kept = result
     spare, limit, more, going = buffers
     one = np.float32(1.0)
-    fit[:] = start
-    weights[:] = usable
-    going[:] = active
+    for p in range(fit.size):
+        fit[p] = start[p]
+    for p in range(BLOCK):
+        going[p] = active[p]
+    for j in range(values.shape[0]):
+        for p in range(0, BLOCK, LANES):
+            store(weights, (j, p), load(usable, (j, p)))
     for choice in range(reselections + 1):
         if choice == 0:
             for p in range(0, BLOCK, LANES):
@@ -110,69 +110,62 @@ def fit_block(
         descend(values, weights, vectors, held, rounds, going, fit, surface, sums, work)
 
 
-@njit(cache=True, error_model="numpy")
-def empty_result(lights):
-    """Arrays that hold the fits of a block: fit, surface, sums, weights, samples kept."""
-    return (
-        np.zeros(FIT * BLOCK),
-        planes(SURFACE, BLOCK).ravel(),
-        planes(SUMS, BLOCK).ravel(),
-        planes(lights, BLOCK),
-        planes(1, BLOCK)[0],
-    )
-
-
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def refine(
-    observations, usable, known, vectors, settings, max_condition, normals, scalars, lights_used, flags, shading
+    p, end, observations, usable, known, vectors, settings, max_condition, normals, scalars, lights_used, flags, shading
 ):
-    """Refine the Lambertian estimates in the outputs of `solve_weighted` where there are samples enough.
+    """Refine Lambertian estimates in the outputs of `solve_weighted`: of the pixels p .. end - 1 with samples enough.
 
     observations (lights, pixels) float32; usable, known (lights, pixels) uint8, or (lights, 1) for all pixels alike;
     vectors (6, lights) float32; settings: prior, noise, reselections, at_least; shading (pixels, 3) float32: (a, b, d)
     of `nishiki.brdf.body_shading`, Lambert's (1, 0, 0) before.
     """
-    lights, pixels = observations.shape
+    lights = observations.shape[0]
     prior, noise, reselections, at_least = settings[0], settings[1], int(settings[2]), settings[3]
-    for chunk in prange((pixels + CHUNK - 1) // CHUNK):
-        values, known_here = planes(lights, BLOCK), planes(lights, BLOCK)
-        use, spare = planes(lights, BLOCK), planes(lights, BLOCK)
-        start, held, active, variance = np.zeros(FIT * BLOCK), np.zeros(BLOCK), np.zeros(BLOCK), np.zeros(BLOCK)
-        buffers = (spare, planes(1, BLOCK)[0], planes(1, BLOCK)[0], np.zeros(BLOCK))
-        result, condition = empty_result(lights), np.zeros(BLOCK)
-        work = descent_work(lights)
-        index = np.zeros(BLOCK, np.int64)
-        p = chunk * CHUNK
-        end = min(p + CHUNK, pixels)
-        while p < end:
-            width = 0
-            while p < end and width < BLOCK:
-                if not flags[p] & bits.NO_ESTIMATE:
-                    if lights_used[p] < at_least:
-                        flags[p] |= bits.FALLBACK
-                    else:
-                        index[width] = p
-                        width += 1
-                p += 1
-            if width == 0:
-                continue
-            load_block(observations, usable, known, index, width, scalars, normals, values, known_here, use, start)
-            for i in range(BLOCK):
-                q = index[i if i < width else 0]
-                spread = np.float64(scalars[3, q]) / np.float64(scalars[0, q])
-                # The second part is a Gaussian prior of standard deviation WIDTH, in units of the squared residuals.
-                held[i] = prior * lights_used[q] / 3.0 + (spread / WIDTH) ** 2
-                active[i] = 1.0 if i < width else 0.0
-            fit_block(
-                values, known_here, use, vectors, start, held, noise, reselections, at_least, active, result, buffers,
-                work,
-            )  # fmt: skip
-            tangential_variance(result[2], held, variance)
-            conditions_of(result[3], vectors, condition)
-            store_fits(
-                index, width, result, variance, condition, max_condition, normals, scalars, lights_used, flags, spare
-            )
-            store_shading(index, width, result, spare, shading)
+    memory = planes(5 * lights + 3 + SURFACE + SUMS, BLOCK)
+    values, known_here = memory[:lights], memory[lights : 2 * lights]
+    use, spare, row = memory[2 * lights : 3 * lights], memory[3 * lights : 4 * lights], 5 * lights
+    start, held, active, variance = np.zeros(FIT * BLOCK), np.zeros(BLOCK), np.zeros(BLOCK), np.zeros(BLOCK)
+    buffers = spare, memory[row], memory[row + 1], np.zeros(BLOCK)
+    result = (
+        np.zeros(FIT * BLOCK),
+        memory[row + 3 : row + 3 + SURFACE].ravel(),
+        memory[row + 3 + SURFACE :].ravel(),
+        memory[4 * lights : row],
+        memory[row + 2],
+    )
+    condition = np.zeros(BLOCK)
+    work = descent_work(lights)
+    index = np.zeros(BLOCK, np.int64)
+    while p < end:
+        width = 0
+        while p < end and width < BLOCK:
+            if not flags[p] & bits.NO_ESTIMATE:
+                if lights_used[p] < at_least:
+                    flags[p] |= bits.FALLBACK
+                else:
+                    index[width] = p
+                    width += 1
+            p += 1
+        if width == 0:
+            continue
+        load_block(observations, usable, known, index, width, scalars, normals, values, known_here, use, start)
+        for i in range(BLOCK):
+            q = index[i if i < width else 0]
+            spread = np.float64(scalars[3, q]) / np.float64(scalars[0, q])
+            # The second part is a Gaussian prior of standard deviation WIDTH, in units of the squared residuals.
+            held[i] = prior * lights_used[q] / 3.0 + (spread / WIDTH) ** 2
+            active[i] = 1.0 if i < width else 0.0
+        fit_block(
+            values, known_here, use, vectors, start, held, noise, reselections, at_least, active, result, buffers,
+            work,
+        )  # fmt: skip
+        tangential_variance(result[2], held, variance)
+        conditions_of(result[3], vectors, condition)
+        store_fits(
+            index, width, result, variance, condition, max_condition, normals, scalars, lights_used, flags, spare
+        )
+        store_shading(index, width, result, spare, shading)
 
 
 @njit(cache=True, error_model="numpy")

@@ -13,12 +13,10 @@ concentration steps (Rousseeuw and van Driessen, Computing LTS regression for la
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from nishiki.photometric.block import BLOCK, FAR, TERMS, add_up, distances, keep_below, solve_block, sort_block
 from nishiki.photometric.lanes import LANES, choose, load, planes, root, splat, store
-
-CHUNK = 32  # blocks that share one set of work arrays
 
 
 @njit(cache=True, error_model="numpy")
@@ -134,13 +132,15 @@ def accept(values, known, directions, scaled, scale, brighter, darker, weights):
             store(weights, (j, p), choose(fits, one, zero))
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def refit_selection(
-    observations, valid, directions, products, comparators, of_half, settings, usable, highlights, shadows
+    first, last, observations, valid, directions, products, comparators, of_half, settings, usable, highlights, shadows
 ):
-    """Mark in `usable` the samples that one Lambertian surface explains; shapes as in `threshold_selection`.
+    """Mark in `usable` the samples that one Lambertian surface explains, of the blocks first .. last - 1.
 
-    At least BLOCK pixels. directions (lights, 3) and products (lights, 9) float32; comparators, of_half: networks that
+    observations (lights, pixels) float32, at least BLOCK pixels; valid (lights, pixels) bool, or (lights, 1) for "the
+    same everywhere"; usable (lights, pixels) bool, highlights and shadows (pixels,) uint16 are written. directions
+    (lights, 3) and products (lights, 9) float32; comparators, of_half: networks that
     sort all samples, and the `coverage` share of the smallest; settings float32: starts, steps, window, coverage,
     above, brighter, darker, floor, at_least, rounds.
     """
@@ -148,51 +148,49 @@ def refit_selection(
     starts, steps, rounds = int(settings[0]), int(settings[1]), int(settings[9])
     window, coverage, above = settings[2], settings[3], settings[4]
     brighter, darker, floor, at_least = settings[5], settings[6], settings[7], settings[8]
-    blocks = (pixels + BLOCK - 1) // BLOCK
-    for chunk in prange((blocks + CHUNK - 1) // CHUNK):
-        values, known, weights = planes(lights, BLOCK), planes(lights, BLOCK), planes(lights, BLOCK)
-        distance, ordered, ranked = planes(lights, BLOCK), planes(lights, BLOCK), planes(lights, BLOCK)
-        sums, scaled, best = planes(TERMS, BLOCK).ravel(), planes(4, BLOCK).ravel(), planes(4, BLOCK).ravel()
-        numbers = planes(6, BLOCK)
-        count, low, high, limit, record, scale = (
-            numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5],
-        )  # fmt: skip
-        quality = planes(3, BLOCK).ravel()
-        for block in range(chunk * CHUNK, min((chunk + 1) * CHUNK, blocks)):
-            start = min(
-                block * BLOCK, pixels - BLOCK
-            )  # the last block overlaps: whatever shares it, a pixel is the same
-            load_block(observations, valid, start, values, known, count)
-            far_unless(known, values, ranked)
-            sort_block(ranked, comparators)
-            best[:] = 0.0
-            limit[:] = 0.0
-            record[:] = np.inf
-            for s in range(starts):
-                part = np.float32(s / max(starts - 1, 1))
-                rank_limits(ranked, count, window, part, at_least, low, high)
-                window_weights(values, known, low, high, weights)
-                scaled[:] = 0.0
-                for _ in range(steps + 1):
-                    add_up(values, weights, products, sums)
-                    solve_block(sums, at_least, scaled)
-                    distances(values, known, directions, scaled, above, distance)
-                    concentrate(distance, ordered, of_half, count, coverage, at_least, low, weights)
-                judge(distance, weights, scaled, count, coverage, at_least, floor, quality)
-                for p in range(BLOCK):
-                    if quality[p] < record[p]:
-                        record[p], limit[p] = quality[p], low[p]
-                        for k in range(4):
-                            best[p + k * BLOCK] = scaled[p + k * BLOCK]
-            distances(values, known, directions, best, above, distance)
-            keep_below(distance, limit, weights)
-            spread(values, directions, weights, best, floor, scale)
-            for _ in range(rounds):
-                accept(values, known, directions, best, scale, brighter, darker, weights)
+    memory, row = planes(6 * lights + TERMS + 17, BLOCK), 6 * lights
+    values, known, weights = memory[:lights], memory[lights : 2 * lights], memory[2 * lights : 3 * lights]
+    distance, ordered = memory[3 * lights : 4 * lights], memory[4 * lights : 5 * lights]
+    ranked, sums = memory[5 * lights : row], memory[row : row + TERMS].ravel()
+    scaled, best = memory[row + TERMS : row + TERMS + 4].ravel(), memory[row + TERMS + 4 : row + TERMS + 8].ravel()
+    row += TERMS + 8
+    count, low, high, limit = memory[row], memory[row + 1], memory[row + 2], memory[row + 3]
+    record, scale, quality = memory[row + 4], memory[row + 5], memory[row + 6 :].ravel()
+    for block in range(first, last):
+        start = min(block * BLOCK, pixels - BLOCK)  # the last block overlaps: whatever shares it, a pixel is the same
+        load_block(observations, valid, start, values, known, count)
+        far_unless(known, values, ranked)
+        sort_block(ranked, comparators)
+        for p in range(BLOCK):
+            limit[p], record[p] = 0.0, np.inf
+            for k in range(4):
+                best[p + k * BLOCK] = 0.0
+        for s in range(starts):
+            part = np.float32(s / max(starts - 1, 1))
+            rank_limits(ranked, count, window, part, at_least, low, high)
+            window_weights(values, known, low, high, weights)
+            for p in range(4 * BLOCK):
+                scaled[p] = 0.0
+            for _ in range(steps + 1):
                 add_up(values, weights, products, sums)
-                solve_block(sums, at_least, best)
+                solve_block(sums, at_least, scaled)
+                distances(values, known, directions, scaled, above, distance)
+                concentrate(distance, ordered, of_half, count, coverage, at_least, low, weights)
+            judge(distance, weights, scaled, count, coverage, at_least, floor, quality)
+            for p in range(BLOCK):
+                if quality[p] < record[p]:
+                    record[p], limit[p] = quality[p], low[p]
+                    for k in range(4):
+                        best[p + k * BLOCK] = scaled[p + k * BLOCK]
+        distances(values, known, directions, best, above, distance)
+        keep_below(distance, limit, weights)
+        spread(values, directions, weights, best, floor, scale)
+        for _ in range(rounds):
             accept(values, known, directions, best, scale, brighter, darker, weights)
-            write_block(values, known, directions, best, weights, at_least, start, usable, highlights, shadows)
+            add_up(values, weights, products, sums)
+            solve_block(sums, at_least, best)
+        accept(values, known, directions, best, scale, brighter, darker, weights)
+        write_block(values, known, directions, best, weights, at_least, start, usable, highlights, shadows)
 
 
 @njit(cache=True, error_model="numpy")

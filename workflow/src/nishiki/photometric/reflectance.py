@@ -6,6 +6,7 @@ import numba
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.threads import over_rows
 
 BLOCK = 256
 COSINE_FLOOR = 0.02
@@ -48,7 +49,9 @@ def diffuse_reflectance(observations, directions, normals, *, usable, method="le
     pixels = rows * columns
     reflectance = np.zeros((pixels, channels), dtype=np.float32)
     used = np.zeros(pixels, dtype=np.uint16)
-    _accumulate(
+    over_rows(
+        _accumulate,
+        -(-pixels // BLOCK),
         np.ascontiguousarray(observations, dtype=np.float32).reshape(lights, pixels, channels),
         np.ascontiguousarray(directions, dtype=np.float32),
         np.ascontiguousarray(normals, dtype=np.float32).reshape(pixels, 3),
@@ -66,14 +69,14 @@ def mean_of_channels(observations: np.ndarray) -> np.ndarray:
     observations = np.ascontiguousarray(observations, dtype=np.float32)
     lights, rows, columns, channels = observations.shape
     out = np.empty((lights, rows * columns), np.float32)
-    _mean(observations.reshape(lights, rows * columns, channels), out)
+    over_rows(_mean, lights, observations.reshape(lights, rows * columns, channels), out)
     return out.reshape(lights, rows, columns)
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _mean(observations, out):
-    lights, pixels, channels = observations.shape
-    for j in numba.prange(lights):
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _mean(begin, end, observations, out):
+    _, pixels, channels = observations.shape
+    for j in range(begin, end):
         values, mean = observations[j].reshape(-1), out[j]
         if channels == 3:  # a distance between neighbours that the compiler knows: SIMD code
             for p in range(pixels):
@@ -86,12 +89,12 @@ def _mean(observations, out):
                 mean[p] = total / np.float32(channels)
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _accumulate(observations, directions, normals, usable, shading, mean, reflectance, used):
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _accumulate(begin, end, observations, directions, normals, usable, shading, mean, reflectance, used):
     """Sums a light at a time over BLOCK neighbouring pixels, in the order of the lights."""
     lights, pixels, channels = observations.shape
     shaded = shading.shape[0] > 0
-    for block in numba.prange((pixels + BLOCK - 1) // BLOCK):
+    for block in range(begin, end):
         start = block * BLOCK
         width = min(BLOCK, pixels - start)
         surface = np.zeros(6 * BLOCK, np.float32)  # x, y, z of the normals; a, b, d of the shading
@@ -113,7 +116,8 @@ def _accumulate(observations, directions, normals, usable, shading, mean, reflec
                 reflectance[start + p, k] = value
                 known = known and np.isfinite(value)
             if not known:
-                reflectance[start + p, :] = 0
+                for k in range(channels):
+                    reflectance[start + p, k] = 0
                 used[start + p] = 0
 
 

@@ -21,6 +21,8 @@ import numba
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.photometric.light_selection import half_vectors
+from nishiki.threads import over_rows
 
 FEW_LIGHTS = 24  # with more, shading and normals of the solver `lobe` predict as well, and this fit is not made
 MODELS = ("plain", "directional")
@@ -65,8 +67,6 @@ def fit_relighting(observations, directions, normals, *, valid, scatter, reflect
             f"relighting: observations {observations.shape} do not fit valid {valid.shape}, normals {normals.shape} "
             f"and {len(directions)} directions"
         )
-    halves = directions + np.array([0.0, 0.0, 1.0])
-    halves /= np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
     pixels = rows * columns
     fitted = {
         "shading_normals": np.array(normals, np.float32, order="C").reshape(pixels, 3).copy(),
@@ -74,16 +74,30 @@ def fit_relighting(observations, directions, normals, *, valid, scatter, reflect
         "reflectance": np.array(reflectance, np.float32, order="C").reshape(pixels, channels).copy(),
     }
     fitted["shading"][:, :3] = np.reshape(shading, (pixels, 3))
-    _fit(
+    over_rows(
+        _fit,
+        pixels,
         np.ascontiguousarray(observations, np.float32).reshape(lights, pixels, channels),
         np.ascontiguousarray(valid).reshape(lights, pixels),
         np.ascontiguousarray(directions, np.float64),
-        halves,
+        half_vectors(np.asarray(directions, np.float64)),
         np.ascontiguousarray(scatter, np.float64).reshape(pixels),
         np.ascontiguousarray(known).reshape(pixels),
         *fitted.values(),
     )
     return {name: values.reshape(*shape, -1) for name, values in fitted.items()}
+
+
+@numba.njit(cache=True, error_model="numpy")
+def middle(values, count):
+    """Median of the first `count` values, which are sorted in place (by insertion: they are few)."""
+    for i in range(1, count):
+        value, j = values[i], i
+        while j > 0 and values[j - 1] > value:
+            values[j] = values[j - 1]
+            j -= 1
+        values[j] = value
+    return 0.5 * (values[(count - 1) // 2] + values[count // 2])
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -119,7 +133,7 @@ def _shading_basis(g, directions, halves, basis):
     for j in range(len(directions)):
         c = (g[0] * directions[j, 0] + g[1] * directions[j, 1] + g[2] * directions[j, 2]) / length
         x = (g[0] * halves[j, 0] + g[1] * halves[j, 1] + g[2] * halves[j, 2]) / length
-        c, x = max(c, 0.0), max(x, 0.0)
+        c, x = c if c > 0.0 else 0.0, x if x > 0.0 else 0.0
         basis[j, 0], basis[j, 1], basis[j, 2] = c, c * c, c * x**8
         for k in range(3, basis.shape[1]):
             basis[j, k] = c * directions[j, k - 3]
@@ -140,14 +154,15 @@ def _reweigh(level, allowed, basis, terms, residual, scratch, weight):
     for j in range(level.size):
         shade = _shade(basis, terms, j)
         weight[j] = 1.0 if allowed[j] and shade > 0.0 else 0.0
-        residual[j] = abs(level[j] - max(shade, 0.0))
+        residual[j] = abs(level[j] - (shade if shade > 0.0 else 0.0))
         if weight[j] > 0.0:
             scratch[lit] = residual[j]
             lit += 1
     if lit == 0:
         return
-    freedom = np.sqrt(lit / max(lit - terms.size + 1.0, 1.0))
-    scale = TUNING * (1.4826 * np.median(scratch[:lit]) * freedom + NOISE)
+    rest = lit - terms.size + 1.0
+    freedom = np.sqrt(lit / (rest if rest > 1.0 else 1.0))
+    scale = TUNING * (1.4826 * middle(scratch, lit) * freedom + NOISE)
     for j in range(level.size):
         weight[j] /= 1.0 + (residual[j] / scale) ** 2
 
@@ -179,75 +194,81 @@ def _robust_fit(level, allowed, basis, first, held, rounds, work, terms, weight)
     return True
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _fit(observations, valid, directions, halves, scatter, known, normals, shading, reflectance):
-    lights, pixels, channels = observations.shape
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _fit(begin, end, observations, valid, directions, halves, scatter, known, normals, shading, reflectance):
+    lights, _, channels = observations.shape
     size = shading.shape[1]
     plain = size == 3
-    block = 1024
-    for start in numba.prange((pixels + block - 1) // block):
-        level, weight, allowed = np.empty(lights), np.empty(lights), np.empty(lights, np.bool_)
-        first, held, g = np.empty(3), np.empty(3), np.empty(3)
-        basis, terms, before, prior = np.empty((lights, size)), np.empty(size), np.empty(size), np.empty(size)
-        sums = np.empty(channels)
-        work = (np.empty((size, size)), np.empty(lights), np.empty(lights))
-        for p in range(start * block, min((start + 1) * block, pixels)):
-            if not known[p]:
-                continue
-            first[:] = normals[p]
-            product, square = 0.0, 0.0
+    level, weight, allowed = np.empty(lights), np.empty(lights), np.empty(lights, np.bool_)
+    first, held, g = np.empty(3), np.empty(3), np.empty(3)
+    basis, terms, before, prior = np.empty((lights, size)), np.empty(size), np.empty(size), np.empty(size)
+    sums = np.empty(channels)
+    work = (np.empty((size, size)), np.empty(lights), np.empty(lights))
+    for p in range(begin, end):
+        if not known[p]:
+            continue
+        for k in range(3):
+            first[k] = normals[p, k]
+        product, square = 0.0, 0.0
+        for j in range(lights):
+            allowed[j] = valid[j, p]
+            level[j] = 0.0
+            if allowed[j]:
+                for k in range(channels):
+                    level[j] += observations[j, p, k] / channels
+            weight[j] = 1.0 if allowed[j] else 0.0
+            c = first[0] * directions[j, 0] + first[1] * directions[j, 1] + first[2] * directions[j, 2]
+            if allowed[j] and c > 0.0:
+                product, square = product + c * level[j], square + c * c
+        if not product > 1e-9 * square:
+            continue
+        for j in range(lights):
+            level[j] *= square / product  # relative to Lambert's albedo
+        least = LEAST_PRIOR * lights / 3.0
+        for k in range(3):
+            held[k] = (scatter[p] / WIDTH_NORMAL) ** 2 + least
+        held[2] *= ALONG
+        solved = True
+        if plain or lights <= FEW_LIGHTS:
+            solved = _robust_fit(level, allowed, directions, first, held, ROUNDS_NORMAL, work, g, weight)
+        else:
+            for k in range(3):
+                g[k] = first[k]
+        length = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
+        if not (solved and length > LEAST_FACTOR and g[2] > 0.0):
+            continue
+        _shading_basis(g, directions, halves, basis)
+        for k in range(size):
+            before[k], prior[k] = 0.0, least + (scatter[p] / WIDTH_TERMS) ** 2 if plain else least
+        before[0], prior[0] = length, 0.0
+        if plain:
+            solved = _robust_fit(level, allowed, basis, before, prior, ROUNDS_TERMS, work, terms, weight)
+        else:
             for j in range(lights):
-                allowed[j] = valid[j, p]
-                level[j] = 0.0
-                if allowed[j]:
-                    for k in range(channels):
-                        level[j] += observations[j, p, k] / channels
                 weight[j] = 1.0 if allowed[j] else 0.0
-                c = first[0] * directions[j, 0] + first[1] * directions[j, 1] + first[2] * directions[j, 2]
-                if allowed[j] and c > 0.0:
-                    product, square = product + c * level[j], square + c * c
-            if not product > 1e-9 * square:
-                continue
-            for j in range(lights):
-                level[j] *= square / product  # relative to Lambert's albedo
-            least = LEAST_PRIOR * lights / 3.0
-            held[:] = (scatter[p] / WIDTH_NORMAL) ** 2 + least
-            held[2] *= ALONG
-            solved = True
-            if plain or lights <= FEW_LIGHTS:
-                solved = _robust_fit(level, allowed, directions, first, held, ROUNDS_NORMAL, work, g, weight)
-            else:
-                g[:] = first
-            length = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
-            if not (solved and length > LEAST_FACTOR and g[2] > 0.0):
-                continue
-            _shading_basis(g, directions, halves, basis)
-            before[:], prior[:] = 0.0, least
-            before[0], prior[0] = length, 0.0
-            if plain:
-                prior[1:] += (scatter[p] / WIDTH_TERMS) ** 2
-                solved = _robust_fit(level, allowed, basis, before, prior, ROUNDS_TERMS, work, terms, weight)
-            else:
-                for j in range(lights):
-                    weight[j] = 1.0 if allowed[j] else 0.0
-                solved = _least_squares(level, weight, basis, before, prior, work[0], terms)
-            if not solved:
-                continue
-            # reflectance of each channel for this shading, whose mean factor is scaled to 1
-            bodies, cosines = 0.0, 0.0
-            sums[:] = 0.0
-            for j in range(lights):
-                shade = max(_shade(basis, terms, j), 0.0)
-                if weight[j] > 0.0:
-                    bodies, cosines = bodies + weight[j] * shade * shade, cosines + weight[j] * basis[j, 0] * shade
-                    for k in range(channels):
-                        sums[k] += weight[j] * shade * observations[j, p, k]
-            scale = bodies / cosines
-            if not (bodies > 0.0 and scale > LEAST_FACTOR and np.abs(sums).max() * scale < LARGEST * bodies):
-                continue
-            for k in range(channels):
-                reflectance[p, k] = max(sums[k] / bodies * scale, 0.0)
-            for i in range(3):
-                normals[p, i] = g[i] / length
-            for i in range(size):
-                shading[p, i] = terms[i] / scale
+            solved = _least_squares(level, weight, basis, before, prior, work[0], terms)
+        if not solved:
+            continue
+        # reflectance of each channel for this shading, whose mean factor is scaled to 1
+        bodies, cosines, largest = 0.0, 0.0, 0.0
+        for k in range(channels):
+            sums[k] = 0.0
+        for j in range(lights):
+            shade = _shade(basis, terms, j)
+            shade = shade if shade > 0.0 else 0.0
+            if weight[j] > 0.0:
+                bodies, cosines = bodies + weight[j] * shade * shade, cosines + weight[j] * basis[j, 0] * shade
+                for k in range(channels):
+                    sums[k] += weight[j] * shade * observations[j, p, k]
+        scale = bodies / cosines
+        for k in range(channels):
+            largest = abs(sums[k]) if not abs(sums[k]) <= largest else largest  # also where it is no number
+        if not (bodies > 0.0 and scale > LEAST_FACTOR and largest * scale < LARGEST * bodies):
+            continue
+        for k in range(channels):
+            value = sums[k] / bodies * scale
+            reflectance[p, k] = value if value > 0.0 else 0.0
+        for i in range(3):
+            normals[p, i] = g[i] / length
+        for i in range(size):
+            shading[p, i] = terms[i] / scale

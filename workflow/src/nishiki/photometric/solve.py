@@ -6,7 +6,8 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
-from nishiki.photometric.light_selection import all_finite, checked_stack
+from nishiki.photometric.light_selection import all_finite, checked_stack, half_vectors
+from nishiki.threads import over_rows
 
 SOLVERS = ("default", "lobe", "least_squares")
 PRIOR = 1e-4  # least weight of b^2 and d^2, times a third of the number of samples (about their sum of c^2)
@@ -193,7 +194,7 @@ def without_distrusted(stack, directions, usable, known, outputs, max_condition)
     if not (outputs[1][2] > SUSPECT).any():
         return usable
     known = np.ones_like(usable) if known is None else known
-    again = np.flatnonzero(distrusted(stack, directions, usable, known, outputs))
+    again = distrusted(stack, directions, usable, known, outputs)
     if not again.size:
         return usable
     usable = usable.copy()
@@ -217,7 +218,9 @@ def refine_lobe(stack, directions, usable, known, outputs, noise, max_condition)
     everything = np.ones((stack.shape[0], 1), dtype=np.uint8)
     shading = np.tile(np.array(LAMBERT, np.float32), (stack.shape[1], 1))
     settings = np.array([PRIOR, noise, RESELECTIONS, AT_LEAST])
-    refine(
+    over_rows(
+        refine,
+        stack.shape[1],
         stack,
         everything if usable is None else usable,
         everything if known is None else known,
@@ -232,9 +235,7 @@ def refine_lobe(stack, directions, usable, known, outputs, noise, max_condition)
 
 def with_half_vectors(directions):
     """(6, lights) float32: directions to the lights, and half vectors of light and view."""
-    halves = directions + np.array([0.0, 0.0, 1.0])
-    halves /= np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
-    return np.ascontiguousarray(np.concatenate([directions.T, halves.T]), dtype=np.float32)
+    return np.ascontiguousarray(np.concatenate([directions.T, half_vectors(directions).T]), dtype=np.float32)
 
 
 def shading_of_mean(intensity, mean, directions, field, *, usable, valid, least_change, noise=0.003):
@@ -278,22 +279,23 @@ def shading_of_mean(intensity, mean, directions, field, *, usable, valid, least_
         of_pixels = tuple(values[again] for values in of_pixels)
     normals, flags, shading = np.ascontiguousarray(of_pixels[0]), of_pixels[1], of_pixels[2].copy()
     if pixels:
-        fit_body_terms(*samples, *settings, normals, flags, shading)
+        over_rows(fit_body_terms, -(-max(pixels, BLOCK) // BLOCK), *samples, *settings, normals, flags, shading)
     return shading[:pixels].reshape(field.shading.shape)
 
 
 def lambertian(stack, directions, factors, max_condition):
     """Lambertian least squares into new outputs; factors (lights, pixels) uint8 or float32, or None for all."""
-    from nishiki.photometric.least_squares import solve_masked, solve_shared, solve_weighted
+    from nishiki.photometric.least_squares import BLOCK, solve_masked, solve_shared, solve_weighted
 
     outputs = empty_outputs(stack.shape[1])
     products = direction_products(directions)
     if factors is None:
-        solve_shared(stack, products, float(max_condition), *outputs)
+        kernel, given = solve_shared, (stack, products)
     elif factors.dtype == np.uint8:
-        solve_masked(stack, factors, products, float(max_condition), *outputs)
+        kernel, given = solve_masked, (stack, factors, products)
     else:
-        solve_weighted(stack, factors, products, float(max_condition), *outputs)
+        kernel, given = solve_weighted, (stack, factors, products)
+    over_rows(kernel, -(-stack.shape[1] // BLOCK), *given, float(max_condition), *outputs)
     return outputs
 
 

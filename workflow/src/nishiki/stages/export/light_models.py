@@ -17,6 +17,7 @@ import numpy as np
 
 from nishiki.formats.hsh import hemispherical_harmonics
 from nishiki.formats.relight_weights import bilinear_weights, gaussian_weights, ptm_weights
+from nishiki.photometric.light_selection import distinct_sets
 
 RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
 """Weights of the squared coefficients beside the squared errors, of those that are tried."""
@@ -297,14 +298,3 @@ def solve(design: np.ndarray, values: np.ndarray, valid: np.ndarray, below: np.n
         sums = right.reshape(fitted.shape)[..., partial].transpose(2, 0, 1)
         fitted[..., partial] = (np.linalg.inv(normal)[member] @ sums).transpose(1, 2, 0)
     return fitted
-
-
-def distinct_sets(valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return one column of valid (lights, n) bool for each distinct column, and the number of each column's set."""
-    first, member = np.zeros(1, np.int64), np.zeros(valid.shape[1], np.int64)
-    for start in range(0, len(valid), 32):
-        bits = valid[start : start + 32]
-        words = (1 << np.arange(len(bits))) @ bits.astype(np.float64)
-        keys = member << 32 | words.astype(np.int64)
-        _, first, member = np.unique(keys, return_index=True, return_inverse=True)
-    return first, member
