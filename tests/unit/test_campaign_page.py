@@ -83,6 +83,13 @@ def test_scene_with_other_settings_than_published_is_not_finished(results):
     assert {(scene["state"], scene["detail"]) for scene in scenes} == {("unfinished", "next: report")}
 
 
+def test_scenes_of_an_earlier_table_stay_on_the_page(results):
+    (results / "one").rename(results / "before")
+    *_, kept = scenes_of(write_index(workflow(results, {"report": "k1"})).read_text())
+    assert (kept["scene"], kept["state"], kept["title"]) == ("before", "finished", "Mount Fuji")
+    assert kept["detail"]
+
+
 def test_what_is_opened_of_a_scene(results):
     flow = workflow(results, {"report": "k1"})
     assert page_of(flow, "one").name == "report.html"

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from nishiki.artifacts.bounds import at_bounds, at_end
+from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.brdf.gloss_profile import GlossProfile
 from nishiki.brdf.parameters import parameters_at_bounds
+from nishiki.evaluate.camera_colour import display_map
 from nishiki.render.display import adapted_exposure, display_image
 from nishiki.render.plane.camera import screen_to_plane
 from nishiki.render.plane.scene import PlaneScene
@@ -97,6 +99,7 @@ def test_exposure_is_bounded_and_looks_at_the_object_only():
     black = np.full((10, 10, 3), 0.01, np.float32)
     seen = np.ones((10, 10), bool)
     assert adapted_exposure(black, seen=seen, sheet=0.5) == 16  # a black object stays dark
+    assert adapted_exposure(black, seen=seen, sheet=0.5, bounded=False) > 16  # without a board nobody knows it is black
     assert adapted_exposure(100 * black, seen=seen, sheet=0.1) == 5  # highlights do not darken everything
     black[:5] = 100
     seen[:5] = False
@@ -114,3 +117,18 @@ def test_parameters_at_a_bound_are_named():
     assert profile.ends() == ["gloss: the narrowest of the lobes on offer (0.57 degrees) holds 95 % of the strength"]
     assert [at_end(v, 0.0, 2.0) for v in (0.0, 1.0, 2.0)] == ["lower", "", "upper"]
     assert at_bounds({"weft": {"at_bounds": ["humps"]}, "at_bounds": ["n"], "other": 3}) == ["weft: humps", "n"]
+
+
+@pytest.mark.parametrize("board", [True, False])
+def test_without_a_white_board_the_light_parts_of_linear_photographs_are_grey(tmp_path, board):
+    maps = MapWriter(tmp_path, rows=8, columns=8, band_rows=8, stamp={})
+    maps.group.update(to_srgb=None, unbalanced=not board)
+    colours = np.linspace(0.1, 0.6, 64).reshape(8, 8, 1) * np.array([0.5, 1, 2])
+    maps.write("reflectance", colours.astype(np.float32))
+    maps.write("flags", np.zeros((8, 8), np.uint8))
+    matrix = display_map(Maps(tmp_path))
+    assert (matrix is None) == board
+    if not board:
+        shown = colours @ np.array(matrix).T
+        assert np.allclose(shown, shown[..., :1], rtol=1e-5)
+        assert np.array(matrix) @ np.ones(3) @ [0.2126, 0.7152, 0.0722] == pytest.approx(1, abs=1e-3)

@@ -1,6 +1,7 @@
 """Drawings, pictures and texts of the report."""
 
 import xml.etree.ElementTree as ElementTree
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -32,7 +33,7 @@ from nishiki.stages.render import RenderSettings
 from nishiki.stages.report.painting import describe, exposed, gloss_section
 from nishiki.stages.report.painting_prediction import chosen, signed_difference, signed_end
 from nishiki.stages.report.painting_surface import _of_places, _widest_place, spread_out
-from nishiki.stages.report.summary import choices
+from nishiki.stages.report.summary import choices, verdict
 from nishiki.stages.separate import SeparateSettings
 
 
@@ -388,3 +389,21 @@ def test_a_logarithmic_axis_has_round_ticks_at_their_places(low, high):
     assert axis.marks() == ([1.0, 2.0, 5.0, 10.0, 20.0] if low > 0.1 else [1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0])
     assert axis(high) == pytest.approx(100)
     assert np.isnan(axis(0.0))
+
+
+@pytest.mark.parametrize(
+    ("board", "lamps", "pitch", "error", "good", "asked"),
+    [
+        (True, 12, 0.1, 1.2, True, "calibrate"),
+        (False, 4, None, 10.3, False, "--white"),
+        (True, 5, 0.1, 3.0, True, "twelve"),
+    ],
+)
+def test_the_first_lines_name_the_one_thing_that_would_improve_most(board, lamps, pitch, error, good, asked):
+    normals = {"sigma_median_deg": 2.6, "valid_pixels": 80, "object_pixels": 100}
+    frames = SimpleNamespace(lights=range(lamps), white_board=board, pixel_pitch_mm=pitch)
+    evaluation = {"lights": [1], "overall": {"de00": {"mean": error}}}
+    rows = dict(verdict({"normals": normals}, evaluation, frames, guessed=True))
+    assert (f"{error:.1f}" in rows.get("Good", ""), f"{error:.1f}" in rows["Doubtful"]) == (good, not good)
+    assert "20 %" in rows["Doubtful"]
+    assert asked in rows["To improve it most"]

@@ -118,6 +118,7 @@ def write_index(flow: Workflow, why: Mapping[str, str] | None = None) -> Path:
     Path
         The page.
     """
+    from nishiki.artifacts.publish import INDEX
     from nishiki.report.page import SceneCard, campaign_page
     from nishiki.version import PROJECT_VERSION
 
@@ -125,6 +126,11 @@ def write_index(flow: Workflow, why: Mapping[str, str] | None = None) -> Path:
     cards = {scene: card_of(flow, scene, why.get(scene, "")) for scene in flow.plans}
     cards |= {scene: SceneCard(scene, "refused", reason) for scene, reason in flow.refused.items()}
     in_order = [cards[scene] for scene in flow.project.scenes if scene in cards]
+    in_order += [
+        _card(flow.results, index.parts[-3], "finished", "not in the present scene table", _read(index))
+        for index in sorted(Path(flow.results).glob(f"*/current/{INDEX}"))
+        if index.parts[-3] not in flow.project.scenes
+    ]
     html = campaign_page(f"Scenes in {Path(flow.results).resolve().name}", in_order, PROJECT_VERSION)
     page = Path(flow.results, PAGE)
     page.parent.mkdir(parents=True, exist_ok=True)
@@ -137,16 +143,21 @@ def write_index(flow: Workflow, why: Mapping[str, str] | None = None) -> Path:
 def card_of(flow: Workflow, scene: str, why: str):
     """What the page shows of a planned scene (`nishiki.report.page.SceneCard`)."""
     from nishiki.artifacts.publish import INDEX
+
+    published = _read(Path(flow.results, scene, "current", INDEX))
+    stages, artifacts = flow.plans[scene].stages, published.get("artifacts", {})
+    waiting = [name for name, stage in stages.items() if artifacts.get(name, {}).get("key") != stage.key]
+    state = "failed" if why else "unfinished" if waiting else "finished"
+    return _card(flow.results, scene, state, why or (f"next: {waiting[0]}" if waiting else ""), published)
+
+
+def _card(results: str, scene: str, state: str, detail: str, published: dict):
+    """A card from what is published of a scene."""
     from nishiki.report.page import SceneCard, Tile
 
-    current = Path(flow.results, scene, "current")
-    stages = flow.plans[scene].stages
-    published = _read(current / INDEX).get("artifacts", {})
-    waiting = [name for name, stage in stages.items() if published.get(name, {}).get("key") != stage.key]
-    state = "failed" if why else "unfinished" if waiting else "finished"
-    detail = why or (f"next: {waiting[0]}" if waiting else "")
+    current = Path(results, scene, "current")
     there = {name: f"{scene}/current/{name}" for name in (*OPENED_FIRST, "thumbnail.jpg") if (current / name).is_file()}
-    report = next((name for name in published if name.endswith("report")), "")
+    report = next((name for name in published.get("artifacts", {}) if name.endswith("report")), "")
     told = _read(current / report / "artifact.json").get("diagnostics", {}) if report else {}
     return SceneCard(
         scene,

@@ -5,12 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
+from nishiki.artifacts.maps import Maps
 from nishiki.colour.basis import channel_weights
 from nishiki.colour.colour import illuminant as named_illuminant
 from nishiki.colour.colour import srgb_matrix, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 from nishiki.formats.stored import load_arrays
+from nishiki.photometric.flags import NO_ESTIMATE
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,31 @@ def displayed_colours(channels: np.ndarray, to_srgb: list[list[float]] | None) -
     if channels.shape[-1] != 3:
         return np.repeat(channels.mean(axis=-1, keepdims=True), 3, axis=-1)
     return channels if to_srgb is None else (channels @ np.array(to_srgb).T).astype(channels.dtype)
+
+
+LIGHT_PERCENTILE = 95
+"""Percentile of a channel's reflectances at which the object's light parts are taken as grey."""
+LARGEST_FACTOR = 3.0
+
+
+def display_map(maps: Maps) -> list[list[float]] | None:
+    """Return the matrix (3, 3) from a painting's reflectance to linear sRGB for pictures; None: it is sRGB as it is.
+
+    Without a white board, linear photographs have the colours of lamp and sensor, which no camera has balanced. The
+    light parts of the object are shown as grey then, with the luminance of a white kept.
+    """
+    to_srgb = maps.group.attrs.get("to_srgb")
+    if not maps.group.attrs.get("unbalanced") or maps.group["reflectance"].shape[-1] != 3:
+        return to_srgb
+    known = (maps.read("flags") & NO_ESTIMATE) == 0
+    colours = displayed_colours(maps.read("reflectance"), to_srgb)[known]
+    if not len(colours):
+        return to_srgb
+    light = np.percentile(colours, LIGHT_PERCENTILE, axis=0)
+    factors = np.clip(light.mean() / np.maximum(light, 1e-9), 1 / LARGEST_FACTOR, LARGEST_FACTOR)
+    luminance = np.linalg.inv(srgb_matrix())[1]  # of linear sRGB, Y of XYZ
+    balance = np.diag(factors / (luminance @ factors))
+    return (balance if to_srgb is None else balance @ np.array(to_srgb)).tolist()
 
 
 def assumed_colour(channels: int, to_srgb: list[list[float]] | None = None) -> CameraColour:

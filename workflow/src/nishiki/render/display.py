@@ -101,8 +101,8 @@ def shoulder(linear: np.ndarray, *, start: float = 0.6) -> np.ndarray:
     return bent + (out - bent) * np.clip(grey, 0, 1)
 
 
-def adapted_exposure(xyz: np.ndarray, *, seen: np.ndarray, sheet: float) -> float:
-    """Return exposure at which an eye that has adapted to the light would see a picture: its light parts near white.
+def adapted_exposure(xyz: np.ndarray, *, seen: np.ndarray, sheet: float, bounded: bool = True) -> float:
+    """Return the exposure at which an eye that has adapted to the light would see a picture.
 
     Brings the 98th percentile of the luminance to 0.8, within bounds that keep a black object dark and a highlight from
     darkening everything else: half and 8 times the exposure at which a white sheet beside the object is white.
@@ -112,6 +112,7 @@ def adapted_exposure(xyz: np.ndarray, *, seen: np.ndarray, sheet: float) -> floa
     xyz : (rows, columns, 3) linear picture, Y = 1 for a perfect white that faces the lamp.
     seen : (rows, columns) bool, pixels of the object.
     sheet : luminance of a perfect white sheet in the plane of the object.
+    bounded : bool, whether these bounds hold; not where no white board says how light the object is.
 
     Returns
     -------
@@ -123,7 +124,8 @@ def adapted_exposure(xyz: np.ndarray, *, seen: np.ndarray, sheet: float) -> floa
     light = xyz[..., 1][seen]
     bright = float(np.percentile(light, ADAPTED_PERCENTILE)) if light.size else 0.0
     factor = ADAPTED_LEVEL / bright if bright > 0 else np.inf
-    return float(f"{np.clip(factor, *(bound / sheet for bound in ADAPTED_BOUNDS)):.2g}")
+    bounds = [bound / sheet for bound in ADAPTED_BOUNDS] if bounded or not bright > 0 else [0.0, np.inf]
+    return float(f"{np.clip(factor, *bounds):.2g}")
 
 
 def normals_as_colours(normals: np.ndarray) -> np.ndarray:

@@ -58,7 +58,7 @@ class Figure:
     """A picture, drawing or film with its caption. A map of one value is shown as a sentence instead.
 
     picture, svg, video : one of them, video as data URI; ruler : scale bar below the picture; swatch : #rrggbb before
-    the heading.
+    the heading; link : page that a click on the picture opens.
     """
 
     heading: str
@@ -68,6 +68,7 @@ class Figure:
     video: str = ""
     ruler: Ruler | None = None
     swatch: str = ""
+    link: str = ""
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,8 @@ class Tile:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole page. stamp : name by which the file can be told again; footer : its last line."""
+    """A whole page. stamp : name by which the file can be told again; footer : its last line; verdict : what is good,
+    what is doubtful, what would improve it most."""
 
     title: str
     subtitle: str
@@ -171,6 +173,7 @@ class Page:
     stamp: str = ""
     facts: Sequence[tuple[str, str]] = ()
     tiles: Sequence[Tile] = ()
+    verdict: Sequence[tuple[str, str]] = ()
     warnings: Sequence[str] = ()
 
 

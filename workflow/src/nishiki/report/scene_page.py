@@ -19,6 +19,7 @@ from nishiki.report.page import (
     Block,
     Cell,
     Facts,
+    Figures,
     Fold,
     Frame,
     Listing,
@@ -54,6 +55,7 @@ def write_scene_page(
     facts: Sequence[tuple[str, str]],
     tiles: Sequence[Tile],
     sections: Sequence[Section | None],
+    verdict: Sequence[tuple[str, str]] = (),
     warnings: Sequence[str] = (),
     more_left_out: Sequence[Block] = (),
     more_made: Sequence[Block] = (),
@@ -61,7 +63,8 @@ def write_scene_page(
     """Write `report.html`; what the stage reports of it.
 
     stages : declarations in the order of the flow; title : of the capture; about : what the scene is; sections : of the
-    stages, None where one has nothing to show; more_left_out, more_made : blocks of this kind of scene.
+    stages, None where one has nothing to show; verdict : see `Page`; more_left_out, more_made : blocks of this kind of
+    scene.
 
     Beside it stands a thumbnail of the first rendered picture. Thumbnail, title and figures are what the page of all
     scenes shows.
@@ -77,19 +80,21 @@ def write_scene_page(
             name, stages[name].limits, context.inputs[name].diagnostics, context.inputs[name].settings.get("allow", ())
         )
     ]
-    frame = Frame(
-        f"{viewer}/index.html", "Viewer", "move lamps or the object, zoom, measure, compare: loaded at a click"
-    )
-    shown = viewer and Section("viewer", "Look for yourself", [frame], "Viewer")
+    shown = [section for section in sections if section]
+    if viewer:
+        address, summary = f"{viewer}/index.html", "move lamps or the object, zoom, measure, compare: loaded at a click"
+        frame = Section("viewer", "Look for yourself", [Frame(address, "Viewer", summary)], "Viewer")
+        shown = [frame, *(open_viewer(section, address) for section in shown[:1]), *shown[1:]]
     page = Page(
         title=settings.title or title or stamp["scene"],
         subtitle=Markup("Scene <code>{}</code>, {}.").format(stamp["scene"], about),
-        sections=[section for section in (shown, *sections, *closing) if section],
+        sections=[*shown, *closing],
         version=stamp["version"],
         footer=f"Nishiki {stamp['version']}, scene {stamp['scene']}, report {stamp['key']}.",
         stamp=f"{stamp['scene']}/{stamp['stage']}/{stamp['key']}",
         facts=facts,
         tiles=tiles,
+        verdict=verdict,
         warnings=[*warnings, *beyond],
     )
     html = render_page(page)
@@ -103,6 +108,19 @@ def write_scene_page(
         "about": about,
         "figures": [dataclasses.asdict(tile) for tile in tiles],
     }
+
+
+def open_viewer(section: Section, address: str) -> Section:
+    """Return the section with a first picture that opens the viewer at a click."""
+    blocks = list(section.blocks)
+    for place, block in enumerate(blocks):
+        if isinstance(block, Figures) and block.items and block.items[0].picture:
+            first = block.items[0]
+            caption = f"Click: the viewer. {first.caption}"
+            first = dataclasses.replace(first, link=address, caption=caption)
+            blocks[place] = dataclasses.replace(block, items=[first, *block.items[1:]])
+            break
+    return dataclasses.replace(section, blocks=blocks)
 
 
 def first_picture(inputs: Mapping[str, Artifact]) -> bytes | None:

@@ -94,7 +94,8 @@ def create_maps(context: Context, frames: Observations, *, terms: int, relight: 
     """Return the arrays of the artifact; terms: of the map `shading`, relight: with `shading_normals`."""
     rows, columns = frames.shape
     maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
-    maps.group.update(pixel_pitch_mm=frames.pixel_pitch_mm, to_srgb=frames.to_srgb)
+    unbalanced = not frames.white_board and str(frames.attributes.get("coding")).startswith("linear")
+    maps.group.update(pixel_pitch_mm=frames.pixel_pitch_mm, to_srgb=frames.to_srgb, unbalanced=unbalanced)
     trailing = {"normals": (3,), "reflectance": (len(frames.channels),), "shading": (terms,), "shading_normals": (3,)}
     left_out = {"shading"} if context.settings.solver == "least_squares" else set()
     left_out |= set() if relight else {"shading_normals"}

@@ -16,7 +16,7 @@ from nishiki.brdf.slopes import slope_covariance
 from nishiki.capture.spectra_tables import read_curves
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample
-from nishiki.evaluate.camera_colour import displayed_colours
+from nishiki.evaluate.camera_colour import display_map, displayed_colours
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.display import adapted_exposure, display_image
 from nishiki.render.output import VideoWritten, write_exr, write_normals_exr, write_normals_png, write_png, write_video
@@ -54,6 +54,7 @@ def run(context: Context) -> dict:
         "notes": notes,
         "spectral": scene.basis is not None,
         "cast_shadows": scene.height is not None,
+        "balanced_by_object": scene.basis is None and not is_bounded(context),
     }
 
 
@@ -83,7 +84,7 @@ def colours(inputs: dict[str, Artifact], maps: Maps) -> dict[str, np.ndarray]:
         spectra = Maps(inputs["spectra"].folder)
         basis = np.array(spectra.attributes("coefficients")["basis"])
         return {"coefficients": spectra.read("coefficients"), "basis": basis}
-    return {"coefficients": displayed_colours(maps.read("reflectance"), maps.group.attrs.get("to_srgb"))}
+    return {"coefficients": displayed_colours(maps.read("reflectance"), display_map(maps))}
 
 
 def spectrum(name: str) -> np.ndarray:
@@ -111,7 +112,7 @@ def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:
     exposure = picture.exposure
     if exposure == "auto":
         sheet = white_sheet(picture.lights, picture.ambient)
-        exposure = adapted_exposure(made.xyz, seen=seen(made), sheet=sheet)
+        exposure = adapted_exposure(made.xyz, seen=seen(made), sheet=sheet, bounded=is_bounded(context))
     shown = display_image(made.xyz, white=made.white_xyz, exposure=exposure)
     write_png(context.output.path(f"{picture.name}.png"), shown.pixels, stamp=context.stamp)
     return {
@@ -119,6 +120,11 @@ def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:
         "clipped_fraction": float(shown.clipped_high),
         "flagged_pixels": int(np.count_nonzero(made.flags & UNUSABLE)),
     }
+
+
+def is_bounded(context: Context) -> bool:
+    """Return whether the light of the photographs is known, so that a black object is to stay dark."""
+    return not Maps(context.inputs["normals"].folder).group.attrs.get("unbalanced")
 
 
 def seen(made: Rendering) -> np.ndarray:
@@ -142,7 +148,7 @@ def film(
         frames = view_sequence(scene, [light], views, ambient=ambient)
     first = next(frames)  # sets the exposure of all, so that the film does not flicker
     sheet = white_sheet([lamp], AMBIENT)
-    exposure = adapted_exposure(first.xyz, seen=seen(first), sheet=sheet)
+    exposure = adapted_exposure(first.xyz, seen=seen(first), sheet=sheet, bounded=is_bounded(context))
     frames = chain([first], frames)
     pictures = (
         display_image(frame.xyz, white=frame.white_xyz, exposure=exposure).pixels

@@ -18,7 +18,7 @@ from nishiki.report.svg import PALETTE, Curve, chart
 from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting, kind_of
 from nishiki.stages.report.painting_prediction import relighting_section
 from nishiki.stages.report.painting_surface import colour_section, shape_section
-from nishiki.stages.report.summary import at_a_glance, choices
+from nishiki.stages.report.summary import at_a_glance, choices, verdict
 from nishiki.stages.table import CHAIN
 
 NO_TRUTH = (
@@ -41,6 +41,7 @@ def run(context: Context) -> dict:
     kinds = [kind_of(name, role, held_out) for name, role in zip(frames.lights, frames.roles, strict=True)]
     relighting = relighting_section(inputs.get("evaluate"), maps.get("evaluate"), evaluation, widest)
     truth = evaluation or {}
+    camera = read_camera_colour(inputs["ingest"].path("curves.npz"), len(frames.channels), frames.to_srgb)
     return write_scene_page(
         context,
         CHAIN,
@@ -48,6 +49,7 @@ def run(context: Context) -> dict:
         about=f"digitised from {len(frames.lights)} photographs, each under another light",
         facts=facts_of_painting(diagnostics["ingest"], list(frames.channels), frames.pixel_pitch_mm, kinds),
         tiles=at_a_glance(diagnostics["normals"], evaluation, diagnostics.get("height"), diagnostics.get("spectra")),
+        verdict=verdict(diagnostics, evaluation, frames, guessed=camera.rmse is None),
         sections=[
             appearance_section(inputs.get("render"), widest, settings.video_mb, scale_bar),
             relighting,
@@ -65,7 +67,7 @@ def run(context: Context) -> dict:
             colour_section(
                 maps["normals"],
                 widest=widest,
-                camera=read_camera_colour(inputs["ingest"].path("curves.npz"), len(frames.channels), frames.to_srgb),
+                camera=camera,
                 spectra=maps.get("spectra"),
                 evaluated=maps.get("evaluate"),
                 evaluation=evaluation,
@@ -214,6 +216,8 @@ def appearance_section(render: Artifact | None, widest: int, video_mb: float, ru
         "it). The EXR files hold the linear values."
     )
     notes = [Note([note]) for note in render.diagnostics.get("notes") or []]
+    if render.diagnostics.get("balanced_by_object"):
+        intro += " Without a white board the light parts of the object are taken as grey and as light."
     return Section("appearance", "Appearance", [intro, Figures(items), *others, *notes])
 
 

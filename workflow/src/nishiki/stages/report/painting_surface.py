@@ -38,7 +38,7 @@ from nishiki.report.svg import INK, PALETTE, Curve, chart
 
 # From harmless to grave: later ones win where a block of pixels has several.
 CLASSES = (
-    (0, "#b9d1b3", "no flag"),
+    (0, "#b9d1b3", "sound estimate"),
     (bits.FALLBACK, "#cfc08a", "simple estimate stands"),
     (bits.NO_REDUNDANCY, "#e3b04b", "as many lights as unknowns"),
     (bits.ILL_CONDITIONED | bits.FACES_AWAY, "#d9772f", "ill-conditioned, or faces away"),
@@ -116,7 +116,7 @@ def shape_section(
     items.append(Figure("Lights used", LIGHTS_OF_REFINED if refined else LIGHTS, lights))
     key = {k: (colour, text) for k, (_, colour, text) in enumerate(CLASSES)}
     flags = class_picture(_flags(normals, shape, block, mask), key)
-    items.append(Figure("Flags", "where an estimate is missing or weak.", flags))
+    items.append(Figure("Weak places", "where an estimate is missing or weak.", flags))
     return Section("shape", "Shape", [Figures(items), *_against_truth(evaluation or {})])
 
 

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from nishiki.observations.plane import Observations
 from nishiki.report.page import Table, Tile
 
 PAINTINGS = "Tominaga and Tanaka 2004"
@@ -32,6 +33,11 @@ def choices(settings: dict[str, dict[str, Any]]) -> Table:
     )  # fmt: skip
 
 
+def expected_angle(normals: dict[str, Any], height: dict[str, Any] | None) -> float | None:
+    """Return the median expected error of a normal, degrees: measured by the integration where that was done."""
+    return (height or {}).get("expected_error_median_deg", normals.get("sigma_median_deg"))
+
+
 def at_a_glance(
     normals: dict[str, Any],
     evaluation: dict[str, Any] | None,
@@ -43,7 +49,7 @@ def at_a_glance(
     normals, height, spectra : diagnostics of those stages, None where one is left out; evaluation : evaluation.json or
     None.
     """
-    expected = (height or {}).get("expected_error_median_deg", normals.get("sigma_median_deg"))
+    expected = expected_angle(normals, height)
     evaluation = evaluation or {}
     tiles = []
     if evaluation.get("lights"):
@@ -54,11 +60,10 @@ def at_a_glance(
             Tile(
                 overall["mean"],
                 "ΔE00",
-                f"mean difference, prediction to photograph, {count} unseen light{'s' * (count > 1)}, {lamp}; "
-                "of the camera's channels, the spectra take no part",
+                f"mean colour error of {count} photograph{'s' * (count > 1)} that no fit used, {lamp}",
             )
         )
-        tiles.append(Tile(overall["p90"], "ΔE00", "90th percentile of that difference"))
+        tiles.append(Tile(overall["p90"], "ΔE00", "colour error that nine of ten pixels stay below"))
     if evaluation.get("normals"):
         tiles.append(Tile(evaluation["normals"]["estimated"]["mean"], "°", "mean angle of the normals to the truth"))
     elif expected is not None:
@@ -88,3 +93,56 @@ def at_a_glance(
     if share is not None:
         tiles.append(Tile(100 * share, "%", "of the object's pixels have a normal"))
     return tiles
+
+
+VISIBLE, PLAIN = 2.0, 5.0
+"""Colour differences (CIEDE2000) from which most people see one, and from which everybody does."""
+FEW_LAMPS = 8
+
+
+def verdict(
+    diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, Any] | None, frames: Observations, *, guessed: bool
+) -> list[tuple[str, str]]:
+    """State what is good of a painting's record, what is doubtful, and what would improve it most.
+
+    diagnostics : of the stages; guessed : whether the colours of the camera's channels are a guess.
+    """
+    normals, good, doubtful = diagnostics["normals"], [], []
+    error = evaluation["overall"]["de00"]["mean"] if evaluation and evaluation.get("lights") else None
+    if error is not None:
+        words = (
+            "hardly visible" if error < VISIBLE else "visible beside each other" if error < PLAIN else "plain to see"
+        )
+        text = f"photographs that no fit used are predicted with errors that are {words} (ΔE00 {error:.1f})"
+        (good if error < PLAIN else doubtful).append(text)
+    sigma = expected_angle(normals, diagnostics.get("height"))
+    if sigma is not None and not (evaluation or {}).get("normals"):
+        (good if sigma < VISIBLE else doubtful).append(
+            f"half of the normals are expected within {sigma:.1f}° of the true ones"
+        )
+    missing = 1 - normals["valid_pixels"] / max(normals["object_pixels"], 1)
+    if missing > 0.05:
+        doubtful.append(f"{100 * missing:.0f} % of the object has no estimate")
+    lamps = len(frames.lights)
+    advice = {
+        "no white board: colours and brightness are relative": (
+            not frames.white_board,
+            "photograph an even white or grey card in place of the object, once under every lamp (--white)",
+        ),
+        f"{lamps} lamps are few: gloss and shadows are hard to tell apart": (
+            lamps < FEW_LAMPS,
+            "photograph under twelve lamps or more, all round and at two elevations",
+        ),
+        "colours of the camera are a guess": (
+            guessed,
+            "photograph a colour target and run ./nishiki calibrate target",
+        ),
+        "no scale: heights and lengths are in pixels": (
+            not frames.pixel_pitch_mm,
+            "measure the width of the photographs on the object (--width-mm)",
+        ),
+    }
+    doubtful += [text for text, (holds, _) in advice.items() if holds]
+    remedy = next((remedy for holds, remedy in advice.values() if holds), "")
+    rows = [("Good", "; ".join(good)), ("Doubtful", "; ".join(doubtful)), ("To improve it most", remedy)]
+    return [(label, text[:1].upper() + text[1:] + ".") for label, text in rows if text]

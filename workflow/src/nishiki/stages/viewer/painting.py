@@ -129,7 +129,8 @@ def layers_of(inputs: dict[str, Artifact], blocks: Blocks) -> list[dict[str, Any
         if difference is not None:
             layers.append(_measured("delta_e", "CIEDE2000", "grey", difference, blocks))
     layers.append(_counted("lights_used", "lights", "grey", normals, blocks))
-    layers.append(_counted("flags", "", "flags", normals, blocks))
+    if any(count for name, count in inputs["normals"].diagnostics.items() if name.startswith("flagged_")):
+        layers.append(_counted("flags", "", "flags", normals, blocks))
     return layers
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import zlib
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from nishiki.brdf.body_shading import transmittance
 from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import srgb_matrix
-from nishiki.evaluate.camera_colour import displayed_colours
+from nishiki.evaluate.camera_colour import display_map, displayed_colours
 from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
 from nishiki.observations.parcels import point_mm
 from nishiki.observations.plane import Observations
@@ -63,6 +64,11 @@ class PaintingMaps:
             json.loads(brdf.path("parameters.json").read_text()) if brdf else None,
         )
 
+    @cached_property
+    def to_srgb(self) -> list[list[float]] | None:
+        """The matrix of `display_map`, which is found over the whole painting."""
+        return display_map(self.normals)
+
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns)."""
@@ -87,8 +93,7 @@ class PaintingMaps:
         """Return records (rows, columns, 1 + 3 + K + terms + 1) float32 of some rows; 0 where nothing is known."""
         normals = shading_normals(self.normals, rows)
         if self.spectra is None:
-            to_srgb = self.normals.group.attrs.get("to_srgb")
-            colours = displayed_colours(self.normals.read("reflectance", rows), to_srgb)
+            colours = displayed_colours(self.normals.read("reflectance", rows), self.to_srgb)
         else:
             colours = self.spectra.read("coefficients", rows)
         known = (self.normals.read("flags", rows) & NO_ESTIMATE) == 0

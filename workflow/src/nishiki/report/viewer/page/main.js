@@ -134,15 +134,14 @@ class App {
   helpSection() {
     const keys = this.flat ? ["l m t p r"] : [`m p${this.scene.offers.includes("ruler") ? " r" : ""}`];
     keys.push("← → ↑ ↓", "⇧ ← → ↑ ↓", "Enter", "+ −", "0");
-    const { texture_reads, operations } = this.scene.cost(), { width_mm, height_mm, unit } = this.scene.bounds();
-    const size = [width_mm, height_mm].map((length) => written(length, unit)).join(" × ");
+    const { width_mm, height_mm, unit } = this.scene.bounds(), large = unit === "mm" && Math.max(width_mm, height_mm) >= 100;
+    const size = [width_mm, height_mm].map((length) => (large ? `${Number((length / 10).toPrecision(3))} cm` : written(length, unit))).join(" × ");
     const languages = element("select", { "aria-label": text("language"), onchange: () => ((this.state.language = languages.value), this.rebuild()) },
       Object.entries(LANGUAGES).map(([code, name]) => element("option", { value: code, selected: code === this.state.language }, name)));
     return [
       element("label", {}, text("language"), languages),
       element("dl", { className: "values keys" }, keys.flatMap((key) => [element("dt", {}, element("kbd", {}, key)), element("dd", {}, text(`keys.${this.flat ? "" : "object."}${key}`))])),
       element("p", { className: "hint" }, text("size", { size }), unit === "mm" ? "" : ` ${text(unit === "px" ? "no.scale" : "no.unit")}`),
-      element("p", { className: "hint" }, text("cost", { reads: texture_reads, operations })),
     ];
   }
 
