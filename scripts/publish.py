@@ -6,7 +6,7 @@ import argparse
 import json
 from pathlib import Path
 
-from nishiki.artifacts.publish import publish
+from nishiki.artifacts.artifact import publish
 from nishiki.stages.table import CHAIN
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import _project
 from nishiki.artifacts.artifact import MANIFEST, Artifact, open_artifact
-from nishiki.sweep.machine import processor
+from nishiki.sweep.summary import processor
 from nishiki.threads import VARIABLES
 
 RECORDED = ("seconds", "cpu_seconds", "peak_memory_mib", "host", "platform", "python", "cpus", "finished")

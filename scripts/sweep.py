@@ -13,11 +13,9 @@ from nishiki.artifacts.stage import PROJECT_VERSION
 from nishiki.engine.sweep_plan import PlannedVariant, SceneSweep
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
-from nishiki.sweep.content import scene_content, sweep_content, table_rows
-from nishiki.sweep.measures import as_measure, candidates, compared, paths_in, values_of
-from nishiki.sweep.page import render_sweep
+from nishiki.sweep.page import render_sweep, scene_content, sweep_content, table_rows
 from nishiki.sweep.settings import MeasureSettings
-from nishiki.sweep.summary import VariantRow, variant_row
+from nishiki.sweep.summary import VariantRow, as_measure, candidates, compared, paths_in, values_of, variant_row
 
 
 def main() -> None:

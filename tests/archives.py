@@ -11,12 +11,10 @@ from pathlib import Path
 from unittest.mock import patch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "workflow/src"))
-from nishiki.archive.damage import Damage
-from nishiki.archive.survey import read_portion, survey_artifact
+from nishiki.archive.survey import Damage, read_portion, survey_artifact
 from nishiki.archive.tree import FolderTree
-from nishiki.artifacts.artifact import Artifact, ArtifactWriter
+from nishiki.artifacts.artifact import Artifact, ArtifactWriter, publish
 from nishiki.artifacts.provenance import stage_key
-from nishiki.artifacts.publish import publish
 
 READS = {
     "ingest": (),

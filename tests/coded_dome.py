@@ -6,13 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.atlas.surface import texel_points, texel_triangles
-from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.model import Lighting
 from nishiki.codec.allocate import EncodedObject
-from nishiki.codec.design import Design
-from nishiki.codec.entropy import Model, encode
-from nishiki.codec.extent import extent_of
+from nishiki.codec.design import Design, extent_of
+from nishiki.codec.entropy import Model, encode, train
 from nishiki.codec.store import Residual, write_residual
-from nishiki.codec.training import train
 from nishiki.geometry.camera import Camera, look_at
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.object.decoded_object import DecodedObject

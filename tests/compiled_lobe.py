@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from nishiki.brdf.kernels import fresnel_scalar, masking_over_cos_r_scalar, phi_squared
+from nishiki.brdf.torrance_sparrow import fresnel_scalar, masking_over_cos_r_scalar, phi_squared
 
 # A facet distribution below 2^-60 (8.7e-19 of its peak) counts as 0: beyond 7.7 half widths nothing else is computed.
 _NEGLIGIBLE = 60.0

@@ -7,8 +7,8 @@ from pathlib import Path
 from archives import write_scene
 
 from nishiki.archive.crate_audit import CrateAudit, audit_crate
-from nishiki.archive.damage import Damage
 from nishiki.archive.pack import PackedScene, pack
+from nishiki.archive.survey import Damage
 from nishiki.artifacts.provenance import stage_program
 from nishiki.capture.seal import capture_digest, seal
 

@@ -9,7 +9,7 @@ import numpy as np
 from unit.test_patches_atlas import atlas_of
 from unit.test_patches_charts import around, ball
 
-from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.model import Lighting
 from nishiki.stages.export.object_look import ObjectLook, texture_atlas
 
 PLACE = (0.3, 0.2, 0.1)  # of the lamp, in the camera's frame

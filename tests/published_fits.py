@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.brdf.brightest_light import brightest_light_samples, thin
-from nishiki.brdf.levenberg_marquardt import fit_lobe
+from nishiki.brdf.fit import fit_lobe
+from nishiki.brdf.scene import brightest_light_samples, thin
 
 
 @dataclass(frozen=True)

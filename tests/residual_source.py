@@ -3,11 +3,10 @@
 import numpy as np
 from turned_sphere import camera_of
 
-from nishiki.brdf.texels.lighting import Lighting
-from nishiki.codec.parameters import Maps
-from nishiki.codec.prediction import Surface
+from nishiki.brdf.texels.model import Lighting
+from nishiki.codec.parameters import Maps, Surface
 from nishiki.codec.tile_code import CodedScene, Pixels
-from nishiki.colour.encoding import encode
+from nishiki.colour.colour import encode
 from nishiki.geometry.camera import Camera
 
 

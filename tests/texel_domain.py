@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.codec.pursuit import Pursuit, curvatures, pursue, transfers
-from nishiki.codec.solve import Operator
+from nishiki.codec.solve import Operator, Pursuit, curvatures, pursue, transfers
 from nishiki.codec.transform import Block
 
 PASSES = 8  # that may search for a price

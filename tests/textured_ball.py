@@ -6,7 +6,7 @@ import numpy as np
 from unit.test_patches_atlas import atlas_of
 from unit.test_patches_charts import around, ball
 
-from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.model import Lighting
 from nishiki.formats.textured_surface import TexturedMesh
 from nishiki.stages.export.object_look import ObjectLook, object_mesh, texture_atlas
 

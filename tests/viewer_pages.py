@@ -19,8 +19,7 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter, open_artifact
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.slopes import slope_covariance
-from nishiki.colour.colour import cie_1931_cmfs, delta_e_2000, illuminant, srgb_matrix, xyz_to_lab
-from nishiki.colour.encoding import decode
+from nishiki.colour.colour import cie_1931_cmfs, decode, delta_e_2000, illuminant, srgb_matrix, xyz_to_lab
 from nishiki.progress import Progress
 from nishiki.render.cloth.frame import RenderVariant
 from nishiki.render.cloth.frame import render as render_cloth

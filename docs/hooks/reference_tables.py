@@ -17,7 +17,7 @@ import yaml
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "workflow" / "src"))
 
-from nishiki.engine.leaving_out import PARTS
+from nishiki.engine.plan import PARTS
 from nishiki.engine.project import Configuration
 from nishiki.packages import EXTRAS
 from nishiki.stages.base import SceneFacts, Stage

@@ -26,10 +26,9 @@ from published_fits import fit_brightest_light
 from reflectance_table import directions, fit_reflectance_table, predict_reflectances, r2_cube_root
 
 import _project  # noqa: F401
-from nishiki.brdf.fit import fit_torrance_sparrow
-from nishiki.brdf.levenberg_marquardt import fit_points, point_problem
+from nishiki.brdf.fit import fit_points, fit_torrance_sparrow, point_problem
+from nishiki.brdf.gloss_profile import SpecularHistogram
 from nishiki.brdf.scene import fit_scene
-from nishiki.brdf.specular_histogram import SpecularHistogram
 from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular
 
 VIEW = np.array([0.0, 0.0, 1.0])

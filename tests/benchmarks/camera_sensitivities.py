@@ -21,11 +21,13 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).resolve().parents[2] / "scripts"), str(Path(__file__).parent)]
 from spectra import read_cameras, read_reflectances  # noqa: E402
 
-from nishiki.calibrate.sensitivities import chart_reflectances, recover  # noqa: E402
-from nishiki.colour.basis import channel_weights  # noqa: E402
+from nishiki.calibrate.target import chart_reflectances, recover  # noqa: E402
 from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab  # noqa: E402
 from nishiki.colour.estimate import estimate_spectra, fit_estimator  # noqa: E402
-from nishiki.colour.sampling import WAVELENGTHS_NM  # noqa: E402
+from nishiki.colour.sampling import (  # noqa: E402
+    WAVELENGTHS_NM,
+    channel_weights,
+)
 from nishiki.colour.training import synthetic_reflectances  # noqa: E402
 
 NOISE = 0.01 / 20

@@ -21,10 +21,10 @@ from scipy.optimize import least_squares
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
 from nishiki.artifacts.artifact import open_artifact
-from nishiki.brdf.parameters import gloss_table
+from nishiki.brdf.scene import gloss_table
+from nishiki.brdf.slopes import isotropic_lobe
 from nishiki.brdf.torrance_sparrow import specular
-from nishiki.brdf.trowbridge_reitz import isotropic_lobe
-from nishiki.colour.encoding import decode, encode
+from nishiki.colour.colour import decode, encode
 from nishiki.report.page import read_json
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.gloss import ANGLES, GltfMaterial, RegionGloss

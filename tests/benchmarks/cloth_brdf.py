@@ -25,12 +25,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
-from nishiki.brdf.cloth.measures import incidences, prediction_error, solid_angles
+from nishiki.brdf.cloth.interface import incidences, prediction_error, solid_angles
 from nishiki.brdf.cloth.models import DEFAULT, MODELS, REFERENCE, fit_models
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.goniometry.hemisphere import complete
-from nishiki.goniometry.store import Reflectances
-from nishiki.goniometry.table import ReflectanceSet
+from nishiki.goniometry.table import Reflectances, ReflectanceSet
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANES = {0.0: "weft", 45.0: "bias", 90.0: "warp"}

@@ -28,7 +28,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
 from nishiki.artifacts.artifact import Artifact, open_artifact
-from nishiki.brdf.trowbridge_reitz import anisotropic_lobe, widened_roughness
+from nishiki.brdf.slopes import anisotropic_lobe, widened_roughness
 from nishiki.colour.colour import srgb_encode
 from nishiki.observations.plane import Observations
 from nishiki.stages.export import ExportSettings

@@ -172,12 +172,11 @@ def bases(runs: Runs, data: Path | None):
     """Cameras and lamps by the number of bases that they support; error on spectra that were not trained on."""
     import time
 
-    from nishiki.colour.basis import channel_weights
     from nishiki.colour.colour import illuminant
     from nishiki.colour.estimate import estimate_spectra, fit_estimator
-    from nishiki.colour.sampling import WAVELENGTHS_NM
+    from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
     from nishiki.colour.training import synthetic_reflectances
-    from nishiki.model_selection.bases import output_bases
+    from nishiki.model_selection.sufficient import output_bases
 
     def bell(centre, width):
         return np.exp(-0.5 * ((WAVELENGTHS_NM - centre) / width) ** 2)

@@ -22,7 +22,7 @@ import yaml
 PROJECT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(PROJECT / "workflow/src"))
 
-from nishiki.sweep.content import AXIS_NAMES, scene_content  # noqa: E402
+from nishiki.sweep.page import AXIS_NAMES, scene_content  # noqa: E402
 from nishiki.sweep.settings import MeasureSettings  # noqa: E402
 from nishiki.sweep.summary import Spread, VariantRow  # noqa: E402
 

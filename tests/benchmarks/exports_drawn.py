@@ -30,8 +30,8 @@ import three_page
 import viewer_pages
 
 from nishiki.artifacts.artifact import open_artifact
-from nishiki.brdf.texels.lighting import POINT
-from nishiki.colour.encoding import decode, encode
+from nishiki.brdf.texels.model import POINT
+from nishiki.colour.colour import decode, encode
 from nishiki.evaluate.object_photographs import Photographs as ObjectPhotographs
 from nishiki.observations.plane import Observations
 from nishiki.render.cloth.frame import RenderVariant, render

@@ -17,11 +17,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
-from nishiki.brdf.parameters import gloss_table
+from nishiki.brdf.scene import gloss_table
+from nishiki.brdf.slopes import isotropic_lobe
 from nishiki.brdf.texels.model import GRAZING
 from nishiki.brdf.torrance_sparrow import fresnel, specular
-from nishiki.brdf.trowbridge_reitz import isotropic_lobe
-from nishiki.colour.encoding import encode
+from nishiki.colour.colour import encode
 from nishiki.stages.export.gloss import GltfMaterial, best_material, coded_errors
 from nishiki.stages.export.object_look import ALPHA_PER_SIGMA
 

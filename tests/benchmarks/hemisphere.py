@@ -24,10 +24,9 @@ sys.path.insert(0, str(PROJECT / "scripts"))
 
 import _project  # noqa: E402, F401
 from nishiki.capture.goniometer_tables import is_table, read_table  # noqa: E402
-from nishiki.goniometry.directions import disc, unit  # noqa: E402
+from nishiki.goniometry.directions import disc, images, reduced, unit  # noqa: E402
 from nishiki.goniometry.hemisphere import gathered  # noqa: E402
-from nishiki.goniometry.scattered import fit_linear, fit_spline  # noqa: E402
-from nishiki.goniometry.symmetry import images, reduced  # noqa: E402
+from nishiki.goniometry.interpolation import fit_linear, fit_spline  # noqa: E402
 from nishiki.stages.goniometer_samples import GoniometerSamplesSettings  # noqa: E402
 
 FEWEST = 60

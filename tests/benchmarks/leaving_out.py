@@ -44,7 +44,7 @@ PARTS = {
 }
 MEASURE = """
 import sys; sys.path.insert(0, {source!r})
-from nishiki.artifacts.run_facts import RunFacts, bytes_read, peak_memory_kib
+from nishiki.artifacts.stage import RunFacts, bytes_read, peak_memory_kib
 import time
 before = time.process_time(), peak_memory_kib(), bytes_read()
 {code}

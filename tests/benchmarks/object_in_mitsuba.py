@@ -28,7 +28,7 @@ import _project  # noqa: F401
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.atlas.surface import texel_points
 from nishiki.brdf.texels.model import predict
-from nishiki.colour.encoding import decode, encode
+from nishiki.colour.colour import decode, encode
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.stages.export.object_look import METRES, TextureAtlas, sample, texture_atlas

@@ -25,7 +25,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project
 from nishiki.artifacts.artifact import open_artifact
-from nishiki.geometry.raster import rasterise
+from nishiki.geometry.visibility import rasterise
 from nishiki.render.object.decoded_object import DecodedObject
 
 STAGES = ("cameras", "mesh", "texels", "object_brdf", "residual")

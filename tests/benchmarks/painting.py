@@ -172,7 +172,7 @@ def budget(made, truth):
 
     from nishiki.artifacts.maps import Maps
     from nishiki.brdf.gloss_profile import GlossProfile, body_shading
-    from nishiki.brdf.parameters import gloss_table
+    from nishiki.brdf.scene import gloss_table
     from nishiki.brdf.slopes import slope_covariance
     from nishiki.evaluate.classes import classify
     from nishiki.evaluate.prediction import FittedModel, light_of, predict_light, spectral_colour

@@ -26,8 +26,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
 from nishiki.artifacts.artifact import Artifact, open_artifact
-from nishiki.colour.colour import illuminant, white_xyz, xyz_to_srgb_linear
-from nishiki.colour.encoding import encode
+from nishiki.colour.colour import encode, illuminant, white_xyz, xyz_to_srgb_linear
 from nishiki.observations.plane import Observations
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Light, PlaneScene

@@ -30,7 +30,7 @@ sys.path[1:1] = [str(PROJECT / "workflow" / "src"), str(PROJECT / "tests")]
 from brush_relief import PITCH_MM, VERTICES, split, surface, vertex_normals  # noqa: E402
 from measured_paints import FINE, WAVELENGTHS, camera_curves, lamp_power, palette  # noqa: E402
 
-from nishiki.simulate.folders import Truth, write_csv, write_image  # noqa: E402
+from nishiki.simulate.capture import Truth, write_csv, write_image  # noqa: E402
 
 BOARD = 0.96  # reflectance of the white board
 WHITE_LEVEL, BITS, BLACK = 0.65, 12, 32  # share of full scale of a white facing the lamp; of the converter

@@ -27,15 +27,14 @@ from path_traced_turntable import FULL_SCALE, HOLES, OBJECTS
 
 import _project  # noqa: F401
 from nishiki.artifacts.artifact import open_artifact
-from nishiki.codec.cost import cost_of
-from nishiki.colour.encoding import encode
+from nishiki.codec.compact import cost_of
+from nishiki.colour.colour import encode
 from nishiki.evaluate.object_photographs import Photographs
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.mesh_files import read_triangles
-from nishiki.geometry.outlines import agreement
-from nishiki.geometry.raster import interpolate, rasterise
+from nishiki.geometry.mesh import Mesh, read_triangles
+from nishiki.geometry.placement import agreement
 from nishiki.geometry.surface import shape_of
+from nishiki.geometry.visibility import interpolate, rasterise
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.pixels import extend
 from nishiki.render.object.shots import Neighbours

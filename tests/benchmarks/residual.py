@@ -73,8 +73,8 @@ def texel_rows(inputs: dict, every: int) -> Iterator[dict]:
     from residual_texels import curves
 
     from nishiki.atlas.store import Texels
-    from nishiki.brdf.texels.lighting import Lighting
-    from nishiki.brdf.texels.store import ParameterMaps
+    from nishiki.brdf.texels.model import Lighting
+    from nishiki.brdf.texels.parameters import ParameterMaps
 
     lighting = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())["lighting"]
     folder = inputs["object_brdf"].folder

@@ -17,8 +17,8 @@ from codecs_of_pictures import IMAGE_CODECS, VIDEO_CODECS, filled
 
 from nishiki.artifacts.artifact import Artifact, open_artifact
 from nishiki.atlas.store import Texels
-from nishiki.codec.cost import cost_of
-from nishiki.colour.encoding import encode
+from nishiki.codec.compact import cost_of
+from nishiki.colour.colour import encode
 from nishiki.evaluate.object_photographs import Photographs
 from nishiki.observations.views import Views
 from nishiki.render.object.decoded_object import DecodedObject

@@ -14,14 +14,13 @@ from eigen_texture import eigen_patch, kept_components
 from texel_domain import keep_by_pursuit, keep_largest
 
 from nishiki.atlas.store import Texels
-from nishiki.brdf.texels.lighting import Lighting
-from nishiki.brdf.texels.store import ParameterMaps
-from nishiki.codec.colour import principal_channels
-from nishiki.codec.extent import extent_of
-from nishiki.codec.observations import arc_views, view_matrix
-from nishiki.codec.prediction import Surface, predict_texels
+from nishiki.brdf.texels.model import Lighting
+from nishiki.brdf.texels.parameters import ParameterMaps
+from nishiki.codec.allocate import principal_channels
+from nishiki.codec.design import arc_views, extent_of, view_matrix
+from nishiki.codec.parameters import Surface, predict_texels
 from nishiki.codec.transform import Block, plane_transform
-from nishiki.colour.encoding import encode
+from nishiki.colour.colour import encode
 
 SHARES = (0.5, 0.05, 0.02)
 DEFAULT = "bior4.4"

@@ -23,10 +23,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
-from nishiki.colour.basis import channel_weights
 from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.colour.estimate import estimate_spectra, fit_estimator
-from nishiki.colour.sampling import WAVELENGTHS_NM, resample
+from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights, resample
 from nishiki.colour.training import synthetic_reflectances
 
 DIFFERENCE_LIGHTS = (("", "D65"), ("_A", "A"), ("_F11", "FL11"))

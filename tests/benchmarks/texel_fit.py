@@ -19,10 +19,9 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(PROJECT / "scripts"))
 
 import _project  # noqa: E402, F401
-from nishiki.brdf.levenberg_marquardt import fit_points, point_problem  # noqa: E402
-from nishiki.brdf.texels.lighting import Lighting  # noqa: E402
-from nishiki.brdf.texels.stack import Observed, observed  # noqa: E402
-from nishiki.brdf.texels.texel_fit import first_fit, strengths  # noqa: E402
+from nishiki.brdf.fit import fit_points, point_problem  # noqa: E402
+from nishiki.brdf.texels.model import Lighting  # noqa: E402
+from nishiki.brdf.texels.texel_fit import Observed, first_fit, observed, strengths  # noqa: E402
 
 VIEWS, CHANNELS = 36, 3
 

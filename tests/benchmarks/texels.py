@@ -28,10 +28,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
 from nishiki.atlas.atlas import build_atlas
-from nishiki.atlas.charts import make_charts
-from nishiki.atlas.density import sampling_density, texels_per_unit
+from nishiki.atlas.charts import make_charts, probe_spacing, turning
+from nishiki.atlas.quality import sampling_density, texels_per_unit
 from nishiki.atlas.store import Texels
-from nishiki.atlas.turn import probe_spacing, turning
 from nishiki.atlas.write import TexelsWriter
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
@@ -119,7 +118,7 @@ def measure(folder: Path, mesh: Mesh, cameras: list[Camera], read, *, channels: 
 
 def of_artifacts(root: Path, folder: Path, texels: float) -> dict:
     """An object's own artifacts."""
-    from nishiki.geometry.cameras_file import load_cameras
+    from nishiki.geometry.camera import load_cameras
     from nishiki.observations.views import Views
 
     def of(stage: str, name: str) -> Path:

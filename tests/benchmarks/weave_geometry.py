@@ -26,8 +26,7 @@ from nishiki.capture.goniometer_tables import read_table
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import ReflectanceSet
-from nishiki.weave.fit import fit_weave
-from nishiki.weave.planes import planes_of
+from nishiki.weave.fit import fit_weave, planes_of
 from nishiki.weave.yarn_search import parameters_of, search_yarns
 from nishiki.weave.yarn_weave import bindings
 

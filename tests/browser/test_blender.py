@@ -8,7 +8,7 @@ import pytest
 from small_painting import COLUMNS, PITCH_MM, ROWS, export_context, small_painting
 from textured_ball import textured_ball
 
-from nishiki.colour.encoding import decode, encode
+from nishiki.colour.colour import decode, encode
 from nishiki.formats.usd import write_usdz
 from nishiki.packages import installed
 from nishiki.stages.export import ExportSettings

@@ -7,8 +7,8 @@ import pytest
 import viewer_pages
 from textured_ball import textured_ball
 
-from nishiki.brdf.trowbridge_reitz import isotropic_lobe
-from nishiki.colour.encoding import decode, encode
+from nishiki.brdf.slopes import isotropic_lobe
+from nishiki.colour.colour import decode, encode
 from nishiki.formats.materialx import write_materialx
 from nishiki.formats.textured_surface import SurfaceLook
 from nishiki.packages import installed

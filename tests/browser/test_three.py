@@ -6,7 +6,7 @@ import three_page
 import viewer_pages
 from small_painting import PITCH_MM, export_context, small_painting
 
-from nishiki.colour.encoding import decode, encode
+from nishiki.colour.colour import decode, encode
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.look import PaintingSurface
 from nishiki.stages.export.painting import run

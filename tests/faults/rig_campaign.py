@@ -29,7 +29,7 @@ import nishiki.observations.check  # noqa: F401  once, before processes are fork
 from nishiki.capture.seal import payload_digests, verify_seal
 from nishiki.errors import UserError
 from nishiki.rig.device import DeviceLost
-from nishiki.rig.journal import Journal
+from nishiki.rig.records import Journal
 from nishiki.rig.run import RECONNECTIONS, run_capture
 
 KINDS = ("kill", "full disk", "unplugged")

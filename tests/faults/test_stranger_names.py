@@ -30,7 +30,7 @@ from nishiki.formats import plain_yaml
 from nishiki.formats.files import name_fault
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.stored import load_arrays
-from nishiki.geometry.mesh_files import read_triangles
+from nishiki.geometry.mesh import read_triangles
 from nishiki.observations.check import check_capture
 
 PROJECT = Path(__file__).resolve().parents[2]

@@ -34,7 +34,7 @@ from nishiki.formats.images import read_codes
 from nishiki.formats.matlab import read_matlab
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.stored import load_arrays, open_group, zstd_content_size
-from nishiki.geometry.mesh_files import read_triangles
+from nishiki.geometry.mesh import read_triangles
 from nishiki.observations.plane import Observations
 
 PROJECT = Path(__file__).resolve().parents[2]

@@ -18,7 +18,7 @@ import atheris  # noqa: E402
 
 READERS = """
     nishiki.capture nishiki.formats nishiki.engine.project nishiki.artifacts.closed nishiki.artifacts.artifact
-    nishiki.geometry.mesh_files nishiki.polarisation.instrument
+    nishiki.geometry.mesh nishiki.polarisation.polariser_states
     trimesh.exchange.ply trimesh.exchange.obj
 """.split()
 

@@ -43,10 +43,10 @@ from nishiki.formats.masks import read_labels, read_mask
 from nishiki.formats.mesh_heading import expect_mesh
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.stored import load_arrays, open_group
-from nishiki.geometry.mesh_files import read_points as read_scan
-from nishiki.geometry.mesh_files import read_triangles
+from nishiki.geometry.mesh import read_points as read_scan
+from nishiki.geometry.mesh import read_triangles
 from nishiki.observations.plane import Observations
-from nishiki.polarisation.instrument import read_instrument
+from nishiki.polarisation.polariser_states import read_instrument
 
 COLOURS = ("red", "green", "blue")
 

@@ -9,13 +9,9 @@ from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 from stability.samples import EXTREME, dome, tilted
 
-from nishiki.brdf.fit import fit_torrance_sparrow
-from nishiki.brdf.flags import FitFlag
-from nishiki.brdf.gloss_profile import fit_gloss
-from nishiki.brdf.levenberg_marquardt import fit_lobe
-from nishiki.brdf.parameters import described
-from nishiki.brdf.scene import fit_scene
-from nishiki.brdf.specular_histogram import SpecularHistogram
+from nishiki.brdf.fit import FitFlag, fit_lobe, fit_torrance_sparrow
+from nishiki.brdf.gloss_profile import SpecularHistogram, fit_gloss
+from nishiki.brdf.scene import described, fit_scene
 from nishiki.brdf.torrance_sparrow import facet_distribution, fresnel, masking_over_cos_r, specular
 from nishiki.photometric.gloss_scene import GlossTile, fit_scene_gloss
 

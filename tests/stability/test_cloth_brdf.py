@@ -6,23 +6,18 @@ import pytest
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 
-from nishiki.brdf.cloth.bard import GreatCircleBard, LinearBard, great_circle_view, linear_view
-from nishiki.brdf.cloth.dye import Dyed
-from nishiki.brdf.cloth.facets import read_facets
-from nishiki.brdf.cloth.interface import LEAST_COSINE
-from nishiki.brdf.cloth.peer_fit import fit_peer
-from nishiki.brdf.cloth.peers import AshikhminShirley, Ggx, Ward
-from nishiki.brdf.cloth.table import TableBrdf
+from nishiki.brdf.cloth.interface import LEAST_COSINE, Dyed
+from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard, great_circle_view, linear_view, read_facets
+from nishiki.brdf.cloth.peers import AshikhminShirley, Ggx, Ward, fit_peer
+from nishiki.brdf.cloth.store import TableBrdf
 from nishiki.brdf.cloth.yarn_facets import CENTRE, SPREAD, shape_of, uncorrected
 from nishiki.brdf.cloth.yarn_fit import Measured, fit_yarn_facets
 from nishiki.errors import UserError
 from nishiki.goniometry.coverage import spread
 from nishiki.goniometry.directions import unit
-from nishiki.goniometry.grid import coefficients, evaluate
 from nishiki.goniometry.hemisphere import interpolate
-from nishiki.goniometry.normalise import average_repeats, reflectance
-from nishiki.goniometry.whites import assign_boards
-from nishiki.goniometry.windows import read_window
+from nishiki.goniometry.interpolation import coefficients, evaluate
+from nishiki.goniometry.readings import assign_boards, average_repeats, read_window, reflectance
 
 HALF_PI = np.pi / 2
 ONE = np.ones(1)

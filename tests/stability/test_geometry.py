@@ -9,17 +9,16 @@ from stability.cases import case, powers_of_ten, relative, worst_over
 from turned_cameras import COLUMNS, ROWS, sphere, turn
 
 from nishiki.errors import UserError
-from nishiki.geometry.camera import Camera
+from nishiki.geometry.camera import Camera, cameras_of_matrices
 from nishiki.geometry.cleaning import clean
 from nishiki.geometry.hull import carve, signed_distance
-from nishiki.geometry.matrices import cameras_of_matrices
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.outlines import agreement
+from nishiki.geometry.placement import agreement
 from nishiki.geometry.pose import Sight, estimate_pose
-from nishiki.geometry.raster import rasterise
 from nishiki.geometry.silhouettes import segment
 from nishiki.geometry.surface import decimate, distances, fewest_triangles, point_to_triangle, shape_of, smoothed
 from nishiki.geometry.turn import turn_of
+from nishiki.geometry.visibility import rasterise
 
 
 def globe(rings: int = 8, sectors: int = 12, radius: float = 0.7) -> tuple[np.ndarray, np.ndarray]:

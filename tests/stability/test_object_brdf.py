@@ -6,16 +6,13 @@ from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 from unit.test_object_brdf import patch, ring
 
-from nishiki.brdf.texels.environment import fit_environment, fit_highlight
+from nishiki.brdf.texels.environment import fit_environment, fit_highlight, sample_texels, settle
 from nishiki.brdf.texels.environment import residuals as left_of
-from nishiki.brdf.texels.fill import fill
-from nishiki.brdf.texels.lighting import Lighting
-from nishiki.brdf.texels.model import GRAZING, factors, predict
-from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, spread
+from nishiki.brdf.texels.model import GRAZING, Lighting, factors, predict
+from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, fill, spread
 from nishiki.brdf.texels.object_fit import fit_object
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
-from nishiki.brdf.texels.settle import sample_texels, settle
-from nishiki.brdf.texels.tile import Capture, Tile
+from nishiki.brdf.texels.texel_fit import Capture, Tile
 
 CAMERA = Lighting("camera", ((0.0, 0.0, 0.0),))
 SEEN = 0.15  # cos(theta_r) above which a texel is visible

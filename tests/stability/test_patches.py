@@ -10,15 +10,18 @@ from stability.cases import case, worst_over
 from turned_cameras import turn
 
 from nishiki.atlas.atlas import build_atlas
-from nishiki.atlas.charts import make_charts
-from nishiki.atlas.density import sampling_density, texels_per_unit
-from nishiki.atlas.quality import atlas_picture, stretch_percentiles, texels_per_pixel
-from nishiki.atlas.sample import object_pixels, pixel_places, sample_view
-from nishiki.atlas.surface import texel_points, texel_triangles
-from nishiki.atlas.turn import probe_spacing, turning
+from nishiki.atlas.charts import make_charts, probe_spacing, turning
+from nishiki.atlas.quality import (
+    atlas_picture,
+    sampling_density,
+    stretch_percentiles,
+    texels_per_pixel,
+    texels_per_unit,
+)
+from nishiki.atlas.surface import object_pixels, pixel_places, sample_view, texel_points, texel_triangles
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.raster import rasterise
+from nishiki.geometry.visibility import rasterise
 
 UP, FRONT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 IDENTITY = Camera("flat", np.diag([1.0, 1.0, 1.0]), np.eye(3), np.array([0.0, 0.0, 1.0]), 24, 32)

@@ -6,10 +6,8 @@ from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 
 from nishiki.errors import UserError
-from nishiki.polarisation.beta import board_ratio
-from nishiki.polarisation.mueller import Arm, design_matrix, solvable
-from nishiki.polarisation.polarisation import common_phase, components, reflected_sense, sum_planes
-from nishiki.polarisation.polariser_states import sums_of
+from nishiki.polarisation.polarisation import board_ratio, common_phase, components, reflected_sense, sum_planes
+from nishiki.polarisation.polariser_states import Arm, design_matrix, solvable, sums_of
 from nishiki.polarisation.statistics import statistics_of
 
 SHAPE = (5, 7, 3)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 from stability.samples import EXTREME, dome, matt_pixels
 
-from nishiki.colour.encoding import decode as uncurve
-from nishiki.colour.encoding import encode
+from nishiki.colour.colour import decode as uncurve
+from nishiki.colour.colour import encode
 from nishiki.errors import UserError
 from nishiki.formats.coding import LINEAR, SRGB
 from nishiki.formats.problems import CaptureError

@@ -7,16 +7,11 @@ from stability.cases import case, powers_of_ten, relative, worst_over
 from texel_domain import keep_largest
 
 from nishiki.codec.allocate import psnr
-from nishiki.codec.entropy import Model, decode, encode
-from nishiki.codec.extent import extent_of
-from nishiki.codec.filters import analysis_matrix, cosine_matrix, filter_bank
-from nishiki.codec.interpolate import Footprints
-from nishiki.codec.pursuit import Pursuit, curvatures, pursue
-from nishiki.codec.quantise import quantise
-from nishiki.codec.rate import expected_bits
-from nishiki.codec.solve import Operator
-from nishiki.codec.training import pack, train, unpack
-from nishiki.codec.transform import Block, plane_transform
+from nishiki.codec.design import extent_of
+from nishiki.codec.entropy import Model, decode, encode, pack, train, unpack
+from nishiki.codec.rate import expected_bits, quantise
+from nishiki.codec.solve import Footprints, Operator, Pursuit, curvatures, pursue
+from nishiki.codec.transform import Block, analysis_matrix, cosine_matrix, filter_bank, plane_transform
 from nishiki.errors import UserError
 
 

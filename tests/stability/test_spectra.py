@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 from stability.samples import EXTREME
 
-from nishiki.colour.basis import channel_weights, principal_basis
 from nishiki.colour.colour import (
     adaptation_matrix,
     delta_e_2000,
@@ -19,9 +18,9 @@ from nishiki.colour.colour import (
     xyz_to_srgb_linear,
 )
 from nishiki.colour.estimate import METHODS, estimate_spectra, fit_estimator
+from nishiki.colour.fitting import condition_number, paper_map, wiener_map
 from nishiki.colour.kernels import ILL_CONDITIONED, NEGATIVE_RESPONSE, NOT_FINITE
-from nishiki.colour.linear import condition_number, paper_map, wiener_map
-from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights, principal_basis
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 

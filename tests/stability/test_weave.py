@@ -6,13 +6,10 @@ from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, worst_over
 
 from nishiki.errors import UserError
-from nishiki.weave.brdf import WeaveBrdf
-from nishiki.weave.descent import costs, strengths
-from nishiki.weave.model import GAUSS, GGX, lobe_integral, plane_rows
-from nishiki.weave.planes import make_plane
-from nishiki.weave.search import bounds
-from nishiki.weave.section import WarpSection, WeftSection
-from nishiki.weave.visibility import facing_length
+from nishiki.weave.fit import make_plane
+from nishiki.weave.model import GAUSS, GGX, WeaveBrdf, lobe_integral, plane_rows
+from nishiki.weave.search import bounds, costs, strengths
+from nishiki.weave.section import WarpSection, WeftSection, facing_length
 
 HALF_PI = np.pi / 2
 ONE = np.ones(1)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from crates import audit, packed, scene_to_pack
 
-from nishiki.archive.crate_names import MANIFEST, manifest_text
+from nishiki.archive.crate import MANIFEST, manifest_text
 from nishiki.archive.pack import write_zip
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import run_text

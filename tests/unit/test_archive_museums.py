@@ -8,12 +8,9 @@ from museum_vocabularies import KINDS_OF, LITERAL, PROPERTIES, kinds, lido_fault
 from npm_packages import npm_folder
 from rdflib.namespace import RDF, RDFS
 
-from nishiki.archive.cidoc_crm import CONTEXT, crm_graph
-from nishiki.archive.crate_entities import METADATA, is_address
+from nishiki.archive.crate import METADATA, TECHNIQUES, Digitisation, PackedStage, capture_method, is_address
 from nishiki.archive.crate_metadata import _rights_id
-from nishiki.archive.crate_stages import PackedStage
-from nishiki.archive.digitisation import TECHNIQUES, Digitisation, capture_method
-from nishiki.archive.lido import lido_text
+from nishiki.archive.museums import CONTEXT, crm_graph, lido_text
 from nishiki.archive.pack import _json
 from nishiki.capture.schema import CaptureFile, GoniometerFile, TurntableFile
 

@@ -8,7 +8,7 @@ import crate_profile
 import pytest
 from crates import ABOUT, audit, packed, scene_to_pack
 
-from nishiki.archive.crate_names import MANIFEST, manifest_text, parse_manifest_text
+from nishiki.archive.crate import MANIFEST, manifest_text, parse_manifest_text
 from nishiki.archive.pack import PackedScene, write_zip
 from nishiki.artifacts.provenance import file_digest
 from nishiki.commands.archiving import expect_outside

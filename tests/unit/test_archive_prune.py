@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 from archives import write_artifact, write_scene
 
-from nishiki.archive.prune import decide
-from nishiki.archive.removal import remove
+from nishiki.archive.prune import decide, remove
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.cli import main
 from nishiki.commands import archiving as command
@@ -212,7 +211,7 @@ KILLED = """
 import os, shutil, sys
 from pathlib import Path
 from nishiki.archive.prune import decide
-from nishiki.archive.removal import remove
+from nishiki.archive.prune import remove
 left = int(sys.argv[2])
 unlink, rmdir, rename = os.unlink, os.rmdir, os.rename
 def counted(call):

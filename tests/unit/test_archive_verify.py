@@ -7,10 +7,8 @@ import shutil
 import pytest
 from archives import write_archive, write_artifact, write_scene
 
-from nishiki.archive.audit import Counts, audit, find_artifacts
-from nishiki.archive.damage import KINDS, Damage, shown
-from nishiki.archive.publication import check_publication
-from nishiki.archive.references import References
+from nishiki.archive.audit import Counts, References, audit, check_publication, find_artifacts
+from nishiki.archive.survey import KINDS, Damage, shown
 from nishiki.artifacts.artifact import MANIFEST, open_artifact, run_text
 from nishiki.cli import main
 

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar, nnls
 
 from nishiki.brdf import variable_projection as vp
-from nishiki.brdf.fit import FitFlag, fit_torrance_sparrow
-from nishiki.brdf.levenberg_marquardt import fit_lobe
+from nishiki.brdf.fit import FitFlag, fit_lobe, fit_torrance_sparrow
 from nishiki.errors import UserError
 
 OBSERVATIONS, CHANNELS = 36, 3

@@ -8,13 +8,10 @@ from captures import make_capture
 from published_fits import fit_brightest_light
 
 from nishiki.artifacts.maps import Maps, MapWriter
-from nishiki.brdf.body_shading import transmittance
-from nishiki.brdf.brightest_light import brightest_light_samples, thin
-from nishiki.brdf.flags import FitFlag
-from nishiki.brdf.gloss_profile import LADDER, GlossProfile, specular_samples
-from nishiki.brdf.scene import fit_scene
-from nishiki.brdf.specular_histogram import COUNT, SpecularHistogram
-from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular
+from nishiki.brdf.fit import FitFlag
+from nishiki.brdf.gloss_profile import COUNT, LADDER, GlossProfile, SpecularHistogram, specular_samples
+from nishiki.brdf.scene import brightest_light_samples, fit_scene, thin
+from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular, transmittance
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.observations.plane import Observations

@@ -11,10 +11,9 @@ import yaml
 
 from nishiki import cli
 from nishiki.calibrate import target
-from nishiki.calibrate.sensitivities import chart_reflectances, recover
-from nishiki.colour.basis import channel_weights
+from nishiki.calibrate.target import chart_reflectances, recover
 from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_to_srgb_linear
-from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
 from nishiki.errors import UserError
 
 with warnings.catch_warnings():

@@ -8,8 +8,7 @@ import pytest
 from boards import COLUMNS, DISTORTION, LENS, POSES, ROWS, SHAPE, board_camera, photograph
 
 from nishiki.errors import UserError
-from nishiki.geometry.board import BoardCorners, BoardShape, board_of, detect_boards
-from nishiki.geometry.calibration import calibrate
+from nishiki.geometry.board import BoardCorners, BoardShape, board_of, calibrate, detect_boards
 from nishiki.geometry.camera import distort
 from nishiki.geometry.pose import Sight, estimate_pose
 

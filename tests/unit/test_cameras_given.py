@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 
 from nishiki.errors import UserError
-from nishiki.geometry.camera import Camera
-from nishiki.geometry.cameras_file import load_cameras, read_cameras, save_cameras
-from nishiki.geometry.matrices import cameras_of_matrices, point_in_sight
+from nishiki.geometry.camera import (
+    Camera,
+    cameras_of_matrices,
+    load_cameras,
+    point_in_sight,
+    read_cameras,
+    save_cameras,
+)
 from nishiki.geometry.turn import turn_of
 
 ROWS, COLUMNS = 300, 400

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.pose import Sight, estimate_pose, refine_pose
-from nishiki.geometry.turntable_poses import choose_poses, fit_turntable
+from nishiki.geometry.pose import Sight, choose_poses, estimate_pose, fit_turntable, refine_pose
 
 ROWS, COLUMNS = 480, 640
 LENS = np.array([[700.0, 0, 310.0], [0, 690.0, 250.0], [0, 0, 1]])

@@ -11,8 +11,7 @@ from boards import COLUMNS, DISTORTION, LENS, ROWS, SHAPE, board_camera, photogr
 
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
-from nishiki.geometry.camera import Camera
-from nishiki.geometry.cameras_file import load_cameras
+from nishiki.geometry.camera import Camera, load_cameras
 from nishiki.observations.views_attributes import geometry_sources
 from nishiki.observations.views_store import write_views
 from nishiki.progress import Progress

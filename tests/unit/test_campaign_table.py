@@ -8,7 +8,7 @@ import pytest
 
 from nishiki.cli import main
 from nishiki.engine import workflow
-from nishiki.engine.campaign_table import campaign_rows, columns_of, figures
+from nishiki.engine.finished import campaign_rows, columns_of, figures
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from nishiki.capture.folder import load_capture
 from nishiki.capture.meshroom import read_meshroom
 from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError
-from nishiki.geometry.cameras_file import load_cameras
+from nishiki.geometry.camera import load_cameras
 from nishiki.observations.views_store import write_views
 from nishiki.progress import Progress
 from nishiki.stages.cameras import CamerasSettings

@@ -13,8 +13,7 @@ from nishiki.api import read_observations
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.relightable import lamps_for
-from nishiki.colour.colour import srgb_encode
-from nishiki.colour.encoding import decode
+from nishiki.colour.colour import decode, srgb_encode
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.ptm import write_ptm
 from nishiki.observations.check import check_capture

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.brdf.cloth.bard import (
+from nishiki.brdf.cloth.normal_incidence import (
     GreatCircleBard,
     LinearBard,
     ScaledBard,

@@ -15,8 +15,7 @@ from nishiki.brdf.cloth.store import save_brdf
 from nishiki.errors import UserError
 from nishiki.evaluate.cloth import by_incidence, in_plane, judge, plane_name
 from nishiki.goniometry.directions import unit
-from nishiki.goniometry.store import write_reflectances
-from nishiki.goniometry.table import ReflectanceSet
+from nishiki.goniometry.table import ReflectanceSet, write_reflectances
 from nishiki.progress import Progress
 from nishiki.stages.evaluate import ClothEvaluateSettings
 

@@ -22,7 +22,7 @@ from nishiki.artifacts.finite import expect_finite
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.cloth.store import save_brdf
-from nishiki.geometry.camera_path import scaled
+from nishiki.geometry.turn import scaled
 from nishiki.progress import Progress
 from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.scene import BrdfTable, ClothScene, Lamp, Matte

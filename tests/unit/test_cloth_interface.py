@@ -5,9 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.brdf.cloth.dye import Dyed
-from nishiki.brdf.cloth.interface import azimuth, halves, polar
-from nishiki.brdf.cloth.measures import directional_albedo, hemisphere, incidences, prediction_error, reciprocity_error
+from nishiki.brdf.cloth.interface import (
+    Dyed,
+    azimuth,
+    directional_albedo,
+    halves,
+    hemisphere,
+    incidences,
+    polar,
+    prediction_error,
+    reciprocity_error,
+)
 from nishiki.brdf.cloth.peers import AshikhminShirley, Ggx, Ward
 from nishiki.brdf.cloth.store import load_brdf, save_brdf
 from nishiki.errors import UserError

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nishiki.brdf.cloth.local_ratio import REACH, fit_ratio, likeness, pairs_of, ratio
 from nishiki.brdf.cloth.store import load_brdf, save_brdf
-from nishiki.brdf.cloth.yarn_facets import CENTRE, shape_of, uncorrected
+from nishiki.brdf.cloth.yarn_facets import CENTRE, REACH, fit_ratio, likeness, pairs_of, ratio, shape_of, uncorrected
 from nishiki.goniometry.directions import unit
 
 

@@ -18,8 +18,7 @@ from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.hemisphere import complete
-from nishiki.goniometry.store import write_reflectances
-from nishiki.goniometry.table import ReflectanceSet
+from nishiki.goniometry.table import ReflectanceSet, write_reflectances
 from nishiki.progress import Progress
 from nishiki.report.svg import BOTTOM
 from nishiki.stages.evaluate import ClothEvaluateSettings

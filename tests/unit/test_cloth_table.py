@@ -5,15 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.brdf.cloth.facets import TILTS, TURNS, read_facets, smith_masking
-from nishiki.brdf.cloth.interface import halves
-from nishiki.brdf.cloth.measures import hemisphere, prediction_error, reciprocity_error
-from nishiki.brdf.cloth.peer_fit import fit_peer, peer_of
-from nishiki.brdf.cloth.peers import Ggx
-from nishiki.brdf.cloth.store import load_brdf, save_brdf
-from nishiki.brdf.cloth.table import TableBrdf, goniometer_rows, pair, pair_angles, utia_planes
+from nishiki.brdf.cloth.interface import halves, hemisphere, prediction_error, reciprocity_error
+from nishiki.brdf.cloth.normal_incidence import TILTS, TURNS, read_facets, smith_masking
+from nishiki.brdf.cloth.peers import Ggx, fit_peer, peer_of
+from nishiki.brdf.cloth.store import TableBrdf, goniometer_rows, load_brdf, pair, pair_angles, save_brdf, utia_planes
 from nishiki.brdf.cloth.yarn_fit import Measured
-from nishiki.goniometry.grid import evaluate
+from nishiki.goniometry.interpolation import evaluate
 
 GLOSSY = Ggx(np.array([0.2]), np.array([1.0]), 0.3, 0.5, 1.5)
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nishiki.brdf.cloth.dye import gloss_of
-from nishiki.brdf.cloth.interface import polar
-from nishiki.brdf.cloth.measures import (
+from nishiki.brdf.cloth.interface import (
     directional_albedo,
+    gloss_of,
     hemisphere,
+    polar,
     prediction_error,
     reciprocity_error,
     single,
@@ -17,8 +17,6 @@ from nishiki.brdf.cloth.measures import (
     together,
 )
 from nishiki.brdf.cloth.models import MODELS, fit_models
-from nishiki.brdf.cloth.oblique import choose_oblique, likeness
-from nishiki.brdf.cloth.parametric import fit_shape
 from nishiki.brdf.cloth.store import load_brdf, save_brdf
 from nishiki.brdf.cloth.yarn_facets import (
     ACROSS,
@@ -34,7 +32,7 @@ from nishiki.brdf.cloth.yarn_facets import (
     shape_of,
     uncorrected,
 )
-from nishiki.brdf.cloth.yarn_fit import Measured, fit_normal, fit_yarn_facets
+from nishiki.brdf.cloth.yarn_fit import Measured, choose_oblique, fit_normal, fit_shape, fit_yarn_facets, likeness
 from nishiki.brdf.torrance_sparrow import fresnel
 from nishiki.errors import UserError
 from nishiki.goniometry.hemisphere import complete

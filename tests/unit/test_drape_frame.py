@@ -133,7 +133,7 @@ def test_shared_values_differ_little_from_each_sample_its_own():
 
 
 def test_dyes_share_their_gloss_and_are_what_the_dichromatic_model_says():
-    from nishiki.brdf.cloth.dye import Dyed
+    from nishiki.brdf.cloth.interface import Dyed
 
     colours = {"red": (0.5, 0.05, 0.1), "blue": (0.05, 0.1, 0.5)}
     made = dyed(WARD, colours)

@@ -3,16 +3,13 @@
 import numpy as np
 import pytest
 
-from nishiki.colour.basis import channel_weights
 from nishiki.colour.colour import illuminant
 from nishiki.colour.estimate import estimate_spectra, fit_estimator
-from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.goniometry.table import ReflectanceSet
-from nishiki.model_selection.bases import output_bases, principal_bases
 from nishiki.model_selection.decision import Decision, economy
-from nishiki.model_selection.gloss import decided as gloss_decided
-from nishiki.model_selection.gloss import gloss_evidence
+from nishiki.model_selection.gloss import decide_gloss, gloss_evidence, unseen_gain
 from nishiki.model_selection.lights import (
     FEWEST,
     WORTH,
@@ -20,14 +17,19 @@ from nishiki.model_selection.lights import (
     measured_choice,
     moved_deg,
     not_worth,
+    spread_order,
     static_choice,
 )
-from nishiki.model_selection.object_gloss import unseen_gain
-from nishiki.model_selection.spread import spread_order
-from nishiki.model_selection.sufficient import model_suffices, what_is_left
-from nishiki.model_selection.views import measured_choice as choose_views
-from nishiki.model_selection.views import normal_order, with_normal_rows
-from nishiki.model_selection.views import static_choice as static_views
+from nishiki.model_selection.sufficient import measured_choice as choose_views
+from nishiki.model_selection.sufficient import (
+    model_suffices,
+    normal_order,
+    output_bases,
+    principal_bases,
+    what_is_left,
+    with_normal_rows,
+)
+from nishiki.model_selection.sufficient import static_choice as static_views
 from nishiki.photometric.light_selection import select_diffuse
 from nishiki.photometric.solve import estimate_normals
 
@@ -165,7 +167,7 @@ def test_gloss_is_kept(roughness):
 @pytest.mark.parametrize("body", [1.0, 1.01])
 def test_matt_is_dropped_and_says_what_it_costs(body):
     found = evidence(None, body=body)
-    decision = gloss_decided([found], "auto")
+    decision = decide_gloss([found], "auto")
     assert not found.keep
     assert decision.decision.startswith("no gloss: Lambert")
     assert found.brightest <= found.noise

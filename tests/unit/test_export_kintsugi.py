@@ -11,7 +11,7 @@ from npm_packages import gltf_problems
 from PIL import Image
 
 from nishiki.brdf.texels.model import predict
-from nishiki.colour.encoding import decode, encode
+from nishiki.colour.colour import decode, encode
 from nishiki.stages.export import kintsugi
 from nishiki.stages.export.kintsugi import LobeBasis, lobes
 from nishiki.stages.export.object_look import object_mesh, sample

@@ -11,8 +11,7 @@ from glossy_ball import PLACE, glossy_ball
 from scipy.spatial.transform import Rotation
 from unit.test_patches_charts import around
 
-from nishiki.brdf.texels.lighting import Lighting
-from nishiki.brdf.texels.model import predict
+from nishiki.brdf.texels.model import Lighting, predict
 from nishiki.formats.mitsuba_xml import Parameter, write_scene
 from nishiki.geometry.camera import Camera
 from nishiki.report.numbers import figure

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from small_painting import COLUMNS, ROWS, small_painting
 
-from nishiki.brdf.slopes import slope_covariance
-from nishiki.brdf.trowbridge_reitz import isotropic_lobe
+from nishiki.brdf.slopes import isotropic_lobe, slope_covariance
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.gloss import slopes_widen
 from nishiki.stages.export.look import PaintingSurface

@@ -9,9 +9,8 @@ from captures import make_capture, make_turntable
 from goniometer_captures import make_goniometer
 
 from nishiki.capture.seal import seal
-from nishiki.engine import facts_cache
-from nishiki.engine.facts import scene_facts
-from nishiki.engine.facts_cache import FOLDER, remembered_facts
+from nishiki.engine import facts as engine_facts
+from nishiki.engine.facts import FOLDER, remembered_facts, scene_facts
 from nishiki.errors import UserError
 
 MAKERS = {"plane": make_capture, "turntable": make_turntable, "goniometer": make_goniometer}
@@ -28,7 +27,7 @@ def scene(request, tmp_path):
 def reads(monkeypatch):
     """How often a capture was read."""
     count = []
-    monkeypatch.setattr(facts_cache, "scene_facts", lambda scene: count.append(scene.name) or scene_facts(scene))
+    monkeypatch.setattr(engine_facts, "scene_facts", lambda scene: count.append(scene.name) or scene_facts(scene))
     return count
 
 
@@ -79,7 +78,7 @@ def test_a_torn_or_foreign_file_of_the_cache_is_read_over(scene, reads, tmp_path
 
 def test_another_program_reads_afresh(scene, reads, tmp_path, monkeypatch):
     remembered_facts(scene, tmp_path)
-    monkeypatch.setattr(facts_cache, "_source", lambda: "another")
+    monkeypatch.setattr(engine_facts, "_source", lambda: "another")
     remembered_facts(scene, tmp_path)
     assert len(reads) == 2
 

@@ -11,9 +11,8 @@ import pytest
 from archives import READS, write_artifact, write_scene
 from unit.test_plan_economy import CLOTH, OBJECT, PLANE
 
-from nishiki.artifacts.artifact import MANIFEST, RUN, open_artifact, run_text
+from nishiki.artifacts.artifact import MANIFEST, RUN, open_artifact, publish, run_text
 from nishiki.artifacts.provenance import canonical, stage_key
-from nishiki.artifacts.publish import publish
 from nishiki.commands.engine import names_targets
 from nishiki.engine import finished
 from nishiki.engine.plan import PlannedStage, make_plan

@@ -18,8 +18,8 @@ from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import angles
-from nishiki.goniometry.store import Reflectances
-from nishiki.goniometry.windows import regions_in_view
+from nishiki.goniometry.readings import regions_in_view
+from nishiki.goniometry.table import Reflectances
 from nishiki.observations.goniometer import Measurements
 from nishiki.observations.goniometer_store import write_goniometer
 from nishiki.progress import Progress

@@ -9,8 +9,7 @@ from scipy.interpolate import BSpline
 
 from nishiki.errors import UserError
 from nishiki.goniometry.coverage import coverage, spread
-from nishiki.goniometry.directions import angles, between, disc, unit
-from nishiki.goniometry.grid import MARGIN, coefficients, evaluate
+from nishiki.goniometry.directions import angles, between, departure, disc, images, reduced, unit
 from nishiki.goniometry.hemisphere import (
     complete,
     directional_albedo,
@@ -20,10 +19,18 @@ from nishiki.goniometry.hemisphere import (
     solid_angles,
     within_hull,
 )
-from nishiki.goniometry.scattered import fit_linear, fit_spline, folded, symmetric_kernel, trend_terms, unfold
-from nishiki.goniometry.store import Reflectances, write_reflectances
-from nishiki.goniometry.symmetry import departure, images, reduced
-from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
+from nishiki.goniometry.interpolation import (
+    MARGIN,
+    coefficients,
+    evaluate,
+    fit_linear,
+    fit_spline,
+    folded,
+    symmetric_kernel,
+    trend_terms,
+    unfold,
+)
+from nishiki.goniometry.table import BasicReflectance, Reflectances, ReflectanceSet, write_reflectances
 from nishiki.stages.goniometer_samples.run import coverage_plot
 
 NORMAL = np.array([0.0, 0.0, 1.0])

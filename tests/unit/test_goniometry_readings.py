@@ -6,10 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nishiki.goniometry.directions import unit
-from nishiki.goniometry.normalise import average_repeats, reflectance
-from nishiki.goniometry.readings import Regions, read_all
-from nishiki.goniometry.whites import assign_boards
-from nishiki.goniometry.windows import TILE, axes_of, central_window, read_window, regions_in_view
+from nishiki.goniometry.readings import (
+    TILE,
+    Regions,
+    assign_boards,
+    average_repeats,
+    axes_of,
+    central_window,
+    read_all,
+    read_window,
+    reflectance,
+    regions_in_view,
+)
 from nishiki.observations.goniometer import Photograph
 
 NAN = float("nan")

@@ -9,7 +9,7 @@ import pytest
 from nishiki.geometry.camera import NO_DISTORTION, look_at
 from nishiki.geometry.hollows import Photographed, contradicted_regions, sink_hollows
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.raster import interpolate, rasterise
+from nishiki.geometry.visibility import interpolate, rasterise
 
 RIM = 0.4
 OUTSIDE = [(0.0, -0.6), (0.6, -0.6), (0.7, RIM)]

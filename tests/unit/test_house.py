@@ -13,8 +13,7 @@ import yaml
 
 import nishiki
 from nishiki.artifacts.closed import Closed
-from nishiki.artifacts.provenance import SOURCE, program_of
-from nishiki.artifacts.syntax import syntax_of
+from nishiki.artifacts.provenance import SOURCE, program_of, syntax_of
 from nishiki.engine.project import Configuration
 from nishiki.stages.table import CHAIN
 

@@ -179,8 +179,8 @@ def test_dinosaur_from_its_silhouettes(data):
     import cv2
     from scipy.io import loadmat
 
-    from nishiki.geometry.matrices import cameras_of_matrices
-    from nishiki.geometry.outlines import agreement, outline_of
+    from nishiki.geometry.camera import cameras_of_matrices
+    from nishiki.geometry.placement import agreement, outline_of
     from nishiki.geometry.silhouettes import segment
 
     folder = data / "oxford_dino"

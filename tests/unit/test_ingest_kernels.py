@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.colour import encoding
+from nishiki.colour import colour
 from nishiki.formats.coding import LINEAR, SRGB
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.block_kernels import block_levels, count_outliers
@@ -242,7 +242,7 @@ def test_white_gain_makes_a_white_facing_the_lamp_one():
 
 def test_srgb_known_values():
     np.testing.assert_allclose(
-        encoding.decode(np.array([0, 0.04045, 0.5, 1]), "srgb"), [0, 0.0031308, 0.2140411, 1], rtol=2e-5
+        colour.decode(np.array([0, 0.04045, 0.5, 1]), "srgb"), [0, 0.0031308, 0.2140411, 1], rtol=2e-5
     )
     table = code_table(np.uint8, SRGB)
     assert table.dtype == np.float32

@@ -360,7 +360,7 @@ def test_the_script_by_hand_keeps_all_channels(tmp_path):
 
 MEMORY = """
 import sys
-from nishiki.artifacts.run_facts import peak_memory_kib
+from nishiki.artifacts.stage import peak_memory_kib
 from nishiki.capture.folder import load_capture
 from nishiki.observations.plane_store import write_observations
 from nishiki.stages.ingest import IngestSettings

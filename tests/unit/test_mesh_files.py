@@ -8,8 +8,7 @@ import trimesh
 
 from nishiki.errors import UserError
 from nishiki.formats.mesh_heading import expect_mesh
-from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.mesh_files import read_points, read_triangles, write_ply
+from nishiki.geometry.mesh import Mesh, read_points, read_triangles, write_ply
 from nishiki.render.cloth.surfaces import read_surface
 
 

@@ -13,8 +13,7 @@ from turned_cameras import turn
 from nishiki.capture.cameras import MATRIX_COLUMNS
 from nishiki.capture.folder import load_capture
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.outlines import outline_of
-from nishiki.geometry.placement import AXES, measure_placement, move_mesh
+from nishiki.geometry.placement import AXES, measure_placement, move_mesh, outline_of
 from nishiki.observations.check import check_capture
 from nishiki.observations.views import Views
 from nishiki.observations.views_store import write_views

@@ -6,10 +6,19 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from nishiki.errors import UserError
-from nishiki.geometry.merging import merge
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.meshlab import APT_LINE, FILTERS, mesh_set, missing_filters
-from nishiki.geometry.scans import Motion, cloud_of, register, rotations, thinned
+from nishiki.geometry.scans import (
+    APT_LINE,
+    FILTERS,
+    Motion,
+    cloud_of,
+    merge,
+    mesh_set,
+    missing_filters,
+    register,
+    rotations,
+    thinned,
+)
 from nishiki.geometry.surface import distances, shape_of, without_small_parts
 
 
@@ -138,7 +147,7 @@ def test_one_scan_with_triangles_stays_as_it_is():
 
 
 def test_missing_filters_are_named_with_the_remedy(monkeypatch):
-    monkeypatch.setattr("nishiki.geometry.meshlab.FILTERS", (*FILTERS, "a_filter_that_nobody_has"))
+    monkeypatch.setattr("nishiki.geometry.scans.FILTERS", (*FILTERS, "a_filter_that_nobody_has"))
     assert "a_filter_that_nobody_has" in missing_filters()
     with pytest.raises(UserError, match=f"a_filter_that_nobody_has.*{APT_LINE}"):
         mesh_set()
@@ -161,7 +170,7 @@ def test_the_test_command_installs_what_meshlab_needs_where_it_may(monkeypatch, 
         called.append(arguments[1:])
         return SimpleNamespace(returncode=status, stderr="no network\n")
 
-    monkeypatch.setattr("nishiki.geometry.meshlab.missing_filters", lambda: FILTERS)
+    monkeypatch.setattr("nishiki.geometry.scans.missing_filters", lambda: FILTERS)
     monkeypatch.setattr("shutil.which", lambda name: f"/usr/bin/{name}")
     monkeypatch.setattr("os.geteuid", lambda: user)
     monkeypatch.setattr(subprocess, "run", command)

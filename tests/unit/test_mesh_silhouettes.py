@@ -6,9 +6,8 @@ import pytest
 from turned_cameras import box, sphere, turn
 
 from nishiki.geometry.hull import carve
-from nishiki.geometry.outlines import agreement, contradicted, known_from, outline_of, shaded
-from nishiki.geometry.silhouette_kernels import nearest_colour
-from nishiki.geometry.silhouettes import at_half_cover, display, live_area, possible_shadow, segment
+from nishiki.geometry.placement import agreement, contradicted, known_from, outline_of, shaded
+from nishiki.geometry.silhouettes import at_half_cover, display, live_area, nearest_colour, possible_shadow, segment
 
 ROWS, COLUMNS = 240, 320
 

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from nishiki.brdf.gloss_profile import (
     LADDER,
     GlossProfile,
+    SpecularHistogram,
     body_shading,
     fit_gloss,
     light_table,
     specular_samples,
 )
-from nishiki.brdf.specular_histogram import SpecularHistogram
 from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from nishiki.brdf.body_shading import body_factor
+from nishiki.brdf.torrance_sparrow import body_factor
 from nishiki.errors import UserError
 from nishiki.photometric.relighting import (
     ALONG,

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.brdf.body_shading import body_factor
+from nishiki.brdf.torrance_sparrow import body_factor
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
 from nishiki.photometric.light_selection import select_diffuse

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.model import Lighting
 from nishiki.brdf.texels.object_fit import fit_object
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
-from nishiki.brdf.texels.texel_fit import lambert
-from nishiki.brdf.texels.tile import Capture, Tile
+from nishiki.brdf.texels.texel_fit import Capture, Tile, lambert
 from nishiki.geometry.camera import Camera
 
 VIEWS, SIZE, RADIUS, DISTANCE = 36, 24, 50.0, 600.0

@@ -8,13 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.brdf.texels.environment import fit_environment, fit_highlight, harmonics, hemisphere
-from nishiki.brdf.texels.fill import fill
-from nishiki.brdf.texels.lighting import DISTANT, ENVIRONMENT, POINT, Lamp, Lighting
-from nishiki.brdf.texels.model import GRAZING, factors, predict
-from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, spread
-from nishiki.brdf.texels.stack import Observed, observed
-from nishiki.brdf.texels.texel_fit import strengths
-from nishiki.colour.encoding import encoding_slope
+from nishiki.brdf.texels.model import DISTANT, ENVIRONMENT, GRAZING, POINT, Lamp, Lighting, factors, predict
+from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, fill, spread
+from nishiki.brdf.texels.texel_fit import Observed, observed, strengths
+from nishiki.colour.colour import encoding_slope
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 
@@ -314,7 +311,7 @@ def test_observed_gathers_the_visible_only():
 
 
 def test_slope_of_the_srgb_curve():
-    from nishiki.colour.encoding import encode
+    from nishiki.colour.colour import encode
 
     x = np.array([0.0, 0.001, 0.01, 0.2, 1.0, 1.4])
     differences = (encode(x + 1e-7, "srgb") - encode(x - 1e-7, "srgb")) / 2e-7

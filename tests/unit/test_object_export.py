@@ -10,9 +10,9 @@ import pytest
 from unit.test_patches_atlas import atlas_of
 from unit.test_patches_charts import around, ball
 
-from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.slopes import isotropic_lobe
+from nishiki.brdf.texels.model import Lighting
 from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
-from nishiki.brdf.trowbridge_reitz import isotropic_lobe
 from nishiki.stages.export import OBJECT_LIMITS as LIMITS
 from nishiki.stages.export import object as object_export
 from nishiki.stages.export.object import pitch_mm

@@ -13,10 +13,8 @@ from pages import make_artifact, parsed
 from nishiki.artifacts.artifact import ArtifactWriter
 from nishiki.artifacts.stage import Context
 from nishiki.atlas.atlas import Atlas
-from nishiki.brdf.texels.parameters import Parameters, TexelFlag
-from nishiki.brdf.texels.store import ParameterMaps, ParameterWriter
-from nishiki.geometry.camera import Camera
-from nishiki.geometry.cameras_file import save_cameras
+from nishiki.brdf.texels.parameters import ParameterMaps, Parameters, ParameterWriter, TexelFlag
+from nishiki.geometry.camera import Camera, save_cameras
 from nishiki.progress import Progress
 from nishiki.stages.brdf import ObjectBrdfSettings
 from nishiki.stages.cameras import CamerasSettings

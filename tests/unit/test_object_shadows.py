@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from coded_dome import coded_dome
 
-from nishiki.brdf.texels.lighting import Lighting
-from nishiki.brdf.texels.model import predict
+from nishiki.brdf.texels.model import Lighting, predict
 from nishiki.errors import UserError
 from nishiki.geometry.camera import look_at
 from nishiki.geometry.mesh import Mesh

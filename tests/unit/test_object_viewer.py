@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from coded_dome import coded_dome
 
-from nishiki.codec.container import head_length
-from nishiki.codec.store import STORE
+from nishiki.codec.store import STORE, head_length
 from nishiki.codec.transform import Block
 from nishiki.formats.stored import open_array
 from nishiki.report.viewer.page import pack_arrays

@@ -7,18 +7,24 @@ from hypothesis import strategies as st
 from unit.test_patches_charts import FRONT, UP, around, ball
 
 from nishiki.atlas.atlas import Atlas, build_atlas, pack
-from nishiki.atlas.cells import touches
 from nishiki.atlas.charts import make_charts
-from nishiki.atlas.density import sampling_density, texels_per_unit
-from nishiki.atlas.quality import atlas_picture, texels_per_pixel
-from nishiki.atlas.sample import by_tile, object_pixels, pixel_places, sample_view
+from nishiki.atlas.quality import atlas_picture, sampling_density, texels_per_pixel, texels_per_unit
 from nishiki.atlas.store import Texels
-from nishiki.atlas.surface import nearest_weights, texel_points, texel_triangles
+from nishiki.atlas.surface import (
+    by_tile,
+    nearest_weights,
+    object_pixels,
+    pixel_places,
+    sample_view,
+    texel_points,
+    texel_triangles,
+    touches,
+)
 from nishiki.atlas.write import TexelsWriter
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
-from nishiki.geometry.raster import interpolate, rasterise
+from nishiki.geometry.visibility import interpolate, rasterise
 
 SIZE = 24
 

@@ -6,12 +6,9 @@ import trimesh
 
 from nishiki.atlas.adjacency import across_edges, borders, components, smoothed, smoothed_vertices, spread
 from nishiki.atlas.atlas import build_atlas
-from nishiki.atlas.charts import make_charts
-from nishiki.atlas.density import sampling_density, texels_per_unit
-from nishiki.atlas.flatten import frame_along, overlapping
-from nishiki.atlas.quality import stretch_percentiles, weighted_percentiles
+from nishiki.atlas.charts import frame_along, make_charts, overlapping, probe_spacing, turning
+from nishiki.atlas.quality import sampling_density, stretch_percentiles, texels_per_unit, weighted_percentiles
 from nishiki.atlas.rebuild import rebuild_atlas
-from nishiki.atlas.turn import probe_spacing, turning
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 

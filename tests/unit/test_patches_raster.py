@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.raster import interpolate, rasterise
+from nishiki.geometry.visibility import interpolate, rasterise
 
 
 def camera(rows=60, columns=80, *, focal=70.0, distance=4.0, distortion=(0.0,) * 5) -> Camera:

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from nishiki.commands import inspecting
-from nishiki.engine.leaving_out import PARTS
-from nishiki.engine.plan import Plan, make_plan
+from nishiki.engine.plan import PARTS, Plan, make_plan
 from nishiki.engine.project import Scene, StageSettings
 from nishiki.errors import UserError
 from nishiki.packages import EXTRAS

@@ -6,20 +6,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.errors import UserError
-from nishiki.polarisation.beta import board_ratio
-from nishiki.polarisation.components import Components, ComponentWriter
-from nishiki.polarisation.mueller import Arm, design_matrix, equal_steps, polariser, retarder, solvable
 from nishiki.polarisation.polarisation import (
+    Components,
+    ComponentWriter,
     SeparatedView,
     add_weighted,
+    board_ratio,
     common_phase,
     components,
     reflected_sense,
     sum_planes,
 )
-from nishiki.polarisation.polariser_states import sums_of
-from nishiki.polarisation.series_diagnostics import Thinned, diagnose
-from nishiki.polarisation.statistics import noise_of, statistics_of
+from nishiki.polarisation.polariser_states import (
+    Arm,
+    design_matrix,
+    equal_steps,
+    polariser,
+    retarder,
+    solvable,
+    sums_of,
+)
+from nishiki.polarisation.statistics import Thinned, diagnose, noise_of, statistics_of
 
 SHAPE = (13, 17, 3)
 

@@ -4,11 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from nishiki.polarisation.instrument import arms_of, read_instrument
 from nishiki.polarisation.polarisation import components, reflected_sense, sum_planes
-from nishiki.polarisation.polariser_states import sums_of
-from nishiki.polarisation.series_diagnostics import Thinned, diagnose
-from nishiki.polarisation.statistics import statistics_of
+from nishiki.polarisation.polariser_states import arms_of, read_instrument, sums_of
+from nishiki.polarisation.statistics import Thinned, diagnose, statistics_of
 
 pytestmark = pytest.mark.data
 NAMES = (0, 23, 45, 68, 90, 113, 135, 158)

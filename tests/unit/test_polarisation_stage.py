@@ -14,7 +14,7 @@ from nishiki.errors import UserError
 from nishiki.observations.check import check_capture
 from nishiki.observations.views_attributes import geometry_sources
 from nishiki.observations.views_store import write_views
-from nishiki.polarisation.components import Components
+from nishiki.polarisation.polarisation import Components
 from nishiki.progress import Progress
 from nishiki.stages.ingest import IngestSettings
 from nishiki.stages.polarise import LIMITS, PolariseSettings

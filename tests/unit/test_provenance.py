@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nishiki.artifacts import provenance, syntax
-from nishiki.artifacts.javascript import modules_of
+from nishiki.artifacts import provenance
 from nishiki.artifacts.provenance import (
     canonical,
     code_digest,
     code_files,
     data_files,
     differences,
+    modules_of,
     program_of,
     stage_key,
 )
@@ -95,7 +95,7 @@ def project(tmp_path, monkeypatch):
 
     def digest():
         provenance._imports.cache_clear()
-        syntax.syntax_of.cache_clear()
+        provenance.syntax_of.cache_clear()
         return code_digest(script)
 
     return package, script, digest

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nishiki.geometry.ray_tree import cast, make_tree
+from nishiki.geometry.visibility import cast, make_tree
 
 
 def occluded(tree, origins, directions, far):

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile
-from nishiki.model_selection.refinement import decided
-from nishiki.model_selection.relighting import ERRORS, MARGIN, Fitted, Sampled, choose_model, left_out_errors
+from nishiki.model_selection.relighting import ERRORS, MARGIN, Fitted, Sampled, choose_model, decided, left_out_errors
 from nishiki.observations.parcels import Parcel
 from nishiki.stages.normals import NormalsSettings
 from nishiki.stages.normals.parcel import relit, solve

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from nishiki.artifacts.bounds import at_bounds, at_end
+from nishiki.artifacts.limits import at_bounds, at_end
 from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.brdf.gloss_profile import GlossProfile
-from nishiki.brdf.parameters import parameters_at_bounds
+from nishiki.brdf.scene import parameters_at_bounds
 from nishiki.evaluate.camera_colour import display_map
 from nishiki.render.display import adapted_exposure, display_image
 from nishiki.render.plane.camera import screen_to_plane

@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from nishiki.brdf.body_shading import body_factor, transmittance
 from nishiki.brdf.slopes import slope_covariance
-from nishiki.brdf.torrance_sparrow import fresnel, half_vector_geometry, specular
+from nishiki.brdf.torrance_sparrow import body_factor, fresnel, half_vector_geometry, specular, transmittance
 from nishiki.colour.colour import cie_1931_cmfs, illuminant, white_xyz
 from nishiki.errors import UserError
 from nishiki.render.plane import kernel

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.codec.entropy import Model, bands_of, decode, encode
-from nishiki.codec.quantise import quantise
-from nishiki.codec.training import pack, train, unpack
+from nishiki.codec.entropy import Model, bands_of, decode, encode, pack, train, unpack
+from nishiki.codec.rate import quantise
 from nishiki.errors import UserError
 
 

@@ -3,13 +3,21 @@
 import numpy as np
 import pytest
 
-from nishiki.codec.entropy import Model, bands_of, encode
-from nishiki.codec.interpolate import Footprints
-from nishiki.codec.observations import view_matrix
-from nishiki.codec.pursuit import Pursuit, choose, curvatures, pursue, settle, transfers
+from nishiki.codec.design import view_matrix
+from nishiki.codec.entropy import Model, bands_of, encode, train
 from nishiki.codec.rate import bits_of, expected_bits, magnitudes, neighbourhoods
-from nishiki.codec.solve import Operator, samples_of, solve
-from nishiki.codec.training import train
+from nishiki.codec.solve import (
+    Footprints,
+    Operator,
+    Pursuit,
+    choose,
+    curvatures,
+    pursue,
+    samples_of,
+    settle,
+    solve,
+    transfers,
+)
 from nishiki.codec.transform import Block, plane_transform
 
 

@@ -4,15 +4,12 @@ import numpy as np
 import pytest
 from texel_domain import keep_by_pursuit, keep_largest, largest, masked_operator
 
-from nishiki.codec.colour import principal_channels
-from nishiki.codec.extent import extent_of
-from nishiki.codec.interpolate import Footprints
-from nishiki.codec.observations import view_matrix
-from nishiki.codec.parameters import Maps, model_factors, refine, texel_weights
-from nishiki.codec.prediction import Surface, predict_texels
-from nishiki.codec.solve import Operator, samples_of, solve
+from nishiki.codec.allocate import principal_channels
+from nishiki.codec.design import extent_of, view_matrix
+from nishiki.codec.parameters import Maps, Surface, model_factors, predict_texels, refine, texel_weights
+from nishiki.codec.solve import Footprints, Operator, samples_of, solve
 from nishiki.codec.transform import Block, plane_transform
-from nishiki.colour.encoding import encoding_slope
+from nishiki.colour.colour import encoding_slope
 
 
 def block_of(views=6, size=16, wavelet="db2", lights=1):
@@ -179,7 +176,7 @@ def test_gloss_that_no_view_comes_near_does_not_grow():
 
 
 def test_slope_of_the_encoding():
-    from nishiki.colour.encoding import encode
+    from nishiki.colour.colour import encode
 
     at = np.array([0.001, 0.01, 0.2, 0.9])
     steps = (encode(at + 1e-7, "srgb") - encode(at - 1e-7, "srgb")) / 2e-7

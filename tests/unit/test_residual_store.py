@@ -9,12 +9,10 @@ from residual_source import SphereSource, scene_of
 from turned_sphere import tiles_of_sphere
 
 from nishiki.codec.allocate import EncodedObject, at_step, find_step, one_pass, over, pilot, point_of, psnr, slope_of
-from nishiki.codec.container import frame_bytes, pack_object, unpack_head
 from nishiki.codec.design import Design
-from nishiki.codec.interpolate import Footprints
-from nishiki.codec.prediction import predict_texels
-from nishiki.codec.pursuit import Pursuit
-from nishiki.codec.store import STORE, Residual, write_residual
+from nishiki.codec.parameters import predict_texels
+from nishiki.codec.solve import Footprints, Pursuit
+from nishiki.codec.store import STORE, Residual, frame_bytes, pack_object, unpack_head, write_residual
 from nishiki.codec.tile_code import Effort, Pixels, Typical, decode_residual
 from nishiki.errors import UserError
 from nishiki.stages.residual import ResidualSettings

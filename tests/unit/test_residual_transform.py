@@ -6,10 +6,9 @@ import pywt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.codec.filters import analysis_matrix, cosine_matrix, level_matrix
-from nishiki.codec.interpolate import Footprints
-from nishiki.codec.observations import arc_views, view_matrix, visible_arc
-from nishiki.codec.transform import Block, plane_transform
+from nishiki.codec.design import arc_views, view_matrix, visible_arc
+from nishiki.codec.solve import Footprints
+from nishiki.codec.transform import Block, analysis_matrix, cosine_matrix, level_matrix, plane_transform
 from nishiki.errors import UserError
 
 FAMILIES = ("haar", "db2", "db3", "sym4", "coif1", "bior4.4", "bior2.2")

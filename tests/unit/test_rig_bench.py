@@ -27,7 +27,7 @@ CAMPAIGN = """
 import sys
 from pathlib import Path
 from nishiki.rig.description import open_rig
-from nishiki.rig.operator import ask_operator
+from nishiki.rig.device import ask_operator
 
 with open_rig(Path("rig.yaml")) as rig:
     ask_operator("object", "put the white board in place of the object")

@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+from nishiki.rig.cameras import WatchedFolder, number_of, run_command
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
-from nishiki.rig.gphoto import number_of
-from nishiki.rig.watched_folder import WatchedFolder, run_command
 from nishiki.simulate.rig.camera import CAPACITY, VirtualCamera
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow" / "src"
@@ -29,7 +28,7 @@ def jpeg(value):
 def run_with_camera(folder, code):
     """Run a script in a process that has a virtual camera; its output as lines."""
     environment = os.environ | {"VCAMERADIR": str(folder), "PYTHONPATH": str(SOURCE)}
-    start = "from pathlib import Path\nfrom nishiki.rig.gphoto import *\nfrom nishiki.rig.device import *\n"
+    start = "from pathlib import Path\nfrom nishiki.rig.cameras import *\nfrom nishiki.rig.device import *\n"
     done = subprocess.run(
         [sys.executable, "-c", start + code], env=environment, capture_output=True, text=True, check=False
     )

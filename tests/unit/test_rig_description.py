@@ -1,6 +1,7 @@
 """rig.yaml: what it may name, what is told of mistakes, and the commands that use it."""
 
 import re
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -8,7 +9,7 @@ import pytest
 
 from nishiki.cli import main
 from nishiki.errors import UserError
-from nishiki.rig import dome, operator, serial_line
+from nishiki.rig import described, serial_line
 from nishiki.rig.description import open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
 from nishiki.simulate.rig.comxim import SimulatedComXim
@@ -82,7 +83,7 @@ def terminal(monkeypatch):
     """An operator who does what is asked; the requests."""
     requests = []
     answers = SimpleNamespace(isatty=lambda: True, readline=lambda: requests.append("asked") or "\n")
-    monkeypatch.setattr(operator.sys, "stdin", answers)
+    monkeypatch.setattr(sys, "stdin", answers)
     return requests
 
 
@@ -130,7 +131,7 @@ def test_a_lost_rig_can_be_closed_and_opened_again(folder, devices):
 
 
 def test_without_a_terminal_nobody_is_asked(folder, devices, monkeypatch):
-    monkeypatch.setattr(operator.sys, "stdin", SimpleNamespace(isatty=lambda: False))
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: False))
     with open_rig(folder / "rig.yaml") as rig:
         with pytest.raises(DeviceError, match=r"set the polariser to 'on'.*without a terminal.*Remedy"):
             rig.polarisers["lamp"].set("on")
@@ -215,7 +216,7 @@ def test_ports_are_listed_with_vendor_and_product(capsys, monkeypatch):
     port = list_ports_common.ListPortInfo("/dev/ttyUSB0", skip_link_detection=True)
     port.vid, port.pid, port.manufacturer, port.product = 0x1A86, 0x7523, "QinHeng", "USB Serial"
     monkeypatch.setattr(list_ports, "comports", lambda: [port])
-    monkeypatch.setattr("nishiki.rig.ports.camera_ports", lambda: ["usb:001,004  Canon EOS R5"])
+    monkeypatch.setattr("nishiki.rig.description.camera_ports", lambda: ["usb:001,004  Canon EOS R5"])
     status, out, _ = called(capsys, "rig", "ports")
     assert status == 0
     assert out.splitlines() == [
@@ -226,8 +227,8 @@ def test_ports_are_listed_with_vendor_and_product(capsys, monkeypatch):
 
 
 def test_where_nothing_is_connected_the_command_helps(capsys, monkeypatch):
-    monkeypatch.setattr("nishiki.rig.ports.serial_ports", lambda: ([], []))
-    monkeypatch.setattr("nishiki.rig.ports.camera_ports", list)
+    monkeypatch.setattr("nishiki.rig.description.serial_ports", lambda: ([], []))
+    monkeypatch.setattr("nishiki.rig.description.camera_ports", list)
     status, out, _ = called(capsys, "rig", "ports")
     assert status == 0
     assert "no serial device on USB and no camera found" in out
@@ -247,4 +248,4 @@ def test_without_the_extra_the_remedy_is_named(folder, capsys, monkeypatch):
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch):
     monkeypatch.setattr(serial_line, "QUIET_S", 0.05)
-    monkeypatch.setattr(dome, "GREETING_S", 1.0)
+    monkeypatch.setattr(described, "GREETING_S", 1.0)

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
-from nishiki.rig import comxim, dome, grbl, serial_line
-from nishiki.rig.comxim import ComXimTurntable
+from nishiki.rig import axes, described, serial_line
+from nishiki.rig.axes import ComXimTurntable, Grbl, GrblAxis
 from nishiki.rig.described import (
+    BracketDome,
     DescribedAxis,
     DescribedLamps,
     DescribedPolariser,
@@ -23,8 +24,6 @@ from nishiki.rig.described import (
     HomeMadePolariser,
 )
 from nishiki.rig.device import DeviceError, DeviceLost
-from nishiki.rig.dome import BracketDome
-from nishiki.rig.grbl import Grbl, GrblAxis
 from nishiki.rig.serial_line import LONGEST_LINE, SerialLine
 from nishiki.simulate.rig.comxim import SimulatedComXim
 from nishiki.simulate.rig.dome import SimulatedDome
@@ -39,13 +38,13 @@ DESTRUCTIVE = [fault for fault in FAULTS if fault not in ("halves", "noise")]
 def short_waits(monkeypatch):
     """Simulated devices answer at once: a missing answer need not be waited for as long as a real one."""
     monkeypatch.setattr(serial_line, "QUIET_S", 0.05)
-    for module in (comxim, dome, grbl):
+    for module in (axes, described):
         monkeypatch.setattr(module, "ANSWER_S", 0.6)
-    monkeypatch.setattr(grbl, "MOVE_S", 1.0)
-    monkeypatch.setattr(grbl, "HOMING_S", 1.0)
-    monkeypatch.setattr(grbl, "GREETING_S", 1.0)
-    monkeypatch.setattr(dome, "GREETING_S", 1.0)
-    monkeypatch.setattr(comxim, "TURN_S", 0.8)
+        monkeypatch.setattr(module, "GREETING_S", 1.0)
+    monkeypatch.setattr(axes, "COMXIM_ANSWER_S", 0.6)
+    monkeypatch.setattr(axes, "MOVE_S", 1.0)
+    monkeypatch.setattr(axes, "HOMING_S", 1.0)
+    monkeypatch.setattr(axes, "TURN_S", 0.8)
 
 
 @pytest.fixture
@@ -354,7 +353,7 @@ def test_the_zero_of_a_comxim_table_needs_a_person_unless_the_table_keeps_it(por
         with pytest.raises(DeviceError, match=r"zero mark.*without a terminal.*Remedy"):
             table.home()
         device.angle = 33.0
-        monkeypatch.setattr(comxim, "ask_operator", lambda name, request: None)
+        monkeypatch.setattr(axes, "ask_operator", lambda name, request: None)
         table.home()
         assert device.zero == 33.0
         table.move_to(20.0)

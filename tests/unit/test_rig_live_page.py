@@ -19,8 +19,8 @@ from nishiki.errors import UserError
 from nishiki.rig.frame_check import measure
 from nishiki.rig.frames_table import PlannedFrame
 from nishiki.rig.live_page import SCRIPT, page_html, serve
+from nishiki.rig.records import RunState
 from nishiki.rig.run import run_capture
-from nishiki.rig.run_state import RunState
 
 CAMERA = Camera(channels=CHANNELS, bits=12, black_level=100)
 

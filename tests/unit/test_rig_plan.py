@@ -7,8 +7,7 @@ from captures import RING
 from nishiki.capture.schema_base import read_mapping
 from nishiki.cli import main
 from nishiki.errors import UserError
-from nishiki.rig.frames_table import read_table, table_text
-from nishiki.rig.oblique_pairs import candidate_pairs, expected_fit
+from nishiki.rig.frames_table import candidate_pairs, expected_fit, read_table, table_text
 from nishiki.rig.plan import frame_distance, incidence_cosines, read_plan
 
 
@@ -111,9 +110,9 @@ def test_a_goniometer_has_the_quarter_hemisphere_and_oblique_pairs_with_their_bo
 @pytest.mark.slow
 def test_planned_oblique_pairs_leave_less_to_be_known_than_pairs_spread_evenly():
     """The sum of squared errors that is expected over all pairs after the fit, by the parameters alone."""
-    from nishiki.brdf.cloth.oblique import _slopes
+    from nishiki.brdf.cloth.yarn_fit import _slopes
     from nishiki.goniometry.directions import unit
-    from nishiki.rig.oblique_pairs import recommend_oblique
+    from nishiki.rig.frames_table import recommend_oblique
 
     views = np.array([(t, p) for t in (9.0, 36.0, 63.0) for p in (0.0, 30.0, 60.0, 90.0)])
     fit, pairs = expected_fit(unit(*np.radians(views).T)), candidate_pairs(0.0)

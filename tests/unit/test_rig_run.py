@@ -21,10 +21,10 @@ from nishiki.cli import main
 from nishiki.errors import UserError
 from nishiki.formats.exif import read_exif
 from nishiki.photometric.solve import estimate_normals
+from nishiki.rig.description import expect_devices, reachable_angle
 from nishiki.rig.device import DeviceError, DeviceLost
 from nishiki.rig.frame_check import measure, sharpness
-from nishiki.rig.journal import Journal
-from nishiki.rig.opened_rig import expect_devices, reachable_angle
+from nishiki.rig.records import Journal
 from nishiki.rig.run import read_frames_of, run_capture
 
 

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from nishiki.artifacts.publish import expect_links
+from nishiki.artifacts.artifact import expect_links
 from nishiki.commands.engine import engine_environment
 from nishiki.commands.running import _tell_unfinished
-from nishiki.engine.machine import memory_arguments, thread_arguments
+from nishiki.engine.scheduling import memory_arguments, thread_arguments
 from nishiki.errors import UserError
 from nishiki.formats.bounds import machine_memory
 from nishiki.threads import over_rows, threads

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter, open_artifact
-from nishiki.artifacts.maps import Maps, MapWriter
-from nishiki.artifacts.scatter import StagePart, TiledStage, in_order, read_tally, write_tally
+from nishiki.artifacts.maps import Maps, MapWriter, StagePart, TiledStage, in_order, read_tally, write_tally
 from nishiki.errors import UserError
 
 ROWS, BAND = 10, 3

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
 
-from nishiki.polarisation.mueller import Arm, design_matrix, equal_steps
+from nishiki.polarisation.polariser_states import Arm, design_matrix, equal_steps
 from nishiki.polarisation.series_order import find_order, remove_nuisance, series_design
 
 ANGLES = {

@@ -10,13 +10,18 @@ import pytest
 import nishiki.simulate
 from nishiki import threads
 from nishiki.errors import UserError
+from nishiki.simulate.capture import FINE_NM, CameraSettings, dark_frame, expose, sensitivities
 from nishiki.simulate.painting import photographs
-from nishiki.simulate.painting.lamp import board_cosine, direction_error_deg, place_lamps, planck_spectrum
 from nishiki.simulate.painting.objects import make_object
 from nishiki.simulate.painting.photographs import BOARD_REFLECTANCE, make_tables, photograph, white_board
-from nishiki.simulate.painting.settings import LightSettings, SimulationSettings
-from nishiki.simulate.sensor import FINE_NM, dark_frame, expose, sensitivities
-from nishiki.simulate.settings import CameraSettings
+from nishiki.simulate.painting.settings import (
+    LightSettings,
+    SimulationSettings,
+    board_cosine,
+    direction_error_deg,
+    place_lamps,
+    planck_spectrum,
+)
 
 TINY = SimulationSettings(rows=64, columns=96)
 QUIET = CameraSettings(noise=False, bits=16)
@@ -226,7 +231,7 @@ def test_nothing_is_imported_from_the_fitted_models():
         "nishiki.threads",
         "nishiki.packages",
         "nishiki.colour.colour",
-        "nishiki.geometry.ray_tree",
+        "nishiki.geometry.visibility",
     )
     for file in folder.rglob("*.py"):
         allowed = (*common, "nishiki.capture.seal") if file.name == "command.py" else common

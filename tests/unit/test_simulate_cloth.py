@@ -10,13 +10,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.errors import UserError
-from nishiki.simulate.cloth.filament import body, facets, in_frame
+from nishiki.simulate.cloth.geometry import (
+    SAMPLES,
+    centre_line,
+    escapes,
+    first_hit,
+    inside,
+    make_descent,
+    weave_pattern,
+)
 from nishiki.simulate.cloth.points import turned_frame
-from nishiki.simulate.cloth.rays import escapes, first_hit, inside
 from nishiki.simulate.cloth.reflectance import make_cloth, seen_from, trace
 from nishiki.simulate.cloth.settings import hemisphere_views, make_settings, quarter_views, session, unit
-from nishiki.simulate.cloth.yarn_path import SAMPLES, centre_line, make_descent, weave_pattern
-from nishiki.simulate.reflection import fresnel
+from nishiki.simulate.reflection import body, fresnel, in_frame, reflect_filament
 
 QUALITY = {"candidates": 30_000, "chains": 12_000}
 
@@ -171,7 +177,7 @@ def test_what_is_told_to_be_free_is_free(satin):
 )
 def test_facets_are_reciprocal_and_finite(angles, along, across):
     i, o = unit(*angles[:2]), unit(*angles[2:])
-    there, back = facets(*i, *o, along, across, 1.5), facets(*o, *i, along, across, 1.5)
+    there, back = reflect_filament(*i, *o, along, across, 1.5), reflect_filament(*o, *i, along, across, 1.5)
     assert math.isfinite(there)
     assert there >= 0.0
     assert there == pytest.approx(back, rel=1e-9)
@@ -202,7 +208,7 @@ def test_facets_are_normally_distributed_slopes(angles):
 
     masked = 1.0 / (1.0 + smith(i) + smith(o))
     expected = fresnel(float(i @ h), index) * by_solid_angle * masked / (4.0 * i[2] * o[2])
-    assert facets(*i, *o, along, across, index) == pytest.approx(expected, rel=1e-6)
+    assert reflect_filament(*i, *o, along, across, index) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("theta", [0.0, 40.0, 75.0])
@@ -215,7 +221,7 @@ def test_filaments_reflect_no_more_than_they_get(theta):
         sine = math.sqrt(1.0 - cosine * cosine)
         for turn in phi[::4]:
             o = sine * math.cos(turn), sine * math.sin(turn), cosine
-            total += cosine * (facets(*i, *o, 0.12, 0.3, 1.57) + body(i[2], cosine, 1.57))
+            total += cosine * (reflect_filament(*i, *o, 0.12, 0.3, 1.57) + body(i[2], cosine, 1.57))
     assert 0.3 < total * (2.0 * math.pi / (400 * 100)) <= 1.0
 
 
@@ -254,12 +260,12 @@ def _path_traced(i, o, paths, bounces, numbers, free, twist, surface, dye, size,
                 break
             lx, ly, lz = in_frame(i[0], i[1], i[2], f)
             if lz > 0.0 and escapes(x, y, z, i[0], i[1], i[2], numbers, free):
-                mirror = facets(lx, ly, lz, vx, vy, vz, surface[k, 0], surface[k, 1], surface[k, 2])
+                mirror = reflect_filament(lx, ly, lz, vx, vy, vz, surface[k, 0], surface[k, 1], surface[k, 2])
                 value += passed * lz / i[2] * (mirror + dye[k, 0] * body(lz, vz, surface[k, 2]))
             r, turn = math.sqrt(random.random()), 2.0 * math.pi * random.random()
             lx, ly = r * math.cos(turn), r * math.sin(turn)
             lz = math.sqrt(1.0 - r * r)
-            mirror = facets(lx, ly, lz, vx, vy, vz, surface[k, 0], surface[k, 1], surface[k, 2])
+            mirror = reflect_filament(lx, ly, lz, vx, vy, vz, surface[k, 0], surface[k, 1], surface[k, 2])
             passed *= math.pi * (mirror + dye[k, 0] * body(lz, vz, surface[k, 2]))
             bx, by, bz = f[1] * f[5] - f[2] * f[4], f[2] * f[3] - f[0] * f[5], f[0] * f[4] - f[1] * f[3]
             dx = lx * f[3] + ly * bx + lz * f[0]

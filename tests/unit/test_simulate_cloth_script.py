@@ -12,10 +12,10 @@ from nishiki.capture.folder import load_capture
 from nishiki.capture.goniometer import goniometer_facts
 from nishiki.errors import UserError
 from nishiki.simulate import command as simulate
+from nishiki.simulate.capture import CameraSettings
 from nishiki.simulate.cloth.photographs import TINT, photographs, region_labels, white_board
 from nishiki.simulate.cloth.reflectance import blocks, cell_maps, make_cloth
 from nishiki.simulate.cloth.settings import make_settings, preset, quarter_views, session, unit
-from nishiki.simulate.settings import CameraSettings
 
 QUALITY = {"candidates": 6_000, "chains": 2_000}
 

@@ -10,7 +10,7 @@ import zarr
 from nishiki.capture.folder import load_capture
 from nishiki.formats.images import read_codes
 from nishiki.simulate import command as simulate
-from nishiki.simulate.painting import capture_folder
+from nishiki.simulate.painting import photographs
 
 SMALL = ("--rows", "32", "--columns", "48", "--ring-lights", "4", "--checks", "20", "60")
 
@@ -66,7 +66,7 @@ def test_truth_inside_the_capture_is_refused(tmp_path, capsys):
 
 
 def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch):
-    monkeypatch.setattr(capture_folder, "write_tables", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr(photographs, "write_tables", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run(tmp_path)
     assert list(tmp_path.iterdir()) == []

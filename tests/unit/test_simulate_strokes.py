@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from nishiki.simulate.painting.objects import Strokes, apply_strokes, stroke_profile
 from nishiki.simulate.painting.picture import CanvasMap
-from nishiki.simulate.painting.strokes import Strokes, apply_strokes, stroke_profile
 from nishiki.simulate.randomness import fractal_noise, hash_uint, line_noise, normal, plane_noise, uniform
 
 MASK = (1 << 64) - 1

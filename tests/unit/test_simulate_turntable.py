@@ -8,15 +8,13 @@ import pytest
 
 from nishiki import threads
 from nishiki.errors import UserError
-from nishiki.geometry.ray_tree import cast, make_tree
-from nishiki.simulate.settings import CameraSettings
-from nishiki.simulate.turntable.interreflection import bounced, cosine_directions, look_around
+from nishiki.geometry.visibility import cast, make_tree
+from nishiki.simulate.capture import CameraSettings
 from nishiki.simulate.turntable.materials import INDEX, NUMBERS, describe, reflected
 from nishiki.simulate.turntable.photographs import components, make_optics, photograph, signal, white_board
-from nishiki.simulate.turntable.render import irradiance, make_scene, see
+from nishiki.simulate.turntable.render import bounced, cosine_directions, irradiance, look_around, make_scene, see
 from nishiki.simulate.turntable.settings import BETA, BOARD_REFLECTANCE, LAMP_MM, LEAK, TurntableSettings, place_views
-from nishiki.simulate.turntable.shape import distance
-from nishiki.simulate.turntable.surface import Surface, make_surface, scanned
+from nishiki.simulate.turntable.shape import Surface, distance, make_surface, scanned
 
 SMALL = TurntableSettings(rows=64, columns=64, views=4, triangles=4000, samples=3, directions=64)
 QUIET = dataclasses.replace(SMALL, camera=CameraSettings(bits=16, black_level=1024, noise=False, white_level=0.3))

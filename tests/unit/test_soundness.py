@@ -8,7 +8,7 @@ from archives import verify_artifact
 
 from nishiki.artifacts.artifact import MANIFEST, ArtifactWriter
 from nishiki.artifacts.provenance import stage_key
-from nishiki.engine.soundness import set_aside_unsound, unsound_artifacts
+from nishiki.engine.finished import set_aside_unsound, unsound_artifacts
 
 CAPTURE = "5" * 64
 READS = {"ingest": (), "normals": ("ingest",), "render": ("ingest", "normals")}

@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.colour import estimate as module
-from nishiki.colour.basis import channel_weights, principal_basis
 from nishiki.colour.colour import illuminant
 from nishiki.colour.estimate import estimate_spectra, fit_estimator
-from nishiki.colour.linear import paper_map, wiener_map
+from nishiki.colour.fitting import paper_map, wiener_map
 from nishiki.colour.local import (
     LocalCorrection,
     ResponseSpace,
@@ -23,7 +22,7 @@ from nishiki.colour.local import (
     place_centres,
     response_space,
 )
-from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights, principal_basis
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 

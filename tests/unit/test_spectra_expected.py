@@ -2,12 +2,17 @@
 
 import numpy as np
 
-from nishiki.colour.basis import channel_weights
 from nishiki.colour.colour import illuminant
-from nishiki.colour.estimate import estimate_spectra, fit_estimator
-from nishiki.colour.expected import NEIGHBOURS, colour_differences, expected_colour_error, sample_rows
+from nishiki.colour.estimate import (
+    NEIGHBOURS,
+    colour_differences,
+    estimate_spectra,
+    expected_colour_error,
+    fit_estimator,
+    sample_rows,
+)
 from nishiki.colour.local import ResponseSpace
-from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
 from nishiki.colour.training import synthetic_reflectances
 
 TRAINING = synthetic_reflectances(500, seed=11)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from benchmarks import spectra as bench
 
-from nishiki.colour.basis import channel_weights
 from nishiki.colour.colour import illuminant
 from nishiki.colour.estimate import METHODS, estimate_spectra, fit_estimator
+from nishiki.colour.sampling import channel_weights
 from nishiki.colour.training import synthetic_reflectances
 
 pytestmark = pytest.mark.data

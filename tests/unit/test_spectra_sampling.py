@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.colour.basis import channel_weights, principal_basis
-from nishiki.colour.sampling import WAVELENGTHS_NM, integration_weights, resample
+from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights, integration_weights, principal_basis, resample
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 

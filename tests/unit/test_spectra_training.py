@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from nishiki.colour import training
-from nishiki.colour.pigments import edge
 from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.colour.training import edge
 from nishiki.errors import UserError
 
 

@@ -2,8 +2,7 @@
 
 import pytest
 
-from nishiki.sweep.advice import advice, share
-from nishiki.sweep.front import Point
+from nishiki.sweep.front import Point, advice, share
 
 
 def point(name, time, loss, spread=0.02):

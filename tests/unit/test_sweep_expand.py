@@ -5,8 +5,7 @@ import pytest
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
 from nishiki.stages.table import CHAIN
-from nishiki.sweep.expand import AS_CONFIGURED, expand, nested
-from nishiki.sweep.settings import SweepSettings
+from nishiki.sweep.settings import AS_CONFIGURED, SweepSettings, expand, nested
 
 
 def variants(**block):

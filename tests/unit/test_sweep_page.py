@@ -7,9 +7,8 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 
-from nishiki.sweep.content import scene_content, sweep_content, table_rows
-from nishiki.sweep.page import render_sweep
-from nishiki.sweep.plot import Mark, axis_over, plot
+from nishiki.sweep.front import Mark, axis_over, plot
+from nishiki.sweep.page import render_sweep, scene_content, sweep_content, table_rows
 from nishiki.sweep.settings import MeasureSettings, SweepSettings
 from nishiki.sweep.summary import Spread, variant_row
 

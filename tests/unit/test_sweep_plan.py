@@ -8,7 +8,7 @@ from nishiki.engine.project import load_project
 from nishiki.engine.sweep_plan import configuration_of, plan_sweep
 from nishiki.errors import UserError
 from nishiki.stages.base import SceneFacts
-from nishiki.sweep.expand import AS_CONFIGURED
+from nishiki.sweep.settings import AS_CONFIGURED
 
 PLANE = SceneFacts(
     capture_digest="0" * 64,

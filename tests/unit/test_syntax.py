@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from nishiki.artifacts import syntax
-from nishiki.artifacts.syntax import _Store, syntax_of
+from nishiki.artifacts import provenance
+from nishiki.artifacts.provenance import _Store, syntax_of
 
 CODE = '''"""Docstring."""
 import os.path
@@ -27,7 +27,7 @@ def store(tmp_path, monkeypatch):
 
     def fresh():
         made = _Store(tmp_path / ".kernels" / "syntax.json")
-        monkeypatch.setattr(syntax, "_store", lambda: made)
+        monkeypatch.setattr(provenance, "_store", lambda: made)
         syntax_of.cache_clear()
         return made
 
@@ -59,7 +59,7 @@ def test_a_later_process_parses_nothing_that_is_known(tmp_path, store, monkeypat
     found = written(tmp_path / "a.py", CODE)
     first.keep()
     store()
-    monkeypatch.setattr(syntax.ast, "parse", lambda data: pytest.fail("parsed"))
+    monkeypatch.setattr(provenance.ast, "parse", lambda data: pytest.fail("parsed"))
     assert written(tmp_path / "elsewhere.py", CODE) == found
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nishiki.brdf.trowbridge_reitz import anisotropic_lobe, isotropic_lobe, widened_roughness
+from nishiki.brdf.slopes import anisotropic_lobe, isotropic_lobe, widened_roughness
 
 
 def hemisphere(count=400):

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from nishiki.codec.compact_parts import chart_bytes, lamp_bytes, pack_cameras, unpack_cameras
-from nishiki.codec.cost import cost_of
+from nishiki.codec.compact import chart_bytes, cost_of, lamp_bytes, pack_cameras, unpack_cameras
 from nishiki.evaluate.object_quality import (
     AMPLIFIED,
     DECODED,
@@ -19,8 +18,8 @@ from nishiki.evaluate.object_quality import (
     figures,
 )
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.turn import rotation_matrix
 from nishiki.render.display import developed, three_channels
 from nishiki.render.object.renderer import block_mean, coverage, places, reduced
 

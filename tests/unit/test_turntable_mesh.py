@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.codec.compact_mesh import decode_mesh, encode_mesh, grid_step, mesh_step, shift
-from nishiki.codec.integer_code import decode_integers, encode_integers
+from nishiki.codec.compact import decode_mesh, encode_mesh, grid_step, mesh_step, shift
+from nishiki.codec.range_coder import decode_integers, encode_integers
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 

@@ -5,14 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nishiki.brdf.texels.lighting import Lighting
-from nishiki.brdf.texels.model import predict
+from nishiki.brdf.texels.model import Lighting, predict
 from nishiki.codec.store import CodedTexels
-from nishiki.colour.encoding import decode, encode
+from nishiki.colour.colour import decode, encode
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.raster import rasterise
+from nishiki.geometry.turn import rotation_matrix
+from nishiki.geometry.visibility import rasterise
 from nishiki.render.object import renderer as module
 from nishiki.render.object.renderer import ObjectRenderer
 from nishiki.render.object.shots import lit_by

@@ -4,15 +4,7 @@ import numpy as np
 import pytest
 
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.camera_path import (
-    camera_between,
-    fit_turn,
-    rotation_matrix,
-    rotation_vector,
-    scaled,
-    turned,
-    twist,
-)
+from nishiki.geometry.turn import camera_between, fit_turn, rotation_matrix, rotation_vector, scaled, turned, twist
 from nishiki.render.object.shots import lagrange, neighbours
 
 AXIS = np.array([0.1, 0.97, -0.2]) / np.linalg.norm([0.1, 0.97, -0.2])

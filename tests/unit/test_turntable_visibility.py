@@ -3,8 +3,8 @@
 import numpy as np
 
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.turn import rotation_matrix
 from nishiki.render.object.visibility import STEEP, DepthMaps, project
 
 

@@ -8,9 +8,8 @@ from weave_rays import along, cast, lengths_of, pieces_of
 from nishiki.brdf.cloth.store import load_brdf, save_brdf
 from nishiki.errors import UserError
 from nishiki.goniometry.table import ReflectanceSet
-from nishiki.weave.fit import WeaveModel, fit_weave
+from nishiki.weave.fit import WeaveModel, fit_weave, make_plane, planes_of
 from nishiki.weave.model import lobe, lobe_integral, pieces
-from nishiki.weave.planes import make_plane, planes_of
 from nishiki.weave.section import WarpSection, WeftSection
 from nishiki.weave.store import Weave, brdf_of, describe, write_weave
 

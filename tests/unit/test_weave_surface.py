@@ -11,13 +11,11 @@ import pytest
 from weave_rays import brute_force
 
 from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
-from nishiki.goniometry.store import write_reflectances
-from nishiki.goniometry.table import ReflectanceSet
+from nishiki.goniometry.table import ReflectanceSet, write_reflectances
 from nishiki.stages.weave.run import draw_section
 from nishiki.weave.fit import WeaveModel
-from nishiki.weave.section import WarpSection, WeftSection
+from nishiki.weave.section import WarpSection, WeftSection, harness_of, make_surface, shade, weave_pattern
 from nishiki.weave.store import Weave, brdf_of
-from nishiki.weave.surface import harness_of, make_surface, shade, weave_pattern
 
 PROJECT = Path(__file__).resolve().parents[2]
 CLOTHS = {

@@ -47,7 +47,7 @@ def test_the_surface_repeats_with_the_step_of_the_binding(binding):
 @pytest.mark.parametrize("binding", [Binding("plain", 2, 1), Binding("twill", 3, 1), SATIN])
 def test_what_is_seen_fills_the_view_from_everywhere(binding, theta_deg):
     """The visible surface, projected towards any direction, covers the cloth's own projection exactly once."""
-    from nishiki.weave.yarn_kernels import _free
+    from nishiki.weave.yarn_weave import _free
 
     points, _, horizons = yarns(binding, soft=np.log(0.01)).points((40, 30))
     for phi_deg in (0, 40, 90):

@@ -1,20 +1,121 @@
-"""Auditing many artifacts: files are read by several threads, memory does not grow with the bytes that are read."""
+"""Audit many artifacts: their files, the references between them, and the links that publish them."""
 
+import json
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from nishiki.archive.crate_entities import METADATA
-from nishiki.archive.damage import Damage
-from nishiki.archive.publication import check_publication
-from nishiki.archive.references import References
-from nishiki.archive.survey import Survey, read_portion, survey_artifact
+from nishiki.archive.crate import METADATA
+from nishiki.archive.survey import CAPTURE, Damage, Survey, read_portion, survey_artifact
 from nishiki.archive.tree import FolderTree
-from nishiki.artifacts.artifact import MANIFEST
+from nishiki.artifacts.artifact import INDEX, MANIFEST, index_text
+from nishiki.artifacts.provenance import file_digest
 from nishiki.threads import in_order
+
+
+class References:
+    """Place, digest and upstream artifacts of every audited artifact; about a kilobyte each."""
+
+    def __init__(self) -> None:
+        self.digests: dict[Path, str] = {}
+        self._upstream: dict[Path, dict[str, tuple[str, str]]] = {}
+        self._stamps: dict[Path, tuple[str, str]] = {}
+
+    def add(self, survey: Survey) -> None:
+        """Note an artifact; one without a readable manifest is no reference."""
+        if survey.digest and survey.stage:
+            self.digests[survey.folder] = survey.digest
+            self._upstream[survey.folder] = survey.upstream
+            self._stamps[survey.folder] = (survey.scene, survey.stage)
+
+    def digest(self, folder: Path) -> str | None:
+        """Digest of the manifest of an artifact, audited or not; None where there is none."""
+        if folder not in self.digests:
+            path = folder / MANIFEST
+            if folder.is_symlink() or path.is_symlink() or not path.is_file():
+                return None
+            return file_digest(path)
+        return self.digests[folder]
+
+    def problems(self) -> Iterator[Damage]:
+        """Artifacts in a wrong place; upstream artifacts that are lost, or stand there with another content."""
+        for folder, (scene, stage) in self._stamps.items():
+            yield from self._misplaced(folder, scene, stage)
+            if "." not in folder.name:
+                yield from self._lost(folder)
+
+    def _misplaced(self, folder: Path, scene: str, stage: str) -> Iterator[Damage]:
+        from nishiki.stages.table import CHAIN
+
+        if stage != folder.parent.name and folder.parent.name in CHAIN:
+            yield Damage(folder, "misplaced", f"made by stage {stage}, lies in {folder.parent.name}", folder)
+        elif (folder.parents[1] / "current").is_dir() and scene != folder.parents[1].name:
+            yield Damage(folder, "misplaced", f"of scene {scene}, lies in {folder.parents[1].name}", folder)
+
+    def _lost(self, folder: Path) -> Iterator[Damage]:
+        for stage, (key, digest) in self._upstream[folder].items():
+            if stage == CAPTURE:
+                continue
+            upstream = folder.parents[1] / stage / key
+            present = self.digest(upstream)
+            if present is None:
+                yield Damage(upstream, "missing", f"{folder} was made from it; run again")
+            elif present != digest:
+                yield Damage(folder, "stale", f"made from another version of {upstream}; run again", folder)
+
+
+def check_publication(folder: Path, references: "References") -> list[Damage]:
+    """Every damage of a folder of published links. References: digests of the artifacts that it may link to."""
+    damages = [damage for name in sorted(os.listdir(folder)) if (damage := _of_link(folder / name))]
+    index = folder / INDEX
+    try:
+        data = index.read_bytes() if not index.is_symlink() else b""
+        described = json.loads(data)
+        artifacts: dict[str, Any] = dict(described["artifacts"])
+        keys = {str(stage): str(entry["key"]) for stage, entry in artifacts.items()}
+        again = index_text(described["scene"], artifacts, described.get("code", ""))
+        sound = again.encode() == data and described["scene"] == folder.parent.name
+    except FileNotFoundError:
+        return [*damages, Damage(index, "missing", "the folder is incomplete; delete it and run again")]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        sound, artifacts, keys = False, {}, {}
+    if not sound:
+        damages.append(Damage(index, "damaged", "not as it was written; delete the folder and run again"))
+    for stage, key in keys.items():
+        damages += _of_stage(folder, stage, key, artifacts[stage].get("digest"), references)
+    return damages
+
+
+def _of_link(path: Path) -> Damage | None:
+    """A link has the form `../<stage>/<key>` or `../<stage>/<key>/<file>`, and leads somewhere."""
+    if not path.is_symlink():
+        return None
+    target = os.readlink(path)
+    parts = target.split("/")
+    if parts[0] != ".." or len(parts) not in (3, 4) or {"", ".", ".."} & set(parts[1:]):
+        return Damage(path, "link", f"leads out of the scene, to {target}")
+    if not path.exists():
+        return Damage(path, "missing", f"what it links to: {target}")
+    return None
+
+
+def _of_stage(folder: Path, stage: str, key: str, digest: Any, references: "References") -> list[Damage]:
+    damages = []
+    if not stage.isidentifier() or not key.isalnum():
+        return [Damage(folder / INDEX, "damaged", f"names no artifact: {stage} {key}")]
+    if not (folder / stage).is_symlink() or os.readlink(folder / stage) != f"../{stage}/{key}":
+        damages.append(Damage(folder / stage, "missing", f"link to ../{stage}/{key}; delete the folder and run again"))
+    standing = references.digest(folder.parent / stage / key)
+    if standing is None:
+        damages.append(Damage(folder.parent / stage / key, "missing", f"published in {folder}; run again"))
+    elif standing != digest:
+        damages.append(Damage(folder / INDEX, "stale", f"{stage} is not the one that was published; run again"))
+    return damages
+
 
 ARTIFACT_NAME = re.compile(r"[0-9a-f]{12}(\.superseded-[0-9a-f]{8})?")
 UNFINISHED = (".partial", ".pruned")

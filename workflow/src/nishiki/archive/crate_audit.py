@@ -14,10 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from zipfile import BadZipFile
 
-from nishiki.archive.crate_entities import METADATA
-from nishiki.archive.crate_names import MANIFEST, parse_manifest_text
-from nishiki.archive.damage import Damage
-from nishiki.archive.survey import CAPTURE, Survey, survey_artifact
+from nishiki.archive.crate import MANIFEST, METADATA, parse_manifest_text
+from nishiki.archive.survey import CAPTURE, Damage, Survey, survey_artifact
 from nishiki.archive.tree import FolderTree, Listing, Tree, ZipTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import is_inside

@@ -5,10 +5,21 @@ A function of what is packed: the same artifacts give the same bytes. https://ww
 
 from dataclasses import dataclass
 
-from nishiki.archive.cidoc_crm import CIDOC_CRM
-from nishiki.archive.crate_entities import BIOSCHEMAS, METADATA, PROJECT_LICENCE, Entity, ids, is_address, media_type
-from nishiki.archive.crate_stages import PackedStage, ended, library_entities, stage_entities, started
-from nishiki.archive.lido import LIDO
+from nishiki.archive.crate import (
+    BIOSCHEMAS,
+    METADATA,
+    PROJECT_LICENCE,
+    Entity,
+    PackedStage,
+    ended,
+    ids,
+    is_address,
+    library_entities,
+    media_type,
+    stage_entities,
+    started,
+)
+from nishiki.archive.museums import CIDOC_CRM, LIDO
 from nishiki.artifacts.provenance import stage_program
 from nishiki.capture.schema_base import OBJECT_FACTS
 

@@ -14,13 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nishiki.archive.cidoc_crm import CIDOC_CRM, crm_graph
-from nishiki.archive.crate_entities import METADATA
+from nishiki.archive.crate import MANIFEST, METADATA, Digitisation, PackedStage, manifest_text
 from nishiki.archive.crate_metadata import LOCK, PackedCapture, metadata
-from nishiki.archive.crate_names import MANIFEST, manifest_text
-from nishiki.archive.crate_stages import PackedStage
-from nishiki.archive.digitisation import Digitisation
-from nishiki.archive.lido import LIDO, lido_text
+from nishiki.archive.museums import CIDOC_CRM, LIDO, crm_graph, lido_text
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import RUN, Artifact

@@ -1,29 +1,184 @@
-"""What of some results no configuration references: decided from names and manifests; nothing is changed here.
+"""Find what no configuration references in a results folder, and remove it.
 
 Only folders that are artifacts by contract are ever listed for removal: `<scene>/<stage>/<name>` with the name of a key
 (also superseded, set aside or unfinished) and, where it is finished, a manifest that says so and no file of others.
 """
 
+import hashlib
 import json
-from collections.abc import Iterable
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from nishiki.archive.inventory import (
-    UNFINISHED,
-    Finished,
-    Item,
-    Place,
-    Pruning,
-    folders_in,
-    judge,
-    judge_current,
-    judge_unfinished,
-)
-from nishiki.archive.prune_sweeps import judge_sweeps
+from nishiki.archive.survey import CAPTURE
 from nishiki.archive.tree import FolderTree
-from nishiki.artifacts.publish import INDEX
+from nishiki.artifacts.artifact import INDEX, MANIFEST, RUN, parse_manifest
 from nishiki.engine.project import SWEEPS
+from nishiki.engine.running_lock import RUNS
+from nishiki.engine.sweep_plan import TIMINGS
+from nishiki.formats.files import flush_folder
+from nishiki.processes import host, is_alive, owner, owner_of
 from nishiki.stages.table import CHAIN
+
+FINISHED = re.compile(r"([0-9a-f]{12})(?:\.superseded-[0-9a-f]{8})?")
+ASIDE = re.compile(r"([0-9a-f]{12})\.set-aside-[0-9a-z-]+")
+UNFINISHED = re.compile(r"\.([0-9a-f]{12}|current)\..*\.(partial|pruned)")
+PRUNED = ".pruned"
+"""What the name of a folder ends with that is being removed."""
+Place = tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class Item:
+    """A folder and what is said of it. bytes: of its files."""
+
+    folder: Path
+    why: str
+    bytes: int = 0
+
+
+@dataclass
+class Pruning:
+    """What would go, in this order; what stays though no configuration names it; what is not ours to judge."""
+
+    remove: list[Item] = field(default_factory=list)
+    keep: list[Item] = field(default_factory=list)
+    left_alone: list[Item] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A finished artifact that stands there: its place, digest and upstream artifacts (stage -> key, digest)."""
+
+    folder: Path
+    place: Place
+    digest: str
+    upstream: dict[str, tuple[str, str]]
+    bytes: int
+
+
+def folders_in(parent: Path, pruning: Pruning) -> Iterator[Path]:
+    """Real folders inside a folder, by name; links are noted and left alone."""
+    with os.scandir(parent) as entries:
+        inner = sorted(entries, key=lambda entry: entry.name)
+    for entry in inner:
+        if entry.is_symlink():
+            pruning.left_alone.append(Item(parent / entry.name, f"a link, to {os.readlink(entry.path)}"))
+        elif entry.is_dir(follow_symlinks=False) and entry.name != RUNS:
+            yield parent / entry.name
+
+
+def judge(folder: Path, finished: list[Finished], pruning: Pruning, hosts: set[str]) -> None:
+    """Sort a folder of a stage: into `finished` where it is a finished artifact, otherwise into `pruning`."""
+    name = folder.name
+    if UNFINISHED.fullmatch(name):
+        judge_unfinished(folder, pruning, hosts)
+    elif ASIDE.fullmatch(name):
+        pruning.remove.append(Item(folder, "set aside", size_of(folder)))
+    elif FINISHED.fullmatch(name) and not any(folder.iterdir()):
+        pruning.remove.append(Item(folder, "empty: its stage was never finished"))
+    elif not FINISHED.fullmatch(name):
+        pruning.left_alone.append(Item(folder, "not the name of an artifact"))
+    else:
+        _judge_finished(folder, finished, pruning)
+
+
+def _judge_finished(folder: Path, finished: list[Finished], pruning: Pruning) -> None:
+    listing = FolderTree(folder).listing()
+    try:
+        data = FolderTree(folder).read(MANIFEST)
+        manifest = parse_manifest(data)
+    except (OSError, ValueError):
+        reason = "no readable manifest; ./nishiki verify --set-aside renames it"
+        pruning.left_alone.append(Item(folder, reason, sum(listing.files.values())))
+        return
+    expected = {*manifest["files"], MANIFEST, RUN}
+    strange = [*listing.links, *listing.others, *listing.unreadable, *(set(listing.files) - expected)]
+    total = sum(listing.files.values())
+    if (manifest["stage"], manifest["key"]) != (folder.parent.name, folder.name[:12]):
+        pruning.left_alone.append(Item(folder, "its manifest names another stage or key", total))
+    elif strange:
+        pruning.left_alone.append(Item(folder, f"holds files that its manifest does not list: {min(strange)}", total))
+    else:
+        upstream = {
+            stage: (str(entry.get("key")), str(entry.get("digest")))
+            for stage, entry in manifest["upstream"].items()
+            if stage != CAPTURE
+        }
+        place = (folder.parents[1].name, folder.parent.name, folder.name[:12])
+        finished.append(Finished(folder, place, hashlib.sha256(data).hexdigest(), upstream, total))
+
+
+def judge_unfinished(folder: Path, pruning: Pruning, hosts: set[str]) -> None:
+    """Sort a folder that is being written or removed; hosts: machines of which no process lives any more."""
+    at, process = owner_of(folder.name)
+    if folder.name.endswith(PRUNED):
+        pruning.remove.append(Item(folder, "left by an interrupted removal", size_of(folder)))
+    elif at in ("", host()) and is_alive(process):
+        pruning.keep.append(Item(folder, f"process {process.split('-')[0]} is writing it", size_of(folder)))
+    elif at not in ("", host(), *hosts):
+        pruning.keep.append(Item(folder, f"of {at}; --host-is-gone {at} lists it", size_of(folder)))
+    else:
+        pruning.remove.append(Item(folder, "unfinished; its process has ended", size_of(folder)))
+
+
+def judge_current(folder: Path, pruning: Pruning) -> None:
+    """Published links of a scene that no configuration names: links and an index, nothing else."""
+    listing = FolderTree(folder).listing()
+    if set(listing.files) <= {INDEX} and not listing.others and not listing.unreadable:
+        pruning.remove.append(Item(folder, "links of a scene that no configuration names", sum(listing.files.values())))
+    else:
+        pruning.left_alone.append(Item(folder, "holds more than links"))
+
+
+def size_of(folder: Path) -> int:
+    """Bytes of all files below a folder; links count nothing and are not followed."""
+    return sum(FolderTree(folder).listing().files.values())
+
+
+def judge_sweeps(results: Path, kept: set[Place], sweeps: set[str], unnamed: bool, pruning: Pruning) -> None:
+    """Sort pages of sweeps and timings of single artifacts into `pruning`. kept: artifacts that stay."""
+    root = results / SWEEPS
+    if root.is_symlink() or not root.is_dir():
+        return
+    for folder in folders_in(root, pruning):
+        if folder.name.endswith(PRUNED):
+            pruning.remove.append(Item(folder, "left by an interrupted removal", size_of(folder)))
+        elif folder.name == TIMINGS:
+            for scene in folders_in(folder, pruning):
+                for stage in folders_in(scene, pruning):
+                    for timing in folders_in(stage, pruning):
+                        _judge_timing(timing, kept, pruning)
+        elif folder.name not in sweeps:
+            page = Item(folder, "a sweep that no given configuration names", size_of(folder))
+            of_ours = unnamed and _is_page_of(folder / "sweep.json", folder.name)
+            (pruning.remove if of_ours else pruning.keep if not unnamed else pruning.left_alone).append(page)
+
+
+def _judge_timing(folder: Path, kept: set[Place], pruning: Pruning) -> None:
+    scene, stage, key = folder.parts[-3:]
+    if key.endswith(PRUNED):
+        pruning.remove.append(Item(folder, "left by an interrupted removal", size_of(folder)))
+        return
+    if (scene, stage, key) in kept or not FINISHED.fullmatch(key):
+        return
+    listing = FolderTree(folder).listing()
+    records_only = all(re.fullmatch(r"\d+\.json", name) for name in listing.files)
+    item = Item(folder, "timing of an artifact that no configuration asks for", sum(listing.files.values()))
+    (pruning.remove if records_only and not listing.links and not listing.others else pruning.left_alone).append(item)
+
+
+def _is_page_of(path: Path, name: str) -> bool:
+    try:
+        content: Any = json.loads(FolderTree(path.parent).read(path.name))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and content.get("name") == name
+
 
 CURRENT = "current"
 
@@ -104,3 +259,41 @@ def _kept(finished: list[Finished], planned: set[Place], published: set[Place]) 
                 kept[above.folder] = f"{item.place[1]}/{item.folder.name} was made from it"
                 queue.append(above)
     return kept
+
+
+def remove(items: Iterable[Item], tell: Callable[[Item], None]) -> tuple[int, list[tuple[Path, str]]]:
+    """Remove folders, each renamed first; bytes removed, and what could not be removed with the reason.
+
+    A folder disappears from its place in one step; what a kill leaves has a name that says `.pruned`, and goes the next
+    time. Links are removed as links. Stage and scene folders that become empty go as well.
+    """
+    total, failed, parents = 0, [], set()
+    for item in items:
+        try:
+            _remove(item.folder)
+        except OSError as error:
+            failed.append((item.folder, str(error.strerror)))
+            continue
+        total += item.bytes
+        parents |= {item.folder.parent, item.folder.parents[1]}
+        tell(item)
+    for folder in sorted(parents, key=lambda path: -len(path.parts)):
+        try:
+            folder.rmdir()
+        except OSError:
+            continue  # not empty, which is the rule
+    return total, failed
+
+
+def _remove(folder: Path) -> None:
+    doomed = folder
+    if not folder.name.endswith(PRUNED):
+        name = folder.name.removeprefix(".").split(".")[0]
+        doomed = folder.with_name(f".{name}.{owner()}{PRUNED}")
+        number = 0
+        while doomed.exists():
+            number += 1
+            doomed = folder.with_name(f".{name}.{number}.{owner()}{PRUNED}")
+        os.rename(folder, doomed)
+        flush_folder(folder.parent)
+    shutil.rmtree(doomed)

@@ -1,4 +1,4 @@
-"""One artifact against its contract: what names, sizes and manifests tell, and which files are to be read."""
+"""Compare one artifact with its contract by names, sizes and manifests, and name each kind of damage."""
 
 import hashlib
 import re
@@ -7,10 +7,42 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nishiki.archive.damage import Damage
 from nishiki.archive.tree import Listing, Tree
 from nishiki.artifacts.artifact import MANIFEST, RUN, is_digest, parse_manifest, run_problem
 from nishiki.artifacts.provenance import stage_key
+
+KINDS = {
+    "damaged": "the content is not what was written",
+    "missing": "a file, or an artifact that another was made from, is not there",
+    "foreign": "a file that nobody listed, or that is no regular file",
+    "swapped": "the content of another file of the same artifact",
+    "link": "a symbolic link where there may be none, or one that leads out of its scene",
+    "unreadable": "the system does not let it be read",
+    "wrong-key": "the name is not what settings and upstream artifacts give",
+    "misplaced": "an artifact in the folder of another stage or scene",
+    "stale": "made from another version of an upstream artifact than the present one",
+    "incomplete": "a packed scene lacks a part of the way from the photographs to the result",
+}
+
+
+@dataclass(frozen=True)
+class Damage:
+    """One thing that is not as it should be. artifact: folder of the artifact that is no longer sound, if any is."""
+
+    path: Path
+    kind: str
+    detail: str
+    artifact: Path | None = None
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {shown(self.path)} ({shown(self.detail)})"
+
+
+def shown(text: object) -> str:
+    """Text for a terminal: a name of a stranger's file can neither break the line nor control the terminal."""
+    plain = str(text).encode("utf-8", "backslashreplace").decode("utf-8")
+    return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in plain)
+
 
 BATCH_BYTES = 64 * 2**20
 BATCH_FILES = 256

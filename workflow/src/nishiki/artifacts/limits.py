@@ -1,4 +1,4 @@
-"""What a result may not exceed: conditions, flagged shares, registration, lost texels. Beyond a limit the run stops.
+"""Check a result against its limits: conditions, flagged shares, registration, bounds of parameters.
 
 A limit stands where captures leave off: beyond what sound captures give (docs/stability.md lists what those gave), of
 the object and not of the picture, against what came in and not what the stage made of it. From `doubt` on the run goes
@@ -13,6 +13,27 @@ from dataclasses import dataclass
 from typing import Any
 
 from nishiki.errors import UserError
+
+NAME = "at_bounds"
+"""Any stage lists such parameters in words under this name, at any depth of its diagnostics."""
+
+
+def at_bounds(diagnostics: Mapping[str, Any]) -> list[str]:
+    """Parameters at a bound, each with the block of the diagnostics that it belongs to."""
+    names = []
+    for name, value in diagnostics.items():
+        if name == NAME:
+            names += [str(each) for each in value]
+        elif isinstance(value, Mapping):
+            names += [f"{name}: {each}" for each in at_bounds(value)]
+    return names
+
+
+def at_end(value: float, low: float, high: float, *, near: float = 1e-4) -> str:
+    """ "lower" | "upper": the end of its range at which a fitted value stands, within this share of it; else ""."""
+    margin = near * (high - low)
+    return "lower" if value <= low + margin else "upper" if value >= high - margin else ""
+
 
 Figure = Callable[[Mapping[str, Any]], float | None]
 

@@ -1,15 +1,28 @@
-"""Maps of a plane scene in Zarr: one array a quantity, one chunk a band of rows, written and read by bands.
+"""Store maps of a plane scene in Zarr by bands of rows, and divide a stage over several jobs.
 
 Chunks carry a checksum, and chunks of fill value are written like any other: a missing chunk is damage, not data.
 Measured floats hardly shrink under zstd (to 0.8), which takes as long as all else that writing does, so they are stored
 as they are; counts, flags and bits are packed.
+
+A stage that can be divided consists of `map_tiles`, which does a share of the work (`context.share(...)` of its bands),
+and `merge`, which turns the *tallies* of all shares into the diagnostics. Undivided, the stage is one share. A part
+writes its files and the tally of its share; the stage that joins the parts takes over their files and merges their
+tallies, so that the artifact has the same bytes however the work was divided. The division is part of no key.
 """
 
+import json
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.provenance import file_digest
+from nishiki.errors import UserError
 from nishiki.formats.stored import open_bands
 from nishiki.formats.zarr_store import BandedArray, BandedGroup
 
@@ -71,3 +84,114 @@ def directional_shading(maps: Maps) -> bool:
 def shading_normals(maps: Maps, rows: slice = slice(None)) -> np.ndarray:
     """Normals of the body shading, of some rows: the stage's own maps of them where it made any, else its normals."""
     return maps.read("shading_normals" if "shading_normals" in maps else "normals", rows)
+
+
+TALLY, TALLY_ARRAYS = "tally.json", "tally.npz"
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class StagePart:
+    """Part `number` of `total`, counted from 1."""
+
+    number: int = 1
+    total: int = 1
+
+    def __str__(self) -> str:
+        return f"{self.number}-of-{self.total}"
+
+    @classmethod
+    def parse(cls, text: str) -> "StagePart":
+        """Part from `2/4`. Raises UserError for anything else."""
+        number, _, total = text.partition("/")
+        if not (number.isdigit() and total.isdigit() and 1 <= int(number) <= int(total)):
+            raise UserError(f"--part: expected number/total as in 2/4, found {text!r}")
+        return cls(int(number), int(total))
+
+    def share(self, items: Sequence[Item]) -> Sequence[Item]:
+        """The part's items: contiguous, and as many as in any other part, or one fewer or more."""
+        first, end = (len(items) * n // self.total for n in (self.number - 1, self.number))
+        return items[first:end]
+
+
+@dataclass(frozen=True)
+class TiledStage:
+    """A stage that can be divided.
+
+    map_tiles: context -> tally of the share, a dict of numbers, texts, lists and arrays; its entry `same` holds what
+    does not depend on the share. merge: (context, tallies in the order of the shares) -> diagnostics.
+    """
+
+    map_tiles: Callable[[Any], dict[str, Any]]
+    merge: Callable[[Any, list[dict[str, Any]]], dict[str, Any]]
+
+    def __call__(self, context: Any) -> dict[str, Any]:
+        """Diagnostics of the stage, undivided or joined from its parts; of a part only which one it is."""
+        if context.parts:
+            tallies = [read_tally(part.folder) for part in context.parts]
+            join(context.parts, context.output.folder)
+        else:
+            tallies = [self.map_tiles(context)]
+        if context.part is not None:
+            write_tally(context.output.folder, tallies[0])
+            return {"part": str(context.part)}
+        if any(tally["same"] != tallies[0]["same"] for tally in tallies):
+            raise UserError("parts differ in what all must have in common. Remedy: the same installation on all nodes")
+        return self.merge(context, tallies)
+
+
+def write_tally(folder: Path, tally: dict[str, Any]) -> None:
+    """Keep a tally in a folder: arrays in one file, everything else as JSON."""
+    arrays: dict[str, Any] = {name: value for name, value in tally.items() if isinstance(value, np.ndarray)}
+    rest = {name: value for name, value in tally.items() if name not in arrays}
+    (folder / TALLY).write_text(json.dumps(rest, sort_keys=True, allow_nan=False) + "\n")
+    np.savez(folder / TALLY_ARRAYS, **arrays)
+
+
+def read_tally(folder: Path) -> dict[str, Any]:
+    """A tally as it was written."""
+    with np.load(folder / TALLY_ARRAYS) as arrays:
+        return {**json.loads((folder / TALLY).read_text()), **arrays}
+
+
+def in_order(
+    parts: Sequence[Artifact], *, key: str, code: str, upstream: dict[str, dict[str, str]]
+) -> tuple[Artifact, ...]:
+    """Parts in the order of their shares; upstream: keys and digests of what the stage reads.
+
+    Raises UserError where they are not all parts of one stage, made alike.
+    """
+    numbered = {StagePart.parse(part.manifest["part"]): part for part in parts}
+    total = next(iter(numbered)).total
+    if len(numbered) != len(parts) or set(numbered) != {StagePart(number, total) for number in range(1, total + 1)}:
+        raise UserError(f"expected parts 1 to {total}, found {', '.join(map(str, numbered))}")
+    expected = (key, code, upstream)
+    origins = {part.folder: (part.key, part.manifest["code"], part.manifest["upstream"]) for part in parts}
+    foreign = [folder for folder, what in origins.items() if what != expected]
+    if foreign:
+        raise UserError(f"{foreign[0]}: made from other settings, inputs or code. Remedy: delete it, run again")
+    return tuple(numbered[part] for part in sorted(numbered, key=lambda part: part.number))
+
+
+def join(parts: Sequence[Artifact], folder: Path) -> None:
+    """Take over the files of all parts; a file that several have must be the same in all.
+
+    Raises UserError naming a file that differs.
+    """
+    for part in parts:
+        for name in part.manifest["files"]:
+            if name in (TALLY, TALLY_ARRAYS):
+                continue
+            target = folder / name
+            if not target.exists():
+                target.parent.mkdir(parents=True, exist_ok=True)
+                _link(part.path(name), target)
+            elif file_digest(target) != file_digest(part.path(name)):
+                raise UserError(f"{part.path(name)}: another part has another. Remedy: delete the parts and run again")
+
+
+def _link(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # another file system, or one without hard links
+        shutil.copyfile(source, target)

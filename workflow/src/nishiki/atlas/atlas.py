@@ -1,4 +1,4 @@
-"""The atlas: every surface point's place in one of many equal tiles of texels."""
+"""Place every surface point in one of many equal tiles of texels."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ class Atlas:
         triangle (...), barycentric (..., 2) as of a `Raster`. Tile -1 where triangle is -1 or has no place. A point
         between two tiles belongs to the later one: s and t are below T - 1 but for rounding.
         """
-        from nishiki.atlas.cells import place
-
         flat = np.ascontiguousarray(triangle, np.int32).reshape(-1)
         weights = np.ascontiguousarray(barycentric, np.float32).reshape(-1, 2)
+        from nishiki.atlas.surface import place  # compiled: not needed by those who only read an atlas
+
         located = place(flat, weights, self.chart, self.corners, self.chart_grid, self.cells, self.size)
         return tuple(values.reshape(np.shape(triangle)) for values in located)
 
@@ -69,8 +69,6 @@ def build_atlas(plane: np.ndarray, chart: np.ndarray, texels_per_unit: np.ndarra
     own grid of cells; charts smaller than a tile share tiles, no texel of which serves two of them; cells that no
     surface point looks up are dropped. Raises ValueError for size < 2.
     """
-    from nishiki.atlas.cells import mark_cells
-
     if size < 2:
         raise ValueError(f"a tile needs at least 2 x 2 texels to interpolate between, not {size}")
     count, stride = len(texels_per_unit), size - 1
@@ -93,6 +91,8 @@ def build_atlas(plane: np.ndarray, chart: np.ndarray, texels_per_unit: np.ndarra
     starts[owner] = np.cumsum(lengths) - lengths
     grid = np.column_stack([starts[group], shape]).astype(np.int32)
     used = np.zeros(lengths.sum(), np.bool_)
+    from nishiki.atlas.surface import mark_cells
+
     mark_cells(chart, corners, grid, used, stride)
     cells = np.where(used, np.cumsum(used) - 1, -1).astype(np.int32)
     cell_owner = np.repeat(owner, lengths)

@@ -1,4 +1,4 @@
-"""Charts: few, large, connected pieces of a mesh, each of which lies flat when seen along its own direction.
+"""Cut a mesh into few, large, connected charts, each flat when seen along its own direction.
 
 Triangles are labelled by the one of six directions that their smoothed normal is nearest to, four of them around the
 turntable's axis; small pieces go to their neighbours; and where the projection along a piece's mean normal turns a
@@ -10,11 +10,155 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from nishiki.atlas.adjacency import across_edges, borders, components, smoothed, smoothed_vertices, spread
-from nishiki.atlas.flatten import Frame, flatten, frame_along, overlapping
+from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
+from nishiki.geometry.visibility import bounds, edge
+
+
+def turning(cameras: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (3,): up along the turntable's axis, and front, across it, towards the first camera.
+
+    Up is the mean of the pictures' own up: over a turn what lies across the axis cancels. In a world that is known up
+    to an affine map only, both are still constant over the object.
+    """
+    up = normalised(-np.sum([camera.rotation[1] for camera in cameras], axis=0), np.array([0.0, 1.0, 0.0]))
+    back = -cameras[0].rotation[2]
+    front = back - (back @ up) * up
+    if np.linalg.norm(front) < 1e-3:  # looking down: the picture's foot is in front
+        front = cameras[0].rotation[1] - (cameras[0].rotation[1] @ up) * up
+    if np.linalg.norm(front) < 1e-3:
+        front = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    return up, front / np.linalg.norm(front)
+
+
+def normalised(vector: np.ndarray, instead: np.ndarray) -> np.ndarray:
+    """A unit vector; `instead` where the length is next to nothing."""
+    length = np.linalg.norm(vector)
+    return vector / length if length > 1e-6 else instead
+
+
+def probe_spacing(mesh: Mesh, cameras: list[Camera], *, texels_per_pixel: float) -> float:
+    """Half a texel in the world's unit, for the median over views of the size of a pixel at the mesh's middle."""
+    middle = np.median(mesh.vertices[mesh.triangles.reshape(-1)], axis=0)
+    sizes = []
+    for camera in cameras:
+        depth = camera.project(middle[None])[1][0]
+        if depth > 0:
+            sizes.append(depth / np.sqrt(abs(camera.intrinsics[0, 0] * camera.intrinsics[1, 1])))
+    extent = np.linalg.norm(np.nanmax(mesh.vertices, axis=0) - np.nanmin(mesh.vertices, axis=0))
+    return float(np.median(sizes)) / (2 * texels_per_pixel) if sizes else float(extent) / 1000
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Axes of charts: direction (charts, 3) float64 away from the surface; down, right (charts, 3): the chart's rows
+    and columns as someone sees them who looks at the surface from outside, with the turntable's axis upright."""
+
+    direction: np.ndarray
+    down: np.ndarray
+    right: np.ndarray
+
+
+def frame_along(direction: np.ndarray, *, up: np.ndarray, front: np.ndarray) -> Frame:
+    """Axes for directions (n, 3): down is as near to the turntable's foot as the chart allows; for charts that look
+    along the axis (within 18 degrees), as near to `front` instead."""
+    direction = np.asarray(direction, np.float64)
+    upright = np.broadcast_to(np.asarray(up, np.float64) / np.linalg.norm(up), direction.shape)
+    along = (direction * upright).sum(axis=1, keepdims=True)
+    forward = np.asarray(front, np.float64) / np.linalg.norm(front)
+    down = np.where(np.abs(along) < 0.95, -upright, np.sign(along) * forward)
+    down = down - (down * direction).sum(axis=1, keepdims=True) * direction
+    down /= np.linalg.norm(down, axis=1, keepdims=True)
+    return Frame(direction, down, np.cross(direction, down))
+
+
+def flatten(corners: np.ndarray, chart: np.ndarray, frames: Frame) -> np.ndarray:
+    """(f, 3, 2) float64: (down, right) of the corners (f, 3, 3) in the planes of their charts (f,), in the world's
+    unit; 0 where the chart is negative."""
+    plane = np.zeros((*corners.shape[:2], 2))
+    inside = chart >= 0
+    for axis, vectors in enumerate((frames.down, frames.right)):
+        plane[inside, :, axis] = np.einsum("fkx,fx->fk", corners[inside], vectors[chart[inside]])
+    return plane
+
+
+def overlapping(
+    plane: np.ndarray, chart: np.ndarray, neighbours: np.ndarray, areas: np.ndarray, *, spacing: float
+) -> np.ndarray:
+    """(f,) bool: triangles that would lie on another one of their chart.
+
+    Each chart grows from its largest triangle, ring by ring, over a grid of probes `spacing` apart; a triangle one of
+    whose probes is taken is told. Negative charts take no part.
+    """
+    order = np.lexsort((-areas, chart))
+    order = order[np.searchsorted(chart[order], 0) :].astype(np.int32)
+    first = np.flatnonzero(np.diff(chart[order], prepend=-1))
+    stop = np.append(first[1:], len(order))
+    overlaps = np.zeros(len(chart), np.bool_)
+    reached = np.zeros(len(chart), np.bool_)
+    for begin, end in zip(first, stop, strict=True):
+        members = order[begin:end]
+        points = plane[members]
+        low = points.min(axis=(0, 1))
+        size = np.ceil((points.max(axis=(0, 1)) - low) / spacing).astype(np.int64) + 2
+        # A crumb of a huge chart must not cost a huge grid, nor a wrong unit all memory.
+        coarser = max(1.0, np.sqrt(size.prod() / 6.4e7))
+        size = np.ceil(size / coarser).astype(np.int64) + 1
+        grid = np.zeros(tuple(size), np.bool_)
+        grow(plane, members, chart, neighbours, low, 1 / (spacing * coarser), grid, reached, overlaps)
+    return overlaps
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def grow(plane, members, chart, neighbours, low, scale, grid, reached, overlaps):
+    """One chart of `overlapping`: fills `overlaps`; `reached` is a note of who has been looked at."""
+    queue = np.empty(len(members), np.int32)
+    points = np.empty((3, 2))
+    for seed in members:
+        if reached[seed]:
+            continue
+        reached[seed], queue[0], head, tail = True, seed, 0, 1
+        while head < tail:
+            here = queue[head]
+            head += 1
+            for k in range(3):
+                points[k, 0] = (plane[here, k, 1] - low[1]) * scale
+                points[k, 1] = (plane[here, k, 0] - low[0]) * scale
+            if take(points, grid, False):
+                overlaps[here] = True
+                continue
+            take(points, grid, True)
+            for k in range(3):
+                there = neighbours[here, k]
+                if there >= 0 and not reached[there] and chart[there] == chart[here]:
+                    reached[there], queue[tail] = True, there
+                    tail += 1
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def take(points, grid, mark):
+    """Whether a probe inside a triangle (3, 2) (column, row) is taken; with `mark`, take them all."""
+    area = edge(points, 0, 1, points[2, 0], points[2, 1])
+    b, c = (1, 2) if area > 0 else (2, 1)
+    # Probes on an edge, as nearly as can be told, belong to neither side: touching is no overlap.
+    least = 1e-9 * abs(area)
+    left, right = bounds((points[0, 0], points[1, 0], points[2, 0]), grid.shape[1])
+    top, bottom = bounds((points[0, 1], points[1, 1], points[2, 1]), grid.shape[0])
+    for row in range(top, bottom + 1):
+        for column in range(left, right + 1):
+            x, y = np.float64(column), np.float64(row)
+            lowest = min(edge(points, b, c, x, y), edge(points, c, 0, x, y), edge(points, 0, b, x, y))
+            if lowest > least:
+                if mark:
+                    grid[row, column] = True
+                elif grid[row, column]:
+                    return True
+    return False
+
 
 ROUNDS = 12
 """Of splitting and naming anew; each split-off piece is judged by its own direction in the next round."""

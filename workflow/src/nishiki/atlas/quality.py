@@ -1,11 +1,104 @@
-"""How good an atlas is: stretch of its charts, texels for each pixel; and a picture of it."""
+"""Measure the density of pixels on each triangle, and how well an atlas serves it."""
 
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
 import numpy as np
 
 from nishiki.atlas.atlas import Atlas
-from nishiki.atlas.density import facing_areas
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
+
+
+@dataclass(frozen=True)
+class Density:
+    """pixels (f,) float64: area in pixels of each triangle in its chosen view, 0 where too few views face it;
+    along (f, 2) float64: squared pixels there for one unit along (down, right) of the triangle's plane coordinates."""
+
+    pixels: np.ndarray
+    along: np.ndarray
+
+
+def sampling_density(mesh: Mesh, plane: np.ndarray, cameras: list[Camera], *, percentile: float) -> Density:
+    """The capture's own sampling of each triangle: of the view at the percentile of its areas over all views.
+
+    plane (f, 3, 2): as of `flatten`. Occlusion is not asked: whoever faces a triangle counts.
+    """
+    corners = np.ascontiguousarray(mesh.triangles, np.int32)
+    seen = np.empty((len(cameras), len(corners)), np.float32)
+    for index, camera in enumerate(cameras):
+        pixels, depths = camera.project(mesh.vertices)
+        facing_areas(np.ascontiguousarray(pixels), depths, corners, camera.rows, camera.columns, seen[index])
+    place = round(percentile / 100 * (len(cameras) - 1))
+    chosen = np.argpartition(seen, place, axis=0)[place] if len(corners) else np.zeros(0, np.int64)
+    fields = np.zeros(len(corners)), np.zeros((len(corners), 2))
+    for index, camera in enumerate(cameras):
+        pixels, _ = camera.project(mesh.vertices)
+        metric(np.ascontiguousarray(pixels), corners, plane, seen[index], chosen == index, *fields)
+    return Density(*fields)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def facing_areas(pixels, depths, corners, rows, columns, areas):
+    """Areas in pixels of the triangles that face the camera and have their middle in the picture; 0 of the others."""
+    for i in range(len(corners)):
+        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+        areas[i] = 0
+        if depths[a] > 0 and depths[b] > 0 and depths[c] > 0:
+            x = (pixels[a, 0] + pixels[b, 0] + pixels[c, 0]) / 3
+            y = (pixels[a, 1] + pixels[b, 1] + pixels[c, 1]) / 3
+            area = (pixels[c, 0] - pixels[a, 0]) * (pixels[b, 1] - pixels[a, 1])
+            area -= (pixels[c, 1] - pixels[a, 1]) * (pixels[b, 0] - pixels[a, 0])
+            if area > 0 and -0.5 <= x < columns - 0.5 and -0.5 <= y < rows - 0.5:
+                areas[i] = area / 2
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def metric(pixels, corners, plane, seen, chosen, areas, along):
+    """Area and squared lengths in pixels of the chosen triangles: the columns of the map from plane to picture."""
+    for i in range(len(corners)):
+        if not chosen[i] or not seen[i] > 0:
+            continue
+        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+        d1, r1 = plane[i, 1, 0] - plane[i, 0, 0], plane[i, 1, 1] - plane[i, 0, 1]
+        d2, r2 = plane[i, 2, 0] - plane[i, 0, 0], plane[i, 2, 1] - plane[i, 0, 1]
+        det = d1 * r2 - d2 * r1
+        if det == 0:
+            continue
+        areas[i] = seen[i]
+        for k in range(2):
+            p1, p2 = pixels[b, k] - pixels[a, k], pixels[c, k] - pixels[a, k]
+            down, right = (p1 * r2 - p2 * r1) / det, (p2 * d1 - p1 * d2) / det
+            along[i, 0] += down * down
+            along[i, 1] += right * right
+
+
+def texels_per_unit(
+    density: Density, plane: np.ndarray, chart: np.ndarray, *, texels_per_pixel: float, least: float = 0.1
+) -> np.ndarray:
+    """Texels (charts, 2) float64 for one unit along (down, right) of each chart.
+
+    A chart gets as many texels as its triangles have pixels, times the square of texels_per_pixel; the two directions
+    share them as the pixels do. Charts that hardly any view faces get `least` of the whole surface's mean.
+    """
+    inside = chart >= 0
+    count = int(chart.max(initial=-1)) + 1
+    first, second = plane[:, 1] - plane[:, 0], plane[:, 2] - plane[:, 0]
+    areas = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
+
+    def total(values):
+        return np.bincount(chart[inside], values[inside], minlength=count)
+
+    area, pixels = total(areas), total(density.pixels)
+    down, right = (total(areas * density.along[:, k]) for k in range(2))
+    mean = pixels.sum() / max(area.sum(), 1e-300)
+    square = np.maximum(pixels / np.maximum(area, 1e-300), least**2 * mean)
+    ratio = np.sqrt(np.where((down > 0) & (right > 0), down / np.where(right > 0, right, 1), 1.0))
+    ratio = np.sqrt(np.clip(ratio, 0.25, 4.0))
+    side = texels_per_pixel * np.sqrt(square)
+    return np.stack([side * ratio, side / ratio], axis=1)
 
 
 def texel_areas(atlas: Atlas) -> np.ndarray:

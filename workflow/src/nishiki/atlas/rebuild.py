@@ -6,9 +6,7 @@ import numpy as np
 
 from nishiki.atlas.adjacency import smoothed_vertices
 from nishiki.atlas.atlas import Atlas, build_atlas
-from nishiki.atlas.charts import directions_of, unit_normals
-from nishiki.atlas.flatten import flatten, frame_along
-from nishiki.atlas.turn import turning
+from nishiki.atlas.charts import directions_of, flatten, frame_along, turning, unit_normals
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 

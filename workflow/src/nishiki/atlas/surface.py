@@ -1,4 +1,4 @@
-"""The surface point behind every texel of an atlas."""
+"""Compute the surface point behind every texel, and sample what a view shows there."""
 
 from __future__ import annotations
 
@@ -8,11 +8,86 @@ import numba
 import numpy as np
 
 from nishiki.atlas.atlas import Atlas
-from nishiki.atlas.cells import cell_range, touches
-from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.mesh import Mesh, face_vectors
+from nishiki.geometry.visibility import Raster
 
 REACH = 1.5
 """Texels by which a surface is continued past its border, at most; the nearest point of the border counts beyond."""
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def touches(corners, row, column, half_rows, half_columns):
+    """Whether a triangle (3, 2) and the open rectangle about (row, column) have a common point (separating axes)."""
+    for axis in range(2):
+        middle, half = (row, half_rows) if axis == 0 else (column, half_columns)
+        low = min(corners[0, axis], min(corners[1, axis], corners[2, axis]))
+        high = max(corners[0, axis], max(corners[1, axis], corners[2, axis]))
+        if low >= middle + half or high <= middle - half:
+            return False
+    for k in range(3):
+        a, b, c = k, (k + 1) % 3, (k + 2) % 3
+        down, right = np.float64(corners[b, 0]) - corners[a, 0], np.float64(corners[b, 1]) - corners[a, 1]
+        side = down * (column - corners[a, 1]) - right * (row - corners[a, 0])
+        third = down * (np.float64(corners[c, 1]) - corners[a, 1]) - right * (np.float64(corners[c, 0]) - corners[a, 0])
+        if third < 0:
+            side, third = -side, -third
+        reach = abs(down) * half_columns + abs(right) * half_rows
+        if third > 0 and side + reach <= 0:
+            return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def mark_cells(chart, corners, grid, used, stride):
+    """Cells one of whose texels a surface point looks up: within one texel of a triangle, rows and columns apart."""
+    for i in range(len(chart)):
+        if chart[i] < 0:
+            continue
+        first, rows, columns = grid[chart[i], 0], grid[chart[i], 1], grid[chart[i], 2]
+        points = corners[i]
+        top, bottom = cell_range(points[:, 0], stride, rows)
+        left, right = cell_range(points[:, 1], stride, columns)
+        for row in range(top, bottom + 1):
+            for column in range(left, right + 1):
+                if not used[first + row * columns + column]:
+                    half = stride / 2 + 1
+                    used[first + row * columns + column] = touches(
+                        points, (row + 0.5) * stride, (column + 0.5) * stride, half, half
+                    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def cell_range(values, stride, count):
+    """First and last cell that three coordinates, widened by a texel, reach."""
+    low = min(values[0], min(values[1], values[2]))
+    high = max(values[0], max(values[1], values[2]))
+    first = min(max(int(np.floor((low - 1.0) / stride)), 0), count - 1)
+    return first, min(max(int(np.floor((high + 1.0) / stride)), first), count - 1)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def place(triangle, weights, chart, corners, grid, cells, size):
+    """See `Atlas.locate`: points (n,) -> tile, s, t."""
+    count, stride = len(triangle), size - 1
+    tile = np.full(count, -1, np.int32)
+    s, t = np.zeros(count, np.float32), np.zeros(count, np.float32)
+    for i in range(count):
+        f = triangle[i]
+        if f < 0 or chart[f] < 0:
+            continue
+        u, v = np.float64(weights[i, 0]), np.float64(weights[i, 1])
+        w = 1 - u - v
+        row = u * corners[f, 0, 0] + v * corners[f, 1, 0] + w * corners[f, 2, 0]
+        column = u * corners[f, 0, 1] + v * corners[f, 1, 1] + w * corners[f, 2, 1]
+        first, rows, columns = grid[chart[f], 0], grid[chart[f], 1], grid[chart[f], 2]
+        down = min(max(int(np.floor(row / stride)), 0), rows - 1)
+        across = min(max(int(np.floor(column / stride)), 0), columns - 1)
+        tile[i] = cells[first + down * columns + across]
+        if tile[i] >= 0:
+            s[i] = min(max(row - down * stride, 0.0), np.float64(stride))
+            t[i] = min(max(column - across * stride, 0.0), np.float64(stride))
+    return tile, s, t
 
 
 @dataclass(frozen=True)
@@ -169,3 +244,169 @@ def continue_past_border(flat, a, b, c, row, column, u, v, position):
     part = 1.0 if length <= limit else limit / length
     for k in range(3):
         position[k] += part * (p * x[k] + q * y[k])
+
+
+@dataclass(frozen=True)
+class PixelPlaces:
+    """Where the pixels of one view lie in the atlas, sorted by tile, then row, then column.
+
+    row, column (n,) int32; s, t (n,) float32; offsets (tiles + 1,) int64: tile k has the pixels offsets[k] up to
+    offsets[k + 1].
+    """
+
+    row: np.ndarray
+    column: np.ndarray
+    s: np.ndarray
+    t: np.ndarray
+    offsets: np.ndarray
+
+
+def object_pixels(mesh: Mesh, camera: Camera, raster: Raster, silhouette: np.ndarray | None) -> np.ndarray:
+    """(rows, columns) bool: pixels that show the outer side of the surface, inside the silhouette where it is known."""
+    towards = camera.centre - mesh.vertices[mesh.triangles[:, 0]]
+    facing = (face_vectors(mesh.vertices, mesh.triangles) * towards).sum(axis=1) > 0
+    # Triangle -1 reads the last entry.
+    shown = np.append(facing, False)[raster.triangle]
+    return shown if silhouette is None else shown & silhouette
+
+
+def pixel_places(atlas: Atlas, raster: Raster, shown: np.ndarray) -> PixelPlaces:
+    """Places of the pixels `shown` (rows, columns) in the atlas."""
+    row, column = np.nonzero(shown)
+    tile, s, t = atlas.locate(raster.triangle[row, column], raster.barycentric[row, column])
+    order, offsets = by_tile(tile, atlas.tiles)
+    places = (values[order] for values in (row.astype(np.int32), column.astype(np.int32), s, t))
+    return PixelPlaces(*places, offsets)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def by_tile(tile, tiles):
+    """Stable order (n,) of the points by tile, and where each tile starts; points of tile -1 are left out."""
+    offsets = np.zeros(tiles + 1, np.int64)
+    for k in tile:
+        if k >= 0:
+            offsets[k + 1] += 1
+    for k in range(tiles):
+        offsets[k + 1] += offsets[k]
+    order, place = np.empty(offsets[tiles], np.int64), offsets.copy()
+    for i in range(len(tile)):
+        if tile[i] >= 0:
+            order[place[tile[i]]] = i
+            place[tile[i]] += 1
+    return order, offsets
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """values (..., channels) float32, 0 where not visible; visible (...) bool."""
+
+    values: np.ndarray
+    visible: np.ndarray
+
+
+def sample_view(
+    positions: np.ndarray,
+    normals: np.ndarray,
+    inside: np.ndarray,
+    *,
+    camera: Camera,
+    depth: np.ndarray,
+    usable: np.ndarray,
+    pictures: list[np.ndarray],
+    tolerance: float = 1.0,
+    grazing_deg: float = 80.0,
+) -> list[Sampled]:
+    """Sample texels in one view, for each of its pictures (rows, columns, channels) float32.
+
+    positions, normals (..., 3), inside (...): texels; depth (rows, columns): of the view's `Raster`; usable (rows,
+    columns) bool: pixels that show the object and hold a valid value. A texel is visible where it is inside, faces the
+    camera at less than `grazing_deg` from its normal, all four pixels around its image are usable, and the surface that
+    each of them shows lies no further in front of or behind the texel than the texel's own tangent plane comes or goes
+    within `tolerance` pixels, plus `tolerance` pixels of the surface's size (against ties of a surface with itself).
+    """
+    least = np.cos(np.radians(grazing_deg))
+    towards = normals.reshape(-1, 3)
+    index = turned_to(positions.reshape(-1, 3), towards, inside.reshape(-1), camera.centre, least)
+    points, towards = positions.reshape(-1, 3)[index], towards[index]
+    pixels, depths = camera.project(points)
+    rotation, inverse = np.ascontiguousarray(camera.rotation), np.linalg.inv(camera.intrinsics)
+    seen = np.empty(len(points), np.bool_)
+    see(points, camera.centre, towards, pixels, depths, rotation, inverse, depth, usable, tolerance, seen)
+    visible = np.zeros(inside.size, np.bool_)
+    visible[index] = seen
+    sampled = []
+    for picture in pictures:
+        values = np.zeros((inside.size, picture.shape[2]), np.float32)
+        bilinear(pixels, seen, index, np.ascontiguousarray(picture, np.float32), values)
+        sampled.append(Sampled(values.reshape(*inside.shape, -1), visible.reshape(inside.shape)))
+    return sampled
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def turned_to(points, normals, inside, centre, least):
+    """Numbers of the texels that are inside and face the camera's centre, the cosine above `least`."""
+    texels = np.empty(len(points), np.int64)
+    count = 0
+    for i in range(len(points)):
+        if not inside[i]:
+            continue
+        towards, length = 0.0, 0.0
+        for k in range(3):
+            ray = centre[k] - points[i, k]
+            towards += normals[i, k] * ray
+            length += ray * ray
+        if towards > least * np.sqrt(length):
+            texels[count] = i
+            count += 1
+    return texels[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def see(points, centre, normals, pixels, depths, rotation, inverse, depth, usable, tolerance, seen):
+    """See `sample_view`: fills seen (n,) for texels at points (n, 3)."""
+    rows, columns = depth.shape
+    footprint = np.sqrt(abs(inverse[0, 0] * inverse[1, 1]))
+    for i in range(len(points)):
+        seen[i] = False
+        x, y, z = pixels[i, 0], pixels[i, 1], depths[i]
+        if not z > 0 or not (0 <= x <= columns - 1 and 0 <= y <= rows - 1):
+            continue
+        towards = 0.0
+        for k in range(3):
+            towards += normals[i, k] * (centre[k] - points[i, k])
+        n0, n1 = 0.0, 0.0
+        for k in range(3):
+            n0 += rotation[0, k] * normals[i, k]
+            n1 += rotation[1, k] * normals[i, k]
+        # Depth of the tangent plane at a pixel is -towards / (n . ray of the pixel): its relative change for one pixel.
+        across = abs(n0 * inverse[0, 0]) + abs(n0 * inverse[0, 1] + n1 * inverse[1, 1])
+        slack = tolerance * z * (footprint + across * z / towards)
+        column, row = min(int(x), max(columns - 2, 0)), min(int(y), max(rows - 2, 0))
+        good = True
+        for down in range(2):
+            for right in range(2):
+                # A neighbour without weight is not asked: it may not exist.
+                if (right == 1 and x == column) or (down == 1 and y == row):
+                    continue
+                r, c = row + down, column + right
+                if not usable[r, c] or not abs(depth[r, c] - z) <= slack:
+                    good = False
+        seen[i] = good
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def bilinear(pixels, seen, index, picture, values):
+    """Picture (rows, columns, channels) at the pixels (n, 2) (column, row) that are seen, into values[index[i]]."""
+    rows, columns, channels = picture.shape
+    for i in range(len(pixels)):
+        if not seen[i]:
+            continue
+        column, row = min(int(pixels[i, 0]), columns - 1), min(int(pixels[i, 1]), rows - 1)
+        u, v = pixels[i, 0] - column, pixels[i, 1] - row
+        # A neighbour without weight is not read: it may be missing.
+        right = column + 1 if u > 0 and column + 1 < columns else column
+        below = row + 1 if v > 0 and row + 1 < rows else row
+        for k in range(channels):
+            top = (1 - u) * picture[row, column, k] + u * picture[row, right, k]
+            bottom = (1 - u) * picture[below, column, k] + u * picture[below, right, k]
+            values[index[i], k] = (1 - v) * top + v * bottom

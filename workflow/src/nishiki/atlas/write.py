@@ -11,12 +11,11 @@ import zarr
 from zarr.codecs import ZstdCodec
 
 from nishiki.atlas.atlas import Atlas
-from nishiki.atlas.sample import PixelPlaces, object_pixels, pixel_places, sample_view
 from nishiki.atlas.store import ATLAS, FORMAT, STORE
-from nishiki.atlas.surface import texel_points, texel_triangles
+from nishiki.atlas.surface import PixelPlaces, object_pixels, pixel_places, sample_view, texel_points, texel_triangles
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.raster import Raster, rasterise
+from nishiki.geometry.visibility import Raster, rasterise
 from nishiki.threads import threads
 
 READ_AHEAD_MIB = 64

@@ -1,4 +1,10 @@
-"""The gloss of a scene as a profile z(phi): a mixture of lobes, with the errors of the normals undone.
+"""Gather the gloss of a scene as a profile z(phi) and fit it with a mixture of lobes.
+
+For observations I' = rho_d cos theta_i + beta D F G / cos theta_r the value z is beta D(phi), whatever the light, the
+albedo and the tilt.  The histogram sorts the samples by phi (rows) and by z (columns) and keeps sums in each cell, so
+that tiles can be added in any order, histograms merged, and gross outliers (shadows, interreflection, dust) still be
+told apart afterwards.  A sample's weight is a^2, a = F G / cos theta_r: a least-squares fit to the rows is then a
+least-squares fit to the radiances.
 
 A facet distribution of any tail (GGX, for one) is a mixture of Gaussians of different widths. So the profile is
 
@@ -9,15 +15,276 @@ wider one, so that the strengths behind the blur follow from one non-negative le
 R. J. Hanson, Solving Least Squares Problems, 1974, ch. 23): no start value, no width to search.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 
-from nishiki.brdf.body_shading import body_factor, transmittance
-from nishiki.brdf.specular_histogram import SpecularHistogram, SpecularProfile
-from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
+from nishiki.brdf.torrance_sparrow import (
+    GAMMA_PER_SIGMA,
+    body_factor,
+    body_factor_scalar,
+    fresnel_scalar,
+    masking_over_cos_r_scalar,
+    phi_squared,
+    transmittance,
+    transmittance_scalar,
+)
 from nishiki.errors import UserError
+
+PHI_UNIT = 5e-4  # rows are equally spaced in asinh(phi / PHI_UNIT): linear below it, 3.4 % wide above
+ROWS = 258
+_ROW_STEP = float(np.arcsinh(0.5 * np.pi / PHI_UNIT) / ROWS)
+DECADES, PER_DECADE = 6, 24  # columns cover |z| / value_unit from 1e-6 to 1e6, either sign, and what is smaller
+_SIDE = 2 * DECADES * PER_DECADE
+COLUMNS = 2 * _SIDE + 1
+TYPICAL = 0.3  # reflectance
+LEVELS = (0.003, 30.0)  # median reflectances that are taken as relative to a white board
+# Sums of a row beside its cells
+PHI2, SIGMA2, COUNT, ATTENUATION = range(4)
+
+
+@dataclass(frozen=True)
+class SpecularProfile:
+    """Mean lobe value over phi, rows without a sample left out; arrays (rows,)."""
+
+    phi: np.ndarray  # root mean square angle(normal, half vector) of the row's samples, radians
+    value: np.ndarray  # mean z, relative to the white reference
+    weight: np.ndarray  # sum of a^2 over the samples used
+    count: np.ndarray  # samples, outliers included
+    spread: np.ndarray  # weighted standard deviation of z within the row
+    sigma: np.ndarray  # root mean square angular deviation of the normals (per tangent axis), radians
+    rejected: np.ndarray  # weight of the outliers, as a part of the row's weight
+
+
+@dataclass(frozen=True)
+class SpecularHistogram:
+    """Sums over samples; a monoid: `add` returns a new histogram, `merge` is commutative, `empty` is its zero."""
+
+    weights: np.ndarray  # (regions, ROWS, COLUMNS) sum of a^2
+    values: np.ndarray  # (regions, ROWS, COLUMNS) sum of a^2 z
+    rows: np.ndarray  # (regions, ROWS, 4) sums of a^2 phi^2, a^2 sigma^2, 1, a^2
+    refractive_index: float
+    value_unit: float
+
+    @classmethod
+    def empty(cls, *, regions=1, refractive_index=1.45, value_unit=1.0) -> "SpecularHistogram":
+        """No samples.  value_unit: what counts as 1 when outliers are told apart (radiance of the white reference)."""
+        if not (refractive_index > 1 and value_unit > 0):
+            values = f"{refractive_index}, {value_unit}"
+            raise UserError(
+                f"expected refractive_index > 1 and value_unit > 0, found {values}: no gloss without contrast"
+            )
+        cells = (regions, ROWS, COLUMNS)
+        return cls(np.zeros(cells), np.zeros(cells), np.zeros((regions, ROWS, 4)), refractive_index, value_unit)
+
+    def add_samples(self, phi, residual, attenuation, *, sigma=0.0, region=0) -> "SpecularHistogram":
+        """Add samples of one region: phi (radians, 0 .. pi / 2), residual = I' - diffuse, attenuation = F G / cos_r.
+
+        All of one shape, sigma (radians) broadcast to it.  Samples that are not finite or have attenuation <= 0 are
+        left out.
+        """
+        phi, residual, attenuation, sigma = np.broadcast_arrays(phi, residual, attenuation, sigma)
+        flat = [np.ascontiguousarray(a, np.float64).ravel() for a in (phi, residual, attenuation, sigma)]
+        new = replace(self, weights=self.weights.copy(), values=self.values.copy(), rows=self.rows.copy())
+        _add_samples(*flat, self.value_unit, new.weights[region], new.values[region], new.rows[region])
+        return new
+
+    def add_tile(
+        self,
+        observations,
+        normals,
+        diffuse_albedo,
+        lights,
+        *,
+        usable=None,
+        view=(0.0, 0.0, 1.0),
+        sigma=None,
+        regions=None,
+        every=1,
+        shading=None,
+        transmission=0.0,
+    ) -> "SpecularHistogram":
+        """Add every usable observation of a tile: all lights, lit and seen pixels.
+
+        observations: (light, row, column), relative to the white reference, one channel or the mean of several.
+        normals: (row, column, 3) unit; diffuse_albedo: (row, column), of the same channel or mean; lights: (light, 3)
+        unit, towards the lamp; usable: bool (light, row, column), e.g. neither saturated nor in cast shadow; view: (3,)
+        unit; sigma: (row, column), deviation of the normals per tangent axis, radians (0 if None); regions: integer
+        (row, column), -1 leaves a pixel out (all region 0 if None).
+        shading: (row, column, 3 or 5) as of `body_shading`, or None for Lambert's law; transmission: share
+        of the loss of a dielectric surface (`transmittance` there) that the body's light suffers on its way in and out.
+        every: only rows and columns 0, every, 2 every ... of the tile, to save time.
+        """
+        shape = np.shape(observations)
+        real = np.float32
+        usable = np.ones(shape, bool) if usable is None else np.asarray(usable, bool)
+        sigma = np.zeros(shape[1:], real) if sigma is None else np.asarray(sigma, real)
+        regions = np.zeros(shape[1:], np.int32) if regions is None else np.asarray(regions, np.int32)
+        if np.max(regions, initial=-1) >= self.weights.shape[0]:
+            count = self.weights.shape[0]
+            raise UserError(
+                f"regions: expected indices below {count}, found {regions.max()}; make empty(regions=...) larger"
+            )
+        if usable.shape != shape or np.shape(normals) != (*shape[1:], 3) or len(lights) != shape[0]:
+            shapes = f"{usable.shape}, {np.shape(normals)}, {len(lights)} lights"
+            raise UserError(
+                f"usable, normals, lights: expected them to agree with observations {shape}, found {shapes}"
+            )
+        new = replace(self, weights=self.weights.copy(), values=self.values.copy(), rows=self.rows.copy())
+        shading = np.empty((0, 0, 3), real) if shading is None else np.asarray(shading, real)
+        maps = (np.asarray(observations, real), np.asarray(normals, real), np.asarray(diffuse_albedo, real), shading)
+        directions = (np.asarray(lights, float), np.asarray(view, float))
+        settings = (self.refractive_index, self.value_unit, float(transmission))
+        sums = (new.weights, new.values, new.rows)
+        _add_tile(*maps, *directions, usable, sigma, regions, *settings, every, *sums)
+        return new
+
+    def merge(self, other: "SpecularHistogram") -> "SpecularHistogram":
+        """Sum of two histograms of the same settings."""
+        for name in ("refractive_index", "value_unit"):
+            if getattr(self, name) != getattr(other, name):
+                raise UserError(f"merge: {name} differs, {getattr(self, name)} and {getattr(other, name)}")
+        sums = (self.weights + other.weights, self.values + other.values, self.rows + other.rows)
+        return SpecularHistogram(*sums, self.refractive_index, self.value_unit)
+
+    def profile(self, *, region=0, reject=6.0) -> SpecularProfile:
+        """Mean z for each phi, without the values further than `reject` quartile ranges from the row's quartiles.
+
+        reject = infinity keeps all.  The fence is wide on purpose: noisy normals make z skew within a row, and their
+        mean, not their median, is what the errors-in-variables fit needs.
+        """
+        return _profile(self.weights[region], self.values[region], self.rows[region], reject)
+
+
+def unit_of(reflectances: Sequence[np.ndarray]) -> float:
+    """`value_unit` of a scene: 1, the white reference, where the median of its reflectances is of that order; else (no
+    white board) a power of ten, so that the unit of the observations does not matter.
+
+    reflectances: arrays of any shape, relative to the white reference if there is one; values <= 0 do not count.
+    """
+    levels = np.concatenate([np.ravel(level[level > 0]) for level in reflectances]) if reflectances else np.empty(0)
+    level = float(np.median(levels)) if levels.size else TYPICAL
+    return 1.0 if LEVELS[0] <= level <= LEVELS[1] else float(10.0 ** np.round(np.log10(level / TYPICAL)))
+
+
+@njit(cache=True, error_model="numpy")
+def _put(phi2, z, a, sigma, value_unit, weights, values, rows):
+    """Add one sample, unless a^2 or a^2 z leave float64; phi2 is its squared angle."""
+    w = a * a
+    if not (w > 0.0 and np.isfinite(w) and np.isfinite(w * z)):
+        return
+    row = min(int(np.arcsinh(np.sqrt(phi2) / PHI_UNIT) / _ROW_STEP), ROWS - 1)
+    size = abs(z) / value_unit
+    column = 0
+    if size > 0.0:
+        column = min(max(int(np.floor((np.log10(size) + DECADES) * PER_DECADE)) + 1, 0), _SIDE)
+    column = _SIDE + column if z > 0 else _SIDE - column
+    weights[row, column] += w
+    values[row, column] += w * z
+    rows[row, PHI2] += w * phi2
+    rows[row, SIGMA2] += w * sigma * sigma
+    rows[row, COUNT] += 1.0
+    rows[row, ATTENUATION] += w
+
+
+@njit(cache=True, error_model="numpy")
+def _add_samples(phi, residual, attenuation, sigma, value_unit, weights, values, rows):
+    for k in range(phi.size):
+        a = attenuation[k]
+        finite = np.isfinite(phi[k] + residual[k] + a + sigma[k])
+        if finite and a > 0.0:
+            _put(phi[k] * phi[k], residual[k] / a, a, sigma[k], value_unit, weights, values, rows)
+
+
+@njit(cache=True, error_model="numpy")
+def _add_tile(
+    observations,
+    normals,
+    albedo,
+    shading,
+    lights,
+    view,
+    usable,
+    sigma,
+    regions,
+    refractive_index,
+    value_unit,
+    transmission,
+    every,
+    weights,
+    values,
+    rows,
+):
+    """Loop over lights and pixels; one thread, because all samples meet in the same cells."""
+    for k in range(lights.shape[0]):
+        hx, hy, hz = lights[k, 0] + view[0], lights[k, 1] + view[1], lights[k, 2] + view[2]
+        length2 = hx * hx + hy * hy + hz * hz
+        length = np.sqrt(length2)
+        cos_q = min(1.0, 0.5 * length)
+        f = fresnel_scalar(cos_q, refractive_index)
+        for r in range(0, observations.shape[1], every):
+            for c in range(0, observations.shape[2], every):
+                region = regions[r, c]
+                if region < 0 or not usable[k, r, c]:
+                    continue
+                nx, ny, nz = np.float64(normals[r, c, 0]), np.float64(normals[r, c, 1]), np.float64(normals[r, c, 2])
+                cos_i = nx * lights[k, 0] + ny * lights[k, 1] + nz * lights[k, 2]
+                cos_r = nx * view[0] + ny * view[1] + nz * view[2]
+                if not (cos_i > 0.0 and cos_r > 0.0):
+                    continue
+                cx, cy, cz = ny * hz - nz * hy, nz * hx - nx * hz, nx * hy - ny * hx
+                cos_phi = (cos_i + cos_r) / length
+                sin2 = (cx * cx + cy * cy + cz * cz) / length2
+                phi2 = phi_squared(min(0.5, 0.5 * sin2 / (1.0 + cos_phi)))
+                a = f * masking_over_cos_r_scalar(cos_phi, cos_i, cos_r, cos_q)
+                body = cos_i
+                if shading.shape[0] > 0:
+                    body *= body_factor_scalar(shading[r, c], cos_i, cos_phi, lights[k])
+                if transmission > 0.0:
+                    body *= 1.0 - transmission * (1.0 - transmittance_scalar(cos_i, refractive_index))
+                    body *= 1.0 - transmission * (1.0 - transmittance_scalar(cos_r, refractive_index))
+                z = (np.float64(observations[k, r, c]) - np.float64(albedo[r, c]) * body) / a
+                s = np.float64(sigma[r, c])
+                if np.isfinite(z + s) and a > 0.0:
+                    _put(phi2, z, a, s, value_unit, weights[region], values[region], rows[region])
+
+
+def _profile(weights, values, rows, reject) -> SpecularProfile:
+    """Means of the rows inside the fences."""
+    seen = rows[:, ATTENUATION] > 0
+    w, wz, sums = weights[seen], values[seen], rows[seen]
+    centre = wz / np.where(w > 0, w, 1)
+    total = sums[:, ATTENUATION]
+    cumulative = np.cumsum(w, axis=1)
+    index = np.arange(len(w))
+
+    def quantile(q):
+        return centre[index, np.argmax(cumulative >= q * cumulative[:, -1:], axis=1)]
+
+    low, high = quantile(0.25), quantile(0.75)
+    # a cell is 10 % wide: the fence is never narrower than that
+    width = np.maximum(high - low, 0.1 * np.maximum(abs(low), abs(high)))
+    with np.errstate(invalid="ignore"):
+        kept = (centre >= (low - reject * width)[:, None]) & (centre <= (high + reject * width)[:, None])
+    if np.isinf(reject):
+        kept = np.ones_like(kept)
+    w_kept = np.where(kept, w, 0)
+    used = w_kept.sum(axis=1)
+    mean = np.where(kept, wz, 0).sum(axis=1) / used
+    variance = (w_kept * (centre - mean[:, None]) ** 2).sum(axis=1) / used
+    return SpecularProfile(
+        phi=np.sqrt(sums[:, PHI2] / total),
+        value=mean,
+        weight=used,
+        count=sums[:, COUNT].astype(np.int64),
+        spread=np.sqrt(variance),
+        sigma=np.sqrt(sums[:, SIGMA2] / total),
+        rejected=1 - used / total,
+    )
+
 
 NODES_PER_UNIT = 1024  # of the table of the profile, per unit of chord
 NODES = 1450  # up to a chord of sqrt 2 (phi = 90 degrees)
@@ -35,7 +302,7 @@ class GlossProfile:
     """beta (lobes,) relative to the white reference, gamma (lobes,) radians; F and G are not in it.
 
     transmission: share (0 to 1) of the loss 1 - T(c) that the body's light suffers at the surface on its way in and
-    out, T of `nishiki.brdf.body_shading.transmittance`: 1 below a dielectric, 0 without one;
+    out, T of `nishiki.brdf.torrance_sparrow.transmittance`: 1 below a dielectric, 0 without one;
     unit: what counts as 1 in the observations, where that is not the white reference (noise is relative to it).
     """
 
@@ -127,7 +394,7 @@ def specular_samples(observations, directions, normals, reflectance, gloss, *, v
     """(phi, residual, F G / cos_r) of every lit sample: (lights, ...) each, attenuation 0 where there is none.
 
     observations (lights, ..., C), normals (..., 3), reflectance (..., C), valid (lights, ...) bool; shading (..., 3 or
-    5) of `nishiki.brdf.body_shading`, or None for Lambert's law.
+    5) of `nishiki.brdf.torrance_sparrow`, or None for Lambert's law.
     """
     lights = light_table(directions, gloss.refractive_index)
     normals = np.asarray(normals, np.float64)

@@ -1,5 +1,4 @@
-"""One set of Torrance-Sparrow parameters for a scene or a region, from its specular profile (Tominaga and Tanaka 2004,
-eq. 14-18, improved).
+"""Fit one set of Torrance-Sparrow parameters to a scene or a region, and read and write `parameters.json`.
 
 The profile z(phi) = beta D(phi; gamma) gathers all lights of all usable pixels (`specular_histogram`).  Normals that
 are uncertain by sigma in each tangent direction blur the lobe: seen over the estimated phi it is the convolution of two
@@ -15,9 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.brdf.flags import FitFlag
-from nishiki.brdf.specular_histogram import SpecularHistogram, SpecularProfile
-from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
+from nishiki.artifacts.limits import at_end
+from nishiki.brdf.fit import FitFlag
+from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, SpecularProfile
+from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA, attenuation, body_factor, half_vector_geometry
 from nishiki.errors import UserError
 
 GAMMA_BOUNDS = (1e-3, 1.6)
@@ -211,3 +211,195 @@ def _nothing(profile, refractive_index, lobes, gamma, count, flag):
         np.zeros(lobes), np.full(lobes, gamma), refractive_index, np.full((2 * lobes, 2 * lobes), np.inf),
         residual, count, 0.0, profile, np.zeros_like(profile.value), flag,
     )  # fmt: skip
+
+
+STEEPEST = np.deg2rad(50.0)
+
+
+def brightest_light_samples(
+    observations,
+    normals,
+    diffuse_albedo,
+    lights,
+    *,
+    usable=None,
+    view=(0.0, 0.0, 1.0),
+    refractive_index=1.45,
+    smoothing=0.4,
+    shading=None,
+):
+    """(phi, value, F G / cos_r) of the brightest light of each pixel less steep than 50 degrees; flat arrays.
+
+    Arguments as `SpecularHistogram.add_tile`; smoothing: standard deviation in pixels of the Gaussian that smooths the
+    normals, 0 for none (more than the scale of the relief makes every facet look like a rough one). The diffuse part
+    albedo * cos theta_i is predicted with the normals as given.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    observations, normals = np.asarray(observations, float), np.asarray(normals, float)
+    lights, view = np.asarray(lights, float), np.asarray(view, float)
+    usable = np.ones(observations.shape, bool) if usable is None else usable
+    brightest = np.argmax(np.where(usable, observations, -np.inf), axis=0)
+    top = np.take_along_axis(observations, brightest[None], axis=0)[0]
+    cosine = np.maximum(np.sum(normals * lights[brightest], axis=-1), 0)
+    half_cosine = np.cos(half_vector_geometry(normals, lights[brightest], view).phi)
+    value = top - diffuse_albedo * cosine * body_factor(shading, cosine, half_cosine, lights[brightest][..., :2])
+    smooth = gaussian_filter(normals, (smoothing, smoothing, 0)) if smoothing > 0 else normals
+    length = np.linalg.norm(smooth, axis=-1, keepdims=True)
+    smooth = smooth / np.where(length > 0, length, 1)
+    geometry = half_vector_geometry(smooth, lights[brightest], view)
+    factor = attenuation(geometry, refractive_index)
+    keep = usable.any(axis=0) & (smooth[..., 2] > np.cos(STEEPEST)) & (factor > 0) & np.isfinite(value + factor)
+    return geometry.phi[keep], value[keep], factor[keep]
+
+
+def thin(phi, *, bins=60, per_bin=50, seed=0):
+    """Indices of at most `per_bin` samples in each of `bins` equal intervals of phi: a constant density over phi."""
+    order = np.random.default_rng(seed).permutation(phi.size)
+    top = phi.max(initial=0.0)
+    index = np.minimum((phi[order] * (bins / top)).astype(int), bins - 1) if top > 0 else np.zeros(phi.size, int)
+    ranked = np.argsort(index, kind="stable")
+    start = np.searchsorted(index[ranked], np.arange(bins))
+    rank = np.arange(phi.size) - start[index[ranked]]
+    return np.sort(order[ranked[rank < per_bin]])
+
+
+NO_GLOSS = "no gloss: Lambert"
+
+
+def described(fit: TorranceSparrowFit) -> dict:
+    """One region's parameters, their standard errors and the profile that they were fitted to."""
+    finite = bool(np.isfinite(fit.covariance).all())
+    profile = fit.profile
+    return {
+        "beta": fit.beta.tolist(),
+        "gamma": fit.gamma.tolist(),
+        "refractive_index": fit.refractive_index,
+        "standard_errors": np.sqrt(np.diag(fit.covariance)).tolist() if finite else None,
+        "residual": fit.residual,
+        "samples": fit.samples,
+        "rejected": fit.rejected,
+        "flags": [flag.name for flag in fit.flags],
+        "profile": described_profile(profile, fit.fitted),
+    }
+
+
+def described_profile(profile: SpecularProfile, fitted: np.ndarray) -> dict[str, list]:
+    """Angles, values and counts of a profile, and what the fit (rows,) has in their place."""
+    values = {name: getattr(profile, name).tolist() for name in ("phi", "value", "count")}
+    return {**values, "fitted": fitted.tolist()}
+
+
+def described_ladder(
+    beta: np.ndarray, gamma: np.ndarray, lobes: np.ndarray, profile: SpecularProfile, refractive_index: float
+) -> dict:
+    """Likewise for lobes of given widths (`nishiki.brdf.gloss_profile`): those of some strength, strongest first.
+
+    beta, gamma : (lobes,); lobes : (rows, lobes) of the profile for strengths of 1. A region without any is Lambert's.
+    """
+    order = [k for k in np.argsort(-beta, kind="stable") if beta[k] > 0]
+    if not order:
+        return without_gloss(refractive_index, int(profile.count.sum()))
+    fitted = lobes @ beta
+    weight = profile.weight / max(float(profile.weight.sum()), np.finfo(float).tiny)
+    ends = GlossProfile(beta, gamma).ends()
+    return {
+        "beta": beta[order].tolist(),
+        "gamma": gamma[order].tolist(),
+        "refractive_index": refractive_index,
+        "standard_errors": None,
+        "residual": float(np.sqrt(weight @ (profile.value - fitted) ** 2)),
+        "samples": int(profile.count.sum()),
+        "rejected": float(weight @ profile.rejected),
+        "flags": ["AT_BOUND"] * bool(ends),
+        "at_bounds": ends,
+        "profile": described_profile(profile, fitted),
+    }
+
+
+def without_gloss(refractive_index: float, samples: int) -> dict:
+    """A region that is Lambert alone: a lobe of strength 0, nothing fitted; samples: that were looked at."""
+    return {
+        "beta": [0.0],
+        "gamma": [GAMMA_BOUNDS[1]],
+        "refractive_index": refractive_index,
+        "standard_errors": None,
+        "residual": 0.0,
+        "samples": samples,
+        "rejected": 0.0,
+        "flags": [NO_GLOSS],
+        "profile": {"phi": [], "value": [], "count": [], "fitted": []},
+    }
+
+
+def of_equal_lobes(regions: list[dict]) -> list[dict]:
+    """The regions with lobes of strength 0 added, so that all have as many."""
+    most = max(len(region["beta"]) for region in regions)
+    return [
+        {
+            **region,
+            "beta": region["beta"] + [0.0] * (most - len(region["beta"])),
+            "gamma": region["gamma"] + region["gamma"][-1:] * (most - len(region["gamma"])),
+        }
+        for region in regions
+    ]
+
+
+def described_brightest(
+    phi: np.ndarray, value: np.ndarray, attenuation: np.ndarray, fitted: tuple, index: float
+) -> dict:
+    """Likewise for the published fit: thinned samples (phi, value, F G / cos_r) and (beta, gamma, covariance, ...)."""
+    beta, gamma, covariance, residual, converged = fitted
+    order = np.argsort(phi)[:: max(1, phi.size // 500)]
+    lobe = value[order] / attenuation[order]
+    finite = bool(np.isfinite(covariance).all())
+    return {
+        "beta": [float(beta)],
+        "gamma": [float(gamma)],
+        "refractive_index": index,
+        "standard_errors": np.sqrt(np.diag(covariance)).tolist() if finite else None,
+        "residual": float(residual),
+        "samples": int(phi.size),
+        "rejected": 0.0,
+        "flags": [] if converged else ["NOT_CONVERGED"],
+        "profile": {
+            "phi": phi[order].tolist(),
+            "value": lobe.tolist(),
+            "count": [1] * len(order),
+            "fitted": (beta * np.exp2(-((phi[order] / gamma) ** 2))).tolist(),
+        },
+    }
+
+
+def parameters_at_bounds(regions: list[dict]) -> list[str]:
+    """Half widths of fitted lobes that stand at the end of the range that was searched or on offer, in words."""
+    texts = []
+    for number, region in enumerate(regions):
+        name = f"region {number}" if len(regions) > 1 else "whole scene"
+        texts += [f"{each}, {name}" for each in region.get("at_bounds", [])]
+        if "AT_BOUND" not in region["flags"] or region.get("at_bounds"):
+            continue
+        for lobe, (beta, gamma) in enumerate(zip(region["beta"], region["gamma"], strict=True), 1):
+            end = at_end(gamma, *GAMMA_BOUNDS) if beta > 0 else ""
+            if end:
+                texts.append(f"half width of lobe {lobe}, {name}: {np.degrees(gamma):.3g} degrees, the {end} end")
+    return texts
+
+
+def is_facets(parameters: dict) -> bool:
+    """Whether the lobes are those of the facets alone, so that the slopes inside a pixel widen them; the published fit
+    sees both as one."""
+    return parameters["method"] != "paper"
+
+
+def gloss_table(parameters: dict | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """beta (regions, lobes), gamma (regions, lobes) in radians, refractive index (regions,) of a parameters.json, and
+    the share of the surface's loss that the body's light suffers (`transmittance`). None: a painting without a fit,
+    one region without gloss."""
+    if parameters is None:
+        return np.zeros((1, 1)), np.full((1, 1), 0.5), np.full(1, 1.45), 0.0
+    regions = parameters["regions"]
+    beta = np.array([region["beta"] for region in regions], dtype=np.float64)
+    gamma = np.array([region["gamma"] for region in regions], dtype=np.float64)
+    index = np.array([region["refractive_index"] for region in regions], dtype=np.float64)
+    return beta, gamma, index, float(parameters["transmission"])

@@ -1,4 +1,8 @@
-"""Compiled variable projection: Lambert + one Torrance-Sparrow lobe at every point, shared width, linear strengths.
+"""Fit Lambert and one Torrance-Sparrow lobe by compiled variable projection: one width, linear strengths.
+
+Left to the compiler, a sum is either added one by one (slow) or in an order of the compiler's choice, which differs
+between a kernel just compiled and the same kernel loaded from the cache.  Here LANES partial sums, each over every
+LANES-th product, are added in halves: the same bytes everywhere, on processors of any vector length.
 
 A point has observations y_oc = K_d,c q_o + K_s,c a_o D(phi_o; gamma).  For a given gamma both strengths of a channel
 are a 2 x 2 linear problem with K >= 0, so only log gamma is searched:
@@ -8,14 +12,56 @@ are a 2 x 2 linear problem with K >= 0, so only log gamma is searched:
 * then Gauss-Newton on the projected residual (Kaufman's Jacobian; Golub & Pereyra, Inverse Problems 19, 2003, R1),
   held inside the bracket by the sign of the exact derivative and replaced by bisection where it would leave it.
 
-Sums over the observations are products of rows (`nishiki.brdf.vector_sums`), fast and in a fixed order; everything else
-is element by element.  No fast math: infinities and NaN keep their meaning, and results are the same bytes everywhere.
+Sums over the observations are products of rows, fast and in a fixed order; everything else is element by element.  No
+fast math: infinities and NaN keep their meaning, and results are the same bytes everywhere.
 """
 
 import numpy as np
-from numba import njit
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
-from nishiki.brdf.vector_sums import LANES, dot_rows
+LANES = 8
+
+
+@intrinsic
+def dot_rows(_context, matrix, i, j):
+    """sum over k of matrix[i, k] matrix[j, k]; matrix: C-contiguous, its columns a multiple of LANES (not checked)."""
+    real = matrix.dtype
+
+    def generate(context, builder, signature, arguments):
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        columns = cgutils.unpack_tuple(builder, array.shape)[1]
+        vector = ir.VectorType(context.get_value_type(real), LANES)
+        rows = [builder.gep(array.data, [builder.mul(row, columns)]) for row in arguments[1:]]
+        total = cgutils.alloca_once(builder, vector)
+        builder.store(ir.Constant(vector, None), total)
+        index = columns.type
+        steps = ir.Constant(index, 0), columns, ir.Constant(index, LANES)
+        with cgutils.for_range_slice(builder, *steps, index) as (k, _):
+            places = [builder.bitcast(builder.gep(row, [k]), vector.as_pointer()) for row in rows]
+            values = [builder.load(place, align=real.bitwidth // 8) for place in places]
+            builder.store(builder.fadd(builder.load(total), builder.fmul(*values)), total)
+        return _in_halves(builder, builder.load(total))
+
+    return real(matrix, types.intp, types.intp), generate
+
+
+def _in_halves(builder, vector):
+    """The sum of a vector's elements: its upper half added to its lower, until one is left."""
+    count = LANES
+    while count > 1:
+        count //= 2
+        mask = ir.VectorType(ir.IntType(32), count)
+        undefined = ir.Constant(vector.type, ir.Undefined)
+        low, high = (
+            builder.shuffle_vector(vector, undefined, ir.Constant(mask, list(range(first, first + count))))
+            for first in (0, count)
+        )
+        vector = builder.fadd(low, high)
+    return builder.extract_element(vector, ir.Constant(ir.IntType(32), 0))
+
 
 GRID_RATIO = 2.0
 REFINEMENTS = 24

@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.calibrate.photographs import list_photographs
-from nishiki.calibrate.result import Calibration, finite
+from nishiki.calibrate.result import Calibration, finite, list_photographs
 from nishiki.capture.taking import channel_names, full_scale_of, read_channels
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header

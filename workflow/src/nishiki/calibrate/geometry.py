@@ -21,9 +21,8 @@ from nishiki.calibrate.result import Calibration, finite
 from nishiki.capture.taking import full_scale_of, read_grey
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
-from nishiki.geometry.board import BoardCorners, BoardShape, board_of, detect_boards
-from nishiki.geometry.calibration import Calibration as LensFit
-from nishiki.geometry.calibration import calibrate
+from nishiki.geometry.board import BoardCorners, BoardShape, board_of, calibrate, detect_boards
+from nishiki.geometry.board import Calibration as LensFit
 from nishiki.report.page import Figure, Figures, Section, Table
 from nishiki.report.pictures import encoded
 

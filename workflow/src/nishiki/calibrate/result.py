@@ -1,4 +1,4 @@
-"""What every calibration leaves behind: a folder with numbers, files for captures, and a page to judge them by."""
+"""Read the photographs of a calibration, and write its result: numbers, files for captures, and a page."""
 
 from __future__ import annotations
 
@@ -11,13 +11,43 @@ from pathlib import Path
 
 import yaml
 
+from nishiki.capture.layouts import photographs_in
 from nishiki.capture.schema_base import read_mapping
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.taking import settings_text
 from nishiki.errors import UserError
 from nishiki.formats.files import put_file
+from nishiki.formats.image_headers import read_header
 from nishiki.report.page import Facts, Listing, Page, Section, render_page
 from nishiki.version import PROJECT_VERSION
+
+
+def list_photographs(names: Sequence[str], *, least: int = 1, what: str = "photographs") -> list[Path]:
+    """Files as given, folders replaced by the photographs in them in natural order; masks in folders are left out.
+
+    UserError where a name is no file, two are called alike, they are fewer than `least`, or sizes differ.
+    """
+    paths: list[Path] = []
+    for name in names:
+        path = Path(name)
+        if path.is_dir():
+            paths += photographs_in(path)
+        elif path.is_file():
+            paths.append(path)
+        else:
+            raise UserError(f"{name}: no such file or folder. Remedy: correct the path of the {what}")
+    if len(paths) < least:
+        raise UserError(f"{what}: expected at least {least}, found {len(paths)}")
+    headers = [read_header(path) for path in paths]
+    sizes = {(h.rows, h.columns, h.channels, h.sample) for h in headers}
+    if len(sizes) > 1:
+        raise UserError(
+            f"{what}: expected one size, depth and number of channels, found "
+            f"{'; '.join(f'{c} x {r}, {n} channels of {s}' for r, c, n, s in sorted(sizes))}. Remedy: give the "
+            "photographs of one camera with one setting"
+        )
+    return paths
+
 
 NUMBERS, PAGE, LINES = "calibration.json", "calibration.html", "capture-lines.yaml"
 

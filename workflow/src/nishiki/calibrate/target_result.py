@@ -9,12 +9,18 @@ import numpy as np
 
 from nishiki.calibrate import target
 from nishiki.calibrate.result import Calibration, finite
-from nishiki.calibrate.sensitivities import Sensitivities, chart_reflectances, recover
-from nishiki.calibrate.target import CRITERIA, ColourErrors, Patches, verdict
+from nishiki.calibrate.target import (
+    CRITERIA,
+    ColourErrors,
+    Patches,
+    Sensitivities,
+    chart_reflectances,
+    recover,
+    verdict,
+)
 from nishiki.capture.spectra_tables import read_curves
 from nishiki.capture.taking import full_scale_of
-from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_to_srgb_linear
-from nishiki.colour.encoding import Encoding
+from nishiki.colour.colour import Encoding, illuminant, srgb_encode, white_xyz, xyz_to_srgb_linear
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header

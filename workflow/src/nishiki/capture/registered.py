@@ -20,8 +20,7 @@ from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.formats.text_tables import reading
-from nishiki.geometry.camera import Camera
-from nishiki.geometry.matrices import point_in_sight
+from nishiki.geometry.camera import Camera, point_in_sight
 
 CORNER = 0.5  # pixels that count from the corner of the top left one, where ours count from its centre
 GL = np.diag([1.0, -1.0, -1.0])  # camera axes of OpenGL (y up, looking along -z) to ours (y down, looking along z)

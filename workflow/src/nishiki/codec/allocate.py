@@ -1,4 +1,4 @@
-"""One quantiser step for the whole object, found for a target: bytes, PSNR, bits per pixel, or a kept fraction.
+"""Find one quantiser step for the whole object that meets a target of bytes, PSNR or bits per pixel.
 
 Every tile is solved at the same step, so that a bit buys the same error everywhere. Passes over all tiles are few:
 what is sought is smooth and monotone in the logarithm of the step, so a secant finds it.
@@ -14,12 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
-from nishiki.codec.colour import principal_channels
-from nishiki.codec.design import Design
-from nishiki.codec.entropy import Coded, Model, encode
-from nishiki.codec.extent import Extent
-from nishiki.codec.parameters import Maps
-from nishiki.codec.prediction import Surface
+from nishiki.codec.design import Design, Extent
+from nishiki.codec.entropy import Coded, Model, encode, pack, train
+from nishiki.codec.parameters import Maps, Surface
 from nishiki.codec.tile_code import (
     CodedScene,
     CodedTile,
@@ -32,7 +29,21 @@ from nishiki.codec.tile_code import (
     refine_tile,
     see,
 )
-from nishiki.codec.training import pack, train
+
+
+def principal_channels(covariance: np.ndarray) -> np.ndarray:
+    """(C, C) float64 orthonormal: eigenvectors of a (C, C) second moment, by falling eigenvalue (the KLT).
+
+    Each row's largest entry is positive, so that the result does not depend on the solver's choice of sign. Entries are
+    multiples of 2**-20, a number that a header holds exactly; the identity where nothing is known.
+    """
+    if not np.isfinite(covariance).all() or np.abs(covariance).max(initial=0) == 0:
+        return np.eye(len(covariance))
+    _, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
+    rows = vectors.T[::-1]
+    largest = np.take_along_axis(rows, np.abs(rows).argmax(axis=1)[:, None], axis=1)
+    return np.round(rows * np.sign(largest) * 2**20) / 2**20
+
 
 NOTHING = Extent(0, 0, 0, 0, 8, 8)
 SLOPE = -1.3  # of the logarithm of the bytes by that of the step, usually

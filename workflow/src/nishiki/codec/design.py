@@ -1,15 +1,124 @@
-"""What encoder and decoder have to agree on: the header of a store, as a frozen value that goes through plain data."""
+"""Fix what encoder and decoder have to agree on: the header of a store, the coded extent and the axis of views.
+
+A tile is seen from an arc of the turn. Views outside the arc cost nothing: they are not in the block. Gaps inside
+it (held-out views, occlusion) are invisible samples, which the solver fills.
+"""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, fields
+from functools import lru_cache
 
 import numpy as np
 
-from nishiki.codec.extent import Extent
-from nishiki.codec.observations import view_matrix
-from nishiki.codec.transform import Block, Plane, plane_transform
+from nishiki.codec.transform import Block, Plane, analysis_matrix, cosine_matrix, levels_of, plane_transform
 from nishiki.errors import UserError
+
+
+def visible_arc(seen: np.ndarray, *, full_turn: bool) -> tuple[int, int]:
+    """First view and number of views of the shortest arc that holds every seen view.
+
+    seen (views,) bool. full_turn: the last view neighbours the first, so that an arc may pass the end. (0, 0) where
+    nothing is seen; the lowest start where two arcs are equally short.
+    """
+    views = len(seen)
+    at = np.flatnonzero(seen)
+    if not len(at):
+        return 0, 0
+    if not full_turn:
+        return int(at[0]), int(at[-1] - at[0] + 1)
+    gaps = np.diff(np.append(at, at[0] + views))
+    widest = int(np.argmax(gaps))
+    start = int(at[(widest + 1) % len(at)])
+    return start, int(views - gaps[widest] + 1)
+
+
+def arc_views(start: int, length: int, views: int) -> np.ndarray:
+    """(length,) int64: the views of an arc, in the order of the turn."""
+    return (start + np.arange(length)) % views
+
+
+@lru_cache(maxsize=512)
+def view_matrix(kind: str, length: int) -> np.ndarray:
+    """(length, length) float64 orthonormal; rows are basis vectors, lowest frequency first.
+
+    kind: "cosine" (DCT-II), "fourier" (the real Fourier basis, for a whole turn), "none", or the name of an orthonormal
+    wavelet: as many levels as `length` allows, an odd coarsest band goes on with a DCT.
+    Raises UserError for a biorthogonal wavelet.
+    """
+    if kind == "none" or length == 1:
+        return np.eye(length)
+    if kind == "cosine":
+        return cosine_matrix(length)
+    if kind == "fourier":
+        return fourier_matrix(length)
+    levels = levels_of(length, 32)
+    matrix = analysis_matrix(kind, length, levels)
+    if np.abs(matrix @ matrix.T - np.eye(length)).max() > 1e-9:
+        raise UserError(f"view_transform: expected an orthonormal family, found {kind!r}")
+    coarse = length >> levels
+    if coarse > 1:
+        matrix[:coarse] = cosine_matrix(coarse) @ matrix[:coarse]
+    return matrix
+
+
+def fourier_matrix(length: int) -> np.ndarray:
+    """(length, length) float64: constant, then cosine and sine of each frequency; orthonormal and shift-invariant."""
+    m = np.arange(length)
+    rows = [np.full(length, np.sqrt(1 / length))]
+    for k in range(1, (length + 1) // 2):
+        rows += [np.sqrt(2 / length) * np.cos(2 * np.pi * k * m / length)]
+        rows += [np.sqrt(2 / length) * np.sin(2 * np.pi * k * m / length)]
+    if length % 2 == 0:
+        rows.append(np.sqrt(1 / length) * (1.0 - 2.0 * (m % 2)))
+    return np.array(rows)
+
+
+SIDES = (8, 16, 32, 48, 64, 96, 128, 192, 256)
+
+
+@dataclass(frozen=True)
+class Extent:
+    """start, length: arc of views; row, column, rows, columns: rectangle of texels. length 0: nothing sees the tile."""
+
+    start: int
+    length: int
+    row: int
+    column: int
+    rows: int
+    columns: int
+
+    @property
+    def texels(self) -> tuple[slice, slice]:
+        """Slices of the rectangle in arrays (T, T, ...)."""
+        return slice(self.row, self.row + self.rows), slice(self.column, self.column + self.columns)
+
+    def observations(self, views: int, lights: int) -> np.ndarray:
+        """(lights * length,) int64: observations of the block, in its order."""
+        return (np.arange(lights)[:, None] * views + arc_views(self.start, self.length, views)[None]).reshape(-1)
+
+    def row_of_numbers(self) -> tuple[int, ...]:
+        """As the index stores it."""
+        return self.start, self.length, self.row, self.column, self.rows, self.columns
+
+
+def extent_of(seen: np.ndarray, inside: np.ndarray, *, full_turn: bool, arcs: bool) -> Extent:
+    """seen (views,) bool; inside (T, T) bool. arcs: False keeps all views."""
+    start, length = visible_arc(seen, full_turn=full_turn) if arcs else (0, len(seen) if seen.any() else 0)
+    row, rows = _side(inside.any(axis=1))
+    column, columns = _side(inside.any(axis=0))
+    return Extent(start, length, row, column, rows, columns)
+
+
+def _side(used: np.ndarray) -> tuple[int, int]:
+    """First texel and number of texels: the smallest of SIDES that holds all used ones, or the whole tile."""
+    at = np.flatnonzero(used)
+    if not len(at):
+        return 0, min(SIDES[0], len(used))
+    length = at[-1] + 1 - at[0]
+    side = min(s for s in (*SIDES, len(used)) if length <= s <= len(used))
+    return int(min(at[0], len(used) - side)), int(side)
+
 
 GROUPS = ("kd", "ks", "sigma")
 

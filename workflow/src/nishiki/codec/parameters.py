@@ -1,5 +1,7 @@
-"""Reflection parameters as the coder stores them: solved for in the pictures, then coded by what they do to a
-prediction.
+"""Solve for the reflection parameters that the coder stores, predict the model with them, and code them.
+
+A picture is a bilinear look-up among texels, each encode(I_d + I_s) plus its residual; so the model is evaluated and
+encoded at the texels too.
 
 K_d and K_s enter the model linearly. Values fitted to point-sampled texels are blurred twice by interpolation; here
 they are corrected until the *picture* of the model is right, through the renderer's own look-up. That is where most of
@@ -13,11 +15,45 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.brdf.texels.lighting import Lamp
-from nishiki.brdf.texels.model import predict
-from nishiki.codec.interpolate import Footprints
-from nishiki.codec.prediction import Surface
-from nishiki.colour.encoding import encode, encoding_slope
+from nishiki.brdf.texels.model import Lamp, predict
+from nishiki.codec.design import Design, Extent
+from nishiki.codec.rate import quantise
+from nishiki.codec.solve import Footprints, Operator, solve
+from nishiki.codec.transform import Block
+from nishiki.colour.colour import encode, encoding_slope
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Geometry of a tile: positions, normals (T, T, 3) float32 in the object's frame, inside (T, T) bool."""
+
+    positions: np.ndarray
+    normals: np.ndarray
+    inside: np.ndarray
+
+
+def predict_texels(
+    kd: np.ndarray,
+    ks: np.ndarray,
+    sigma: np.ndarray,
+    surface: Surface,
+    centres: np.ndarray,
+    lamps: Sequence[Lamp],
+    encoding: str,
+    *,
+    component: str = "total",
+) -> np.ndarray:
+    """(C, observations, T, T) float32: encode(model) of kd, ks (T, T, C), sigma (T, T), for each camera and lamp.
+
+    centres (observations, 3). component: "total", "diffuse" or "specular".
+    """
+    out = np.empty((kd.shape[-1], len(lamps), *sigma.shape), np.float32)
+    for o, (centre, lamp) in enumerate(zip(centres, lamps, strict=True)):
+        parts = predict(kd, ks, sigma, surface.positions, surface.normals, centre, lamp)
+        total = {"total": sum(parts), "diffuse": parts[0], "specular": parts[1]}[component]
+        out[:, o] = np.moveaxis(encode(total, encoding), -1, 0)
+    return out
+
 
 WIDTH_FLOOR = 1e-3
 
@@ -151,3 +187,55 @@ def _pace(weight: np.ndarray, largest: float) -> np.ndarray:
     view comes near the highlight, K_s would grow by many powers of ten to explain what the model lacks.
     """
     return np.where(weight > 0, 0.5 / np.maximum(weight, max(0.02 * largest, 1e-20)), 0).astype(np.float32)
+
+
+ITERATIONS = 60
+
+
+def encode_parameters(
+    maps: Maps, weights: Weights, typical: tuple[float, ...], design: Design, extent: Extent, threshold: float
+):
+    """(C, 3, rows, columns) int32: kd, ks and log sigma (channel 0) as multiples of their steps; of cropped maps.
+
+    typical: weight of a typical texel for each group; texels weigh in with their own up to that, so that what the
+    pictures do not show is filled with whatever is cheapest. threshold: in steps.
+    """
+    out = np.zeros(design.parameter_shape(extent), np.int32)
+    block = Block(design.parameter_plane(extent), np.eye(1), np.eye(1))
+    groups = zip(_planes(maps), (weights.kd, weights.ks, weights.sigma[..., None]), typical, strict=True)
+    for group, (values, weight, usual) in enumerate(groups):
+        mix, mean = design.parameter_mix(group), design.parameter_mean(group)
+        planes = np.tensordot(mix, values - mean[:, None, None], 1).astype(np.float32)
+        share = np.clip(weight.mean(axis=-1) / usual, 0, 1) if usual > 0 else np.zeros(weight.shape[:2])
+        step = design.parameter_steps[group]
+        out[: len(planes), group] = _solve_planes(planes, share.astype(np.float32), block, step, threshold)
+    return out
+
+
+def _solve_planes(planes: np.ndarray, share: np.ndarray, block: Block, step: float, threshold: float) -> np.ndarray:
+    root = np.sqrt(share)[None, None]
+    operator = Operator(lambda v: v * root, lambda v: v * root, float(share.max(initial=0)))
+    shape = (len(planes), 1, 1, *planes.shape[1:])
+    data = planes[:, None] * root
+    solution = solve(data, operator, block, shape, threshold=threshold * step, iterations=ITERATIONS)
+    return quantise(solution.coefficients, step)[:, 0, 0]
+
+
+def decode_parameters(values: np.ndarray, design: Design, extent: Extent) -> Maps:
+    """Cropped maps of integers (C, 3, rows, columns); K_d and K_s are held at 0 and above, sigma above 0.001 rad and
+    below 1e3."""
+    block = Block(design.parameter_plane(extent), np.eye(1), np.eye(1))
+    planes = []
+    for group in range(3):
+        count = 1 if group == 2 else design.channels
+        coefficients = (values[:count, group] * np.float32(design.parameter_steps[group])).astype(np.float32)
+        samples = block.inverse(coefficients[:, None, None])[:, 0, 0]
+        mixed = np.tensordot(design.parameter_mix(group).T, samples, 1) + design.parameter_mean(group)[:, None, None]
+        planes.append(np.moveaxis(mixed, 0, -1).astype(np.float32))
+    width = np.exp(np.clip(planes[2][..., 0], np.log(WIDTH_FLOOR), np.log(1e3)))
+    return Maps(np.maximum(planes[0], 0), np.maximum(planes[1], 0), width)
+
+
+def _planes(maps: Maps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    width = np.log(np.clip(maps.sigma, WIDTH_FLOOR, 1e3))
+    return np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0), width[None]

@@ -8,17 +8,21 @@ from functools import partial
 
 import numpy as np
 
-from nishiki.brdf.texels.lighting import Lamp
-from nishiki.codec.design import Design
-from nishiki.codec.extent import Extent, extent_of
-from nishiki.codec.interpolate import Footprints
-from nishiki.codec.parameter_code import decode_parameters, encode_parameters
-from nishiki.codec.parameters import Maps, Weights, model_factors, refine, texel_weights
-from nishiki.codec.prediction import Surface, predict_texels
-from nishiki.codec.pursuit import Pursuit, curvatures, pursue
-from nishiki.codec.quantise import quantise
-from nishiki.codec.rate import expected_bits
-from nishiki.codec.solve import Operator, samples_of
+from nishiki.brdf.texels.model import Lamp
+from nishiki.codec.design import Design, Extent, extent_of
+from nishiki.codec.parameters import (
+    Maps,
+    Surface,
+    Weights,
+    decode_parameters,
+    encode_parameters,
+    model_factors,
+    predict_texels,
+    refine,
+    texel_weights,
+)
+from nishiki.codec.rate import expected_bits, quantise
+from nishiki.codec.solve import Footprints, Operator, Pursuit, curvatures, pursue, samples_of
 
 
 @dataclass(frozen=True)

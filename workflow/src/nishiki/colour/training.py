@@ -1,18 +1,179 @@
-"""A synthetic training set: reflectances that paints of known pigments could have.
+"""Synthesise reflectances of paints of known pigments as a training set.
+
+Every curve is built from general facts of its pigment's spectrum: the wavelength of an absorption edge, the positions
+and widths of absorption bands, how strongly it absorbs and scatters beside a white. No measured curve is stored. The
+wavelengths are those by which pigments are recognised in reflectance spectra; see Johnston-Feller, Color Science in
+the Examination of Museum Objects (Getty, 2001); Artists' Pigments, volumes 1-4 (National Gallery of Art, 1986-2007);
+Cosentino, e-conservation Journal 2 (2014) 53-65; cobalt: Bacci and Picollo, Studies in Conservation 41 (1996) 136-144;
+iron oxides: Strens and Wood, Mineralogical Magazine 43 (1979) 347-354; madder and cochineal: Fonseca et al., Heritage
+Science 7 (2019) 92. They are rounded, strengths are orders of magnitude, and every paint that is drawn
+varies all of them.
 
 The project ships no measured reflectances. Pigments are drawn from a table of published absorption edges and bands
-(`nishiki.colour.pigments`), mixed with each other, with white and black by Kubelka and Munk's law in a binder that may
+(`nishiki.colour.training`), mixed with each other, with white and black by Kubelka and Munk's law in a binder that may
 have yellowed, laid thick or as a glaze over a white ground, and seen through the paint's own surface or without it.
 Deterministic for a seed.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from nishiki.colour.pigments import draw_pigments
-from nishiki.colour.sampling import WAVELENGTHS_NM, resample
+from nishiki.colour.sampling import BANDS, WAVELENGTHS_NM, resample
 from nishiki.errors import UserError
+
+EDGE_RATIO = 0.25  # K/S at which an edge is placed: reflectance 0.5 of a thick layer
+# Spread of a paint's parameters about those of the table: makers, particle sizes and recipes differ. Standard
+# deviations of the natural logarithm, of band centres in nm. They are wider than among makers of one paint, so that
+# errors of the table are covered; chosen on one half of the makers of measured paints (docs/stages/spectra.md).
+STRENGTH_SPREAD, SCATTERING_SPREAD, FLOOR_SPREAD = 0.9, 0.9, 1.2
+WIDTH_SPREAD, HEIGHT_SPREAD, CENTRE_SPREAD_NM = 0.15, 0.3, 5.0
+
+
+@dataclass(frozen=True)
+class Pigment:
+    """One pigment or group of pigments; absorption K and scattering S relative to the scattering of a white pigment.
+
+    share : how often it is drawn, relative to the others. strength : largest K. scattering : S at 550 nm; opaque
+    pigments have 0.2 or more, transparent ones less. slope : S falls as wavelength to this power. floor : K/S where no
+    edge or band absorbs. edges : (least and largest wavelength, nm, at which the reflectance of a thick layer of the
+    pure pigment rises through one half; decay of K beyond it, nm; height relative to the strength). bands : (centre,
+    nm; standard deviation, nm; height relative to the strength).
+    """
+
+    name: str
+    share: float
+    strength: float
+    scattering: float
+    slope: float
+    floor: float
+    edges: tuple[tuple[float, float, float, float], ...]
+    bands: tuple[tuple[float, float, float], ...]
+
+
+# fmt: off
+PIGMENTS = (
+    # Semiconductors and chromates: one absorption edge; all light beyond it returns.
+    Pigment("cadmium yellow", 3, 4, 0.6, 1, 0.012, ((478, 530, 8.5, 1),), ()),
+    Pigment("cadmium orange", 1.5, 4, 0.6, 1, 0.015, ((545, 590, 10, 1),), ()),
+    Pigment("cadmium red", 3, 4, 0.5, 0.8, 0.02, ((590, 640, 10, 1),), ()),
+    Pigment("vermilion", 1, 3, 0.6, 0.5, 0.03, ((592, 606, 9, 1),), ()),
+    Pigment("red lead", 0.5, 3, 0.7, 0.5, 0.03, ((560, 575, 11.5, 1),), ()),
+    Pigment("orpiment, realgar", 0.5, 2, 0.6, 0.5, 0.05, ((480, 560, 17, 1),), ()),
+    Pigment("lead-tin yellow", 0.7, 1.5, 0.8, 0.5, 0.03, ((455, 490, 14.5, 1),), ()),
+    Pigment("lead antimonate", 0.7, 1.2, 0.8, 0.5, 0.04, ((480, 530, 22, 1),), ()),
+    Pigment("lead chromate", 0.8, 3, 0.8, 0.6, 0.02, ((495, 545, 10.5, 1),), ()),
+    Pigment("chromates of zinc, barium, strontium", 0.5, 2, 0.6, 0.6, 0.02, ((470, 490, 10, 1),), ()),
+    Pigment("bismuth vanadate", 0.5, 3, 0.7, 0.8, 0.01, ((480, 500, 10.5, 1),), ()),
+    Pigment("nickel titanate", 0.6, 0.6, 0.8, 0.8, 0.02, ((440, 490, 21, 1),), ((700, 60, 0.01),)),
+    # Organic yellows, oranges and reds: strong and transparent; their bands are resolved in tints.
+    Pigment("monoazo yellow", 3, 5, 0.08, 1, 0.012, ((485, 520, 8, 1),), ()),
+    Pigment("diarylide, isoindolinone yellow", 1.5, 5, 0.06, 1, 0.015, ((515, 550, 10, 1),), ()),
+    Pigment("nickel azo, Indian yellow", 1, 4, 0.03, 1, 0.03, ((520, 580, 17, 1),), ()),
+    Pigment("orange (perinone, pyrrole, azo)", 1.2, 5, 0.08, 1, 0.015, ((565, 600, 9, 1),), ()),
+    Pigment("naphthol, pyrrole red", 3, 5, 0.07, 1, 0.015, ((598, 630, 9, 0.9),), ((540, 35, 0.35),)),
+    Pigment("perylene, bordeaux", 0.7, 4, 0.04, 1, 0.05, ((620, 660, 11.5, 0.8),), ((540, 40, 0.4),)),
+    Pigment("quinacridone rose", 1.6, 4, 0.05, 1, 0.02, ((470, 500, 32.5, 0.12),),
+            ((500, 26, 0.45), (533, 14, 0.7), (565, 13, 0.7))),
+    Pigment("quinacridone magenta", 1.2, 4, 0.05, 1, 0.02, ((470, 500, 32.5, 0.1),),
+            ((500, 28, 0.4), (530, 16, 0.7), (563, 13, 0.75), (580, 12, 0.3))),
+    Pigment("quinacridone burnt", 0.5, 4, 0.03, 1, 0.1, ((590, 640, 19.5, 1),), ((540, 40, 0.3),)),
+    Pigment("alizarin, madder lake", 1.6, 4, 0.02, 1, 0.06, ((480, 560, 32.5, 0.35),),
+            ((510, 32, 0.8), (545, 22, 0.7), (585, 14, 0.15))),
+    Pigment("carmine, cochineal", 0.8, 4, 0.02, 1, 0.08, ((470, 520, 32.5, 0.3),),
+            ((523, 28, 0.8), (563, 16, 0.7), (590, 14, 0.2))),
+    # Violets.
+    Pigment("dioxazine violet", 0.9, 6, 0.03, 1, 0.3, (),
+            ((400, 40, 0.2), (530, 30, 0.75), (575, 22, 0.8), (620, 18, 0.75))),
+    Pigment("cobalt violet", 0.4, 0.4, 0.3, 0.5, 0.15, (), ((480, 35, 0.35), (535, 28, 0.9), (585, 22, 0.8))),
+    Pigment("manganese violet", 0.4, 0.7, 0.3, 0.5, 0.15, (), ((480, 40, 0.3), (540, 42, 1), (600, 35, 0.3))),
+    Pigment("ultramarine violet", 0.3, 0.8, 0.2, 0.5, 0.2, (), ((560, 55, 1), (620, 40, 0.4))),
+    # Blues: bands of the sulphur radical, of cobalt and of large ring molecules; charge transfer between iron ions.
+    Pigment("ultramarine", 3, 3, 0.12, 1, 0.1, (), ((555, 32, 0.4), (600, 40, 1), (650, 30, 0.35), (380, 25, 0.1))),
+    Pigment("cobalt blue", 2, 1.5, 0.25, 0.8, 0.02, (),
+            ((545, 22, 0.65), (585, 22, 1), (630, 22, 1), (500, 20, 0.05), (380, 15, 0.06))),
+    Pigment("smalt, Egyptian blue", 0.5, 0.5, 0.2, 0.5, 0.2, (), ((545, 28, 0.7), (595, 26, 1), (640, 26, 1))),
+    Pigment("cerulean", 1.2, 1.2, 0.4, 0.8, 0.06, ((400, 430, 26, 0.3),),
+            ((588, 26, 0.85), (628, 26, 1), (660, 18, 0.6))),
+    Pigment("cobalt turquoise", 0.8, 1, 0.5, 0.8, 0.06, ((410, 450, 23.5, 0.5),), ((600, 32, 0.8), (650, 34, 1))),
+    Pigment("manganese blue", 0.3, 0.8, 0.4, 0.8, 0.05, ((385, 405, 15.5, 0.3),),
+            ((580, 32, 0.8), (640, 32, 1), (690, 25, 0.7))),
+    Pigment("phthalocyanine blue", 3, 8, 0.05, 1, 0.3, ((400, 425, 21, 0.12),),
+            ((565, 26, 0.25), (615, 30, 1), (665, 28, 0.7), (710, 26, 1))),
+    Pigment("Prussian blue", 1.2, 8, 0.02, 1, 1, ((400, 420, 19.5, 0.2),), ((690, 95, 1), (600, 60, 0.2))),
+    Pigment("indigo", 0.5, 4, 0.03, 1, 1, ((400, 440, 26, 0.2),), ((600, 32, 0.5), (655, 28, 1))),
+    Pigment("indanthrone", 0.4, 5, 0.03, 1, 1, ((410, 430, 21, 0.25),),
+            ((570, 50, 0.5), (650, 35, 0.9), (710, 28, 0.8))),
+    Pigment("azurite, blue verditer", 0.8, 0.8, 0.25, 0.3, 0.2, ((395, 415, 18, 0.3),),
+            ((600, 55, 0.45), (680, 75, 1))),
+    # Greens: ring molecules; chromium with two bands; cobalt; copper.
+    Pigment("phthalocyanine green", 2, 8, 0.04, 1, 0.3, ((455, 475, 18, 0.35),),
+            ((585, 22, 0.15), (640, 32, 1), (700, 35, 0.9))),
+    Pigment("phthalocyanine green, yellow shade", 0.8, 6, 0.04, 1, 0.3, ((470, 490, 18, 0.4),),
+            ((610, 24, 0.2), (660, 34, 1), (715, 35, 0.9))),
+    Pigment("viridian", 1, 1.2, 0.1, 0.5, 0.25, ((385, 400, 15.5, 0.3),),
+            ((425, 32, 0.7), (600, 42, 1), (655, 32, 0.4))),
+    Pigment("chromium oxide", 1.3, 1.5, 0.5, 0.2, 0.15, ((380, 400, 15.5, 0.4),),
+            ((460, 34, 0.9), (600, 34, 0.8), (650, 34, 0.4))),
+    Pigment("cobalt green", 0.7, 1, 0.4, 0.6, 0.1, ((430, 480, 28.5, 0.8),), ((590, 30, 0.7), (640, 34, 1))),
+    Pigment("malachite, verdigris", 0.6, 0.8, 0.25, 0.3, 0.2, ((400, 440, 26, 0.5),), ((640, 50, 0.5), (720, 60, 1))),
+    Pigment("green earth", 0.8, 0.4, 0.2, 0.2, 0.3, ((450, 520, 39, 0.9),), ((640, 45, 0.5), (720, 50, 0.6))),
+    # Earths: iron oxides, whose edge is that of goethite or hematite; manganese oxide darkens umbers.
+    Pigment("ochre, goethite", 3, 2, 0.4, 0.4, 0.06, ((535, 575, 17, 1),), ((650, 40, 0.02), (480, 30, 0.2))),
+    Pigment("sienna, transparent oxide", 2, 3, 0.06, 0.6, 0.2, ((560, 640, 23.5, 1),), ((650, 40, 0.015),)),
+    Pigment("red oxide, hematite", 3, 3, 0.5, 0.3, 0.2, ((575, 610, 13, 1),), ((640, 32, 0.05),)),
+    Pigment("caput mortuum", 0.8, 2.5, 0.4, 0.2, 0.3, ((580, 640, 18, 0.8),), ((650, 40, 0.08),)),
+    Pigment("raw umber", 1.6, 2, 0.15, 0.4, 1, ((540, 640, 39, 0.9),), ((620, 90, 0.12),)),
+    Pigment("burnt umber", 1.6, 2.5, 0.15, 0.4, 1.5, ((570, 650, 34, 0.9),), ((630, 80, 0.1),)),
+    Pigment("bitumen, sepia", 0.6, 3, 0.04, 0.4, 5, ((560, 680, 52, 0.9),), ()),
+    # Blacks.
+    Pigment("carbon black", 1.5, 6, 0.1, 0.6, 50, (), ((450, 150, 0.1),)),
+    Pigment("bone, mars black", 1.2, 4, 0.12, 0.4, 25, ((480, 620, 52, 0.25),), ()),
+)
+# fmt: on
+
+
+def draw_pigments(draw, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Absorption and scattering (count, 61), one pigment a row, by `draw` (`nishiki.colour.training.Draw`)."""
+    share = np.cumsum([pigment.share for pigment in PIGMENTS])
+    picked = np.searchsorted(share[:-1] / share[-1], draw.uniform(0.0, 1.0, count), side="right")
+    edges, bands = _padded([p.edges for p in PIGMENTS], 4)[picked], _padded([p.bands for p in PIGMENTS], 3)[picked]
+    table = np.array([(p.strength, p.scattering, p.slope, p.floor) for p in PIGMENTS])
+    strength, scattering, slope, floor = table[picked].T[..., None]
+    strength = strength * draw.log_normal(STRENGTH_SPREAD, count, 1)
+    scattering = scattering * draw.log_normal(SCATTERING_SPREAD, count, 1)
+    absorption = floor * draw.log_normal(FLOOR_SPREAD, count, 1) * scattering * np.ones(BANDS)
+    for low, high, decay, height in edges.transpose(1, 2, 0)[..., None]:
+        place = low + (high - low) * draw.uniform(0.0, 1.0, count, 1)
+        absorption += edge(place, decay * draw.log_normal(WIDTH_SPREAD, count, 1), height * strength, scattering)
+    for centre, width, height in bands.transpose(1, 2, 0)[..., None]:
+        place = centre + CENTRE_SPREAD_NM * draw.normal(count, 1)
+        spread = width * draw.log_normal(WIDTH_SPREAD, count, 1)
+        peak = height * strength * draw.log_normal(HEIGHT_SPREAD, count, 1)
+        absorption += peak * np.exp(-0.5 * ((WAVELENGTHS_NM - place) / spread) ** 2)
+    return absorption, scattering * (WAVELENGTHS_NM / 550.0) ** -slope
+
+
+def edge(place: np.ndarray, decay: np.ndarray, strength: np.ndarray, scattering: np.ndarray) -> np.ndarray:
+    """K (..., 61) of an absorption edge: constant below, exponential beyond (Urbach, Phys. Rev. 92, 1953, 1324).
+
+    place, decay : nm; K/S is `EDGE_RATIO` at `place`. strength : K below the edge, scattering : S; all (..., 1). Of a
+    pigment whose strength is below EDGE_RATIO of its scattering the edge lies beyond `place` by up to 4.6 decays.
+    """
+    ahead = decay * np.log(np.maximum(strength / (EDGE_RATIO * scattering) - 1.0, 1e-2))
+    return strength / (1.0 + np.exp(np.clip((WAVELENGTHS_NM - (place - ahead)) / decay, -50.0, 50.0)))
+
+
+def _padded(rows: list[tuple], columns: int) -> np.ndarray:
+    """(pigments, most features, columns) with features of no height at the end of shorter rows."""
+    table = np.ones((len(rows), max(len(row) for row in rows), columns))
+    table[:, :, -1] = 0.0
+    for row, features in zip(table, rows, strict=True):
+        row[: len(features)] = np.array(features).reshape(-1, columns)
+    return table
+
 
 # How paints are made up. Chosen on one half of the makers of measured paints; the page of the stage names them and
 # gives the errors on the other half (docs/stages/spectra.md).

@@ -27,9 +27,9 @@ from nishiki.progress import Progress
 
 if TYPE_CHECKING:
     from nishiki.archive.audit import AuditTargets, Counts
-    from nishiki.archive.damage import Damage
-    from nishiki.archive.inventory import Item, Place, Pruning
     from nishiki.archive.pack import PackedScene
+    from nishiki.archive.prune import Item, Place, Pruning
+    from nishiki.archive.survey import Damage
     from nishiki.artifacts.artifact import Artifact
     from nishiki.engine.plan import Plan
     from nishiki.engine.workflow import Workflow
@@ -79,7 +79,7 @@ def verify(folders, captures, as_json, threads, set_aside) -> int:
 
 def _verify_capture(capture: Path, as_json: bool) -> int:
     """Verify a sealed capture; the number of problems."""
-    from nishiki.archive.damage import Damage, shown
+    from nishiki.archive.survey import Damage, shown
     from nishiki.capture.seal import verify_seal
     from nishiki.formats.problems import group_problems
 
@@ -94,7 +94,7 @@ def _verify_capture(capture: Path, as_json: bool) -> int:
 def _verify_crate(path: Path, threads: int, as_json: bool) -> int:
     """Verify a packed scene; the number of problems."""
     from nishiki.archive.crate_audit import CrateAudit, audit_crate
-    from nishiki.archive.damage import shown
+    from nishiki.archive.survey import shown
 
     audited = CrateAudit(path)
     problems = 0
@@ -150,8 +150,8 @@ def amount(count: int, thing: str) -> str:
 
 
 def _set_aside(unsound: set[Path]) -> None:
-    from nishiki.archive.damage import shown
-    from nishiki.engine.soundness import set_aside
+    from nishiki.archive.survey import shown
+    from nishiki.engine.finished import set_aside
 
     for folder in sorted(unsound):
         if folder.is_dir() and not folder.is_symlink() and "." not in folder.name:
@@ -169,7 +169,7 @@ def _set_aside(unsound: set[Path]) -> None:
 def pack(scene: str, output: str, without_capture: bool, zipped: bool, configfile: str) -> None:
     """Pack a finished scene, with all that it was made from, as an RO-Crate."""
     from nishiki.archive import pack as packing
-    from nishiki.archive.damage import shown
+    from nishiki.archive.survey import shown
 
     target = Path(output)
     flow = planned_workflow(configfile, scene)
@@ -194,7 +194,7 @@ def expect_outside(target: Path, results: Path) -> None:
 
 
 def _scene(flow: Workflow, name: str, plan: Plan) -> PackedScene:
-    from nishiki.archive.digitisation import capture_method
+    from nishiki.archive.crate import capture_method
     from nishiki.archive.pack import PackedScene
     from nishiki.capture.folder import payload_of
     from nishiki.capture.schema import read_capture_file
@@ -299,7 +299,7 @@ def _referenced(configurations: tuple[str, ...], sweeps: tuple[str, ...]) -> lis
 
 def _refuse_unknown_sweeps(results: Path, known: set[str], unnamed: bool) -> None:
     """A sweep that is not given may need artifacts that nothing else names: nothing is guessed."""
-    from nishiki.archive.inventory import PRUNED
+    from nishiki.archive.prune import PRUNED
     from nishiki.engine.project import SWEEPS
     from nishiki.engine.sweep_plan import TIMINGS
 
@@ -337,7 +337,7 @@ def _tell(pruning: Pruning, as_json: bool) -> None:
 
 
 def _tell_item(what: str, item: Item, as_json: bool) -> None:
-    from nishiki.archive.damage import shown
+    from nishiki.archive.survey import shown
 
     if as_json:
         print(json.dumps({"what": what, "path": str(item.folder), "bytes": item.bytes, "why": item.why}))
@@ -346,8 +346,8 @@ def _tell_item(what: str, item: Item, as_json: bool) -> None:
 
 
 def _delete(pruning: Pruning, as_json: bool) -> int:
-    from nishiki.archive.damage import shown
-    from nishiki.archive.removal import remove
+    from nishiki.archive.prune import remove
+    from nishiki.archive.survey import shown
 
     total, failed = remove(pruning.remove, lambda item: _tell_item("removed", item, as_json))
     for folder, why in failed:

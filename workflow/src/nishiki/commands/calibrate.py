@@ -116,7 +116,7 @@ def spheres(photographs, folder, into, board, seeds, **given) -> None:
 
     Lay the spheres where the object will lie, and photograph them once under every lamp, the camera fixed.
     """
-    from nishiki.calibrate.photographs import list_photographs
+    from nishiki.calibrate.result import list_photographs
     from nishiki.calibrate.spheres_result import calibrate_spheres
     from nishiki.capture.spheres.findings import SphereInput
 
@@ -158,7 +158,7 @@ def camera(series, folder, into, bits) -> None:
 def geometry(photographs, folder, into, board, dictionary, print_only, stage, distortion) -> None:
     """Measure the lens, a turntable's axis and a goniometer's centre with a ChArUco board, or print a board."""
     from nishiki.calibrate.geometry import calibrate_geometry, print_board
-    from nishiki.calibrate.photographs import list_photographs
+    from nishiki.calibrate.result import list_photographs
     from nishiki.geometry.board import BoardShape
 
     columns, rows, square, marker = board

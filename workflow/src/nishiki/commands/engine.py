@@ -13,11 +13,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
 
-from nishiki.artifacts.publish import expect_links
-from nishiki.engine.finished import unfinished_scenes
+from nishiki.artifacts.artifact import expect_links
+from nishiki.engine.finished import set_aside_unsound, unfinished_scenes
 from nishiki.engine.plan import Plan
 from nishiki.engine.running_lock import registered
-from nishiki.engine.soundness import set_aside_unsound
 from nishiki.engine.workflow import LEAVE_OUT, Workflow
 from nishiki.installation import INSTALLED, SOURCE
 

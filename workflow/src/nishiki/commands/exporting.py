@@ -72,7 +72,7 @@ def export(scene, formats, output, configfile, cores, gone) -> int:
 @with_configuration
 def table(file: str, configfile: str) -> None:
     """Write the figures of all scenes as a table, one row a scene."""
-    from nishiki.engine.campaign_table import campaign_rows, columns_of
+    from nishiki.engine.finished import campaign_rows, columns_of
 
     path = Path(file)
     if path.suffix not in (".csv", ".parquet"):

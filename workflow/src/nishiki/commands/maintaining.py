@@ -106,7 +106,7 @@ def install_for_meshlab() -> None:
 
     Elsewhere, or where it fails, a message names the command; the tests that need the filters are then skipped.
     """
-    from nishiki.geometry.meshlab import APT_LINE, missing_filters
+    from nishiki.geometry.scans import APT_LINE, missing_filters
 
     if not missing_filters():
         return

@@ -49,7 +49,7 @@ def rig() -> None:
 def ports() -> None:
     """List what is connected: serial ports with vendor and product, cameras."""
     from nishiki.packages import install_extras, installed
-    from nishiki.rig.ports import camera_ports, serial_ports
+    from nishiki.rig.description import camera_ports, serial_ports
 
     on_usb, others = serial_ports()
     on_usb += camera_ports()
@@ -116,7 +116,7 @@ def _teller(capture: str) -> Any:
     """Tells on standard error how far a run is, and what is repeated and why."""
     from nishiki.progress import Progress
     from nishiki.rig.frames_table import duration
-    from nishiki.rig.run_state import REPEATED, RunState, why
+    from nishiki.rig.records import REPEATED, RunState, why
 
     class Teller(RunState):
         progress = Progress(f"rig run {capture}")

@@ -178,8 +178,8 @@ def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Pa
     """
     import importlib.util
 
-    from nishiki.engine.machine import memory_arguments, thread_arguments
     from nishiki.engine.project import load_yaml
+    from nishiki.engine.scheduling import memory_arguments, thread_arguments
     from nishiki.packages import install_extras
 
     folder = profile_folder(name)

@@ -118,7 +118,7 @@ def write_index(flow: Workflow, why: Mapping[str, str] | None = None) -> Path:
     Path
         The page.
     """
-    from nishiki.artifacts.publish import INDEX
+    from nishiki.artifacts.artifact import INDEX
     from nishiki.report.page import SceneCard, campaign_page
     from nishiki.version import PROJECT_VERSION
 
@@ -142,7 +142,7 @@ def write_index(flow: Workflow, why: Mapping[str, str] | None = None) -> Path:
 
 def card_of(flow: Workflow, scene: str, why: str):
     """What the page shows of a planned scene (`nishiki.report.page.SceneCard`)."""
-    from nishiki.artifacts.publish import INDEX
+    from nishiki.artifacts.artifact import INDEX
 
     published = _read(Path(flow.results, scene, "current", INDEX))
     stages, artifacts = flow.plans[scene].stages, published.get("artifacts", {})

@@ -1,17 +1,27 @@
-"""Which scenes are finished: a run would make nothing of them again, so that the engine need not hear of them.
+"""List finished scenes and their figures, and set aside artifacts that a run must not build on.
 
 A scene is finished where each stage of its plan has an artifact under its key that is whole, was made by the present
 code with the present libraries and from the upstream artifacts that stand there, and where the publication names
 exactly these artifacts. Settings, products, truth and capture decide the keys; the facts cache sees their changes.
+
+Nothing is deleted: a folder that is set aside keeps its files under `<key>.set-aside-<digest>`, for whoever wants to
+know what happened; `./nishiki prune` lists it.
 """
 
+from __future__ import annotations
+
+import contextlib
 import json
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
-from nishiki.artifacts.artifact import open_artifact
-from nishiki.artifacts.provenance import library_version
-from nishiki.artifacts.publish import INDEX
+from nishiki.artifacts.artifact import INDEX, MANIFEST, Artifact, open_artifact
+from nishiki.artifacts.provenance import file_digest, library_version
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
 from nishiki.stages.table import CHAIN
@@ -64,3 +74,152 @@ def _is_published(path: str, artifacts: dict[str, dict[str, str]], code: str) ->
 @cache
 def _versions(packages: tuple[str, ...]) -> dict[str, str]:
     return {name: library_version(name) for name in packages}
+
+
+ASIDE = ".set-aside-"
+
+
+@dataclass(frozen=True)
+class Unsound:
+    """An artifact folder that must not be built on, and why."""
+
+    folder: Path
+    why: str
+
+    def __str__(self) -> str:
+        return f"{self.folder}: {self.why}"
+
+
+def unsound_artifacts(
+    plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]], *, contents: bool = False
+) -> list[Unsound]:
+    """Torn and stale artifacts of some scenes, in the order of the flow.
+
+    plans: scene -> stages in the order of the flow, each its name, its folder, and the names of its upstream stages.
+    Torn: files missing or of the wrong size, or no readable manifest. Stale: an upstream artifact that stands there is
+    not the one that it was made from. Sizes are looked at; contents: what a stage checks of its inputs too, as after a
+    power cut; `./nishiki verify` reads everything.
+    """
+    return [item for stages in plans.values() for item in _of_scene(stages, contents)]
+
+
+def _of_scene(stages: list[tuple[str, Path, tuple[str, ...]]], contents: bool) -> Iterator[Unsound]:
+    sound: dict[str, str] = {}
+    for name, folder, upstream in stages:
+        if not folder.exists() or not any(folder.iterdir()):  # Snakemake makes the folder before the stage starts
+            continue
+        try:
+            artifact = open_artifact(folder, contents=contents)
+        except UserError as error:
+            yield Unsound(folder, str(error).removeprefix(f"{folder}: "))
+            continue
+        stale = [other for other in upstream if other in sound and _made_from(artifact, other) != sound[other]]
+        if stale:
+            yield Unsound(folder, f"made from another version of {stale[0]} than the present one")
+        else:
+            sound[name] = file_digest(folder / MANIFEST)
+
+
+def _made_from(artifact: Artifact, upstream: str) -> str:
+    return str(artifact.manifest["upstream"].get(upstream, {}).get("digest"))
+
+
+def set_aside(folder: Path) -> Path:
+    """Rename an artifact folder out of the way; the new path. The manifest's digest names it, `torn` without one."""
+    manifest = folder / MANIFEST
+    digest = file_digest(manifest)[:8] if manifest.is_file() else "torn"
+    target = folder.with_name(f"{folder.name}{ASIDE}{digest}")
+    number = 1
+    while target.exists():
+        number += 1
+        target = folder.with_name(f"{folder.name}{ASIDE}{digest}-{number}")
+    os.rename(folder, target)
+    return target
+
+
+def set_aside_unsound(
+    plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]], tell: Callable[[str], None], *, contents: bool = False
+) -> list[Unsound]:
+    """Set every torn or stale artifact aside and tell each; what was found."""
+    unsound = list({item.folder: item for item in unsound_artifacts(plans, contents=contents)}.values())
+    for item in unsound:
+        target = set_aside(item.folder)
+        tell(f"set aside and made again: {item}; kept as {target.name}")
+    put_dates_right(plans)
+    return unsound
+
+
+def put_dates_right(plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]]) -> None:
+    """Date manifests neither after now nor before those of their upstream artifacts.
+
+    Digests have said what is sound. Dates mean nothing then, but Snakemake goes by them: where a clock was set back it
+    would make finished artifacts again, and fail every job that has an input from the future.
+    """
+    now = time.time_ns()
+    for stages in plans.values():
+        dates: dict[str, int] = {}
+        for name, folder, upstream in stages:
+            manifest = folder / MANIFEST
+            if not manifest.is_file():
+                continue
+            modified = manifest.stat().st_mtime_ns
+            dates[name] = max([min(modified, now), *(dates[other] for other in upstream if other in dates)])
+            if dates[name] != modified:
+                with contextlib.suppress(OSError):  # results that cannot be written: the run tells of that itself
+                    os.utime(manifest, ns=(dates[name], dates[name]))
+
+
+Value = str | float | bool | None
+DEEPEST = 4  # blocks inside blocks: figures below are lists of a scene's own lights, views or regions
+
+
+def campaign_rows(flow: Workflow) -> Iterator[dict[str, Value]]:
+    """One row a scene of the configuration: scene, capture, geometry, `finished`, and STAGE.FIGURE columns.
+
+    Figures are numbers, truth values and words of the diagnostics of the stages that are published; lists are left out.
+    """
+    for name, plan in flow.plans.items():
+        row: dict[str, Value] = {
+            "scene": name,
+            "capture": str(plan.scene.capture),
+            "geometry": plan.facts.geometry,
+            "lights": float(len(plan.facts.lights)),
+            "views": float(len(plan.facts.views)),
+            "pixels": float(plan.facts.pixels),
+        }
+        current = Path(flow.results, name, "current")
+        row["finished"] = (current / INDEX).is_file()
+        for stage in plan.stages:
+            manifest = current / stage / MANIFEST
+            if row["finished"] and manifest.is_file():
+                content = json.loads(manifest.read_text(encoding="utf-8"))
+                row[f"{stage}.key"] = content["key"]
+                row |= dict(figures(content["diagnostics"], stage))
+        yield row
+
+
+def figures(block: Mapping[str, Any], name: str, depth: int = 1) -> Iterator[tuple[str, Value]]:
+    """Numbers and words of nested blocks by their dotted names; whole numbers as floats, so that a column has one
+    type."""
+    for key, value in block.items():
+        dotted = f"{name}.{key}"
+        if isinstance(value, Mapping) and depth < DEEPEST:
+            yield from figures(value, dotted, depth + 1)
+        elif isinstance(value, bool | str):
+            yield dotted, value
+        elif isinstance(value, int | float):
+            yield dotted, float(value)
+
+
+def columns_of(rows: Iterable[Mapping[str, Value]]) -> dict[str, list[Value]]:
+    """The rows as columns in the order of their first appearance; None where a scene has no such figure.
+
+    A column in which words and numbers meet is one of words.
+    """
+    rows = list(rows)
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    columns = {name: [row.get(name) for row in rows] for name in names}
+    for name, values in columns.items():
+        if len({type(value) for value in values if value is not None}) > 1:
+            columns[name] = [None if value is None else str(value) for value in values]
+    return columns

@@ -12,8 +12,7 @@ from nishiki.engine.project import Project, Scene, Shared, load_yaml, scene_with
 from nishiki.errors import UserError
 from nishiki.stages.base import SceneFacts
 from nishiki.stages.table import CHAIN, FORMER_NAMES
-from nishiki.sweep.expand import AS_CONFIGURED, Variant, expand, nested
-from nishiki.sweep.settings import SweepSettings
+from nishiki.sweep.settings import AS_CONFIGURED, SweepSettings, Variant, expand, nested
 
 FILE_KEYS = ("configuration",)
 """What a sweep's file holds besides the sweep: the configuration with its scenes."""

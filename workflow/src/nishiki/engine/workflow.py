@@ -8,7 +8,7 @@ from pathlib import Path
 
 from nishiki.artifacts.artifact import MANIFEST
 from nishiki.artifacts.provenance import canonical, code_digest, library_version, program_of
-from nishiki.engine.facts_cache import remembered_facts
+from nishiki.engine.facts import remembered_facts
 from nishiki.engine.plan import Outline, Plan, PlannedStage, make_plan
 from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project, scene_with_exports
 from nishiki.engine.scheduling import Scheduling

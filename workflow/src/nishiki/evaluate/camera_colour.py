@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.maps import Maps
-from nishiki.colour.basis import channel_weights
+from nishiki.colour.sampling import channel_weights
 from nishiki.colour.colour import illuminant as named_illuminant
 from nishiki.colour.colour import srgb_matrix, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.colour.training import synthetic_reflectances

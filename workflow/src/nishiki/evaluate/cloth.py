@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.brdf.cloth.measures import incidences, prediction_error, solid_angles
+from nishiki.brdf.cloth.interface import incidences, prediction_error, solid_angles
 
 PLANES = ((0.0, "weft"), (90.0, "warp"))
 WITHIN_DEG = 2.0

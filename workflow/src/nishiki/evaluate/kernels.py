@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numba import njit
 
-from nishiki.colour.encoding import KNEE, OFFSET, POWER, SCALE, SLOPE
+from nishiki.colour.colour import KNEE, OFFSET, POWER, SCALE, SLOPE
 
 _LIMIT = 6.0 / 29.0
 _POWER7 = 25.0**7

@@ -20,7 +20,7 @@ class Pictures:
         self.views, self.separated = Views(inputs["ingest"].folder), None
         self.state = "off" if "off" in self.views.states else self.views.states[0]
         if "polarise" in inputs:
-            from nishiki.polarisation.components import Components
+            from nishiki.polarisation.polarisation import Components
 
             self.separated = Components(inputs["polarise"].folder)
         self.components = ("diffuse", "specular", "total") if self.separated else ("total",)

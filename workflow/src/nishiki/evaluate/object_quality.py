@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from nishiki.colour.encoding import decode
+from nishiki.colour.colour import decode
 from nishiki.render.display import developed, three_channels
 from nishiki.render.object.renderer import block_mean
 

@@ -16,8 +16,8 @@ class FittedModel:
 
     normals : (rows, columns, 3) float32; reflectance : (rows, columns, channels) float32, relative to white; gloss :
     Torrance-Sparrow parameters by region; labels : (rows, columns) uint8 region of each pixel, or None; shading :
-    (rows, columns, 3 or 5) float32 of `nishiki.brdf.body_shading`, or None for Lambert's law; slopes : (rows, columns,
-    3) of `nishiki.brdf.slopes`, None for gloss that the relief inside a pixel does not blur.
+    (rows, columns, 3 or 5) float32 of `nishiki.brdf.torrance_sparrow`, or None for Lambert's law; slopes : (rows,
+    columns, 3) of `nishiki.brdf.slopes`, None for gloss that the relief inside a pixel does not blur.
     """
 
     normals: np.ndarray

@@ -1,4 +1,4 @@
-"""Corners of a ChArUco board in a picture."""
+"""Find the corners of a ChArUco board in pictures, and calibrate intrinsics and distortion from several of them."""
 
 from __future__ import annotations
 
@@ -104,3 +104,187 @@ def _corners(name: str, image: np.ndarray, board, detector) -> BoardCorners | No
     order = np.argsort(ids)
     points = np.asarray(board.getChessboardCorners(), np.float64)[ids[order]]
     return BoardCorners(name, ids[order], np.asarray(pixels, np.float64).reshape(-1, 2)[order], points)
+
+
+LEAST_PICTURES = 3
+LEAST_CALIBRATION_CORNERS = 8
+LEAST_TILT_DEG = 8.0
+MOST_SIGMA = 0.04
+STARTS = (0.8, 1.5, 3.0, 8.0)  # focal lengths, of the picture's longer side
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """intrinsics (3, 3) float64, distortion k1, k2, p1, p2, k3 (Brown's model).
+
+    rms_px: root mean square distance of detected from projected corners over the pictures used; picture_px: by
+    picture, those left out too; outliers: names of pictures left out because they fit far worse than the others;
+    sparse: names of pictures with too few corners; focal_sigma: standard deviation of the focal lengths, relative;
+    middle_sigma_px: of the principal point; tilt_deg: largest angle between two boards.
+    """
+
+    intrinsics: np.ndarray
+    distortion: tuple[float, ...]
+    rms_px: float
+    picture_px: dict[str, float]
+    outliers: tuple[str, ...]
+    sparse: tuple[str, ...]
+    focal_sigma: float
+    middle_sigma_px: float
+    tilt_deg: float
+
+    def as_dict(self) -> dict:
+        """Plain data, for JSON."""
+        return {
+            "intrinsics": self.intrinsics.tolist(),
+            "distortion": list(self.distortion),
+            "rms_px": self.rms_px,
+            "picture_px": self.picture_px,
+            "outliers": list(self.outliers),
+            "sparse": list(self.sparse),
+            "focal_sigma": self.focal_sigma,
+            "middle_sigma_px": self.middle_sigma_px,
+            "tilt_deg": self.tilt_deg,
+        }
+
+
+def calibrate(
+    pictures: tuple[BoardCorners, ...],
+    *,
+    rows: int,
+    columns: int,
+    distortion: str = "tangential",
+    outlier_factor: float = 3.0,
+) -> Calibration:
+    """Least squares over all corners (Z. Zhang, A flexible new technique for camera calibration, IEEE Trans. PAMI 22,
+    2000, as in OpenCV).
+
+    distortion: terms fitted: none | radial (k1, k2) | tangential (k1, k2, p1, p2) | full (and k3). A picture whose
+    error is above outlier_factor times the median of the pictures (at least 0.1 px) is left out, the worst first, and
+    the rest fitted again.
+
+    Raises UserError for fewer than 3 pictures with 8 corners, or where the pictures do not determine the lens, as
+    when the board was held the same way in all of them: no two boards 8 degrees apart, or a standard deviation of the
+    focal length or of the principal point above 4 % of it or of the longer side.
+    """
+    sparse = tuple(each.name for each in pictures if len(each.ids) < LEAST_CALIBRATION_CORNERS)
+    used = [each for each in pictures if len(each.ids) >= LEAST_CALIBRATION_CORNERS]
+    if len(used) < LEAST_PICTURES:
+        raise UserError(
+            f"calibration: expected at least {LEAST_PICTURES} pictures with {LEAST_CALIBRATION_CORNERS} corners of the "
+            "board or more, "
+            f"found {len(used)} (with fewer corners: {', '.join(sparse) or 'none'}). Remedy: photograph the board "
+            "larger, "
+            "sharper and from more directions; check squares, lengths and dictionary in turntable.board"
+        )
+    outliers: list[BoardCorners] = []
+    while True:
+        fit = _fit(used, rows, columns, distortion)
+        worst = int(np.argmax(fit.errors))
+        bound = outlier_factor * max(float(np.median(fit.errors)), 0.1)
+        if fit.errors[worst] <= bound or len(used) == LEAST_PICTURES:
+            break
+        outliers.append(used.pop(worst))
+    middle_sigma = fit.middle_sigma / max(rows, columns)
+    if fit.tilt_deg < LEAST_TILT_DEG or not fit.focal_sigma <= MOST_SIGMA or not middle_sigma <= MOST_SIGMA:
+        raise UserError(
+            f"calibration: these {len(used)} pictures do not determine the lens: boards at most {fit.tilt_deg:.1f} "
+            "degrees "
+            f"apart (expected {LEAST_TILT_DEG:g}), relative standard deviation of the focal length "
+            f"{fit.focal_sigma:.2g} and of "
+            f"the principal point {middle_sigma:.2g} (at most {MOST_SIGMA:g}). Remedy: tilt the board by 20 to 45 "
+            "degrees, "
+            "another way in every picture"
+        )
+    errors = dict(zip([each.name for each in used], fit.errors.tolist(), strict=True))
+    errors |= {each.name: _alone(each, fit) for each in outliers}
+    return Calibration(
+        fit.intrinsics,
+        fit.distortion,
+        fit.rms,
+        errors,
+        tuple(each.name for each in outliers),
+        sparse,
+        fit.focal_sigma,
+        fit.middle_sigma,
+        fit.tilt_deg,
+    )
+
+
+@dataclass(frozen=True)
+class _Fit:
+    intrinsics: np.ndarray
+    distortion: tuple[float, ...]
+    rms: float
+    errors: np.ndarray
+    focal_sigma: float
+    middle_sigma: float
+    tilt_deg: float
+
+
+def _fit(pictures: list[BoardCorners], rows: int, columns: int, distortion: str) -> _Fit:
+    """The best of fits from several focal lengths: OpenCV's own start runs away where boards are tilted little."""
+    import cv2
+
+    fits = []
+    for focal in STARTS:
+        start = np.diag([focal * max(rows, columns)] * 2 + [1.0])
+        start[:2, 2] = (columns - 1) / 2, (rows - 1) / 2
+        try:
+            fits.append(_fit_from(start, pictures, rows, columns, distortion))
+        except cv2.error:
+            continue
+    fits = [fit for fit in fits if np.isfinite(fit.rms)]
+    if not fits:
+        raise UserError(
+            f"calibration: no camera explains these {len(pictures)} pictures. Remedy: tilt the board another way in "
+            "every "
+            "picture and keep it flat"
+        )
+    return min(fits, key=lambda fit: fit.rms)
+
+
+def _fit_from(start: np.ndarray, pictures: list[BoardCorners], rows: int, columns: int, distortion: str) -> _Fit:
+    import cv2
+
+    flags = {
+        "none": cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
+        "radial": cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST,
+        "tangential": cv2.CALIB_FIX_K3,
+        "full": 0,
+    }[distortion]
+    rms, matrix, coefficients, turns, _, sigma, _, errors = cv2.calibrateCameraExtended(
+        [each.points.astype(np.float32) for each in pictures],
+        [each.pixels.astype(np.float32) for each in pictures],
+        (columns, rows),
+        start,
+        np.zeros(5),
+        flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS,
+        criteria=(cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-12),
+    )
+    sigma, fitted = np.asarray(sigma).ravel(), np.asarray(coefficients).ravel()[:5]
+    finite = np.isfinite(matrix).all() and np.isfinite(fitted).all() and np.isfinite(sigma[:4]).all()
+    return _Fit(
+        matrix,
+        tuple(fitted.tolist()),
+        float(rms) if finite else float("inf"),
+        np.asarray(errors, np.float64).ravel(),
+        float(max(sigma[0] / matrix[0, 0], sigma[1] / matrix[1, 1])),
+        float(max(sigma[2:4])),
+        _largest_angle(np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])),
+    )
+
+
+def _largest_angle(normals: np.ndarray) -> float:
+    """Largest angle in degrees between two of the boards' normals (n, 3)."""
+    return float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min())))
+
+
+def _alone(picture: BoardCorners, fit: _Fit) -> float:
+    """Error of a picture that took no part in the fit, at its own best pose."""
+    import cv2
+
+    coefficients = np.array(fit.distortion)
+    _, turn, shift = cv2.solvePnP(picture.points, picture.pixels, fit.intrinsics, coefficients)
+    projected = cv2.projectPoints(picture.points, turn, shift, fit.intrinsics, coefficients)[0].reshape(-1, 2)
+    return float(np.sqrt(((projected - picture.pixels) ** 2).sum(axis=1).mean()))

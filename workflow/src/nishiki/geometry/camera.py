@@ -1,4 +1,4 @@
-"""Pinhole cameras: world points to pixels and back.
+"""Project world points to pixels and back with pinhole cameras, check given matrices, and store calibrated views.
 
 World: the object's own frame, fixed to the object; on a turntable the camera goes round the object. Camera frame: x
 right, y down, z into the scene. Pixels: (column, row), the centre of the top left pixel is (0, 0).
@@ -6,7 +6,10 @@ right, y down, z into the scene. Pixels: (column, row), the centre of the top le
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -145,3 +148,112 @@ def look_at(
     focal = rows / (2 * np.tan(field_of_view / 2))
     intrinsics = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]])
     return Camera(name, intrinsics, rotation, -rotation @ eye, rows, columns)
+
+
+@dataclass(frozen=True)
+class GivenCameras:
+    """cameras: in the order given. mirror: factors on the world's axes, None where the world stands as given. target:
+    (3,) the point nearest to the rays through the picture centres, in the cameras' world; None if not determined."""
+
+    cameras: tuple[Camera, ...]
+    mirror: tuple[int, int, int] | None
+    target: np.ndarray | None
+
+
+def cameras_of_matrices(matrices: Mapping[str, np.ndarray], *, rows: int, columns: int) -> GivenCameras:
+    """Cameras of projection matrices (3, 4) by view, of any scale and sign.
+
+    A matrix fixes its camera up to the sign of the depth; a proper rotation settles the sign. If then the point that
+    all views look at lies behind all of them, the matrices describe a mirrored world (self-calibrations of a turntable
+    leave that open): the world's axis nearest to the axis of the turn is negated. Pictures do not change by that.
+
+    Raises UserError for matrices that are no camera's (`Camera.from_matrix`), or where the point lies before some
+    views and behind others.
+    """
+    cameras = [Camera.from_matrix(name, matrix, rows=rows, columns=columns) for name, matrix in matrices.items()]
+    target = point_in_sight(cameras)
+    if target is None:
+        return GivenCameras(tuple(cameras), None, None)
+    behind = [camera.name for camera in cameras if camera.project(target[None])[1][0] <= 0]
+    if not behind:
+        return GivenCameras(tuple(cameras), None, target)
+    if len(behind) < len(cameras):
+        odd = behind if 2 * len(behind) <= len(cameras) else [c.name for c in cameras if c.name not in behind]
+        raise UserError(
+            f"projection matrices of {', '.join(odd[:8])}: these views and the others look away from each other; "
+            "expected "
+            "all cameras to see the same place from the same side of a right-handed world. Remedy: check the "
+            "rows of these views (sign of a row, order of the views)"
+        )
+    mirror = mirror_of(np.array([camera.centre for camera in cameras]))
+    flip = np.diag([*mirror, 1])
+    cameras = [
+        Camera.from_matrix(name, np.asarray(matrix, np.float64) @ flip, rows=rows, columns=columns)
+        for name, matrix in matrices.items()
+    ]
+    return GivenCameras(tuple(cameras), mirror, target * mirror)
+
+
+def point_in_sight(cameras: list[Camera]) -> np.ndarray | None:
+    """(3,) the point nearest (least squares) to the rays through the picture centres; None where they are parallel or
+    come from one place (largest angle between two rays below half a degree)."""
+    rays = np.array([ray_through_middle(camera) for camera in cameras])
+    if len(cameras) < 2 or np.linalg.norm(np.cross(rays[:, None], rays[None]), axis=-1).max() < np.sin(np.radians(0.5)):
+        return None
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    centres = np.array([camera.centre for camera in cameras])
+    spread = np.linalg.norm(centres - centres.mean(axis=0), axis=1).max()
+    if spread <= 1e-9 * np.abs(centres).max():
+        return None
+    return np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
+
+
+def ray_through_middle(camera: Camera) -> np.ndarray:
+    """(3,) unit direction in the world, away from the camera, through the middle of its picture (no distortion)."""
+    middle = np.array([(camera.columns - 1) / 2, (camera.rows - 1) / 2, 1.0])
+    direction = camera.rotation.T @ np.linalg.solve(camera.intrinsics, middle)
+    return direction / np.linalg.norm(direction)
+
+
+def mirror_of(centres: np.ndarray) -> tuple[int, int, int]:
+    """Factors on the world's axes: -1 on the one nearest to the normal of the plane of the centres (n, 3)."""
+    _, _, directions = np.linalg.svd(centres - centres.mean(axis=0))
+    axis = int(np.argmax(np.abs(directions[2])))
+    return tuple(-1 if k == axis else 1 for k in range(3))
+
+
+def save_cameras(
+    path: Path,
+    cameras: list[Camera],
+    *,
+    unit: str,
+    full_turn: bool,
+    source: str,
+    reprojection_px: list[float | None],
+    mirror: tuple[int, int, int] | None = None,
+) -> None:
+    """Write the views in the order of the turn; reprojection_px: root mean square of each view, None if unmeasured.
+
+    source: matrices | boards | correspondences. mirror: factors that were put on the world's axes (see
+    `nishiki.geometry.camera`); coordinates of the capture's own world have to be multiplied by them.
+    """
+    views = [
+        {**camera.as_dict(), "reprojection_px": error} for camera, error in zip(cameras, reprojection_px, strict=True)
+    ]
+    document = {"unit": unit, "full_turn": full_turn, "source": source, "mirror": mirror, "views": views}
+    Path(path).write_text(json.dumps(document, indent=1, sort_keys=True, allow_nan=False) + "\n")
+
+
+def read_cameras(path: Path) -> dict:
+    """The whole document: unit, full_turn, source, mirror, views. UserError where it is missing or not one."""
+    try:
+        document = json.loads(Path(path).read_text())
+        document["views"][0]["intrinsics"]
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise UserError(f"{path}: not a file of cameras ({error}). Remedy: run the stage cameras again") from None
+    return document
+
+
+def load_cameras(path: Path) -> list[Camera]:
+    """The cameras alone, in the order of the turn. UserError as `read_cameras`."""
+    return [Camera.from_dict(values) for values in read_cameras(path)["views"]]

@@ -8,8 +8,8 @@ import numpy as np
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
-from nishiki.geometry.raster import rasterise
 from nishiki.geometry.surface import parts_of
+from nishiki.geometry.visibility import rasterise
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,9 @@ import numpy as np
 from numba import njit
 
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.camera_path import scaled
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.raster import interpolate, rasterise
+from nishiki.geometry.turn import scaled
+from nishiki.geometry.visibility import interpolate, rasterise
 
 RELATIVE_ERROR, ERROR = 0.02, 0.005
 """Deviation of a matt point from the model: part of its value, and of the object's bright values."""

@@ -1,4 +1,4 @@
-"""Silhouettes: which pixels of a photograph show the object, from the look of the background around it.
+"""Separate the object from the background in a photograph.
 
 The background's colours are learnt from the border of the picture. Where a colour goes darker without changing its
 hue (a shadow on a coloured cloth) it is still background. The outline runs where
@@ -10,8 +10,37 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from nishiki.geometry.silhouette_kernels import nearest_colour
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def nearest_colour(lab, centres, inverses, lowest, out):
+    """Smallest Mahalanobis distance of colours lab (n, 3) float32 to clusters, into out (n,) float32; at most out's
+    value before.
+
+    centres (k, 3), inverses (k, 3, 3), lowest (k,) float64: a cluster's colour may be scaled by lowest to 1, by the
+    factor that fits best.
+    """
+    for n in range(lab.shape[0]):
+        best = np.float64(out[n]) ** 2
+        x, y, z = np.float64(lab[n, 0]), np.float64(lab[n, 1]), np.float64(lab[n, 2])
+        for k in range(centres.shape[0]):
+            m, c = inverses[k], centres[k]
+            u = m[0, 0] * c[0] + m[0, 1] * c[1] + m[0, 2] * c[2]
+            v = m[1, 0] * c[0] + m[1, 1] * c[1] + m[1, 2] * c[2]
+            w = m[2, 0] * c[0] + m[2, 1] * c[1] + m[2, 2] * c[2]
+            scale = (x * u + y * v + z * w) / (c[0] * u + c[1] * v + c[2] * w)
+            scale = min(max(scale, lowest[k]), 1.0)
+            a, b, d = x - scale * c[0], y - scale * c[1], z - scale * c[2]
+            square = (
+                m[0, 0] * a * a
+                + m[1, 1] * b * b
+                + m[2, 2] * d * d
+                + 2.0 * (m[0, 1] * a * b + m[0, 2] * a * d + m[1, 2] * b * d)
+            )
+            best = min(best, max(square, 0.0))
+        out[n] = np.sqrt(best)
+
 
 BORDER = 0.06
 """Width of the border that is taken for background, of the picture's shorter side."""
@@ -47,7 +76,7 @@ class Silhouette:
 def display(linear: np.ndarray) -> np.ndarray:
     """(rows, columns, 3) uint8 sRGB picture of linear values (rows, columns, channels), bright parts just below
     white; channels beyond three are left out, one is repeated."""
-    from nishiki.colour.encoding import encode
+    from nishiki.colour.colour import encode
 
     channels = linear[..., :3] if linear.shape[-1] >= 3 else linear[..., :1].repeat(3, axis=-1)
     white = float(np.percentile(channels[::4, ::4], 99.5)) or 1.0
@@ -240,7 +269,7 @@ def at_half_cover(picture: np.ndarray, mask: np.ndarray, *, reach: int = REACH_P
     the outline too far inside. Depths count from the outline, so this is done twice. Where the object is too thin to
     have an inside, the mask stays.
     """
-    from nishiki.colour.encoding import decode
+    from nishiki.colour.colour import decode
 
     if not mask.any():
         return mask

@@ -1,4 +1,4 @@
-"""Directions of the goniometer: angles to unit vectors and back, in the cloth's frame (x weft, y warp, z normal)."""
+"""Convert angles of the goniometer to unit vectors, and mirror directions in the symmetry planes of a weave."""
 
 from __future__ import annotations
 
@@ -37,3 +37,58 @@ def disc(directions: np.ndarray) -> np.ndarray:
     theta, phi = angles(directions)
     radius = theta / (np.pi / 2)
     return np.stack([radius * np.cos(phi), radius * np.sin(phi)], axis=-1)
+
+
+IMAGES = {
+    "quarter": ((1, 1), (-1, 1), (1, -1), (-1, -1)),  # mirror planes through weft and normal, warp and normal
+    "half": ((1, 1), (-1, -1)),  # a half turn about the normal: what a twill's diagonal leaves
+    "none": ((1, 1),),
+}
+ON_PLANE = 1e-9
+
+
+def images(symmetry: str) -> np.ndarray:
+    """(k, 3, 3) float64: matrices that take a pair of directions to those with the same reflectance, the first the
+    identity."""
+    return np.array([np.diag([x, y, 1.0]) for x, y in IMAGES[symmetry]])
+
+
+def reduced(incident: np.ndarray, outgoing: np.ndarray, symmetry: str) -> tuple[np.ndarray, np.ndarray]:
+    """The pairs (n, 3), (n, 3) brought to one representative each.
+
+    quarter: light with x >= 0 and y >= 0; half: light with y > 0, or y = 0 and x >= 0. Where the light does not tell
+    (it lies in a symmetry plane, or along the normal) the view does.
+    """
+    incident, outgoing = (np.asarray(d, np.float64) for d in (incident, outgoing))
+    if symmetry == "quarter":
+        sign = np.ones_like(incident)
+        for axis in (0, 1):
+            deciding = np.where(np.abs(incident[:, axis]) > ON_PLANE, incident[:, axis], outgoing[:, axis])
+            sign[:, axis] = np.where(deciding < 0, -1.0, 1.0)
+        return incident * sign, outgoing * sign
+    if symmetry == "half":
+        across = np.hypot(incident[:, 0], incident[:, 1]) > ON_PLANE
+        x, y = (np.where(across, incident[:, a], outgoing[:, a]) for a in (0, 1))
+        turned = (y < -ON_PLANE) | ((np.abs(y) <= ON_PLANE) & (x < 0))
+        sign = np.where(turned[:, None], np.array([-1.0, -1.0, 1.0]), 1.0)
+        return incident * sign, outgoing * sign
+    return incident, outgoing
+
+
+def departure(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, symmetry: str) -> tuple[float, int]:
+    """How far measurements of directions that the symmetry makes one differ: root mean square of their logarithms about
+    the mean of each, and how many there are. values (n, channels) > 0; (0, 0) where no direction has an image.
+    """
+    if len(values) == 0 or symmetry == "none":
+        return 0.0, 0
+    pairs = np.round(np.concatenate(reduced(incident, outgoing, symmetry), axis=1), 5) + 0.0
+    _, group = np.unique(pairs, axis=0, return_inverse=True)
+    group = group.ravel()
+    count = np.bincount(group)
+    logs = np.log(values)
+    means = np.stack([np.bincount(group, logs[:, k]) for k in range(logs.shape[1])], axis=1) / count[:, None]
+    several = count[group] > 1
+    if not several.any():
+        return 0.0, 0
+    freedom = several.sum() - (count > 1).sum()
+    return float(np.sqrt(((logs - means[group])[several] ** 2).mean(axis=1).sum() / freedom)), int(several.sum())

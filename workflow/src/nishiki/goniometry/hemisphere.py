@@ -8,9 +8,8 @@ from typing import Literal
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.goniometry.directions import disc, unit
-from nishiki.goniometry.scattered import fit_linear, fit_spline, unfold
-from nishiki.goniometry.symmetry import images, reduced
+from nishiki.goniometry.directions import disc, images, reduced, unit
+from nishiki.goniometry.interpolation import fit_linear, fit_spline, unfold
 from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
 
 Method = Literal["spline", "thin_plate", "linear"]

@@ -1,16 +1,236 @@
-"""From photographs to reflectances: what one photograph of the cloth and its white boards give."""
+"""Turn photographs of a cloth and its white boards into reflectances."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
+from numba import njit
 
-from nishiki.goniometry.normalise import reflectance
-from nishiki.goniometry.whites import assign_boards
-from nishiki.goniometry.windows import WindowSample, central_window, read_window, regions_in_view
+from nishiki.errors import UserError
+from nishiki.goniometry.directions import between, unit
+
+TILE = 4  # pixels: the noise of neighbours, and the texture of yarns, go together
+
+
+@dataclass(frozen=True)
+class WindowSample:
+    """mean (channels,) float64 in the units of the pixels; noise (channels,): standard deviation of the mean; pixels:
+    number that entered; saturated: share of the window's pixels."""
+
+    mean: np.ndarray
+    noise: np.ndarray
+    pixels: int
+    saturated: float
+
+
+def read_window(linear: np.ndarray, usable: np.ndarray, saturated: np.ndarray) -> WindowSample:
+    """Mean over the usable pixels of an image (rows, columns, channels) and its standard deviation.
+
+    The scatter is that between tiles of TILE x TILE pixels, each weighted by its usable pixels: neighbours that vary
+    together would otherwise pass for independent. Saturated pixels enter the mean; their share is told.
+    """
+    rows, columns, channels = linear.shape
+    tile = (np.arange(rows) // TILE)[:, None] * (columns // TILE + 1) + np.arange(columns) // TILE
+    chosen = usable.ravel()
+    count = int(chosen.sum())
+    if count == 0:
+        return WindowSample(np.zeros(channels), np.zeros(channels), 0, 0.0)
+    tile = tile.ravel()[chosen]
+    values = linear.reshape(-1, channels)[chosen].astype(np.float64)
+    share = np.bincount(tile) / count
+    kept = share > 0
+    sums = np.stack([np.bincount(tile, values[:, k])[kept] for k in range(channels)], axis=1)
+    share = share[kept]
+    mean = sums.sum(axis=0) / count
+    tiles = len(share)
+    if tiles > 1:
+        scatter = ((sums / count - share[:, None] * mean) ** 2).sum(axis=0) * tiles / (tiles - 1)
+    else:
+        scatter = values.var(axis=0) / count
+    return WindowSample(mean, np.sqrt(scatter), count, float(saturated.ravel()[chosen].mean()))
+
+
+def central_window(shape: tuple[int, int], side: int) -> np.ndarray:
+    """(rows, columns) bool: the square of this side in the middle."""
+    inside = np.zeros(shape, bool)
+    (top, height), (left, width) = (((n - min(n, side)) // 2, min(n, side)) for n in shape)
+    inside[top : top + height, left : left + width] = True
+    return inside
+
+
+def axes_of(theta_r: float, phi_r: float, upright: str) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors to the right and up in a photograph taken from this direction (radians), in the cloth's frame.
+
+    upright 'cloth': the warp (y) points up as far as it can; 'arm': the plane through normal and camera is vertical,
+    the far side of the cloth on top, as on a camera arm before a turning table.
+    """
+    view = unit(theta_r, phi_r)
+    if upright == "arm":
+        up = -unit(theta_r + np.pi / 2, phi_r)
+    else:
+        up = np.array([0.0, 1.0, 0.0]) - view[1] * view
+        up = up / np.linalg.norm(up)
+    return np.cross(up, view), up
+
+
+def regions_in_view(
+    labels: np.ndarray,
+    shape: tuple[int, int],
+    *,
+    theta_r: float,
+    phi_r: float,
+    upright: str,
+    scale: float = 1.0,
+) -> np.ndarray:
+    """Labels (rows, columns) uint16 of a photograph of this shape taken from (theta_r, phi_r), by parallel projection.
+
+    labels: of the cloth seen along its normal, warp up, its middle where the axes of the goniometer meet, in the
+    middle of every photograph; scale: size of the photograph's pixel over that of the label picture's. A pixel has a
+    label only where its centre and its corners, a whole pixel out, fall on that label: borders belong to none.
+    """
+    right, up = axes_of(theta_r, phi_r, upright)
+    to_cloth = np.linalg.inv(np.array([right[:2], up[:2]]))  # (right, up) of the picture to (weft, warp) of the cloth
+    projected = np.empty(shape, np.uint16)
+    _project(np.ascontiguousarray(labels, np.uint16), scale * to_cloth, projected)
+    return projected
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project(labels, to_cloth, out):
+    """Fill out (rows, columns) with the label that a pixel and its four corners fall on, 0 where they differ."""
+    rows, columns = out.shape
+    for row in range(rows):
+        for column in range(columns):
+            u, w = column - (columns - 1) / 2, (rows - 1) / 2 - row
+            label = _label_at(labels, to_cloth, u, w)
+            for across in (-1, 1):
+                for up in (-1, 1):
+                    if label != 0 and _label_at(labels, to_cloth, u + across, w + up) != label:
+                        label = 0
+            out[row, column] = label
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _label_at(labels, to_cloth, u, w):
+    """Label at a place of the picture, in its pixels to the right and up from the middle; 0 outside the labels."""
+    rows, columns = labels.shape
+    row = np.floor((rows - 1) / 2 - (to_cloth[1, 0] * u + to_cloth[1, 1] * w) + 0.5)
+    column = np.floor((columns - 1) / 2 + to_cloth[0, 0] * u + to_cloth[0, 1] * w + 0.5)
+    if 0 <= row < rows and 0 <= column < columns:
+        return np.int64(labels[int(row), int(column)])
+    return np.int64(0)
+
+
+SAME = np.radians(0.1)
+GRAZING = 0.05  # cosine between lamp and board below which a board tells nothing of other incidences
+Rule = Literal["own", "incidence", "cosine"]
+
+
+@dataclass(frozen=True)
+class Boards:
+    """rule: own (the sample's pair of directions), incidence (its light), or cosine (all boards, by the cosine law);
+    which: indices of the boards; factors: their light times these is that of the board under the sample's light."""
+
+    rule: Rule
+    which: np.ndarray
+    factors: np.ndarray
+
+
+def assign_boards(sample_deg: np.ndarray, white_deg: np.ndarray) -> list[Boards]:
+    """The boards of each sample: those of its own directions, else those of its incidence (a diffuse board looks the
+    same from everywhere), else all of them that are not grazed, times cos(theta_i) / cos(theta_W).
+
+    sample_deg (n, 4): theta_i, phi_i, theta_r, phi_r; white_deg (m, 4): likewise, NaN for a view that is not given.
+    """
+    white = np.radians(np.asarray(white_deg, np.float64))
+    lights, views = unit(white[:, 0], white[:, 1]), unit(white[:, 2], white[:, 3])
+    cosines = lights[:, 2]
+    known: dict[tuple, Boards] = {}
+    boards = []
+    for row in np.radians(np.asarray(sample_deg, np.float64)):
+        key = tuple(np.round(row, 9))
+        if key not in known:
+            known[key] = _of(unit(row[0], row[1]), unit(row[2], row[3]), lights, views, cosines)
+        boards.append(known[key])
+    return boards
+
+
+def _of(light: np.ndarray, view: np.ndarray, lights: np.ndarray, views: np.ndarray, cosines: np.ndarray) -> Boards:
+    same_light = between(lights, light) < SAME
+    with np.errstate(invalid="ignore"):
+        same_pair = same_light & (between(views, view) < SAME)
+    for rule, chosen in (("own", same_pair), ("incidence", same_light)):
+        which = np.flatnonzero(chosen)
+        if len(which):
+            return Boards(rule, which, np.ones(len(which)))
+    which = np.flatnonzero(cosines > GRAZING)
+    if not len(which):
+        raise UserError(
+            f"white boards: expected one lit less steeply than {np.degrees(np.arccos(GRAZING)):.0f} degrees, for a "
+            f"sample at another incidence, found none of {len(lights)}. Remedy: photograph the board at the sample's "
+            "incidences"
+        )
+    return Boards("cosine", which, light[2] / cosines[which])
+
+
+@dataclass(frozen=True)
+class Averaged:
+    """rows (m,): index of the first measurement of each pair of directions; values, noise (m, regions, channels);
+    valid (m, regions); repeats (m,): measurements that were brought together."""
+
+    rows: np.ndarray
+    values: np.ndarray
+    noise: np.ndarray
+    valid: np.ndarray
+    repeats: np.ndarray
+
+
+def reflectance(
+    light: np.ndarray, noise: np.ndarray, white: np.ndarray, white_noise: np.ndarray, white_reflectance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """rho = (L_sample / L_white) rho_white / pi and its standard deviation, sr^-1; all (..., channels), L in any one
+    unit, exposure times divided out. Relative variances add. 0 where the board gave no light, or so little that the
+    quotient leaves float64."""
+    known = white > 0
+    safe = np.where(known, white, 1.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        scale = np.where(known, white_reflectance / (np.pi * safe), 0.0)
+        values = light * scale
+        deviation = np.hypot(noise * scale, values * (white_noise / safe))
+    finite = np.isfinite(values) & np.isfinite(deviation)
+    return np.where(finite, values, 0.0), np.where(finite, deviation, 0.0)
+
+
+def average_repeats(
+    angles_deg: np.ndarray, values: np.ndarray, noise: np.ndarray, valid: np.ndarray, exposures: np.ndarray
+) -> Averaged:
+    """Measurements of the same pair of directions as one: weighted by exposure time, those not valid left out.
+
+    angles_deg (n, 4); values, noise (n, regions, channels); valid (n, regions); exposures (n,) > 0. The order of the
+    first measurements is kept. Where none of a pair is valid the result is 0 and not valid.
+    """
+    folded = np.round(np.where(angles_deg[:, [0, 0, 2, 2]] == 0, [[1, 0, 1, 0]], 1) * angles_deg, 4)
+    folded[:, [1, 3]] = np.round(folded[:, [1, 3]] % 360, 4) % 360
+    _, rows, group = np.unique(folded, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(rows)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    group = rank[group.ravel()]
+    rows = rows[order]
+    weights = np.where(valid, exposures[:, None], 0.0)
+    total = np.zeros((len(rows), valid.shape[1]))
+    np.add.at(total, group, weights)
+    usable = total > 0
+    share = weights / np.where(usable, total, 1.0)[group]
+    mean, variance = np.zeros((2, len(rows), *values.shape[1:]))
+    # what is not valid may be no number at all: a share of 0 would not take it out
+    values, noise = (np.where(valid[..., None], of, 0.0) for of in (values, noise))
+    np.add.at(mean, group, share[..., None] * values)
+    np.add.at(variance, group, (share[..., None] * noise) ** 2)
+    return Averaged(rows, mean, np.sqrt(variance), usable, np.bincount(group))
 
 
 class Photograph(Protocol):

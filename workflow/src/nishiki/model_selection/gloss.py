@@ -1,20 +1,19 @@
-"""Whether a plane scene shows gloss: a lobe fitted to a sample of its pixels, judged against chance and noise."""
+"""Decide whether a plane scene or an object on a turntable shows gloss."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.brdf.flags import FitFlag
+from nishiki.brdf.fit import FitFlag
+from nishiki.brdf.gloss_profile import SpecularHistogram
 from nishiki.brdf.scene import fit_scene
-from nishiki.brdf.specular_histogram import SpecularHistogram
 from nishiki.model_selection.decision import Decision
 
 LIMIT = 1.0  # specular radiance of the brightest hundredth, in standard deviations of the samples about the model
 BRIGHTEST = 0.01
 NEAR = 0.15  # radians from the mirror direction: where a highlight would be looked for, and may be saturated
 SPOILT, BESIDE = 0.05, 2.0  # share of unusable samples there that leaves the question open, and times that elsewhere
-FEWEST = 200  # samples below which nothing is said
-OVERRIDE = "brdf.specular: keep"
+FEWEST_SAMPLES = 200  # samples below which nothing is said
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ def gloss_evidence(
     lit = attenuation > 0
     samples = lit & usable
     noise = float(1.4826 * np.median(np.abs(residual[samples]))) if samples.any() else 0.0
-    if samples.sum() < FEWEST:
+    if samples.sum() < FEWEST_SAMPLES:
         return Evidence(True, "too few samples to decide", 0.0, 0.0, 0.0, noise, int(samples.sum()))
     near = lit & (phi < NEAR)
     spoilt, beside = (1 - float(usable[part].mean()) if part.any() else 0.0 for part in (near, lit & ~near))
@@ -90,13 +89,13 @@ def gloss_evidence(
     )
 
 
-def decided(evidence: list[Evidence], setting: str, *, limit: float = LIMIT) -> Decision:
-    """What was decided of a scene's regions, for the log and the diagnostics; the strongest region's figures."""
+def decide_gloss(evidence: list[Evidence], setting: str, *, limit: float = LIMIT) -> Decision:
+    """What was decide_gloss of a scene's regions, for the log and the diagnostics; the strongest region's figures."""
     kept = sum(e.keep for e in evidence)
     strongest = max(evidence, key=lambda e: (e.keep, e.ratio))
     if setting != "auto":
         words = {"keep": "specular part kept", "drop": "no gloss: Lambert"}[setting]
-        return Decision("specular", words, "set", None, None, "not measured", OVERRIDE)
+        return Decision("specular", words, "set", None, None, "not measured", "brdf.specular: keep")
     if kept:
         part = "" if kept == len(evidence) else f" in {kept} of {len(evidence)} regions"
         words, loss = f"specular part kept{part}: {strongest.why}", "nothing"
@@ -107,4 +106,98 @@ def decided(evidence: list[Evidence], setting: str, *, limit: float = LIMIT) -> 
             f"{strongest.everywhere:.2g} over all (rms); they scatter by {strongest.noise:.2g}"
         )
     criterion = "specular radiance of the brightest hundredth of a sample, in standard deviations of its scatter"
-    return Decision("specular", words, criterion, strongest.ratio, limit, loss, OVERRIDE)
+    return Decision("specular", words, criterion, strongest.ratio, limit, loss, "brdf.specular: keep")
+
+
+LIMIT_DB = 0.1  # by which a lobe has to bring unseen observations nearer
+SIGMAS = tuple(np.geomspace(0.03, 0.8, 9))  # radians
+FOLDS = 3
+FEWEST_TEXELS = 30  # texels below which nothing is said
+
+
+@dataclass(frozen=True)
+class Gain:
+    """keep: whether the specular part is worth having; gain_db: of unseen observations; sigma: of the lobe, radians;
+    error: root mean square weighted error of unseen observations with Lambert's term alone; texels."""
+
+    keep: bool
+    gain_db: float
+    sigma: float
+    error: float
+    texels: int
+
+
+def unseen_gain(
+    values: np.ndarray,
+    diffuse: np.ndarray,
+    attenuation: np.ndarray,
+    alpha: np.ndarray,
+    weights: np.ndarray,
+) -> Gain:
+    """How much better a lobe predicts observations that its fit has not seen (cross-validation in FOLDS parts; M.
+    Stone, Cross-validatory choice and assessment of statistical predictions, J. R. Stat. Soc. B 36, 1974).
+
+    values (texels, observations, channels); diffuse, attenuation, alpha (texels, observations): what multiplies K_d and
+    the lobe, and the angle to the mirror direction, radians; weights (texels, observations): 0 where not visible.
+
+    Every texel's K_d and K_s are fitted to two thirds of its observations, sigma being one for the object, the best in
+    those; the rest is predicted. Noise and misfit can be fitted but not predicted: on a matt object a lobe
+    gains nothing, or costs. Texels count that were observed 2 FOLDS times or more.
+    """
+    part = _parts(weights > 0)
+    enough = (weights > 0).sum(axis=1) >= 2 * FOLDS
+    if enough.sum() < FEWEST_TEXELS:
+        return Gain(True, 0.0, 0.0, 0.0, int(enough.sum()))
+    values, diffuse, attenuation = (array[enough].astype(np.float64) for array in (values, diffuse, attenuation))
+    alpha, weights, part = alpha[enough].astype(np.float64), weights[enough].astype(np.float64), part[enough]
+    level = np.sum(weights[..., None] * values, axis=(1, 2)) / np.maximum(weights.sum(axis=1), 1e-30)
+    weights = weights * (level > 0)[:, None]
+    with np.errstate(under="ignore"):
+        lobes = [attenuation * np.exp(-0.5 * (alpha / sigma) ** 2) for sigma in SIGMAS]
+    inside, outside = np.zeros(len(SIGMAS) + 1), np.zeros(len(SIGMAS) + 1)
+    for fold in range(FOLDS):
+        seen, unseen = weights * (part != fold), weights * (part == fold)
+        for k, lobe in enumerate([np.zeros_like(alpha), *lobes]):
+            left = values - _fitted(values, diffuse, lobe, seen)
+            inside[k] += np.sum(seen[..., None] * left**2)
+            outside[k] += np.sum(unseen[..., None] * left**2)
+    best = 1 + int(np.argmin(inside[1:]))
+    gain = 10 * np.log10(max(outside[0], 1e-30) / max(outside[best], 1e-30))
+    error = np.sqrt(outside[0] / max(weights.sum() * values.shape[2], 1e-30))
+    return Gain(bool(gain > LIMIT_DB), float(gain), float(SIGMAS[best - 1]), float(error), len(values))
+
+
+def _parts(seen: np.ndarray) -> np.ndarray:
+    """Part (0 .. FOLDS - 1) of each observation, in turn among those that are seen."""
+    return (np.cumsum(seen, axis=1) - 1) % FOLDS
+
+
+def _fitted(values: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """K_d q + K_s s at all observations, every texel and channel, K_d and K_s >= 0.
+
+    K_s is the texel's own, drawn towards that of the object by as much as an average texel knows of it: a texel that is
+    not seen near the mirror direction takes the object's.
+    """
+    a, b, d = (np.sum(weights * x * y, axis=1)[:, None] for x, y in ((lobe, lobe), (lobe, diffuse), (diffuse, diffuse)))
+    u, v = (np.einsum("to,toc->tc", weights * x, values) for x in (lobe, diffuse))
+    lit = np.where(d > 0, d, 1)
+    information, correlation = np.maximum(a - b * b / lit, 0), u - b * v / lit  # K_d eliminated
+    mean_ks = np.maximum(correlation.sum(axis=0) / max(information.sum(), 1e-30), 0)
+    pull = information.mean() + 1e-30
+    ks = np.maximum((correlation + pull * mean_ks) / (information + pull), 0)
+    kd = np.maximum((v - b * ks) / lit, 0)
+    return diffuse[..., None] * kd[:, None] + lobe[..., None] * ks[:, None]
+
+
+def decide_object_gloss(gain: Gain | None, setting: str, *, limit_db: float = LIMIT_DB) -> Decision:
+    """What was decide_object_gloss, for the log and the diagnostics; gain: None where a setting decide_object_gloss."""
+    if gain is None:
+        words = {"keep": "specular part kept", "drop": "no gloss: Lambert"}[setting]
+        return Decision("specular", words, "set", None, None, "not measured", "object_brdf.specular: keep")
+    criterion = "decibels by which a lobe predicts unseen observations of a sample of texels better"
+    if gain.keep:
+        words, loss = "specular part kept", "nothing"
+    else:
+        words = "no gloss: Lambert"
+        loss = f"{max(gain.gain_db, 0.0):.2g} dB of the model alone on unseen observations"
+    return Decision("specular", words, criterion, gain.gain_db, limit_db, loss, "object_brdf.specular: keep")

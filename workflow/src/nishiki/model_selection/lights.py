@@ -1,14 +1,49 @@
-"""Which lights a fit needs: an evenly spread choice, as few as leave the normals where all lights put them."""
+"""Choose the lights of a fit: evenly spread, as few as leave the normals where all lights put them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.errors import UserError
 from nishiki.model_selection.decision import Decision
-from nishiki.model_selection.spread import spread_order
+from nishiki.observations.plane import Observations
+from nishiki.observations.sample import sample
 from nishiki.photometric import flags as bits
-from nishiki.photometric.solve import NormalField
+from nishiki.photometric.light_selection import select_diffuse
+from nishiki.photometric.solve import NormalField, estimate_normals
+
+
+def spread_order(directions: np.ndarray) -> np.ndarray:
+    """All directions in an order whose every beginning is evenly spread, (n,) int64.
+
+    directions (n, 3), unit or positions of any length. The first is the one nearest to their mean; each further one is
+    the farthest from those before it, the earlier of equals (T. F. Gonzalez, Clustering to minimize the maximum
+    intercluster distance, Theor. Comput. Sci. 38, 1985: no set of as many covers the others within half the distance).
+    So a choice of more contains every choice of fewer.
+    """
+    directions = np.asarray(directions, np.float64)
+    if directions.ndim != 2 or not np.isfinite(directions).all():
+        raise UserError(f"directions: expected finite (n, 3), found an array {directions.shape}")
+    count = len(directions)
+    order = np.empty(count, np.int64)
+    if not count:
+        return order
+    order[0] = np.argmin(_squares(directions, directions.mean(axis=0)))
+    nearest = _squares(directions, directions[order[0]])
+    ordered = np.zeros(count, bool)
+    ordered[order[0]] = True
+    for k in range(1, count):
+        order[k] = np.argmax(np.where(ordered, -1.0, nearest))
+        ordered[order[k]] = True
+        nearest = np.minimum(nearest, _squares(directions, directions[order[k]]))
+    return order
+
+
+def _squares(directions: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Squared distances to a point, rounded: sums in another order must not change who is the farthest."""
+    return np.round(np.sum((directions - point) ** 2, axis=1), 12)
+
 
 LIMIT_DEG = 0.2  # by which half of the normals may move
 WORTH = 30_000_000  # samples (lights x pixels) from which the choice costs less than the lights that it saves
@@ -149,8 +184,8 @@ def _across(directions: np.ndarray, masks: np.ndarray, normals: np.ndarray) -> n
 def moved_deg(rows: np.ndarray, samples: Sequence[LightSample], full, solve: Solve) -> float:
     """Median angle between the normals of the lights `rows` and those of all, degrees; lost pixels count 90."""
     angles = []
-    for sample, (_, field) in zip(samples, full, strict=True):
-        fewer = solve(sample.observations[rows], sample.directions[rows], sample.valid[rows])[1]
+    for chosen, (_, field) in zip(samples, full, strict=True):
+        fewer = solve(chosen.observations[rows], chosen.directions[rows], chosen.valid[rows])[1]
         known = (field.flags & bits.NO_ESTIMATE) == 0
         difference = np.linalg.norm(fewer.normals.astype(np.float64) - field.normals, axis=-1)
         angle = 2 * np.arcsin(np.minimum(0.5 * difference, 1))
@@ -158,3 +193,34 @@ def moved_deg(rows: np.ndarray, samples: Sequence[LightSample], full, solve: Sol
         angles.append(np.where(lost, 0.5 * np.pi, angle)[known])
     values = np.concatenate(angles) if angles else np.empty(0)
     return float(np.degrees(np.median(values))) if values.size else 0.0
+
+
+PIXELS = 1200
+
+
+def choose_lights(frames: Observations, lights: np.ndarray, settings) -> tuple[np.ndarray, Decision | None]:
+    """(rows of `lights` that the fit uses, what was decided); settings: of separate, or of normals without it."""
+    directions = frames.directions[lights]
+    if settings.lights == "all" or (settings.lights == "auto" and len(lights) <= FEWEST):
+        return np.arange(len(lights)), None
+    if settings.lights != "auto":
+        return static_choice(directions, settings.lights)
+    pixels = int(np.count_nonzero(frames.mask))
+    if skipped := not_worth(len(lights), pixels):
+        return np.arange(len(lights)), skipped
+    pieces = sample(frames, lights, PIXELS)
+    samples = [LightSample(piece.observations, piece.valid, piece.parcel.directions) for piece in pieces]
+    return measured_choice(directions, samples, solver_of(settings))
+
+
+def solver_of(settings):
+    """Selection as separate does it (none where normals runs without it), and the default solution."""
+
+    def solve(observations: np.ndarray, directions: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, NormalField]:
+        usable = valid
+        if hasattr(settings, "method"):
+            selection = {"method": settings.method, "w1": settings.w1, "w2": settings.w2, "keep": settings.keep}
+            usable = select_diffuse(observations, directions, valid=valid, **selection).usable
+        return usable, estimate_normals(observations, directions, usable=usable, valid=valid)
+
+    return solve

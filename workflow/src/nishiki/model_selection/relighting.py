@@ -1,4 +1,4 @@
-"""What predicts lamps best, decided by captured lamps that are left out in turn.
+"""Decide by omitted lamps which normals and which gloss predict photographs best.
 
 Lamps of the fit are left out by fifths, the others fit every candidate on a sample of the pixels, and the CIEDE2000 of
 predictions against photographs is compared: normals by the selection alone (`plain`), with directional terms
@@ -12,13 +12,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.brdf.gloss_profile import LADDER, GlossProfile, fit_gloss, predicted_radiance, specular_samples
-from nishiki.brdf.specular_histogram import SpecularHistogram, unit_of
+from nishiki.brdf.gloss_profile import (
+    LADDER,
+    GlossProfile,
+    SpecularHistogram,
+    fit_gloss,
+    predicted_radiance,
+    specular_samples,
+    unit_of,
+)
 from nishiki.evaluate.camera_colour import assumed_colour
 from nishiki.evaluate.relighting import difference_of
 from nishiki.model_selection.decision import Decision
 from nishiki.observations.parcels import Parcel
 from nishiki.photometric.flags import NO_ESTIMATE
+from nishiki.photometric.gloss_scene import WORTHWHILE, SceneGloss
 
 FOLDS = 5
 FEWEST = 8  # lights: with fewer, what the rest of them says differs too much from what all of them say
@@ -26,7 +34,6 @@ MARGIN = 0.05  # part of the plain model's error that the directional terms must
 ERRORS = 3.0  # and standard errors of that gain over the lamps: one lamp of a wrong strength outweighs nine others
 DARKEST = 1e-9  # median sample: a black scene has no level
 MID_GREY = 0.2  # that the median sample becomes: a colour difference depends on the level, which may have any unit
-OVERRIDE = "normals.relighting: plain"
 LARGEST_SIGMA = 0.1  # radians: where normals are worse, their blur of the gloss is no longer a small one
 
 
@@ -87,7 +94,7 @@ def choose_model(errors: dict[str, np.ndarray]) -> tuple[str, Decision]:
         float(gain),
         float(limit),
         "nothing" if model == "directional" or gain <= 0 else f"at most {gain:.2g} CIEDE2000",
-        OVERRIDE,
+        "normals.relighting: plain",
     )
     return model, decision
 
@@ -148,3 +155,42 @@ def colour_differences(first: np.ndarray, second: np.ndarray, compared: np.ndarr
     for one, other, where, values in zip(first, second, compared, differences, strict=True):
         difference_of(one, other, colour.matrix, colour.white, where.astype(np.uint8), values)
     return differences
+
+
+LEAST_GAIN = 0.02  # part of the error of left-out lamps that the joint fit takes off where it counts
+CLEAR = 1 / 3  # of the limit: a gain nearer to 0 in the first look is not looked at again
+
+
+def clearly_matt(first: SceneGloss) -> bool:
+    """Whether the first look settles it: the gain in robust cost is within a third of what counts of nothing.
+
+    A loss of more than that is a profile that has gone wrong, and says nothing.
+    """
+    return abs(first.gain) < CLEAR * WORTHWHILE
+
+
+def decided(
+    gloss: SceneGloss, setting: str, errors: dict[str, np.ndarray] | None = None, *, limit: float = WORTHWHILE
+) -> tuple[bool, Decision]:
+    """Whether the joint fit is used, and what was decided.
+
+    errors : CIEDE2000 of captured lamps left out, with "plain" and "joint"
+    (`nishiki.model_selection.relighting.left_out_errors`), or None. Where gloss counts, the joint fit must predict them
+    better by LEAST_GAIN: on surfaces whose gloss it takes for another, and on matt ones with interreflections, it does
+    not, and its normals are worse.
+    """
+    joint, words = gloss.significant, "no joint fit: gloss does not count"
+    if joint and errors is not None:
+        gain, least = float(errors["plain"].mean() - errors["joint"].mean()), LEAST_GAIN * float(errors["plain"].mean())
+        joint = gain > least
+        words = "normals fitted together with gloss" if joint else "no joint fit: it predicts lamps less well"
+        criterion = "CIEDE2000 of captured lamps left out that the joint fit takes off"
+        return joint, Decision("refine", words, criterion, gain, least, "nothing", "normals.refine: gloss")
+    joint = joint or setting == "gloss"
+    if joint:
+        words = "normals fitted together with gloss"
+    if setting == "gloss":
+        words += " (set)"
+    loss = "nothing" if joint else f"robust cost {max(gloss.gain, 0.0):.2g} a value higher than with a gloss profile"
+    criterion = "robust cost a value (light and channel) that gloss takes off, on a sample"
+    return joint, Decision("refine", words, criterion, float(gloss.gain), limit, loss, "normals.refine: gloss")

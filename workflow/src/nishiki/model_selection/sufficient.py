@@ -1,18 +1,101 @@
-"""Whether a reflection model suffices: what it leaves of the photographs is noise, or less than was asked for."""
+"""Decide how many spectral bases, reflection parameters and views of a cloth a capture supports."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.colour.sampling import principal_basis
+from nishiki.errors import UserError
+from nishiki.goniometry.directions import disc, reduced
+from nishiki.goniometry.hemisphere import complete
+from nishiki.goniometry.table import ReflectanceSet
 from nishiki.model_selection.decision import Decision
+from nishiki.model_selection.lights import spread_order
+
+LOSS = 0.002  # of the expected error: with ordinary cameras the measured paints ask for no less (docs/economy.md)
+MOST_BASES = 16
+
+
+@dataclass(frozen=True)
+class Bases:
+    """count: bases that are enough; loss: what they add to the expected error, as a part of it; counts, losses: of
+    every number that was looked at."""
+
+    count: int
+    loss: float
+    counts: tuple[int, ...]
+    losses: tuple[float, ...]
+
+
+def output_bases(estimates: np.ndarray, mean_square: float, *, limit: float = LOSS, most: int = MOST_BASES) -> Bases:
+    """Fewest output bases (the constant included) whose expected error is within `limit` of that of all.
+
+    estimates (M, 61): of the training spectra, from their noise-free responses; mean_square: of the estimator's error
+    on them (each left out in turn), averaged over the bands. What K bases lose of the estimates is the energy of the
+    singular values from the K-th on (Eckart and Young, Psychometrika 1, 1936), and errors add as squares:
+
+        loss(K) = sqrt(1 + lost(K) / mean_square) - 1.
+
+    A camera that cannot tell two stimuli apart says the same of both: its estimates fill fewer dimensions, the more so
+    the more its noise is amplified (Wiener's term takes those directions out), and fewer bases hold them.
+    """
+    coloured = estimates - estimates.mean(axis=1, keepdims=True)
+    energy = np.linalg.svd(coloured, compute_uv=False) ** 2
+    rest = np.append(np.cumsum(energy[::-1])[::-1], 0.0) / estimates.size  # rest[k]: energy from the k-th vector on
+    counts = range(2, min(most, estimates.shape[1], len(energy) + 1) + 1)
+    losses = [float(np.sqrt(1 + rest[k - 1] / max(mean_square, 1e-30)) - 1) for k in counts]
+    return _first(tuple(counts), tuple(losses), limit)
+
+
+def principal_bases(spectra: np.ndarray, weights: np.ndarray, *, noise: float, most: int = 3) -> Bases:
+    """Number of principal bases with the least expected error, for the inverse of H (Tominaga and Tanaka 2004, eq. 8).
+
+    spectra (M, 61) of the training set, weights (N, 61) of the channels, noise: standard deviation of a response. With
+    K <= N bases B and their map onto coefficients H+, the expected mean square over the bands is
+
+        mean |S - B' H+ W S|^2 + noise^2 |B' H+|^2 / 61:
+
+    what the bases lack, and the noise that the inverse amplifies. Losses are relative to the least of them.
+    """
+    counts = tuple(range(1, min(most, len(weights), len(spectra)) + 1))
+    responses, errors = spectra @ weights.T, []
+    for count in counts:
+        vectors = principal_basis(spectra, count).vectors
+        onto = vectors.T @ np.linalg.pinv(weights @ vectors.T, rcond=1e-12)
+        left = np.mean((spectra - responses @ onto.T) ** 2)
+        errors.append(float(left + noise**2 * np.sum(onto**2) / spectra.shape[1]))
+    losses = tuple(float(np.sqrt(error / max(min(errors), 1e-30)) - 1) for error in errors)
+    return _first(counts, losses, 0.0)
+
+
+def decide_bases(bases: Bases, *, method: str, limit: float = LOSS) -> Decision:
+    """What was decide_bases, for the log and the diagnostics."""
+    paper = method == "paper"
+    criterion = "expected error above that of " + ("the best number" if paper else f"{bases.counts[-1]} bases")
+    return Decision(
+        "bases",
+        f"{bases.count} spectral bases",
+        f"{criterion}, relative",
+        bases.loss,
+        0.0 if paper else limit,
+        f"expected rms error of a spectrum {100 * bases.loss:.2g} % larger",
+        "spectra.bases: a number",
+    )
+
+
+def _first(counts: tuple[int, ...], losses: tuple[float, ...], limit: float) -> Bases:
+    """The smallest number within the limit; the last where none is."""
+    within = [k for k, loss in enumerate(losses) if loss <= limit]
+    place = within[0] if within else len(counts) - 1
+    return Bases(counts[place], losses[place], counts, losses)
+
 
 LIMIT = 0.1  # share of what is left that its neighbours tell
 MARGIN_DB = 0.2  # a sample of tiles is not the object
 REACH = 2.0  # texels to a neighbour
 NEIGHBOURS = 16
-MOST = 4000  # pixels of a tile that are looked at
+MOST_PIXELS = 4000  # pixels of a tile that are looked at
 STEP = 0.5  # of the parameters' quantiser, in standard deviations of what is left: adds 2 % to it
-OVERRIDE = "residual.sufficient: never"
 
 
 @dataclass(frozen=True)
@@ -60,7 +143,7 @@ def _pairs(observation: np.ndarray, s: np.ndarray, t: np.ndarray) -> list[tuple[
     from scipy.spatial import cKDTree
 
     places = np.column_stack([s, t]).astype(np.float64)
-    texels = np.arange(0, len(places), max(1, len(places) // MOST))
+    texels = np.arange(0, len(places), max(1, len(places) // MOST_PIXELS))
     if len(places) < 2:
         return []
     distance, near = cKDTree(places).query(places[texels], k=min(NEIGHBOURS, len(places)))
@@ -83,16 +166,106 @@ def model_suffices(left: Left, target: str, amount: float, *, limit: float = LIM
     return left.structure <= limit
 
 
-def decided(left: Left, target: str, amount: float, setting: str, *, limit: float = LIMIT) -> Decision:
-    """What was decided, for the log and the diagnostics."""
+def decide_residual(left: Left, target: str, amount: float, setting: str, *, limit: float = LIMIT) -> Decision:
+    """What was decide_residual, for the log and the diagnostics."""
     enough = setting == "auto" and model_suffices(left, target, amount, limit=limit)
     words = "model alone: no residual stored" if enough else "residual stored"
     if target == "psnr":
         return Decision(
             "residual", words, "PSNR of the model alone on a sample of tiles, dB", left.psnr_db, amount,
-            "the target is reached; a few percent more bytes" if enough else "nothing", OVERRIDE,
+            "the target is reached; a few percent more bytes" if enough else "nothing", "residual.sufficient: never",
         )  # fmt: skip
     most = -10 * np.log10(max(1 - left.structure, 1e-3))
     loss = f"at most {most:.2g} dB beside the noise, the model reaching {left.psnr_db:.1f} dB" if enough else "nothing"
     criterion = "share of the model's residual that neighbouring pixels predict (noise: 0)"
-    return Decision("residual", words, criterion, left.structure, limit, loss, OVERRIDE)
+    return Decision("residual", words, criterion, left.structure, limit, loss, "residual.sufficient: never")
+
+
+VIEWS_LIMIT = 0.01  # relative error at the views not used; a sixth of what a cloth's model is expected to miss
+FEWEST = 48
+GROWTH = 1.4  # from one number that is tried to the next
+
+
+def normal_order(measured: ReflectanceSet) -> np.ndarray:
+    """Rows of the usable views at normal incidence, every beginning of them evenly spread over the reduced hemisphere.
+
+    Usable: valid in every region. The distance is that on the azimuthal equidistant disc, where they are interpolated.
+    """
+    rows = np.flatnonzero(measured.normal_incidence & measured.valid.all(axis=1))
+    along = np.tile([0.0, 0.0, 1.0], (len(rows), 1))
+    places = disc(reduced(along, measured.outgoing[rows], measured.symmetry)[1])
+    return rows[spread_order(places)]
+
+
+def with_normal_rows(measured: ReflectanceSet, rows: np.ndarray) -> ReflectanceSet:
+    """The same set, of the views at normal incidence only `rows` valid; numbers of rows stay what they were."""
+    kept = ~measured.normal_incidence
+    kept[rows] = True
+    names = ("incident", "outgoing", "values", "noise", "regions", "channels", "symmetry", "weave", "normal_deg")
+    fields = {name: getattr(measured, name) for name in names}
+    return ReflectanceSet(**fields, valid=measured.valid & kept[:, None], basic=measured.basic)
+
+
+def static_choice(measured: ReflectanceSet, setting: str | int) -> tuple[np.ndarray | None, Decision | None]:
+    """(rows of normal incidence that are used, or None for all; what was decided) for 'all' or a number."""
+    if setting == "all":
+        return None, None
+    order = normal_order(measured)
+    if int(setting) >= len(order):
+        return None, None
+    decision = Decision(
+        "measurements",
+        f"{int(setting)} of {len(order)} views at normal incidence, evenly spread",
+        "number set",
+        None,
+        None,
+        "not measured; evaluate compares with the views left out",
+        "cloth_brdf.measurements: all, auto or a number",
+    )
+    return np.sort(order[: int(setting)]), decision
+
+
+def measured_choice(
+    measured: ReflectanceSet, *, grid_deg: float, method: str, limit: float = VIEWS_LIMIT, fewest: int = FEWEST
+) -> tuple[np.ndarray | None, Decision | None]:
+    """As `static_choice`, with the number found: the fewest views from which the others are told within the limit.
+
+    Numbers grow by GROWTH from `fewest`; of each the hemisphere is completed from the views used by `method` on a grid
+    of `grid_deg` degrees (`hemisphere.complete`) and compared with the measured values of the others (`unseen_error`).
+    None decided where there are not more than `fewest` views.
+    """
+    order = normal_order(measured)
+    error, number = np.inf, min(fewest, len(order))
+    while number < len(order):
+        error = unseen_error(measured, order, number, grid_deg=grid_deg, method=method)
+        if error <= limit:
+            break
+        number = min(len(order), int(np.ceil(GROWTH * number)))
+    if len(order) <= fewest:
+        return None, None
+    saved = number < len(order)
+    words = f"{number} of {len(order)} views at normal incidence" + ", evenly spread" * saved
+    loss = f"unused views are predicted within {100 * error:.2g} % (rms, cosine-weighted)" if saved else "nothing"
+    criterion = "relative error at the views at normal incidence that are not used"
+    decision = Decision(
+        "measurements", words, criterion, float(error), limit, loss, "cloth_brdf.measurements: all, auto or a number"
+    )
+    return np.sort(order[:number]) if saved else None, decision
+
+
+def unseen_error(measured: ReflectanceSet, order: np.ndarray, number: int, *, grid_deg: float, method: str) -> float:
+    """Cosine-weighted relative root mean square of the views order[number:], told from order[:number]; worst region.
+
+    order: rows of the views at normal incidence. Infinite where the views used do not span the hemisphere.
+    """
+    used, rest = order[:number], order[number:]
+    try:
+        basic = complete(with_normal_rows(measured, np.sort(used)), grid_deg=grid_deg, method=method)[0].basic
+    except UserError:
+        return float("inf")
+    cosine, errors = measured.outgoing[rest, 2][:, None], []
+    for region in range(len(measured.regions)):
+        values = measured.values[rest, region]
+        error = basic.evaluate(measured.outgoing[rest], region) - values
+        errors.append(np.sqrt(np.sum(cosine * error**2) / max(np.sum(cosine * values**2), 1e-300)))
+    return float(max(errors))

@@ -34,7 +34,7 @@ class Choice:
 def chosen(capture: AnyCapture, without: Collection[str] = ()) -> Choice:
     """The capture without these parts, and without what was photographed for their sake alone.
 
-    without: names of parts (see `nishiki.engine.leaving_out`), or 'light NAME'. White boards and dark frames that
+    without: names of parts (see `nishiki.engine.plan`), or 'light NAME'. White boards and dark frames that
     belong to no photograph that is left are left out with them.
     """
     if isinstance(capture, TurntableCapture):
@@ -87,7 +87,7 @@ def _of_turntable(capture: TurntableCapture, without: set[str]) -> Choice:
 def _of_goniometer(capture: GoniometerCapture, without: set[str]) -> Choice:
     if capture.table is not None or "oblique" not in without:
         return Choice(capture, {})
-    from nishiki.goniometry.whites import assign_boards
+    from nishiki.goniometry.readings import assign_boards
 
     samples, whites = capture.observed, capture.frames_of("white")
     left = [f for f in samples if f.angles_deg[0] < NORMAL_DEG]

@@ -12,7 +12,7 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.formats.masks import label_problems
 from nishiki.formats.problems import CaptureError, Problem, error, warning
-from nishiki.goniometry.consistency import FEWEST_PAIRS, forward_shine, reciprocity, turned_views, typical_albedo
+from nishiki.goniometry.coverage import FEWEST_PAIRS, forward_shine, reciprocity, turned_views, typical_albedo
 from nishiki.goniometry.directions import unit
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.frames import FrameReader

@@ -9,8 +9,7 @@ from nishiki.capture.turntable_schema import Turntable
 from nishiki.errors import UserError
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.mesh import Mesh, face_vectors
-from nishiki.geometry.mesh_files import read_triangles
+from nishiki.geometry.mesh import Mesh, face_vectors, read_triangles
 from nishiki.geometry.placement import Placement, measure_placement, move_mesh
 from nishiki.packages import installed
 

@@ -11,8 +11,7 @@ from nishiki.capture.polariser import parse_state
 from nishiki.errors import UserError
 from nishiki.formats.problems import Problem, error
 from nishiki.observations.frames import FrameReader
-from nishiki.polarisation.mueller import equal_steps
-from nishiki.polarisation.polariser_states import sums_of
+from nishiki.polarisation.polariser_states import equal_steps, sums_of
 from nishiki.polarisation.series_order import SeriesOrder, find_order, remove_nuisance, series_design
 
 SIDE = 96

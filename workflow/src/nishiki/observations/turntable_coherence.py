@@ -10,8 +10,7 @@ import numpy as np
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.errors import UserError
 from nishiki.formats.problems import Problem, error, warning
-from nishiki.geometry.camera import Camera
-from nishiki.geometry.matrices import cameras_of_matrices
+from nishiki.geometry.camera import Camera, cameras_of_matrices
 
 if TYPE_CHECKING:
     from nishiki.geometry.coherence import Coherence
@@ -41,7 +40,7 @@ class Pictures:
             return
         import cv2
 
-        from nishiki.colour.encoding import decode
+        from nishiki.colour.colour import decode
         from nishiki.geometry.silhouettes import display, segment
 
         self.wanted.discard(view)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.colour.encoding import decode, encode
+from nishiki.colour.colour import decode, encode
 from nishiki.errors import UserError
 from nishiki.formats.stored import open_group, open_made_by, understood
 from nishiki.formats.zarr_chunks import chunk_path, read_chunk

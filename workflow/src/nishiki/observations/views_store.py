@@ -10,7 +10,7 @@ import numpy as np
 
 from nishiki.capture.frames import Frame
 from nishiki.capture.turntable import TurntableCapture
-from nishiki.colour.encoding import encode
+from nishiki.colour.colour import encode
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, group_problems
 from nishiki.formats.zarr_chunks import chunk_path, write_chunk

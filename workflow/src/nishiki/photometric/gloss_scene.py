@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.brdf.gloss_profile import LADDER, GlossProfile, fit_gloss, specular_samples
-from nishiki.brdf.specular_histogram import SpecularHistogram, unit_of
+from nishiki.brdf.gloss_profile import LADDER, GlossProfile, SpecularHistogram, fit_gloss, specular_samples, unit_of
 from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss import RefinedNormals, refine_normals
 

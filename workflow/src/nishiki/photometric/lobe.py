@@ -26,7 +26,7 @@ from nishiki.photometric.lanes import LANES, choose, load, planes, splat, store
 BLOCK = 32
 SUMS = 21  # 15 products and 5 right-hand sides of the Gauss-Newton step, the sum of squares
 SURFACE = 12  # normal, two tangents, a, b, d: float32, as the samples are
-EXPONENT = 8  # e of the model, that of `nishiki.brdf.body_shading`
+EXPONENT = 8  # e of the model, that of `nishiki.brdf.torrance_sparrow`
 SLOPES = 6  # of a sample: by the tangents, c, c x^e; residual, weight
 FIT = 7  # normal, a, b, d, penalised sum of squares: float64
 

@@ -118,7 +118,7 @@ def refine(
 
     observations (lights, pixels) float32; usable, known (lights, pixels) uint8, or (lights, 1) for all pixels alike;
     vectors (6, lights) float32; settings: prior, noise, reselections, at_least; shading (pixels, 3) float32: (a, b, d)
-    of `nishiki.brdf.body_shading`, Lambert's (1, 0, 0) before.
+    of `nishiki.brdf.torrance_sparrow`, Lambert's (1, 0, 0) before.
     """
     lights = observations.shape[0]
     prior, noise, reselections, at_least = settings[0], settings[1], int(settings[2]), settings[3]

@@ -29,7 +29,7 @@ def diffuse_reflectance(observations, directions, normals, *, usable, method="le
 
     observations (lights, rows, columns, channels) float32, perfect white facing the lamp = 1; directions (lights, 3);
     normals (rows, columns, 3); usable (lights, rows, columns) bool; shading (rows, columns, 3) or None, (a, b, d) of
-    `nishiki.brdf.body_shading`.
+    `nishiki.brdf.torrance_sparrow`.
 
     method, with the shading s = cos f
         "least_squares": sum(I s) / sum(s^2), the maximum-likelihood weight for equal noise in all lights.

@@ -25,7 +25,7 @@ class NormalField:
     lights_used uint16; condition float32 of the weighted 3 x 3 normal matrix; residual float32, root mean square, in
     units of the observations; flags uint8, the bits of `nishiki.photometric.flags`. Where a flag of NO_ESTIMATE is set
     the normal is (0, 0, 1), albedo and residual are 0 and sigma is pi / 2: finite, and marked as unknown. shading
-    (rows, columns, 3) float32: (a, b, d) of `nishiki.brdf.body_shading`, None of a solver that knows Lambert's law
+    (rows, columns, 3) float32: (a, b, d) of `nishiki.brdf.torrance_sparrow`, None of a solver that knows Lambert's law
     only.
     """
 
@@ -209,9 +209,9 @@ def without_distrusted(stack, directions, usable, known, outputs, max_condition)
 def refine_lobe(stack, directions, usable, known, outputs, noise, max_condition):
     """Replace the Lambertian estimates in the outputs, in place, by those of the model with a gloss lobe.
 
-    Returns the body shading (pixels, 3) float32 of `nishiki.brdf.body_shading`.
+    Returns the body shading (pixels, 3) float32 of `nishiki.brdf.torrance_sparrow`.
     """
-    from nishiki.brdf.body_shading import LAMBERT
+    from nishiki.brdf.torrance_sparrow import LAMBERT
     from nishiki.photometric.refine import refine
 
     vectors = with_half_vectors(directions)
@@ -258,7 +258,7 @@ def shading_of_mean(intensity, mean, directions, field, *, usable, valid, least_
     Returns
     -------
     (rows, columns, 3) float32
-        (a, b, d) of `nishiki.brdf.body_shading`; that of the field without an estimate or a lobe.
+        (a, b, d) of `nishiki.brdf.torrance_sparrow`; that of the field without an estimate or a lobe.
     """
     from nishiki.photometric.body_terms import BLOCK, fit_body_terms
 

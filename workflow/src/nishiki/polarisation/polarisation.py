@@ -1,4 +1,4 @@
-"""Diffuse and specular reflection of one view from its photographs under several polariser states.
+"""Separate diffuse and specular reflection of one view from photographs under several polariser states.
 
 The diffuse part left the body after many scatterings and is taken as unpolarised, the specular part as keeping what
 the lamp's polariser gave it. Derivations: docs/stages/polarise.md.
@@ -8,10 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numba import njit
 
+from nishiki.errors import UserError
+from nishiki.formats.stored import open_made_by
+from nishiki.formats.zarr_chunks import chunk_path, read_chunk, write_chunk
+from nishiki.formats.zarr_store import BandedGroup
 from nishiki.polarisation.polariser_states import StateSums
 from nishiki.threads import over_rows
 
@@ -168,3 +173,158 @@ def reflected_sense(m11: np.ndarray, m22: np.ndarray) -> int:
     """Whether a mirror's m22 has the sign of m11 (+1: angles seen from one side) or the opposite (-1: seen along the
     light, which a reflection reverses), by the picture itself: polarisation that is kept shows in both."""
     return 1 if float(np.sum(np.sign(m11) * m22, dtype=np.float64)) >= 0 else -1
+
+
+LIT = 0.1  # of the board's bright end: darker pixels say nothing
+FILLED = 0.25  # of a block's pixels must be lit
+
+
+@dataclass(frozen=True)
+class Beta:
+    """channel (channels,): beta of the whole board; field (rows, columns, channels) float32: by place, NaN where
+    it is below the limit; covered: share of the blocks that the board fills, the others have the channel's value;
+    low: pixels below the limit in a channel; spread: (5th, 95th percentile) of the blocks relative to the channel."""
+
+    channel: tuple[float, ...]
+    field: np.ndarray
+    covered: float
+    low: int
+    spread: tuple[float, float]
+
+
+def board_ratio(
+    over: np.ndarray, under: np.ndarray, *, block: int, least: float, what: str = "beta", local: bool = True
+) -> Beta:
+    """Ratio of two board images (rows, columns, channels), sums over blocks of `block` pixels, bilinear in between.
+
+    A ratio below `least` is never divided by: such pixels become NaN and are counted. local False: one value a channel.
+
+    Raises UserError where a channel's ratio as a whole is below `least`, or the board is dark.
+    """
+    over, under = np.asarray(over, np.float64), np.asarray(under, np.float64)
+    known = np.isfinite(over) & np.isfinite(under)  # a value that is missing in one must not count in the other
+    over, under = np.where(known, over, 0.0), np.where(known, under, 0.0)
+    bright = np.percentile(under, 99, axis=(0, 1))
+    if (bright <= 0).any():
+        raise UserError(
+            f"{what}: the white board is dark in channel {int(np.argmin(bright))}. Remedy: photograph it again"
+        )
+    lit = known & (under > LIT * bright) & (over >= 0)
+    top, bottom = (np.where(lit, each, 0.0) for each in (over, under))
+    channel = top.sum(axis=(0, 1)) / bottom.sum(axis=(0, 1))
+    if (channel < least).any():
+        place = int(np.argmin(channel))
+        raise UserError(
+            f"{what}: the board through the polarisers has {channel[place]:.2g} of its light in channel {place}, "
+            "the limit is "
+            f"{least:g}; the result would be mostly noise. Remedy: leave the channel out, expose "
+            "longer, or turn the polariser"
+        )
+    blocks = channel[None, None]
+    covered, spread = 1.0, (1.0, 1.0)
+    if local:
+        cells = [_cells(each, block) for each in (top, bottom, lit)]
+        filled = cells[2] >= FILLED * _cells(np.ones(lit.shape), block)
+        blocks = np.where(filled, cells[0] / np.where(filled, cells[1], 1.0), channel)
+        covered = float(filled.mean())
+        shares = (blocks / channel)[filled]
+        spread = tuple(np.percentile(shares, (5, 95)).tolist()) if shares.size else spread
+    field = _between(blocks, over.shape[:2], block)
+    low = field < least
+    field = np.where(low, np.nan, field).astype(np.float32)
+    return Beta(tuple(channel.tolist()), field, covered, int(low.any(axis=-1).sum()), spread)
+
+
+def _cells(values: np.ndarray, block: int) -> np.ndarray:
+    """Sums over blocks of block x block pixels, the last ones smaller."""
+    rows, columns = (np.arange(0, size, block) for size in values.shape[:2])
+    return np.add.reduceat(np.add.reduceat(values.astype(np.float64), rows, axis=0), columns, axis=1)
+
+
+def _between(blocks: np.ndarray, shape: tuple[int, int], block: int) -> np.ndarray:
+    """Bilinear between the centres of the blocks, constant outside them: (*shape, channels) float64."""
+    for axis, size in enumerate(shape):
+        count = blocks.shape[axis]
+        centres = (np.minimum(np.arange(count) * block + block, size) + np.arange(count) * block - 1) / 2
+        place = np.interp(np.arange(size), centres, np.arange(count)) if count > 1 else np.zeros(size)
+        lower = np.minimum(place.astype(int), max(count - 2, 0))
+        upper = np.minimum(lower + 1, count - 1)
+        weight = (place - lower).reshape([-1 if k == axis else 1 for k in range(3)])
+        blocks = np.take(blocks, lower, axis=axis) * (1 - weight) + np.take(blocks, upper, axis=axis) * weight
+    return blocks
+
+
+STORE = "components.zarr"
+FORMAT = 1
+
+
+class ComponentWriter:
+    """Writes `components.zarr`: diffuse, specular (observations, rows, columns, channels) float32, valid uint8."""
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        views: tuple[str, ...],
+        lights: tuple[str, ...],
+        shape: tuple[int, int],
+        channels: tuple[str, ...],
+        stamp: dict[str, str],
+    ):
+        self.path = Path(folder) / STORE
+        group = BandedGroup.create(self.path)
+        count = len(views) * len(lights)
+        for name, depth, dtype in (
+            ("diffuse", len(channels), np.float32),
+            ("specular", len(channels), np.float32),
+            ("valid", 1, np.uint8),
+        ):
+            full_shape = (count, *shape, depth)
+            group.create_array(name, full_shape, (1, *full_shape[1:]), dtype, compression="zstd")
+        group.update(
+            format=FORMAT,
+            views=list(views),
+            lights=list(lights),
+            channels=list(channels),
+            shape=list(shape),
+            stamp=stamp,
+        )
+
+    def write(self, observation: int, view: SeparatedView) -> None:
+        """Write one observation (light_index * views + view_index)."""
+        for name, values in (
+            ("diffuse", view.diffuse.astype("<f4", copy=False)),
+            ("specular", view.specular.astype("<f4", copy=False)),
+            ("valid", view.valid.astype(np.uint8)[..., None]),
+        ):
+            write_chunk(chunk_path(self.path / name, observation, 0), values, compression="zstd")
+
+
+class Components:
+    """The components of one artifact, for reading; one observation is in memory at a time.
+
+    views, lights, channels: names; shape (rows, columns); observations: lights times views.
+    """
+
+    def __init__(self, folder: Path | str):
+        """Open `components.zarr`, or the folder that holds it. UserError where it is none."""
+        path = Path(folder)
+        self.path = path if path.name == STORE else path / STORE
+        _, stored = open_made_by("polarise", self.path, "components", FORMAT)
+        self.views, self.lights, self.channels = (tuple(stored[name]) for name in ("views", "lights", "channels"))
+        self.shape: tuple[int, int] = tuple(stored["shape"])
+        self.observations = len(self.views) * len(self.lights)
+
+    def read(self, observation: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """diffuse, specular (rows, columns, channels) float32 (specular may be negative: noise), valid (rows, columns)
+        bool of one observation (light_index * views + view_index)."""
+        if not 0 <= observation < self.observations:
+            raise UserError(f"{self.path}: no observation {observation}; there are {self.observations}")
+        diffuse, specular = (
+            self._chunk(name, observation, len(self.channels), np.float32) for name in ("diffuse", "specular")
+        )
+        return diffuse, specular, self._chunk("valid", observation, 1, np.uint8)[..., 0] != 0
+
+    def _chunk(self, name: str, observation: int, depth: int, dtype) -> np.ndarray:
+        place = chunk_path(self.path / name, observation, 0)
+        return read_chunk(place, (*self.shape, depth), dtype, compression="zstd")

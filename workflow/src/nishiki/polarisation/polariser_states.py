@@ -1,4 +1,7 @@
-"""From polariser states to sums of photographs: which weighted sums give the components.
+"""Compute from polariser states which weighted sums of photographs give the components.
+
+Stokes vectors (I, Q, U, V); angles from the first axis, the same way round for generator and analyser seen along the
+light. Intensities are relative to the light that leaves the generator, as it would be without an analyser.
 
 Every method here is linear in the photographs up to the last step, so that a view is separated by reading each of its
 photographs once and adding it, weighted, to a few planes.
@@ -8,11 +11,165 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
+from nishiki.artifacts.closed import Closed, parse
 from nishiki.errors import UserError
-from nishiki.polarisation.mueller import Arm, design_matrix, equal_steps, solvable
+from nishiki.formats import plain_yaml
+from nishiki.formats.files import read_text
+from nishiki.formats.matlab import read_matlab
+
+
+def polariser(angle: float) -> np.ndarray:
+    """(4, 4) ideal linear polariser at `angle` (radians)."""
+    c, s = np.cos(2 * angle), np.sin(2 * angle)
+    return 0.5 * np.outer([1, c, s, 0], [1, c, s, 0])
+
+
+def retarder(retardance: float, angle: float) -> np.ndarray:
+    """(4, 4) linear retarder with its fast axis at `angle` (radians): E. Collett, Field Guide to Polarization, 2005."""
+    c, s, cd, sd = np.cos(2 * angle), np.sin(2 * angle), np.cos(retardance), np.sin(retardance)
+    return np.array(
+        [
+            [1, 0, 0, 0],
+            [0, c * c + s * s * cd, c * s * (1 - cd), -s * sd],
+            [0, c * s * (1 - cd), s * s + c * c * cd, c * sd],
+            [0, s * sd, -c * sd, cd],
+        ]
+    )
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One side of the instrument: a linear polariser, and before the object a retarder that turns (None: the polariser
+    itself turns). retardance, polariser_angle, offset (of the turning part): radians."""
+
+    retardance: float | None = None
+    polariser_angle: float = 0.0
+    offset: float = 0.0
+
+    def generated(self, angle: float) -> np.ndarray:
+        """(4,) Stokes vector of unit intensity that leaves the generator turned to `angle`."""
+        if self.retardance is None:
+            stokes = 2 * polariser(angle + self.offset)[:, 0]
+        else:
+            stokes = retarder(self.retardance, angle + self.offset) @ (2 * polariser(self.polariser_angle)[:, 0])
+        return stokes
+
+    def analysed(self, angle: float) -> np.ndarray:
+        """(4,) row by which the analyser turned to `angle` weighs the Stokes vector that it meets."""
+        if self.retardance is None:
+            return polariser(angle + self.offset)[0]
+        return (polariser(self.polariser_angle) @ retarder(self.retardance, angle + self.offset))[0]
+
+
+def design_matrix(generator: Arm, analyser: Arm, angles: np.ndarray) -> np.ndarray:
+    """(n, 16): intensity of state k = row k times the surface's Mueller matrix, row by row. angles (n, 2) radians:
+    generator, analyser."""
+    rows = [np.kron(analyser.analysed(a), generator.generated(g)) for g, a in angles]
+    return np.array(rows)
+
+
+LINEAR = tuple(4 * row + column for row in range(3) for column in range(3))
+
+
+def solvable(design: np.ndarray) -> tuple[tuple[int, ...], float] | None:
+    """Elements of the Mueller matrix (indices into 16) that a design determines: all, or the nine of linear
+    polarisation where nothing in the design depends on the others; with the condition number. None: neither."""
+    for elements in (tuple(range(16)), LINEAR):
+        rest = [k for k in range(16) if k not in elements]
+        if len(design) < len(elements) or np.abs(design[:, rest]).max(initial=0) > 1e-9:
+            continue
+        sizes = np.linalg.svd(design[:, elements], compute_uv=False)
+        if sizes[-1] > 1e-9 * sizes[0]:
+            return elements, float(sizes[0] / sizes[-1])
+    return None
+
+
+def equal_steps(angles_deg: np.ndarray) -> np.ndarray:
+    """The angles, or the multiples of 180/n of n equal steps where each of them is such a multiple rounded to whole
+    degrees: names like 23 and 68 mean 22.5 and 67.5."""
+    angles_deg = np.asarray(angles_deg, np.float64)
+    count = len(np.unique(angles_deg))
+    step = 180 / max(count, 1)
+    multiples = step * np.rint(angles_deg / step)
+    rounded = np.abs(angles_deg - multiples) <= 0.5
+    if rounded.all() and (angles_deg == np.rint(angles_deg)).all() and len(np.unique(multiples)) == count:
+        return multiples
+    return angles_deg
+
+
+def retardance_of(k1: float, k2: float, wavelength_nm: float) -> float:
+    """Radians, by the dispersion k1 / wavelength + k2 / wavelength^3 (Y. Queau et al., Design and simplified
+    calibration of a Mueller imaging polarimeter for material classification, Optics Letters 43, 2018)."""
+    return k1 / wavelength_nm + k2 / wavelength_nm**3
+
+
+MATLAB = ("k_1_g", "k_2_g", "k_1_a", "k_2_a")
+
+
+class ArmFile(Closed):
+    """One arm as a file describes it, in degrees. What turns by the angle in a state's name is the retarder, or,
+    without one, the polariser. retardance_deg, or its dispersion k1 / wavelength + k2 / wavelength^3 (radians, nm)."""
+
+    polariser_deg: float = 0.0
+    offset_deg: float = 0.0
+    retardance_deg: float | None = None
+    dispersion: tuple[float, float] | None = None
+
+
+class InstrumentFile(Closed):
+    """calibration.yaml."""
+
+    kind: Literal["polarimeter"] = "polarimeter"
+    generator: ArmFile = Field(default_factory=ArmFile)
+    analyser: ArmFile = Field(default_factory=ArmFile)
+
+
+def read_instrument(path: Path) -> InstrumentFile:
+    """Read a calibration: YAML as `InstrumentFile`, or MATLAB with k_1_g, k_2_g, k_1_a, k_2_a (dispersion of the
+    retarders of generator and analyser). UserError where it is neither."""
+    if path.suffix.lower() in (".yaml", ".yml"):
+        import yaml
+
+        try:
+            values = plain_yaml.load(read_text(path, "settings_bytes"))
+        except (OSError, ValueError, yaml.YAMLError) as error:
+            raise UserError(f"{path.name}: cannot be read ({error}). Remedy: check turntable.calibration") from None
+        return parse(InstrumentFile, values, path.name)
+    try:
+        values = read_matlab(path, MATLAB)
+        k = [float(values[name].ravel()[0]) for name in MATLAB]
+    except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
+        raise UserError(
+            f"{path.name}: no calibration of a polarimeter ({error}); expected YAML, or MATLAB with {', '.join(MATLAB)}"
+        ) from None
+    return InstrumentFile(generator=ArmFile(dispersion=(k[0], k[1])), analyser=ArmFile(dispersion=(k[2], k[3])))
+
+
+def arms_of(file: InstrumentFile | None, *, wavelength_nm: float | None) -> tuple[Arm | None, Arm | None]:
+    """Generator and analyser in radians; (None, None) without a calibration. UserError where a dispersion is given and
+    no wavelength."""
+    if file is None:
+        return None, None
+    arms = []
+    for arm in (file.generator, file.analyser):
+        retardance = None if arm.retardance_deg is None else float(np.radians(arm.retardance_deg))
+        if arm.dispersion is not None:
+            if wavelength_nm is None:
+                raise UserError(
+                    "polarise: the calibration gives the retarders' dispersion, and the wavelength is not known. "
+                    "Remedy: set "
+                    "polarise.wavelength_nm, or name the channel by it ('630 nm')"
+                )
+            retardance = retardance_of(*arm.dispersion, wavelength_nm)
+        arms.append(Arm(retardance, float(np.radians(arm.polariser_deg)), float(np.radians(arm.offset_deg))))
+    return arms[0], arms[1]
+
 
 MOST_CONDITION = 1e3
 NEARLY = 1.0  # degrees: angles that count as parallel or crossed

@@ -21,8 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from nishiki.polarisation.differences import PhotographNoise, Series, differences_of, inverse_of
-from nishiki.polarisation.noise import measure_noise
+from nishiki.polarisation.noise import PhotographNoise, Series, differences_of, inverse_of, measure_noise
 from nishiki.polarisation.polariser_states import StateSums
 from nishiki.threads import over_rows
 

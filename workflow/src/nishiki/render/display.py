@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.colour.colour import srgb_encode, xyz_to_srgb_linear
-from nishiki.colour.encoding import decode
+from nishiki.colour.colour import decode, srgb_encode, xyz_to_srgb_linear
 from nishiki.errors import UserError
 
 _LUMINANCE = np.float32([0.2126, 0.7152, 0.0722])  # of linear sRGB, IEC 61966-2-1

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.colour.colour import srgb_encode, srgb_matrix
-from nishiki.colour.encoding import decode
+from nishiki.colour.colour import decode, srgb_encode, srgb_matrix
 from nishiki.report.numbers import plain
 
 # Control points in CIELAB (D65): hue and chroma only steer; lightness is replaced by an even ramp.

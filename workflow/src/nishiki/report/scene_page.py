@@ -9,9 +9,8 @@ from typing import Any, Protocol
 from markupsafe import Markup
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.bounds import at_bounds
 from nishiki.artifacts.closed import Closed
-from nishiki.artifacts.limits import Limit, limit_checks, limit_warnings
+from nishiki.artifacts.limits import Limit, at_bounds, limit_checks, limit_warnings
 from nishiki.artifacts.provenance import canonical
 from nishiki.artifacts.stage import Context
 from nishiki.report.numbers import figure, plain

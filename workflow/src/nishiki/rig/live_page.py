@@ -17,7 +17,7 @@ from nishiki.report.pictures import colour_picture
 from nishiki.report.svg import PALETTE, Curve, Drawing, chart
 from nishiki.rig.frame_check import light_of
 from nishiki.rig.frames_table import duration
-from nishiki.rig.run_state import LastPhotograph, RunState, why
+from nishiki.rig.records import LastPhotograph, RunState, why
 from nishiki.version import PROJECT_VERSION
 
 ADDRESS = "127.0.0.1"

@@ -324,7 +324,7 @@ def _states_of(plan: TurntablePlan, state: str) -> tuple[tuple[str, str], ...]:
 
 
 def _goniometer_frames(plan: GoniometerPlan) -> dict[str, list[PlannedFrame]]:
-    from nishiki.rig.oblique_pairs import recommend_oblique
+    from nishiki.rig.frames_table import recommend_oblique
 
     thetas = np.arange(0, plan.theta_most_deg + 1e-6, plan.theta_step_deg)
     phis = np.arange(0, 90 + 1e-6, plan.phi_step_deg)

@@ -31,17 +31,12 @@ from nishiki.formats.exif import read_exif
 from nishiki.formats.files import flush_folder, put_file
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError, group_problems
-from nishiki.rig.capture_tables import capture_settings, refuse_unusable_settings, write_tables
-from nishiki.rig.description import open_rig, read_rig
-from nishiki.rig.device import DeviceError, DeviceLost, Rig
-from nishiki.rig.frame_check import Measures, measure, read_photograph
+from nishiki.rig.description import OpenedRig, expect_devices, open_rig, read_rig
+from nishiki.rig.device import DeviceError, DeviceLost, Rig, ask_operator
+from nishiki.rig.frame_check import Measures, Neighbours, measure, read_photograph
 from nishiki.rig.frames_table import AUTOMATIC, PlannedFrame, read_table, summary, table_text
-from nishiki.rig.journal import Journal
-from nishiki.rig.neighbours import Neighbours
-from nishiki.rig.opened_rig import OpenedRig, expect_devices
-from nishiki.rig.operator import ask_operator
 from nishiki.rig.plan import ReadPlan, read_plan
-from nishiki.rig.run_state import RunState
+from nishiki.rig.records import Journal, RunState, capture_settings, refuse_unusable_settings, write_tables
 
 REQUESTS = {
     "white": "put the white board in the object's place",

@@ -23,9 +23,9 @@ from pathlib import Path
 from nishiki.capture.seal import seal
 from nishiki.errors import UserError
 from nishiki.installation import COMMAND
+from nishiki.simulate.capture import Progress
 from nishiki.simulate.cloth.settings import DYES, FILAMENTS
 from nishiki.simulate.cloth.settings import PRESETS as CLOTHS
-from nishiki.simulate.folders import Progress
 from nishiki.simulate.painting.settings import BODIES, RELIEFS, ROUGHNESS, SCENES
 from nishiki.simulate.painting.settings import PRESETS as PAINTINGS
 from nishiki.simulate.turntable.settings import PRESETS as OBJECTS
@@ -149,7 +149,7 @@ def main(arguments: list[str] | None = None) -> int:
             options.format = "png" if options.channels == 3 else "tiff"
         if options.format == "png" and options.channels != 3:
             raise UserError(f"--format png holds 3 channels, found {options.channels}; use --format tiff")
-        simulate(import_module(f"nishiki.simulate.{kind}.capture_folder"), options)
+        simulate(import_module(f"nishiki.simulate.{kind}.photographs"), options)
     except UserError as error:
         print(f"nishiki simulate: {error}", file=sys.stderr)
         return 2

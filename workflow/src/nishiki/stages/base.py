@@ -44,7 +44,7 @@ class SceneFacts:
     given : tuple of str
         What a turntable's capture comes with: matrices, boards, correspondences, silhouettes of all views.
     parts : mapping of str to int
-        Number of files of each part that a scene may do without (see `nishiki.engine.leaving_out`).
+        Number of files of each part that a scene may do without (see `nishiki.engine.plan`).
     suffixes : tuple of str
         Of the photographs' names, in small letters.
     table : bool
@@ -151,7 +151,7 @@ class Stage:
     needs_colour : bool
         Ingest keeps all channels for it.
     looks_at : callable
-        Parts of the capture (see `nishiki.engine.leaving_out`) that it reads, from the facts, all settings of the
+        Parts of the capture (see `nishiki.engine.plan`) that it reads, from the facts, all settings of the
         scene and the products asked for.
     filled : callable
         Settings that only the plan knows, from its own settings and those of the scene.

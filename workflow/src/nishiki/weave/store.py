@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.weave.brdf import WeaveBrdf
-from nishiki.weave.fit import LOBES, READINGS, WeaveFit, WeaveModel
-from nishiki.weave.planes import Plane
+from nishiki.weave.fit import LOBES, READINGS, Plane, WeaveFit, WeaveModel
+from nishiki.weave.model import WeaveBrdf
 from nishiki.weave.section import WarpSection, WeftSection
 from nishiki.weave.yarn_search import YarnSearch, parameters_of
 

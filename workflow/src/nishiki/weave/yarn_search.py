@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.brdf.cloth.measures import single
-from nishiki.brdf.cloth.parametric import solve_linear
-from nishiki.brdf.cloth.yarn_fit import MISS_OBLIQUE, Measured, normal_weights, refuse_black
+from nishiki.brdf.cloth.interface import single
+from nishiki.brdf.cloth.yarn_fit import MISS_OBLIQUE, Measured, normal_weights, refuse_black, solve_linear
 from nishiki.errors import UserError
 from nishiki.weave.yarn_weave import ACROSS, ALONG, COARSE, Binding, YarnWeave
 

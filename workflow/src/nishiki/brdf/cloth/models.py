@@ -4,13 +4,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nishiki.brdf.cloth.bard import GreatCircleBard, LinearBard, ScaledBard
-from nishiki.brdf.cloth.facets import read_facets
-from nishiki.brdf.cloth.measures import incidences, solid_angles
-from nishiki.brdf.cloth.oblique import choose_oblique
-from nishiki.brdf.cloth.peer_fit import PARAMETERS, PRIORS, fit_peer
+from nishiki.brdf.cloth.interface import incidences, solid_angles
+from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard, ScaledBard, read_facets
+from nishiki.brdf.cloth.peers import PARAMETERS, PRIORS, fit_peer
 from nishiki.brdf.cloth.yarn_facets import NAMES
-from nishiki.brdf.cloth.yarn_fit import Measured, fit_normal, fit_yarn_facets
+from nishiki.brdf.cloth.yarn_fit import Measured, choose_oblique, fit_normal, fit_yarn_facets
 from nishiki.errors import UserError
 
 DEFAULT = "yarn_facets"

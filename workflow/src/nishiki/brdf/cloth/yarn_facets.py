@@ -1,4 +1,10 @@
-"""Facets on yarns: fibres' facets about the slopes of two families of yarns, with the yarns' own shadowing and masking.
+"""Evaluate facets on yarns: the facets of fibres about the slopes of two families of yarns.
+
+The logarithm of measured over modelled value is taken for a Gaussian process over pairs of directions (light, view):
+mean 0, standard deviation SPREAD, correlation Wendland's function of the pairs' distance, summed over the mirror images
+in the planes of weft and warp and over the exchange of light and view, so that the result has these symmetries exactly
+(Wendland, Scattered Data Approximation, 2005; Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006).
+Farther than REACH from all images the model stands alone.
 
 A cloth's surface is that of warp and weft yarns.  A yarn's surface tilts across the yarn (its section) and along it
 (its way over and under the others), and on it the fibres' facets scatter about that tilt.  With w(p) the share of the
@@ -22,20 +28,186 @@ point; so it reaches all points whose z - c x is at least that tangent's: those 
 view from one side only the lower limit counts, which is how shadowing and masking correlate.
 """
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+from numba import njit
 
 from nishiki.brdf.cloth.interface import halves, off_horizon, only_above
-from nishiki.brdf.cloth.local_ratio import ratio
-from nishiki.brdf.cloth.yarn_kernels import ATOM, HALF_PI, sums
+from nishiki.brdf.torrance_sparrow import fresnel_scalar
 from nishiki.threads import STRIPS_A_THREAD, threads
 
+HALF_PI = 0.5 * math.pi
+OPEN = 9.0  # limit of a side that the direction does not come from
+# Columns of an atom: its normal, its yarn's direction on the surface, the third axis, tilts along x and y, weight
+NORMAL, ALONG, ACROSS, TILT_X, TILT_Y, WEIGHT, ATOM = 0, 3, 6, 9, 10, 11, 12
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _limit(table, component, up):
+    """Steepest tilt that a direction still reaches in one plane, from a table over its angle in 0 .. pi/2."""
+    last = table.shape[0] - 1
+    place = math.atan2(abs(component), up) / HALF_PI * last
+    low = min(int(place), last - 1)
+    share = place - low
+    return table[low] * (1.0 - share) + table[low + 1] * share
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _narrow(tables, family, direction, limits):
+    """Lower limits[family] = (x >= 0, x < 0, y >= 0, y < 0) to what a direction reaches."""
+    for axis in range(2):
+        limit = _limit(tables[family, axis], direction[axis], direction[2])
+        side = 2 * axis + (0 if direction[axis] >= 0.0 else 1)
+        limits[family, side] = min(limits[family, side], limit)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _share(margin, softness):
+    """Share of facets that are reached, from how far they are inside of the limit: 0 .. 1 over four softnesses."""
+    u = min(max(0.5 + 0.25 * margin / softness, 0.0), 1.0)
+    return u * u * (3.0 - 2.0 * u)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def facet_reflection(a, i, o, half, ci, co, along, across):
+    """D G / 2 of anisotropic GGX facets at a point of a yarn (Walter et al. 2007), so that the point's share of the
+    cloth's reflectance is F / 2 times it: n.i n.o / (i_z o_z) F D G / (4 n.i n.o), where the facets' own cosines cancel
+    those of the yarn's surface.
+
+    a: columns normal, along and across the fibres; i, o, half: directions of light, view and between them; ci, co:
+    cosines of i and o with the normal; along, across: roughness.
+    """
+    hx, hy, hz = half
+    h1 = (hx * a[3] + hy * a[4] + hz * a[5]) / along
+    h2 = (hx * a[6] + hy * a[7] + hz * a[8]) / across
+    h3 = hx * a[0] + hy * a[1] + hz * a[2]
+    spread = h1 * h1 + h2 * h2 + h3 * h3
+    i1 = (i[0] * a[3] + i[1] * a[4] + i[2] * a[5]) * along
+    i2 = (i[0] * a[6] + i[1] * a[7] + i[2] * a[8]) * across
+    o1 = (o[0] * a[3] + o[1] * a[4] + o[2] * a[5]) * along
+    o2 = (o[0] * a[6] + o[1] * a[7] + o[2] * a[8]) * across
+    si = math.sqrt(i1 * i1 + i2 * i2 + ci * ci)
+    so = math.sqrt(o1 * o1 + o2 * o2 + co * co)
+    return ci * co / (math.pi * along * across * spread * spread * (co * si + ci * so))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sums(incident, outgoing, atoms, split, rough, index, tables, softness, out):
+    """out (n, 4): mirror reflection and body, 1 / sr, of the warp's and of the weft's facets.
+
+    incident, outgoing (n, 3); atoms (p, ATOM), the warp's first, `split` of them; rough (2, 2) along and across the
+    fibres of warp and weft; tables (2, 2, m) limits by family and plane.
+    """
+    limits = np.empty((2, 4))
+    for k in range(incident.shape[0]):
+        i, o = incident[k], outgoing[k]
+        out[k, 0] = out[k, 1] = out[k, 2] = out[k, 3] = 0.0
+        if not (i[2] > 0.0 and o[2] > 0.0):
+            continue
+        hx, hy, hz = i[0] + o[0], i[1] + o[1], i[2] + o[2]
+        length = math.sqrt(hx * hx + hy * hy + hz * hz)
+        hx, hy, hz = hx / length, hy / length, hz / length
+        mirror = 0.5 * fresnel_scalar(min(0.5 * length, 1.0), index)
+        limits[:] = OPEN
+        for family in range(2):
+            _narrow(tables, family, i, limits)
+            _narrow(tables, family, o, limits)
+        mirror_warp = mirror_weft = body_warp = body_weft = 0.0
+        for p in range(atoms.shape[0]):
+            a = atoms[p]
+            ci = a[0] * i[0] + a[1] * i[1] + a[2] * i[2]
+            co = a[0] * o[0] + a[1] * o[1] + a[2] * o[2]
+            if ci <= 0.0 or co <= 0.0:
+                continue
+            family = 0 if p < split else 1
+            seen = a[WEIGHT]
+            if limits[family, 0] < HALF_PI:
+                seen *= _share(limits[family, 0] - a[TILT_X], softness)
+            if limits[family, 1] < HALF_PI:
+                seen *= _share(limits[family, 1] + a[TILT_X], softness)
+            if limits[family, 2] < HALF_PI:
+                seen *= _share(limits[family, 2] - a[TILT_Y], softness)
+            if limits[family, 3] < HALF_PI:
+                seen *= _share(limits[family, 3] + a[TILT_Y], softness)
+            if seen <= 0.0:
+                continue
+            ra, rc = rough[family, 0], rough[family, 1]
+            facets = facet_reflection(a, i, o, (hx, hy, hz), ci, co, ra, rc)
+            value = seen * mirror * facets
+            through = (1.0 - fresnel_scalar(ci, index)) * (1.0 - fresnel_scalar(co, index))
+            if family == 0:
+                mirror_warp += value
+                body_warp += seen * ci * co * through
+            else:
+                mirror_weft += value
+                body_weft += seen * ci * co * through
+        scale = 1.0 / (i[2] * o[2])
+        out[k, 0], out[k, 1] = scale * mirror_warp, scale * body_warp / math.pi
+        out[k, 2], out[k, 3] = scale * mirror_weft, scale * body_weft / math.pi
+
+
+MODEL_ERROR, NOISE = 0.15, 0.03  # of the logarithm: of the model's errors, and of a measurement
+REACH = 0.8  # distance of pairs of unit vectors
+LARGEST = 1.0  # logarithm of a ratio that is still taken for a model's error
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def likeness(first, second, quarter):
+    """Correlation of two pairs (6,): light and view."""
+    total = 0.0
+    for image in range(8 if quarter else 2):
+        x = -1.0 if image & 2 else 1.0
+        y = -1.0 if image & 4 else 1.0
+        turn = 3 if image & 1 else 0
+        product = 0.0
+        for k in range(2):
+            a, b = 3 * k, (3 * k + turn) % 6
+            product += x * first[a] * second[b] + y * first[a + 1] * second[b + 1] + first[a + 2] * second[b + 2]
+        square = 4.0 - 2.0 * product
+        if square < REACH * REACH:
+            d = math.sqrt(max(square, 0.0)) / REACH
+            total += (1.0 - d) ** 4 * (4.0 * d + 1.0)
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def log_ratio(pairs, images, weights, quarter, out):
+    """out (n,) = sum over images (m, 6) of their weight times their likeness to the pair (n, 6)."""
+    for k in range(pairs.shape[0]):
+        total = 0.0
+        for j in range(images.shape[0]):
+            total += weights[j] * likeness(pairs[k], images[j], quarter)
+        out[k] = total
+
+
+def pairs_of(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+    """(n, 6) of directions (n, 3)."""
+    return np.ascontiguousarray(np.concatenate([incident, outgoing], axis=-1))
+
+
+def fit_ratio(pairs: np.ndarray, measured: np.ndarray, modelled: np.ndarray, quarter: bool) -> np.ndarray:
+    """Weights (n,) of the images at pairs (n, 6), from measured and modelled values (n,)."""
+    known = (measured > 0) & (modelled > 0)
+    safe = np.where(known, measured, 1.0) / np.where(known, modelled, 1.0)
+    target = np.clip(np.log(safe), -LARGEST, LARGEST)
+    matrix = np.array([[likeness(a, b, quarter) for b in pairs] for a in pairs]).reshape(len(pairs), -1)
+    return MODEL_ERROR**2 * np.linalg.solve(MODEL_ERROR**2 * matrix + NOISE**2 * np.eye(len(pairs)), target)
+
+
+def ratio(incident: np.ndarray, outgoing: np.ndarray, images: np.ndarray, weights: np.ndarray, quarter: bool):
+    """(n,) factor of a model at directions (n, 3)."""
+    out = np.empty(len(incident))
+    log_ratio(pairs_of(incident, outgoing), images, weights, quarter, out)
+    return np.exp(np.clip(out, -LARGEST, LARGEST))
+
+
 WARP, WEFT = 0, 1
-ALONG, ACROSS = 0, 1
+SIDE_ALONG, SIDE_ACROSS = 0, 1
 NODES = (7, 10)  # slopes of either sign, along and across: 280 facets a family
 ANGLES = 65  # of the tables of limits
 FEWEST_ROWS = 128  # that are worth a thread: about 3 ms
@@ -59,7 +231,7 @@ class YarnShape:
         return np.concatenate([self._family(WARP, 1 - self.weft_share), self._family(WEFT, self.weft_share)])
 
     def _family(self, family: int, share: float) -> np.ndarray:
-        along, across = (self._slopes(family, k) for k in (ALONG, ACROSS))
+        along, across = (self._slopes(family, k) for k in (SIDE_ALONG, SIDE_ACROSS))
         x, y = np.meshgrid(*((across, along) if family == WARP else (along, across)), indexing="ij")
         x, y = x.ravel(), y.ravel()
         z = 1 / np.sqrt(1 + x * x + y * y)
@@ -81,7 +253,7 @@ class YarnShape:
     def limits(self) -> np.ndarray:
         """(2, 2, ANGLES) [family][plane x, y] steepest tilt reached, radians, by the direction's angle in 0 .. pi/2."""
         out = np.empty((2, 2, ANGLES))
-        for family, planes in ((WARP, (ACROSS, ALONG)), (WEFT, (ALONG, ACROSS))):
+        for family, planes in ((WARP, (SIDE_ACROSS, SIDE_ALONG)), (WEFT, (SIDE_ALONG, SIDE_ACROSS))):
             for plane, side in enumerate(planes):
                 s, k = self.slope[family, side], self.power[family, side]
                 out[family, plane] = hump_limits(s, k, side, self.spacing[family, side])
@@ -93,12 +265,12 @@ class YarnShape:
 def hump(slope: float, power: float, side: int, share: np.ndarray):
     """Slope, place and height of the points of a hump of width 1 within which `share` (0 .. 1) of its width lies.
 
-    side ALONG: slopes exp(-(t / s)^k); ACROSS: (1 + (t / s)^k)^(-3 / k).
+    side SIDE_ALONG: slopes exp(-(t / s)^k); SIDE_ACROSS: (1 + (t / s)^k)^(-3 / k).
     """
     from scipy.special import beta, betainc, betaincinv, gamma, gammainc, gammaincinv
 
     a, b = 1 / power, 2 / power
-    if side == ALONG:
+    if side == SIDE_ALONG:
         q = gammaincinv(a, share)
         return slope * q**a, share / 2, -slope * gamma(b) / gamma(a) / 2 * gammainc(b, q)
     v = np.minimum(betaincinv(a, b, share), 1 - 1e-15)  # a slope of 1e15 is upright

@@ -1,22 +1,130 @@
-"""Yarn facets read from measurements: those of normal incidence alone, or with a few oblique ones.
+"""Fit yarn facets to measurements, and choose the oblique images that improve them most.
+
+A model is, in each channel, fixed(x) + columns(x) c with shape parameters x shared by the channels and c >= 0.  For
+any x the c are a small non-negative least-squares problem, so only x is searched (Golub and Pereyra, Separable
+nonlinear least squares, 2003), by a trust-region Levenberg-Marquardt on the projected residual.  Priors are Gaussian
+in x: they decide what the measurements leave open, and shift what these tell by less than its uncertainty.
 
 First the shape is fitted to normal incidence (its prior says what that leaves open), then to both.  What the shape's
 facets still miss at normal incidence is read off them as the facet reading does, at the half vector's tilt theta_r / 2:
 a factor c(h) of the mirror reflection at every incidence (h alone, so it stays reciprocal), held to 1 where the body
 outshines the mirror reflection. What the model then misses at the oblique images is carried over to the directions
 around them (`local_ratio`).
+
+The fit to normal incidence leaves an uncertainty of the parameters (its information matrix), which makes errors of
+predictions that go together; beside it a model has errors of its own, alike in directions close to each other
+(DISCREPANCY, REACH). Each step takes the image after which the expected squared error, summed over all candidates with
+the cosine of the view and relative to each incidence's level, is least (I-optimal design; Fedorov, Theory of optimal
+experiments, 1972), and conditions both on it. No measured value enters, so the choice can be made before the images
+are taken.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.brdf.cloth.interface import polar
-from nishiki.brdf.cloth.local_ratio import fit_ratio, pairs_of
-from nishiki.brdf.cloth.measures import hemisphere, incidences, single, solid_angles, together
-from nishiki.brdf.cloth.parametric import ShapeFit, fit_shape
-from nishiki.brdf.cloth.yarn_facets import CENTRE, SPREAD, YarnFacets, corrected, shape_of, shape_parts, uncorrected
+from nishiki.brdf.cloth.interface import hemisphere, incidences, polar, single, solid_angles, together
+from nishiki.brdf.cloth.yarn_facets import (
+    CENTRE,
+    SPREAD,
+    YarnFacets,
+    corrected,
+    fit_ratio,
+    pairs_of,
+    shape_of,
+    shape_parts,
+    uncorrected,
+)
 from nishiki.errors import UserError
+
+STEP = 1e-4  # of the finite differences, in units of a parameter's scale: parameters are logarithms
+REACH = 6.0  # prior standard deviations to either side within which a parameter is searched
+
+Parts = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # x -> fixed (n,), columns (n, k)
+
+
+@dataclass(frozen=True)
+class ShapeFit:
+    """The most probable shape and its linear coefficients."""
+
+    x: np.ndarray  # (parameters,)
+    coefficients: np.ndarray  # (channels, k), >= 0
+    information: np.ndarray  # (parameters, parameters) of the measurements and the prior
+    cost: float  # sum of squares of residuals and priors
+    misfit: float  # of the residuals alone
+    evaluations: int
+    at_bounds: tuple[int, ...] = ()  # parameters that ended `REACH` prior standard deviations away
+
+
+def solve_linear(fixed, columns, values, weight, limits) -> np.ndarray:
+    """Coefficients (channels, k) >= 0 of columns (n, k) in values (n, channels) less fixed (n,).
+
+    weight (n,): inverse standard deviations; limits (k,): prior standard deviation of each coefficient about 0,
+    infinite where none.
+    """
+    from scipy.optimize import nnls
+
+    ridge = np.diag(1 / np.asarray(limits, float))
+    design = np.vstack([columns * weight[:, None], ridge])
+    zeros = np.zeros(len(ridge))
+    return np.array([nnls(design, np.concatenate([(y - fixed) * weight, zeros]))[0] for y in values.T])
+
+
+def fit_shape(
+    parts: Parts,
+    values: np.ndarray,
+    weight: np.ndarray,
+    *,
+    centre: np.ndarray,
+    spread: np.ndarray,
+    limits: np.ndarray,
+    start: np.ndarray | None = None,
+    free: np.ndarray | None = None,
+    evaluations: int = 20,
+) -> ShapeFit:
+    """Fit x and c to values (n, channels) with inverse standard deviations weight (n,); channels count as one together.
+
+    centre, spread (parameters,): prior mean and standard deviation; limits (k,) as in `solve_linear`; start: first x
+    (default: the centre); free: indices of the parameters to be searched, the rest stays as in start (default: all);
+    evaluations: most steps of the search.
+    """
+    from scipy.optimize import least_squares
+
+    initial = np.array(centre if start is None else start, float)
+    free = np.arange(initial.size) if free is None else np.asarray(free)
+    channels = values.shape[1]
+    low, high = (centre - REACH * spread)[free], (centre + REACH * spread)[free]
+
+    def place(x):
+        out = initial.copy()
+        out[free] = x
+        return out
+
+    def solved(x):
+        fixed, columns = parts(place(x))
+        c = solve_linear(fixed, columns, values, weight, limits)
+        return (fixed[:, None] + columns @ c.T - values) * weight[:, None] / np.sqrt(channels), c
+
+    def residual(x):
+        rest, c = solved(x)
+        return np.concatenate([rest.ravel(), ((place(x) - centre) / spread)[free], (c / limits).ravel()])
+
+    first = np.clip(initial[free], low, high)
+    solution = least_squares(
+        residual, first, x_scale=spread[free], bounds=(low, high), diff_step=STEP, max_nfev=evaluations
+    )
+    rest, c = solved(solution.x)
+    return ShapeFit(
+        x=place(solution.x),
+        coefficients=c,
+        information=solution.jac.T @ solution.jac,
+        cost=float(2 * solution.cost),
+        misfit=float(np.sum(rest * rest)),
+        evaluations=int(solution.nfev),
+        at_bounds=tuple(int(k) for k in free[np.abs(solution.x - centre[free]) >= 0.999 * REACH * spread[free]]),
+    )
+
 
 NORMAL = np.array([0.0, 0.0, 1.0])
 MISS = 0.06  # relative deviation that the model is expected to have at normal incidence
@@ -185,3 +293,73 @@ def correction(brdf: YarnFacets, basic, *, steepest: float) -> np.ndarray:
     missing = (basic(view) - modelled).mean(axis=-1)
     floor = (FLOOR * modelled.mean(axis=-1)) ** 2
     return np.clip(1 + mirror * missing / (mirror**2 + floor), 1 / MOST, MOST)
+
+
+STEEPEST = np.radians(80.0)  # views beyond are left out: a goniometer's cosines are least certain there
+CANDIDATES = 700  # evenly thinned from all: their covariance is a full matrix
+DISCREPANCY = 0.12  # standard deviation of the model's own error, of the value
+ERROR_REACH = 0.7  # distance of pairs of unit vectors (light, view) at which these errors have nothing in common
+NOISE = 0.03, 0.01  # of a measurement, of the value and of its incidence's level
+SLOPE_STEP = 0.02
+
+
+def choose_oblique(fit: ShapeFit, incident: np.ndarray, outgoing: np.ndarray, count: int) -> np.ndarray:
+    """Indices (up to count,) into the candidates (n, 3), (n, 3), the most telling first."""
+    allowed = np.flatnonzero((polar(outgoing) <= STEEPEST) & (polar(incident) <= STEEPEST))
+    if count == 0 or allowed.size == 0:
+        return np.empty(0, int)
+    pool = max(CANDIDATES, count)
+    if allowed.size > pool:
+        allowed = allowed[np.linspace(0, allowed.size - 1, pool).astype(int)]
+    incident, outgoing = (np.ascontiguousarray(d[allowed]) for d in (incident, outgoing))
+    brdf = brdf_of(fit)
+    values, level = brdf.evaluate(incident, outgoing).mean(axis=1), levels(brdf, incident)
+    slopes, size = _slopes(fit, incident, outgoing), fit.x.size
+    # the body's albedo is eliminated from the fit; here it counts as known within a factor of 2.7
+    parameters = np.zeros((size + 1, size + 1))
+    parameters[:size, :size], parameters[size, size] = np.linalg.inv(fit.information), 1.0
+    own = DISCREPANCY**2 * np.outer(values, values) * likeness(incident, outgoing)
+    covariance = slopes @ parameters @ slopes.T + own
+    noise = (NOISE[0] * values) ** 2 + (NOISE[1] * level) ** 2
+    weight = outgoing[:, 2] / level**2
+    chosen: list[int] = []
+    open_ = np.ones(allowed.size, bool)
+    for _ in range(min(count, allowed.size)):
+        gain = weight @ covariance**2 / (np.diag(covariance) + noise)
+        best = int(np.argmax(np.where(open_, gain, -1.0)))
+        chosen.append(best)
+        open_[best] = False
+        column = covariance[:, best].copy()
+        covariance -= np.outer(column, column) / (column[best] + noise[best])
+    return allowed[np.array(chosen)]
+
+
+def likeness(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+    """(n, n) correlation of a model's errors at pairs of directions (n, 3): Wendland's function of their distance, the
+    least over mirror images in the planes of weft and warp and over the exchange of light and view."""
+    pairs = np.concatenate([incident, outgoing], axis=1)
+    nearest = np.full((len(pairs), len(pairs)), np.inf)
+    for x in (1.0, -1.0):
+        for y in (1.0, -1.0):
+            for same in (pairs, np.roll(pairs, 3, axis=1)):
+                product = (pairs * np.tile([x, y, 1.0], 2)) @ same.T
+                np.minimum(nearest, 4.0 - 2.0 * product, out=nearest)  # of unit vectors: squared distance of the pairs
+    reach = np.minimum(np.sqrt(np.maximum(nearest, 0.0)) / ERROR_REACH, 1.0)
+    return (1.0 - reach) ** 4 * (4.0 * reach + 1.0)
+
+
+def _slopes(fit: ShapeFit, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+    """(n, parameters + 1) derivatives of the predicted mean over channels; the last by the log of the body's albedo."""
+    body = max(float(fit.coefficients[:, 0].mean()), 0.003)
+    columns = []
+
+    def value(x):
+        parts = shape_parts(shape_of(x), incident, outgoing)
+        return parts[:, 0] + parts[:, 2] + body * (parts[:, 1] + parts[:, 3]), parts
+
+    for k in range(fit.x.size):
+        step = np.zeros(fit.x.size)
+        step[k] = SLOPE_STEP
+        columns.append((value(fit.x + step)[0] - value(fit.x - step)[0]) / (2 * SLOPE_STEP))
+    parts = value(fit.x)[1]
+    return np.stack([*columns, body * (parts[:, 1] + parts[:, 3])], axis=1)

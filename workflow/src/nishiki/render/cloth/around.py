@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from nishiki.geometry.ray_tree import GOLDEN_ANGLE, blocked
+from nishiki.geometry.visibility import GOLDEN_ANGLE, blocked
 from nishiki.render.cloth.local import LIFT, Samples
 from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, three
 from nishiki.threads import over_rows, threads

@@ -9,8 +9,8 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.camera_path import scaled
-from nishiki.geometry.raster import rasterise
+from nishiki.geometry.turn import scaled
+from nishiki.geometry.visibility import rasterise
 from nishiki.render.cloth.around import Surroundings
 from nishiki.render.cloth.local import Samples, gather, lit
 from nishiki.render.cloth.models import share_of, together

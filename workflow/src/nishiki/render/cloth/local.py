@@ -8,8 +8,7 @@ import numpy as np
 from numba import njit
 
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.raster import Raster
-from nishiki.geometry.ray_tree import GOLDEN_ANGLE, blocked
+from nishiki.geometry.visibility import GOLDEN_ANGLE, Raster, blocked
 from nishiki.render.cloth.scene import ClothScene, Lamp
 from nishiki.threads import over_rows
 

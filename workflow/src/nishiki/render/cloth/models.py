@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.brdf.cloth.dye import PHIS, THETAS, Dyed
+from nishiki.brdf.cloth.interface import PHIS, THETAS, Dyed
 from nishiki.brdf.cloth.store import load_brdf
 from nishiki.errors import UserError
 from nishiki.render.cloth.around import grid_views, lookup, shares

@@ -22,7 +22,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.ray_tree import RayTree, make_tree
+from nishiki.geometry.visibility import RayTree, make_tree
 from nishiki.threads import threads
 
 

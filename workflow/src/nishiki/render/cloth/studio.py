@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.colour.encoding import decode
+from nishiki.colour.colour import decode
 from nishiki.geometry.camera import Camera, look_at
-from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.turn import rotation_matrix
 from nishiki.render.cloth.around import Surroundings
 from nishiki.render.cloth.frame import ClothPicture, RenderVariant, render
 from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, Lamp, Matte, Surface

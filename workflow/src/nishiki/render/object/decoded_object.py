@@ -10,11 +10,10 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.atlas.atlas import Atlas
 from nishiki.atlas.store import Texels
 from nishiki.atlas.surface import Surface, texel_points, texel_triangles
-from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.model import Lighting
 from nishiki.codec.store import Residual
 from nishiki.errors import UserError
-from nishiki.geometry.camera import Camera
-from nishiki.geometry.cameras_file import load_cameras
+from nishiki.geometry.camera import Camera, load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.observations.views import Views, largest_value
 from nishiki.render.object.renderer import ObjectRenderer

@@ -22,12 +22,12 @@ import numpy as np
 
 from nishiki.brdf.texels.model import predict
 from nishiki.codec.store import CodedTexels
-from nishiki.colour.encoding import decode as to_linear
-from nishiki.colour.encoding import encode
+from nishiki.colour.colour import decode as to_linear
+from nishiki.colour.colour import encode
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.camera_path import camera_between, fit_turn, scaled
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.raster import interpolate, rasterise
+from nishiki.geometry.turn import camera_between, fit_turn, scaled
+from nishiki.geometry.visibility import interpolate, rasterise
 from nishiki.render.display import developed
 from nishiki.render.object.pixels import asked_for, by_tile, extend, look_up, mix
 from nishiki.render.object.shots import (

@@ -17,14 +17,12 @@ from typing import Literal
 
 import numpy as np
 
-from nishiki.brdf.texels.lighting import DISTANT, HARMONICS, POINT, TO_LAMP_FRAME, Lamp
-from nishiki.brdf.texels.model import predict
+from nishiki.brdf.texels.model import DISTANT, HARMONICS, POINT, TO_LAMP_FRAME, Lamp, predict
 from nishiki.codec.store import CodedTexels
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.camera_path import CameraPath
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.raster import Raster
-from nishiki.geometry.ray_tree import GOLDEN_ANGLE, RayTree, cast, make_tree
+from nishiki.geometry.turn import CameraPath
+from nishiki.geometry.visibility import GOLDEN_ANGLE, Raster, RayTree, cast, make_tree
 
 Method = Literal["nearest", "linear", "cubic"]
 
@@ -107,7 +105,7 @@ class Shot:
 class ObjectPicture:
     """linear (rows, columns, channels) float32, 0 where nothing is shown; covered (rows, columns) bool: pixel centres
     on the surface; reached: covered, or carried on beyond the edge by `rim` pixels; triangle, barycentric: what the
-    pixels show (see `nishiki.geometry.raster.Raster`); depth (rows, columns) float32, +inf where not covered."""
+    pixels show (see `nishiki.geometry.visibility.Raster`); depth (rows, columns) float32, +inf where not covered."""
 
     linear: np.ndarray
     covered: np.ndarray

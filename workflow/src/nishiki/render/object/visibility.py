@@ -10,7 +10,7 @@ import numpy as np
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.raster import rasterise
+from nishiki.geometry.visibility import rasterise
 
 KEPT = 8  # depth maps held at a time: the views around the ones being made
 STEEP = 0.25  # cosine of the angle to the normal below which a view counts less and less

@@ -15,7 +15,7 @@ All of it is one file, because the cache of the compiler watches only the file o
 import numpy as np
 from numba import njit
 
-from nishiki.brdf.kernels import phi_squared
+from nishiki.brdf.torrance_sparrow import phi_squared
 from nishiki.render.plane.flags import COLOUR_MISSING, NORMAL_MISSING, OVERFLOW, TURNED_AWAY, UNUSABLE
 
 BLOCK = 128
@@ -260,7 +260,7 @@ def _diffuse_cosines(buf, n):
 @njit(cache=True, error_model="numpy")
 def _body_shading(buf, n):
     """c max(a + b c + d x^8 + e . l, 0) in the place of c, x = n . h of light and view; see
-    `nishiki.brdf.body_shading`."""
+    `nishiki.brdf.torrance_sparrow`."""
     for i in range(n):
         nx, ny, nz = buf[_NX + i], buf[_NY + i], buf[_NZ + i]
         sx, sy, sz = buf[_LX + i] + buf[_VX + i], buf[_LY + i] + buf[_VY + i], buf[_LZ + i] + buf[_VZ + i]
@@ -286,7 +286,7 @@ def _passed(c, contrast):
 
 @njit(cache=True, error_model="numpy")
 def _leaving(buf, transmission, n):
-    """What the surface lets out towards the eye, relative to frontal (`nishiki.brdf.body_shading.transmittance`)."""
+    """What the surface lets out towards the eye, relative to frontal (`torrance_sparrow.transmittance`)."""
     for i in range(n):
         c, contrast = buf[_COSR + i], buf[_CONTRAST + i]
         c = c if c > 1e-6 else 1e-6

@@ -146,7 +146,7 @@ class Gloss:
 
     beta, gamma: (regions, lobes), strength relative to the white reference and half width at half maximum in radians;
     refractive_index: (regions,) >= 1; transmission: share (0 to 1) of the loss at a surface of that index that the
-    body's light suffers on its way in and out (`nishiki.brdf.body_shading.transmittance`).
+    body's light suffers on its way in and out (`nishiki.brdf.torrance_sparrow.transmittance`).
     """
 
     beta: np.ndarray
@@ -190,7 +190,7 @@ class PlaneScene:
     coefficients: (rows, columns, K) float32, diffuse reflectance.  With `basis` (K, 61), S = coefficients . basis (+
     `mean` (61,)).  Without a basis they are the albedo in K channels and `channels_to_xyz` (3, K) carries them to XYZ
     (white point D65); for K = 3 it defaults to that of linear sRGB, which is a guess about the camera.
-    shading: (rows, columns, 3 or 5) float32, terms of the body shading (`nishiki.brdf.body_shading`), or None: Lambert.
+    shading: (rows, columns, 3 or 5) float32, terms of the body shading (`torrance_sparrow.body_shading`), or None.
     slopes: (rows, columns, 3) float32, covariance of the slopes in a pixel (`nishiki.brdf.slopes`), or None: no blur.
     height: (rows, columns) float32 in the unit of `pitch`, or None: no cast shadows.
     labels: (rows, columns) uint8 row of `gloss` for each pixel, or None: row 0 everywhere.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.brdf.body_shading import transmittance
+from nishiki.brdf.torrance_sparrow import transmittance
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
 from nishiki.errors import UserError
 from nishiki.render.plane import kernel

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import ArtifactWriter
-from nishiki.artifacts.javascript import modules_of
+from nishiki.artifacts.provenance import modules_of
 
 PAGE = Path(__file__).parent / "page"
 ESCAPED = ((b"\\", b"\\\\"), (b'"', b'\\"'), (b"\n", b"\\n"), (b"\r", b"\\r"))

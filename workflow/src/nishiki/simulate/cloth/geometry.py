@@ -1,4 +1,10 @@
-"""The yarns as solids: swept, flattened sections, periodic in x and y.
+"""Build the yarns of a simulated cloth as solids along their paths, and intersect rays with them.
+
+After Peirce, The geometry of cloth structure, J. Textile Institute 28(3), 1937: a yarn follows arcs round those that it
+crosses and is straight between them. Floats may arch above.
+
+They take `Solids.numbers` (everything about the yarns in one row) and `Solids.free` (free distances by voxel). x along
+the weft, y along the warp, z up; lengths in mm; the cloth is periodic in x and y.
 
 x along the weft, y along the warp, z up; lengths in mm. A yarn's section in a plane across it is the set
 |ζ|² + |u|^e < 1 with u = v/a (v from the centre line) and ζ = (z − z_c − roll·v)/b. The compiled functions take the
@@ -9,14 +15,284 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from math import gcd
 
+import numba
 import numpy as np
 
-from nishiki.simulate.cloth.rays import POWERS, fill_voxels
+from nishiki.errors import UserError
 from nishiki.simulate.cloth.settings import ClothSettings, YarnSettings
-from nishiki.simulate.cloth.yarn_path import SAMPLES, Descent, centre_line, weave_pattern
 from nishiki.simulate.randomness import subkey
 from nishiki.threads import over_rows
+
+
+def weave_pattern(weave: str, harness: int, step: int, *, face: str = "warp") -> np.ndarray:
+    """(harness, harness) bool, row = weft yarn, column = warp yarn: True where the warp lies on top.
+
+    plain : alternating. twill : the warp passes under one weft yarn a repeat, one place on with each yarn. satin : the
+    same with a step that leaves no two bindings side by side; step and harness have no common factor. face : the yarns
+    that are on top mostly.
+    """
+    if weave == "plain":
+        return (np.add.outer(np.arange(2), np.arange(2)) % 2).astype(bool)
+    step = 1 if weave == "twill" else step
+    if weave == "satin" and (gcd(step, harness) != 1 or step % harness in (1, harness - 1)):
+        raise UserError(
+            f"simulation: step {step} of a {harness}-harness satin expected 2 to {harness - 2}, no common factor; "
+            "choose another, such as 2 for 5 or 3 for 8"
+        )
+    warp_up = np.ones((harness, harness), bool)
+    yarns = np.arange(harness)
+    warp_up[(step * yarns) % harness, yarns] = False
+    return warp_up if face == "warp" else ~warp_up.T
+
+
+SAMPLES = 96  # a crossing
+
+
+@dataclass(frozen=True)
+class Descent:
+    """The way from one side to the other: two arcs of angle `angle` (radians) and `radius`, and between them a
+    straight part of length `straight`; width along the cloth, height from extreme to extreme. Lengths in mm."""
+
+    width: float
+    height: float
+    angle: float
+    radius: float
+    straight: float
+
+
+def make_descent(*, width: float, height: float, bend: float) -> Descent:
+    """bend 0: no arcs, straight from corner to corner; 1: arcs only.
+
+    2R sin θ + l cos θ = width and 2R(1 − cos θ) + l sin θ = height give R = (width − height/tan θ)/(2 tan(θ/2)).
+    """
+    steep = math.atan2(height, width)
+    angle = steep * (1.0 + bend)
+    radius = max(width - height / math.tan(angle), 0.0) / (2.0 * math.tan(0.5 * angle))
+    straight = max(height - 2.0 * radius * (1.0 - math.cos(angle)), 0.0) / math.sin(angle)
+    return Descent(width, height, angle, radius, straight)
+
+
+def fall(descent: Descent, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Height (+height/2 .. −height/2) and slope at s along the cloth, measured from the middle of the descent."""
+    half, r = 0.5 * descent.width, descent.radius
+    u = np.clip(half - np.abs(s), 0.0, None)  # from the nearer end
+    on_arc = u < r * math.sin(descent.angle)
+    inside = np.sqrt(np.maximum(r * r - np.minimum(u, r) ** 2, 1e-30))
+    drop = np.where(on_arc, r - inside, 0.5 * descent.height - np.abs(s) * math.tan(descent.angle))
+    slope = np.where(on_arc, -u / inside, -math.tan(descent.angle))
+    level = np.abs(s) >= half
+    height = np.where(level, 0.5 * descent.height, 0.5 * descent.height - drop)
+    return -np.sign(s) * height, np.where(level, 0.0, slope)
+
+
+def centre_line(on_top: np.ndarray, *, spacing: float, amplitude: float, bend: float, rest: float, arch: float):
+    """Height and slope (crossings · SAMPLES,) of the centre line over one period, and the descent that it is made of.
+
+    on_top : (crossings,) bool, periodic. spacing : of the crossed yarns, mm. amplitude : height above the middle at a
+    crossing, mm. rest : share of the spacing on which the yarn lies level. arch : steepest slope of the float's arch.
+    """
+    count = len(on_top)
+    descent = make_descent(width=(1.0 - rest) * spacing, height=2.0 * amplitude, bend=bend)
+    place = np.arange(count * SAMPLES) * (spacing / SAMPLES)
+    period = count * spacing
+    side = np.where(on_top, 1.0, -1.0)
+    crossing = np.arange(count * SAMPLES) // SAMPLES
+    height, slope = amplitude * side[crossing], np.zeros(len(place))
+    changes = [k for k in range(count) if on_top[k] != on_top[k - 1]]
+    for k in changes:
+        s = (place - k * spacing + 0.5 * period) % period - 0.5 * period
+        near = np.abs(s) <= 0.5 * spacing
+        z, dz = fall(descent, s[near])
+        sign = 1.0 if on_top[k - 1] else -1.0
+        height[near], slope[near] = sign * z, sign * dz
+    for first, last in zip(changes, [*changes[1:], *[k + count for k in changes[:1]]], strict=True):
+        if on_top[first] and last - first > 1:
+            length = (last - first) * spacing
+            t = ((place - first * spacing) % period) / length
+            bump, rate = _arch(np.clip(t, 0.0, 1.0))
+            top = arch * length / _STEEPEST
+            height, slope = height + top * bump, slope + top / length * rate
+    return height, slope, descent
+
+
+_STEEPEST = 16.0 / (3.0 * math.sqrt(3.0))
+
+
+def _arch(t):
+    """(1 − (2t − 1)²)² and its slope: level at both ends; steepest slope 16/(3√3)."""
+    u = 2.0 * t - 1.0
+    return (1.0 - u * u) ** 2, -8.0 * u * (1.0 - u * u)
+
+
+POWERS = 1024  # |u|^e is stored at so many steps of |u|
+_BISECTIONS = 14
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _floor(value):
+    """Largest integer not above a value."""
+    truncated = int(value)
+    return truncated - 1 if value < truncated else truncated
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _yarn_of(v, spacing, count):
+    """Yarn of the slot at sideways place v, and the place from the slot's middle."""
+    slot = _floor(v / spacing)
+    return slot - count * _floor(slot / count), v - (slot + 0.5) * spacing
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _knots(along, length, yarn, system, numbers):
+    """Where the two samples of a path about a place begin in `numbers`, and the share of the second."""
+    samples = int(numbers[system + 1])
+    place = along / length * samples
+    low = _floor(place)
+    first = low - samples * _floor(low / samples)
+    second = first + 1 if first + 1 < samples else 0
+    start = int(numbers[system + 4]) + 4 * samples * yarn
+    return start + 4 * first, start + 4 * second, place - low
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _in_yarn(v, along, z, spacing, length, system, numbers):
+    """Number of the yarn at sideways place v and place `along`, or -1 where the point is in none."""
+    yarn, u = _yarn_of(v, spacing, int(numbers[system]))
+    shape = int(numbers[system + 3]) + 3 * yarn
+    u -= numbers[shape]
+    side = abs(u) / numbers[shape + 1]
+    if side >= 1.0:
+        return -1
+    k, n, f = _knots(along, length, yarn, system, numbers)
+    height = numbers[k] + f * (numbers[n] - numbers[k])
+    roll = numbers[k + 2] + f * (numbers[n + 2] - numbers[k + 2])
+    zeta = (z - height - roll * u) / numbers[shape + 2]
+    if zeta * zeta >= 1.0:
+        return -1
+    q = side * POWERS
+    m = int(q)
+    power = int(numbers[system + 5]) + m
+    reach = numbers[power] + (q - m) * (numbers[power + 1] - numbers[power])
+    return yarn if zeta * zeta + reach < 1.0 else -1
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def inside(x, y, z, numbers):
+    """0 where (x, y, z) lies in no yarn, 1 + k in warp yarn k, −1 − k in weft yarn k."""
+    k = _in_yarn(x, y, z, numbers[0], numbers[11] * numbers[1], 5, numbers)
+    if k >= 0:
+        return 1 + k
+    k = _in_yarn(y, x, z, numbers[1], numbers[5] * numbers[0], 11, numbers)
+    return -1 - k if k >= 0 else 0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _free_at(x, y, z, numbers, free):
+    """Distance (mm) that is free of yarns about a point between the lowest and the highest z."""
+    k = int((z - numbers[2]) / (numbers[3] - numbers[2]) * free.shape[0])
+    if k < 0 or k >= free.shape[0]:
+        return 0.0
+    u, v = x / (numbers[0] * numbers[5]), y / (numbers[1] * numbers[11])
+    i, j = int((u - _floor(u)) * free.shape[2]), int((v - _floor(v)) * free.shape[1])
+    return np.float64(free[k, min(j, free.shape[1] - 1), min(i, free.shape[2] - 1)])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def first_hit(x, y, z, dx, dy, dz, numbers, free):
+    """Distance along a unit direction to the first yarn, and which (see `inside`); (−1, 0) where the ray meets none.
+
+    Where yarns may be near, even steps of 0.12 thicknesses and a bisection: a chord shorter than a step may be missed,
+    which is a penetration of less than 0.002 thicknesses.
+    """
+    low, high, step = numbers[2], numbers[3], numbers[4]
+    t = 0.0
+    if z > high:
+        if dz >= 0.0:
+            return -1.0, 0
+        t = (high - z) / dz
+    near = t
+    while True:
+        h = z + t * dz
+        if (dz >= 0.0 and h > high) or (dz <= 0.0 and h < low):
+            return -1.0, 0
+        ahead = _free_at(x + t * dx, y + t * dy, h, numbers, free)
+        if ahead < step:
+            yarn = inside(x + t * dx, y + t * dy, h, numbers)
+            if yarn != 0:
+                break
+            ahead = step
+        near = t
+        t += ahead
+    far = t
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (near + far)
+        other = inside(x + middle * dx, y + middle * dy, z + middle * dz, numbers)
+        if other != 0:
+            far, yarn = middle, other
+        else:
+            near = middle
+    return near, yarn
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def escapes(x, y, z, dx, dy, dz, numbers, free):
+    """Whether the ray from a point in a unit direction with dz > 0 leaves the cloth."""
+    high, step = numbers[3], numbers[4]
+    while z <= high:
+        ahead = _free_at(x, y, z, numbers, free)
+        if ahead < step:
+            if inside(x, y, z, numbers) != 0:
+                return False
+            ahead = step
+        x, y, z = x + ahead * dx, y + ahead * dy, z + ahead * dz
+    return True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _yarn_frame(v, along, z, spacing, length, system, numbers):
+    """Outward normal, not normalised (sideways, along, up), and slope of the yarn at a point of its surface."""
+    yarn, u = _yarn_of(v, spacing, int(numbers[system]))
+    shape = int(numbers[system + 3]) + 3 * yarn
+    u -= numbers[shape]
+    a, b, exponent = numbers[shape + 1], numbers[shape + 2], numbers[system + 2]
+    k, n, f = _knots(along, length, yarn, system, numbers)
+    height = numbers[k] + f * (numbers[n] - numbers[k])
+    slope = numbers[k + 1] + f * (numbers[n + 1] - numbers[k + 1])
+    roll = numbers[k + 2] + f * (numbers[n + 2] - numbers[k + 2])
+    turn = numbers[k + 3] + f * (numbers[n + 3] - numbers[k + 3])
+    up = 2.0 * (z - height - roll * u) / (b * b)
+    across = math.copysign(exponent * min(abs(u) / a, 1.0) ** (exponent - 1.0) / a, u) - up * roll
+    return across, -up * (slope + turn * u), up, slope + turn * u
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def frame_at(x, y, z, which, numbers):
+    """Normal n and yarn direction t, unit and perpendicular: (n_x, n_y, n_z, t_x, t_y, t_z); `which` as in `inside`."""
+    if which > 0:
+        nx, ny, nz, slope = _yarn_frame(x, y, z, numbers[0], numbers[11] * numbers[1], 5, numbers)
+        tx, ty, tz = 0.0, 1.0, slope
+    else:
+        ny, nx, nz, slope = _yarn_frame(y, x, z, numbers[1], numbers[5] * numbers[0], 11, numbers)
+        tx, ty, tz = 1.0, 0.0, slope
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    nx, ny, nz = nx / length, ny / length, nz / length
+    dot = nx * tx + ny * ty + nz * tz  # 0 up to rounding on the surface itself
+    tx, ty, tz = tx - dot * nx, ty - dot * ny, tz - dot * nz
+    length = math.sqrt(tx * tx + ty * ty + tz * tz)
+    return nx, ny, nz, tx / length, ty / length, tz / length
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def fill_voxels(start, stop, sizes, numbers, empty):
+    """1 where the centre of a voxel (z, y, x) of these sizes lies in no yarn, for the layers start .. stop."""
+    for k in range(start, stop):
+        z = numbers[2] + (k + 0.5) * sizes[0]
+        for j in range(empty.shape[1]):
+            for i in range(empty.shape[2]):
+                empty[k, j, i] = inside((i + 0.5) * sizes[2], (j + 0.5) * sizes[1], z, numbers) == 0
+
 
 _STEP = 0.12  # of the thinner yarn's thickness
 _ACROSS, _UP = 20, 28  # voxels a yarn, and in the cloth's height, of the map of free distances

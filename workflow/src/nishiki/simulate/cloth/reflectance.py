@@ -13,12 +13,10 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from nishiki.simulate.cloth.chains import Chains, Ends, make_chains
-from nishiki.simulate.cloth.filament import body, facets, in_frame
-from nishiki.simulate.cloth.geometry import Solids, make_solids
-from nishiki.simulate.cloth.points import SurfacePoints, make_points
-from nishiki.simulate.cloth.rays import escapes
+from nishiki.simulate.cloth.geometry import Solids, escapes, make_solids
+from nishiki.simulate.cloth.points import Chains, Ends, SurfacePoints, make_chains, make_points
 from nishiki.simulate.cloth.settings import ClothSettings
+from nishiki.simulate.reflection import body, in_frame, reflect_filament
 from nishiki.threads import over_rows
 
 _DIRECTIONS = 64  # held at a time
@@ -163,7 +161,7 @@ def _bin(start, stop, index, lamps, views, lit, seen, place, frame, area, kind, 
                 f, k = frame[p], kind[p]
                 ix, iy, iz = in_frame(sx, sy, sz, f)
                 ox, oy, oz = in_frame(tx, ty, tz, f)
-                mirror = facets(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
+                mirror = reflect_filament(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
                 white = body(iz, oz, surface[k, 2])
                 u = (place[p, 0] - place[p, 2] * tx / tz) / cell[0]
                 v = (place[p, 1] - place[p, 2] * ty / tz) / cell[1]
@@ -212,7 +210,7 @@ def _ends(start, stop, directions, lit, point, place, frame, kind, toward, numbe
             if iz <= 0.0 or (point[p] >= 0 and lit[d, point[p]] == 0.0):
                 continue
             ox, oy, oz = in_frame(toward[p, 0], toward[p, 1], toward[p, 2], f)
-            mirror = facets(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
+            mirror = reflect_filament(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
             if point[p] < 0:
                 share = min(max(iz * mirror / _STRONG, 1.0 / _LOT), 1.0)
                 if p * _GOLDEN - math.floor(p * _GOLDEN) >= share:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.simulate.capture import CameraSettings, check_choice, check_ranges
 from nishiki.simulate.randomness import subkey
-from nishiki.simulate.settings import CameraSettings, check_choice, check_ranges
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.simulate.painting.lamp import planck_spectrum
-from nishiki.simulate.painting.settings import SimulationSettings
+from nishiki.simulate.capture import FINE_NM, sensitivities
+from nishiki.simulate.painting.settings import SimulationSettings, planck_spectrum
 from nishiki.simulate.randomness import subkey
-from nishiki.simulate.sensor import FINE_NM, sensitivities
 
 INNER_REFLECTION = 0.5  # share of diffuse light that the surface sends back into the paint layer (Saunderson's k2)
 OUTER_REFLECTION = 0.04  # share lost on the way in (k1)

@@ -1,19 +1,43 @@
-"""Photographs of the simulated object, of the white board and of the closed lens, and the truth behind them."""
+"""Photograph a simulated painting, and write the capture's folder with the truth behind it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 
-from nishiki.simulate.painting.lamp import Lamp, beam_strength, board_cosine, planck_spectrum, vignette
-from nishiki.simulate.painting.objects import SimulatedObject
-from nishiki.simulate.painting.paints import camera_tables, make_palette, xyz_tables
-from nishiki.simulate.painting.settings import SimulationSettings
+from nishiki.errors import UserError
+from nishiki.simulate.capture import (
+    DARK_FRAMES,
+    CameraSettings,
+    Truth,
+    camera_from,
+    channel_names,
+    dark_frame,
+    expose,
+    sensitivities,
+    write_csv,
+    write_description,
+    write_image,
+)
+from nishiki.simulate.painting.objects import SimulatedObject, make_object
+from nishiki.simulate.painting.paints import REGIONS, camera_tables, make_palette, xyz_tables
+from nishiki.simulate.painting.settings import (
+    PRESETS,
+    Lamp,
+    LightSettings,
+    SimulationSettings,
+    beam_strength,
+    board_cosine,
+    direction_error_deg,
+    place_lamps,
+    planck_spectrum,
+    vignette,
+)
 from nishiki.simulate.painting.shading import shade
 from nishiki.simulate.randomness import subkey
-from nishiki.simulate.sensor import expose
 
 BOARD_REFLECTANCE = 0.98
 WAVELENGTHS_NM = np.arange(400.0, 700.5, 5.0)
@@ -114,3 +138,171 @@ def white_board(lamp: Lamp, settings: SimulationSettings, tables: Tables) -> np.
         signal = BOARD_REFLECTANCE * light[..., None] * tables.signal
         codes[rows] = expose(signal, settings.camera, key=key, first_row=rows.start)
     return codes
+
+
+def settings_from(options) -> SimulationSettings:
+    """The settings that the command line asks for."""
+    if options.lights_as == "camera":
+        raise UserError("--lights-as: of a painting expected direction or position, found camera; choose one")
+    rows, columns = PRESETS[options.preset]
+    return SimulationSettings(
+        rows=options.rows or rows,
+        columns=options.columns or columns,
+        seed=options.seed,
+        scene=options.scene,
+        relief=options.relief,
+        gloss=options.gloss,
+        body=options.body,
+        roughness=options.roughness,
+        relief_gain=options.relief_gain,
+        pitch_mm=options.pitch_mm or 0.2,
+        supersampling=2 if options.supersampling is None else options.supersampling,
+        bounce=not options.no_bounce,
+        camera=camera_from(options, CameraSettings(channels=options.channels)),
+        lights=LightSettings(
+            rings=options.rings,
+            ring_lights=options.ring_lights,
+            top=not options.no_top,
+            checks_deg=tuple(options.checks),
+            distance_mm=options.distance_mm,
+            angular_diameter_deg=options.lamp_diameter_deg,
+        ),
+    )
+
+
+def write_all(settings: SimulationSettings, capture: Path, truth: Path, options, report) -> None:
+    """Both folders; report(text) tells the progress."""
+    thing = make_object(settings)
+    report(f"object: {settings.rows}×{settings.columns} pixels, relief {thing.ceiling_mm:.2f} mm")
+    lamps = place_lamps(settings)
+    plain, full = (make_tables(thing, settings, with_truth=flag) for flag in (False, True))
+    store = PaintingTruth(truth, settings, thing, lamps)
+    frames = []
+    for number, lamp in enumerate(lamps, 1):
+        shot = photograph(thing, lamp, settings, full if lamp.role == "check" else plain)
+        store.add(lamp, shot)
+        for role, codes in ((lamp.role, shot.codes), ("white", white_board(lamp, settings, plain))):
+            file = f"{'white' if role == 'white' else 'frames'}/{lamp.name}.{options.format}"
+            write_image(capture / file, codes)
+            frames.append((file, role, lamp.name))
+        report(f"lamp {number} of {len(lamps)}")
+    for index in range(1, DARK_FRAMES + 1):
+        file = f"dark/{index}.{options.format}"
+        key = subkey(settings.seed, f"noise dark {index}")
+        write_image(capture / file, dark_frame(shot.codes.shape, settings.camera, key=key))
+        frames.append((file, "dark", ""))
+    write_csv(capture / "frames.csv", [("file", "role", "light"), *frames])
+    write_tables(capture, settings, lamps, directions=options.lights_as != "position")
+    store.finish(truth_attributes(settings, lamps), truth_readme(settings, lamps))
+
+
+def write_tables(capture: Path, settings: SimulationSettings, lamps: tuple[Lamp, ...], *, directions: bool) -> None:
+    """capture.yaml, the lamps (directions, or positions in mm), and the spectra, 380 to 780 nm every 5 nm."""
+    if directions:
+        lines = [f"{lamp.name} " + " ".join(f"{v:.6f}" for v in lamp.direction) for lamp in lamps]
+        (capture / "lights.lp").write_text("\n".join([str(len(lamps)), *lines]) + "\n")
+    else:
+        rows = [(lamp.name, *(f"{v:.3f}" for v in lamp.position_mm)) for lamp in lamps]
+        write_csv(capture / "lights.csv", [("light", "x", "y", "z"), *rows])
+    names = channel_names(settings.camera.channels)
+    nm = np.arange(380.0, 780.5, 5.0)
+    curves = sensitivities(nm, settings.camera.channels)
+    power = planck_spectrum(nm, settings.lights.colour_temperature_k)
+    (capture / "spectra").mkdir()
+    for file, heading, columns in (("camera", names, curves), ("illuminant", ("power",), power[None])):
+        rows = [(f"{w:g}", *(f"{v:.6f}" for v in values)) for w, values in zip(nm, columns.T, strict=True)]
+        write_csv(capture / "spectra" / f"{file}.csv", [("wavelength_nm", *heading), *rows])
+    write_description(
+        capture,
+        f"Simulated {settings.scene} (seed {settings.seed})",
+        "plane",
+        names,
+        settings.camera,
+        sensitivities="spectra/camera.csv",
+        illuminant="spectra/illuminant.csv",
+        lights={
+            "file": "lights.lp" if directions else "lights.csv",
+            "kind": "direction" if directions else "position_mm",
+        },
+        white={"reflectance": BOARD_REFLECTANCE, "normal": [0, 0, 1]},
+        pixel_pitch_mm=settings.pitch_mm,
+    )
+
+
+class PaintingTruth(Truth):
+    """The truth of a painting, filled light by light."""
+
+    def __init__(self, folder: Path, settings: SimulationSettings, thing: SimulatedObject, lamps: tuple[Lamp, ...]):
+        super().__init__(folder)
+        self.checks = [lamp.name for lamp in lamps if lamp.role == "check"]
+        self.names = [lamp.name for lamp in lamps]
+        palette, s = thing.palette, settings.supersampling
+        blocks = thing.label.reshape(settings.rows, s, settings.columns, s).transpose(0, 2, 1, 3)
+        labels = np.ascontiguousarray(blocks).reshape(settings.rows, settings.columns, s * s)
+        self.put("normals", thing.normals)
+        self.put("height_mm", thing.mean_height_mm)
+        self.put("steepest", thing.steepest)
+        self.put("labels", labels)
+        self.put("regions", palette.region.astype(np.uint8)[labels[..., (s * s) // 2]])
+        self.put("spectra", true_spectra(settings).astype(np.float32))
+        self.put("wavelengths_nm", WAVELENGTHS_NM)
+        self.put("roughness", palette.roughness.astype(np.float32))
+        shape = (settings.rows, settings.columns)
+        self.make("lit", (len(lamps), *shape), np.uint8)
+        for name, tail in (("xyz_lamp", (3,)), ("xyz_d65", (3,)), ("gloss", ()), ("body", ())):
+            self.make(name, (len(self.checks), *shape, *tail), np.float32)
+        self.group.attrs["label_names"] = list(palette.names)
+
+    def add(self, lamp: Lamp, shot: Photograph) -> None:
+        """What one photograph shows."""
+        self.group["lit"][self.names.index(lamp.name)] = shot.lit
+        if lamp.role == "check":
+            for name in ("xyz_lamp", "xyz_d65", "gloss", "body"):
+                self.group[name][self.checks.index(lamp.name)] = getattr(shot, name)
+
+
+def truth_attributes(settings: SimulationSettings, lamps: tuple[Lamp, ...]) -> dict:
+    """Attributes of truth.zarr: names of lights, checks and regions, lamp positions, the settings."""
+    mean, largest = direction_error_deg(settings)
+    return {
+        "lights": [lamp.name for lamp in lamps],
+        "checks": [lamp.name for lamp in lamps if lamp.role == "check"],
+        "directions": [lamp.direction.tolist() for lamp in lamps],
+        "positions_mm": [lamp.position_mm.tolist() for lamp in lamps],
+        "regions": list(REGIONS),
+        "direction_error_deg": {"mean": mean, "max": largest},
+        "settings": asdict(settings),
+    }
+
+
+def truth_readme(settings: SimulationSettings, lamps: tuple[Lamp, ...]) -> str:
+    """Text of the README in a truth folder."""
+    mean, largest = direction_error_deg(settings)
+    checks = ", ".join(lamp.name for lamp in lamps if lamp.role == "check") or "none"
+    return f"""# Truth of a simulated capture
+
+Scene {settings.scene}, seed {settings.seed}, {settings.rows} × {settings.columns} pixels of {settings.pitch_mm:g} mm,
+relief {settings.relief}, finish {settings.gloss}. Use it to judge results, never to fit.
+
+`truth.zarr` (Zarr v3; rows and columns are camera pixels, row 0 at the top):
+
+| array | shape | meaning |
+|---|---|---|
+| `normals` | rows, columns, 3 | unit normal (x right, y up, z to the camera): normalised mean over the pixel's area |
+| `height_mm` | rows, columns | height, mean over the pixel |
+| `steepest` | rows, columns | steepest slope inside the pixel, radians |
+| `labels` | rows, columns, {settings.supersampling**2} | paint of each sample inside the pixel |
+| `regions` | rows, columns | region of the paint at the pixel's centre; names in the attribute `regions` |
+| `spectra` | paints, 61 | reflectance of each paint at `wavelengths_nm`; a pixel's is the mean over its `labels` |
+| `roughness` | paints | GGX alpha of the varnish over each paint |
+| `lit` | lights, rows, columns | percent of the pixel that the lamp lights (0 = in shadow); all lights |
+| `xyz_lamp`, `xyz_d65` | checks, rows, columns, 3 | noise-free colour under the check light: lamp's spectrum, D65 |
+| `gloss`, `body` | checks, rows, columns | mirror reflection (the same at all wavelengths) and body reflection (as Y) |
+
+Colours are relative to a perfect white diffuser facing the lamp (Y = 1), like white-normalised observations.
+Check lights: {checks}. Other attributes: lights, directions, positions in mm, settings.
+
+Where the capture gives one direction a lamp, it is that from the centre of the object. The lamps stand
+{settings.distance_mm:.0f} mm away, so the true direction at a pixel differs from it by {mean:.2f}° in the mean
+and by {largest:.2f}° at most.
+"""

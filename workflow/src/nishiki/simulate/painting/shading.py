@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from nishiki.simulate.painting.lamp import Lamp
 from nishiki.simulate.painting.objects import SimulatedObject
 from nishiki.simulate.painting.relief import REACH_PIXELS, bounced_irradiance, slopes_at, visible_share
-from nishiki.simulate.painting.settings import SimulationSettings
+from nishiki.simulate.painting.settings import Lamp, SimulationSettings
 from nishiki.simulate.reflection import ggx_gloss, rough_body
 from nishiki.threads import over_rows
 

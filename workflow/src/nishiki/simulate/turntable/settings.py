@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nishiki.simulate.settings import CameraSettings, check_ranges
+from nishiki.simulate.capture import CameraSettings, check_ranges
 
 DISTANCE_MM = 1200.0  # from the camera to the axis
 ELEVATION_DEG = 20.0  # the camera looks down on the object

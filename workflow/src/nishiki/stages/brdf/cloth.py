@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.cloth.measures import (
+from nishiki.brdf.cloth.interface import (
     directional_albedo,
     incidences,
     prediction_error,
@@ -15,16 +15,14 @@ from nishiki.brdf.cloth.measures import (
     solid_angles,
 )
 from nishiki.brdf.cloth.models import Fitted, fit_models
-from nishiki.brdf.cloth.store import save_brdf
-from nishiki.brdf.cloth.table import TableBrdf, goniometer_rows, utia_planes
+from nishiki.brdf.cloth.store import TableBrdf, goniometer_rows, save_brdf, utia_planes
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.hemisphere import complete
-from nishiki.goniometry.store import Reflectances
-from nishiki.goniometry.table import ReflectanceSet
+from nishiki.goniometry.table import Reflectances, ReflectanceSet
 from nishiki.model_selection.decision import Decision, economy
-from nishiki.model_selection.views import measured_choice, static_choice, with_normal_rows
+from nishiki.model_selection.sufficient import measured_choice, static_choice, with_normal_rows
 from nishiki.weave.store import Weave
 
 FORMAT = 1

@@ -7,17 +7,15 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.atlas.store import Texels
-from nishiki.brdf.texels.lambert_object import fit_lambert
-from nishiki.brdf.texels.lighting import Lighting
-from nishiki.brdf.texels.model import GRAZING, factors
-from nishiki.brdf.texels.object_fit import fit_object
-from nishiki.brdf.texels.settle import Sample, sample_texels, settle
-from nishiki.brdf.texels.store import ParameterWriter
-from nishiki.brdf.texels.tile import Capture, Tile
-from nishiki.colour.encoding import encoding_slope
+from nishiki.brdf.texels.environment import Sample, sample_texels, settle
+from nishiki.brdf.texels.model import GRAZING, Lighting, factors
+from nishiki.brdf.texels.object_fit import fit_lambert, fit_object
+from nishiki.brdf.texels.parameters import ParameterWriter
+from nishiki.brdf.texels.texel_fit import Capture, Tile
+from nishiki.colour.colour import encoding_slope
 from nishiki.errors import UserError
 from nishiki.model_selection.decision import Decision, economy
-from nishiki.model_selection.object_gloss import decided, unseen_gain
+from nishiki.model_selection.gloss import decide_object_gloss, unseen_gain
 from nishiki.observations.views import Views
 from nishiki.threads import threads
 
@@ -79,7 +77,7 @@ def run(context: Context) -> dict:
 def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, Decision]:
     """Return whether the specular part is fitted, by the setting or by a sample of texels, and what was decided."""
     if setting != "auto":
-        return setting == "keep", decided(None, setting)
+        return setting == "keep", decide_object_gloss(None, setting)
     shape = sample.visible.shape
     diffuse, attenuation, alpha, weights = (np.zeros(shape, np.float32) for _ in range(4))
     for o, (centre, lamp) in enumerate(zip(capture.centres, capture.lamps, strict=True)):
@@ -93,7 +91,7 @@ def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, D
     if capture.encoding == "srgb":
         weights *= encoding_slope(values.mean(axis=-1), "srgb") ** 2
     gain = unseen_gain(values, diffuse, attenuation, alpha, weights)
-    return gain.keep, decided(gain, setting)
+    return gain.keep, decide_object_gloss(gain, setting)
 
 
 def lamps(texels: Texels, views: Views, kind: str) -> tuple[Lighting, list, np.ndarray]:

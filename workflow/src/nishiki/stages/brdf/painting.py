@@ -7,22 +7,30 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.brightest_light import brightest_light_samples, thin
-from nishiki.brdf.gloss_profile import LADDER, GlossProfile, blurred_lobes, fit_gloss, specular_samples
-from nishiki.brdf.levenberg_marquardt import fit_lobe
-from nishiki.brdf.parameters import (
+from nishiki.brdf.fit import fit_lobe
+from nishiki.brdf.gloss_profile import (
+    LADDER,
+    GlossProfile,
+    SpecularHistogram,
+    blurred_lobes,
+    fit_gloss,
+    specular_samples,
+    unit_of,
+)
+from nishiki.brdf.scene import (
+    brightest_light_samples,
     described,
     described_brightest,
     described_ladder,
+    fit_scene,
     of_equal_lobes,
     parameters_at_bounds,
+    thin,
     without_gloss,
 )
-from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.slopes import slope_covariance
-from nishiki.brdf.specular_histogram import SpecularHistogram, unit_of
 from nishiki.model_selection.decision import Decision, economy
-from nishiki.model_selection.gloss import Evidence, decided, gloss_evidence
+from nishiki.model_selection.gloss import Evidence, decide_gloss, gloss_evidence
 from nishiki.observations.parcels import parcels
 from nishiki.observations.plane import Observations
 from nishiki.observations.sample import sample
@@ -73,7 +81,7 @@ def fit_glossy(
     else:
         keep = settings.specular == "keep"
         evidence = [Evidence(keep, "set", 0.0, 0.0, 0.0, 0.0, 0)] * (1 if labels is None else int(labels.max()) + 1)
-    decision = decided(evidence, settings.specular)
+    decision = decide_gloss(evidence, settings.specular)
     context.progress.tell(str(decision))
     regions = [without_gloss(settings.refractive_index, gloss.samples) for gloss in evidence]
     if any(gloss.keep for gloss in evidence):

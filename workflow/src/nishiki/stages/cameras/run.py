@@ -8,14 +8,10 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.capture.cameras import read_points
 from nishiki.errors import UserError
-from nishiki.geometry.board import BoardShape, Detection, detect_boards
-from nishiki.geometry.calibration import Calibration, calibrate
-from nishiki.geometry.camera import NO_DISTORTION, Camera
-from nishiki.geometry.cameras_file import save_cameras
-from nishiki.geometry.matrices import cameras_of_matrices
-from nishiki.geometry.pose import Pose, Sight, estimate_pose
+from nishiki.geometry.board import BoardShape, Calibration, Detection, calibrate, detect_boards
+from nishiki.geometry.camera import NO_DISTORTION, Camera, cameras_of_matrices, save_cameras
+from nishiki.geometry.pose import Pose, Sight, choose_poses, estimate_pose
 from nishiki.geometry.turn import turn_of
-from nishiki.geometry.turntable_poses import choose_poses
 from nishiki.observations.views import Views
 from nishiki.stages.cameras import CamerasSettings
 

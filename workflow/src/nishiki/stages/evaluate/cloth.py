@@ -5,11 +5,11 @@ from dataclasses import asdict
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.cloth.measures import incidences
+from nishiki.brdf.cloth.interface import incidences
 from nishiki.errors import UserError
 from nishiki.evaluate.cloth import Judged, by_incidence, in_plane, judge, plane_name
 from nishiki.evaluate.tables import write_tables
-from nishiki.goniometry.store import Reflectances
+from nishiki.goniometry.table import Reflectances
 from nishiki.render.cloth.models import ClothModels
 
 HELD_OUT, FITTED = "held_out", "fitted"

@@ -3,8 +3,8 @@
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.codec.cost import cost_of
-from nishiki.colour.encoding import encode
+from nishiki.codec.compact import cost_of
+from nishiki.colour.colour import encode
 from nishiki.errors import UserError
 from nishiki.evaluate.object_photographs import ObjectTruth, Photographs
 from nishiki.evaluate.object_quality import (

@@ -8,7 +8,7 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, MapWriter, directional_shading, shading_normals
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.parameters import gloss_table, is_facets
+from nishiki.brdf.scene import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import illuminant
 from nishiki.errors import UserError

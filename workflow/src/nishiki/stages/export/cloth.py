@@ -13,13 +13,12 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.closed import parse
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.half_vector_table import HalfVectorTable
-from nishiki.colour.colour import delta_e_2000, srgb_encode, srgb_matrix, xyz_to_lab
-from nishiki.colour.encoding import decode
+from nishiki.colour.colour import decode, delta_e_2000, srgb_encode, srgb_matrix, xyz_to_lab
 from nishiki.formats.bsdf import bsdf_bytes
 from nishiki.formats.glb import Glb
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.mesh_files import write_ply
+from nishiki.geometry.mesh import write_ply
 from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.models import ClothModels
 from nishiki.render.cloth.scene import EDGE, STEPS, Brdf, BrdfTable, ClothScene, three

@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from nishiki.brdf.cloth.interface import halves, only_above
-from nishiki.brdf.trowbridge_reitz import anisotropic_lobe
+from nishiki.brdf.slopes import anisotropic_lobe
 from nishiki.colour.colour import srgb_encode
 from nishiki.render.cloth.scene import Brdf, three
 

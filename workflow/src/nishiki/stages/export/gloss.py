@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.parameters import gloss_table, is_facets
+from nishiki.brdf.scene import gloss_table, is_facets
+from nishiki.brdf.slopes import isotropic_lobe, widened_roughness
 from nishiki.brdf.torrance_sparrow import specular
-from nishiki.brdf.trowbridge_reitz import isotropic_lobe, widened_roughness
-from nishiki.colour.encoding import encode
+from nishiki.colour.colour import encode
 from nishiki.report.page import read_json
 from nishiki.stages.export.scene import ExportedScene
 

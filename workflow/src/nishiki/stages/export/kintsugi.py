@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.colour.colour import srgb_encode
-from nishiki.colour.encoding import decode
+from nishiki.colour.colour import decode, srgb_encode
 from nishiki.formats.glb import Glb
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.stages.export.object_look import INDEX, NORMAL_REFLECTANCE, ObjectLook, coded, sample

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.colour.colour import srgb_encode
-from nishiki.colour.encoding import decode, encode
+from nishiki.colour.colour import decode, encode, srgb_encode
 from nishiki.formats.glb import Glb
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.colour.encoding import encode
+from nishiki.colour.colour import encode
 from nishiki.evaluate.object_photographs import Photographs
 from nishiki.formats.picture_tiles import write_iiif_image
 from nishiki.geometry.camera import Camera

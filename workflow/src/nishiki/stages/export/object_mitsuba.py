@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.texels.lighting import DISTANT, POINT, Lamp
-from nishiki.brdf.texels.model import predict
-from nishiki.colour.encoding import decode
+from nishiki.brdf.texels.model import DISTANT, POINT, Lamp, predict
+from nishiki.colour.colour import decode
 from nishiki.formats.exr_bands import ExrWriter
 from nishiki.formats.mitsuba_xml import Parameter, write_scene
 from nishiki.formats.picture_tiles import png_bytes

@@ -9,13 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.texels.lighting import POINT, Lamp
-from nishiki.brdf.texels.model import factors
-from nishiki.brdf.trowbridge_reitz import isotropic_lobe
-from nishiki.colour.encoding import decode, encode
+from nishiki.brdf.slopes import isotropic_lobe
+from nishiki.brdf.texels.model import POINT, Lamp, factors
+from nishiki.colour.colour import decode, encode
 from nishiki.evaluate.object_photographs import Photographs
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
-from nishiki.geometry.raster import rasterise
+from nishiki.geometry.visibility import rasterise
 from nishiki.render.display import three_channels
 from nishiki.stages.export.object_look import METRES, ObjectLook, object_look, object_mesh, sample
 from nishiki.stages.export.photographs import CodedErrors

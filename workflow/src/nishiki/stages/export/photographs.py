@@ -14,8 +14,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nishiki.colour.colour import xyz_to_srgb_linear
-from nishiki.colour.encoding import encode
+from nishiki.colour.colour import encode, xyz_to_srgb_linear
 from nishiki.formats.relight_weights import gaussian_weights, grid_directions
 from nishiki.observations.plane import Observations
 from nishiki.render.plane.scene import Light

@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.body_shading import body_factor, transmittance
-from nishiki.brdf.parameters import gloss_table
-from nishiki.brdf.torrance_sparrow import specular
-from nishiki.brdf.trowbridge_reitz import isotropic_lobe
+from nishiki.brdf.scene import gloss_table
+from nishiki.brdf.slopes import isotropic_lobe
+from nishiki.brdf.torrance_sparrow import body_factor, specular, transmittance
 from nishiki.formats.exr_bands import ExrWriter
 from nishiki.formats.merl import MERL_HIDDEN, merl_bytes, merl_directions
 from nishiki.formats.mitsuba_xml import Parameter

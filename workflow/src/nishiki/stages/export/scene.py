@@ -7,7 +7,7 @@ import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
-from nishiki.brdf.parameters import gloss_table, is_facets
+from nishiki.brdf.scene import gloss_table, is_facets
 from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
 from nishiki.errors import UserError

@@ -4,15 +4,11 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
-from nishiki.goniometry.consistency import FEWEST_PAIRS, reciprocity, typical_albedo
-from nishiki.goniometry.coverage import IncidenceCoverage, coverage
-from nishiki.goniometry.directions import disc, unit
+from nishiki.goniometry.coverage import FEWEST_PAIRS, IncidenceCoverage, coverage, reciprocity, typical_albedo
+from nishiki.goniometry.directions import departure, disc, images, unit
 from nishiki.goniometry.hemisphere import Interpolation, complete, directional_albedo
-from nishiki.goniometry.normalise import Averaged, average_repeats
-from nishiki.goniometry.readings import Readings, Regions, read_all
-from nishiki.goniometry.store import write_reflectances
-from nishiki.goniometry.symmetry import departure, images
-from nishiki.goniometry.table import ReflectanceSet
+from nishiki.goniometry.readings import Averaged, Readings, Regions, average_repeats, read_all
+from nishiki.goniometry.table import ReflectanceSet, write_reflectances
 from nishiki.observations.goniometer import Measurements
 from nishiki.report.svg import GRID, INK, PALETTE, SOFT, Drawing
 

@@ -8,14 +8,14 @@ from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
 from nishiki.formats.problems import raise_errors
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.cameras_file import read_cameras
+from nishiki.geometry.camera import read_cameras
 from nishiki.geometry.cleaning import clean
 from nishiki.geometry.coherence import measure_coherence
 from nishiki.geometry.hollows import Photographed, sink_hollows
 from nishiki.geometry.hull import carve
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.mesh_files import read_points, read_triangles, write_ply
-from nishiki.geometry.outlines import agreement, contradicted, known_from, outline_of
+from nishiki.geometry.mesh import read_points, read_triangles, write_ply
+from nishiki.geometry.placement import agreement, contradicted, known_from, outline_of
 from nishiki.geometry.placement import move_mesh
 from nishiki.geometry.silhouettes import Silhouette, display, possible_shadow, segment
 from nishiki.geometry.surface import SimplifiedMesh, fewest_triangles, shape_of, smoothed, snapped, without_small_parts
@@ -209,7 +209,7 @@ def mirrored(vertices: np.ndarray, triangles: np.ndarray, mirror: list[int] | No
 
 def merge_scans(context: Context, views: Views, cameras: list[Camera], mirror: list[int] | None):
     """Merge range scans, registered to the first, in the cameras' world."""
-    from nishiki.geometry.merging import merge
+    from nishiki.geometry.scans import merge
     from nishiki.geometry.scans import register
 
     folder, settings = context.inputs["ingest"], context.settings
@@ -240,7 +240,7 @@ def on_grid(mesh: Mesh, cameras: list[Camera], shift_px: float) -> tuple[Mesh, f
     """Return the mesh on the coarsest grid that moves no vertex by more than shift_px, and the grid's step."""
     if not shift_px:
         return mesh, None
-    from nishiki.codec.compact_mesh import grid_step
+    from nishiki.codec.compact import grid_step
 
     step = grid_step(mesh, cameras, shift_px=shift_px)
     return snapped(mesh, step), step
@@ -288,7 +288,7 @@ def preview(views: Views, cameras: list[Camera], mesh: Mesh) -> np.ndarray:
     """Return (rows, columns, 3) uint8: photograph and shaded mesh in two views a quarter apart, side by side."""
     import cv2
 
-    from nishiki.geometry.outlines import shaded
+    from nishiki.geometry.placement import shaded
 
     columns = []
     for place in sorted({0, len(cameras) // 4}):

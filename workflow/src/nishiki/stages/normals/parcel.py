@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nishiki.artifacts.maps import Maps
-from nishiki.brdf.body_shading import LAMBERT
+from nishiki.brdf.torrance_sparrow import LAMBERT
 from nishiki.model_selection.decision import Decision
 from nishiki.observations.parcels import Parcel, parcels
 from nishiki.observations.plane import Observations
@@ -172,7 +172,7 @@ def choose_fit(
     if settings.refine != "gloss" and (profile is not None or (models and settings.relighting == "auto")):
         errors = prediction_errors(frames, selection, lights, profile, models, settings)
     if gloss is not None:
-        from nishiki.model_selection.refinement import decided
+        from nishiki.model_selection.relighting import decided
 
         joint, refinement = decided(gloss, settings.refine, errors)
         if joint:
@@ -223,7 +223,7 @@ def scene_gloss(
     """
     if settings.refine == "none":
         return None
-    from nishiki.model_selection.refinement import clearly_matt
+    from nishiki.model_selection.relighting import clearly_matt
     from nishiki.photometric.gloss_scene import FEW_LIGHTS, fit_scene_gloss, thinned
 
     if settings.refine == "auto" and len(lights) > FEW_LIGHTS:

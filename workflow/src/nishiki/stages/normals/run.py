@@ -6,12 +6,11 @@ from collections import Counter
 
 import numpy as np
 
-from nishiki.artifacts.maps import Maps, MapWriter
-from nishiki.artifacts.scatter import TiledStage
+from nishiki.artifacts.maps import Maps, MapWriter, TiledStage
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
 from nishiki.model_selection.decision import Decision, economy
-from nishiki.model_selection.fit_lights import choose_lights
+from nishiki.model_selection.lights import choose_lights
 from nishiki.observations.parcels import parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric import flags as bits

@@ -8,15 +8,20 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
 from nishiki.observations.views import Views, encode
-from nishiki.polarisation.beta import Beta, board_ratio
-from nishiki.polarisation.components import ComponentWriter
-from nishiki.polarisation.differences import PhotographNoise
-from nishiki.polarisation.instrument import arms_of, read_instrument
-from nishiki.polarisation.polarisation import SeparatedView, common_phase, components, reflected_sense, sum_planes
-from nishiki.polarisation.polariser_states import StateSums, sums_of
-from nishiki.polarisation.series_diagnostics import Thinned, diagnose
+from nishiki.polarisation.noise import PhotographNoise
+from nishiki.polarisation.polarisation import (
+    Beta,
+    ComponentWriter,
+    SeparatedView,
+    board_ratio,
+    common_phase,
+    components,
+    reflected_sense,
+    sum_planes,
+)
+from nishiki.polarisation.polariser_states import StateSums, arms_of, read_instrument, sums_of
 from nishiki.polarisation.smoothing import smooth_planes
-from nishiki.polarisation.statistics import SeparationStatistics, select_lit, statistics_of
+from nishiki.polarisation.statistics import SeparationStatistics, Thinned, diagnose, select_lit, statistics_of
 from nishiki.render.output import write_png
 from nishiki.stages.polarise import PolariseSettings
 

@@ -5,7 +5,7 @@ from typing import Any
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.stage import Context
 from nishiki.capture.schema_base import OBJECT_FACTS
-from nishiki.goniometry.store import Reflectances
+from nishiki.goniometry.table import Reflectances
 from nishiki.report.numbers import figure, percent
 from nishiki.report.page import (
     Block,

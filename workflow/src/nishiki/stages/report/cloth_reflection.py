@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.goniometry.store import Reflectances
+from nishiki.goniometry.table import Reflectances
 from nishiki.render.cloth.models import ClothModels
 from nishiki.report.numbers import figure
 from nishiki.report.page import Block, Cell, Figure, Figures, Fold, Heading, Note, Section, Table

@@ -8,7 +8,7 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.stage import Context
 from nishiki.formats.stored import load_arrays
-from nishiki.geometry.cameras_file import load_cameras
+from nishiki.geometry.camera import load_cameras
 from nishiki.report.numbers import figure, percent
 from nishiki.report.page import (
     Block,

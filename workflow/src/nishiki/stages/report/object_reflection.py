@@ -11,8 +11,7 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.atlas.atlas import Atlas
 from nishiki.atlas.store import ATLAS
-from nishiki.brdf.texels.parameters import TexelFlag
-from nishiki.brdf.texels.store import ParameterMaps
+from nishiki.brdf.texels.parameters import ParameterMaps, TexelFlag
 from nishiki.report.numbers import figure, percent
 from nishiki.report.page import Block, Facts, Figure, Figures, Fold, Section, Table
 from nishiki.report.pictures import brightened, brightening, colour_picture, scalar_picture, sea

@@ -107,7 +107,7 @@ FLAGS = {
     "NOT_FINITE": "samples not finite",
     "NOT_CONVERGED": "not converged",
 }
-"""Flags of a fit (`nishiki.brdf.flags`) in words."""
+"""Flags of a fit (`nishiki.brdf.fit`) in words."""
 
 
 def gloss_section(parameters: dict[str, Any] | None, *, true_gamma: list[float] | None = None) -> Section | None:

@@ -8,8 +8,8 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.atlas.store import Texels
-from nishiki.brdf.texels.lighting import Lighting
-from nishiki.brdf.texels.store import ParameterMaps
+from nishiki.brdf.texels.model import Lighting
+from nishiki.brdf.texels.parameters import ParameterMaps
 from nishiki.codec.allocate import (
     SLOPE,
     EncodedObject,
@@ -22,20 +22,18 @@ from nishiki.codec.allocate import (
     psnr,
     slope_of,
 )
-from nishiki.codec.container import frame_bytes
-from nishiki.codec.cost import cost_of
+from nishiki.codec.compact import cost_of
 from nishiki.codec.design import Design
-from nishiki.codec.parameters import Maps
-from nishiki.codec.prediction import Surface
-from nishiki.codec.pursuit import Pursuit
-from nishiki.codec.store import write_residual
+from nishiki.codec.parameters import Maps, Surface
+from nishiki.codec.solve import Pursuit
+from nishiki.codec.store import frame_bytes, write_residual
 from nishiki.codec.tile_code import CodedScene, Effort, Pixels, model_of, see
-from nishiki.colour.encoding import encode
+from nishiki.colour.colour import encode
 from nishiki.errors import UserError
-from nishiki.geometry.cameras_file import load_cameras
+from nishiki.geometry.camera import load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.model_selection.decision import economy
-from nishiki.model_selection.sufficient import Left, decided, model_suffices, what_is_left
+from nishiki.model_selection.sufficient import Left, decide_residual, model_suffices, what_is_left
 from nishiki.stages.residual import ResidualSettings
 from nishiki.threads import threads
 
@@ -67,7 +65,7 @@ def run(context: Context) -> dict:
     counts = source.counts()
 
     left = left_by_model(source, scene, piloted)
-    decision = decided(left, settings.target, settings.amount, settings.sufficient)
+    decision = decide_residual(left, settings.target, settings.amount, settings.sufficient)
     context.progress.tell(str(decision))
     alone = settings.sufficient == "auto" and model_suffices(left, settings.target, settings.amount)
     if alone:

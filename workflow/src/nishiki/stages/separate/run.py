@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from nishiki.artifacts.maps import MapWriter
-from nishiki.artifacts.scatter import TiledStage
+from nishiki.artifacts.maps import MapWriter, TiledStage
 from nishiki.artifacts.stage import Context
 from nishiki.model_selection.decision import economy
-from nishiki.model_selection.fit_lights import choose_lights
+from nishiki.model_selection.lights import choose_lights
 from nishiki.observations.parcels import Parcel, parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric.light_selection import pack_lights, select_diffuse

@@ -5,16 +5,20 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.artifacts.maps import Maps, MapWriter
-from nishiki.artifacts.scatter import TiledStage
+from nishiki.artifacts.maps import Maps, MapWriter, TiledStage
 from nishiki.artifacts.stage import Context
 from nishiki.capture.spectra_tables import read_curves
-from nishiki.colour.basis import channel_weights
-from nishiki.colour.estimate import SpectralEstimator, estimate_spectra, fit_estimator
-from nishiki.colour.expected import expected_colour_error, sample_rows
+from nishiki.colour.estimate import (
+    SpectralEstimator,
+    estimate_spectra,
+    expected_colour_error,
+    fit_estimator,
+    sample_rows,
+)
+from nishiki.colour.sampling import channel_weights
 from nishiki.colour.training import measured_reflectances, synthetic_reflectances
-from nishiki.model_selection.bases import Bases, decided, output_bases, principal_bases
 from nishiki.model_selection.decision import Decision, economy
+from nishiki.model_selection.sufficient import Bases, decide_bases, output_bases, principal_bases
 
 
 def map_tiles(context: Context) -> dict:
@@ -102,7 +106,7 @@ def fit(context: Context, training: np.ndarray) -> tuple[SpectralEstimator, Deci
         numbers.append(principal_bases(training, channel_weights(lamp, camera), noise=settings.noise))
         bases = numbers[-1].count
     estimator = fit_estimator(training, lamp, camera, method=settings.method, bases=bases, noise=settings.noise)
-    return estimator, decided(numbers[-1], method=settings.method) if numbers else None
+    return estimator, decide_bases(numbers[-1], method=settings.method) if numbers else None
 
 
 run = TiledStage(map_tiles, merge)

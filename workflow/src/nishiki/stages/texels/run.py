@@ -6,16 +6,19 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.atlas.atlas import Atlas, build_atlas
-from nishiki.atlas.charts import Charts, make_charts
-from nishiki.atlas.density import sampling_density, texels_per_unit
-from nishiki.atlas.quality import atlas_picture, stretch_percentiles, texels_per_pixel
-from nishiki.atlas.turn import probe_spacing, turning
+from nishiki.atlas.charts import Charts, make_charts, probe_spacing, turning
+from nishiki.atlas.quality import (
+    atlas_picture,
+    sampling_density,
+    stretch_percentiles,
+    texels_per_pixel,
+    texels_per_unit,
+)
 from nishiki.atlas.write import TexelsWriter
 from nishiki.errors import UserError
 from nishiki.evaluate.object_photographs import Pictures
 from nishiki.formats.stored import open_array
-from nishiki.geometry.camera import Camera
-from nishiki.geometry.cameras_file import load_cameras
+from nishiki.geometry.camera import Camera, load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.observations.views import Views, encode
 from nishiki.stages.texels import TexelsSettings

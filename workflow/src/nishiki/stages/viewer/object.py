@@ -13,11 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.codec.compact_mesh import mesh_step
-from nishiki.codec.design import Design
-from nishiki.codec.observations import view_matrix
+from nishiki.codec.compact import mesh_step
+from nishiki.codec.design import Design, view_matrix
 from nishiki.codec.transform import Plane
-from nishiki.geometry.camera_path import CameraPath, fit_turn
+from nishiki.geometry.turn import CameraPath, fit_turn
 from nishiki.observations.views import Views
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.renderer import coded_parts

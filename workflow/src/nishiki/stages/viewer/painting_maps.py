@@ -16,9 +16,9 @@ import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
-from nishiki.brdf.body_shading import transmittance
-from nishiki.brdf.parameters import gloss_table, is_facets
+from nishiki.brdf.scene import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
+from nishiki.brdf.torrance_sparrow import transmittance
 from nishiki.colour.colour import srgb_matrix
 from nishiki.evaluate.camera_colour import display_map, displayed_colours
 from nishiki.evaluate.prediction import FittedModel, light_of, predict_light

@@ -4,15 +4,13 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.yarn_fit import Measured
-from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.mesh_files import write_ply
-from nishiki.goniometry.store import Reflectances
+from nishiki.geometry.mesh import Mesh, write_ply
+from nishiki.goniometry.table import Reflectances
 from nishiki.render.output import write_png
 from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing, outline
-from nishiki.weave.fit import WeaveFit, fit_weave
-from nishiki.weave.planes import planes_of
+from nishiki.weave.fit import WeaveFit, fit_weave, planes_of
+from nishiki.weave.section import USUAL, Surface, harness_of, make_surface, shade
 from nishiki.weave.store import describe, describe_yarns, write_weave
-from nishiki.weave.surface import USUAL, Surface, harness_of, make_surface, shade
 from nishiki.weave.yarn_search import YarnSearch, search_yarns
 from nishiki.weave.yarn_weave import bindings
 

@@ -105,7 +105,7 @@ vec2 slopeAt(vec2 place) {
 }
 
 float phiSquared(float y) {
-  // 4 asin(sqrt y)^2 on 0 .. 1/2: nishiki.brdf.kernels, to float32
+  // 4 asin(sqrt y)^2 on 0 .. 1/2: nishiki.brdf.torrance_sparrow, to float32
   float y2 = y * y, y4 = y2 * y2;
   float p0 = 4.0 + y4 * (0.3250831164332901 + y4 * (0.2514441746387976 + y4 * (19.258781271350873 + y4 * 6.833702363961254)));
   float p1 = 1.3333333333267587 + y4 * (0.24618257690874587 + y4 * (-0.5556335558766249 + y4 * -30.50231077668275));

@@ -1,0 +1,214 @@
+"""Pack what a renderer needs beside the residual in few bytes: mesh, cameras, charts, lamps; and count all bytes.
+
+What a renderer needs beside the residual.  Draco (https://google.github.io/draco; glTF's KHR_draco_mesh_compression)
+walks over the surface from edge to edge and predicts each position from its neighbours, so that vertices and triangles
+come back in the order of that walk.
+
+What a renderer needs beside mesh and residual, in few bytes: cameras, charts, lamps.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.codec.range_coder import encode_integers
+from nishiki.geometry.camera import NO_DISTORTION, Camera
+from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.turn import rotation_matrix, rotation_vector
+
+_HEADER = struct.Struct("<i3i")  # exponent of the grid's step, lowest corner in steps
+_LEVELS = (7, 10)  # of Draco's effort: the first gives fewer bytes below some thousand triangles, the second above
+_LARGEST = 2**29  # steps along an axis; Draco predicts in 32-bit integers
+
+
+@dataclass(frozen=True)
+class CompactMesh:
+    """data: the bytes; order (n,) int64: number, in the mesh that was coded, of each decoded triangle; step: of the
+    grid."""
+
+    data: bytes
+    order: np.ndarray
+    step: float
+
+    def restored(self, mesh: Mesh) -> Mesh:
+        """The decoded positions in the order of `mesh`, the mesh that was coded: what a renderer of the bytes sees,
+        with triangles numbered as the atlas numbers them.  Normals are computed from the decoded positions."""
+        return Mesh.of(np.round(mesh.vertices / self.step) * self.step, mesh.triangles)
+
+
+def encode_mesh(mesh: Mesh, *, step: float) -> CompactMesh:
+    """Positions rounded to multiples of `step` (a power of two, world's unit), triangles without loss; triangles of
+    which two corners fall on one point of the grid are left out.
+
+    Raises ValueError where the step is no power of two, or too small for the size of the mesh.
+    """
+    import DracoPy
+
+    exponent = int(np.log2(step))
+    if 2.0**exponent != step:
+        raise ValueError(f"expected a step that is a power of two, found {step!r}")
+    grid = np.round(np.asarray(mesh.vertices, np.float64) / step)
+    corners = grid[mesh.triangles]
+    kept = np.flatnonzero(~(corners == np.roll(corners, 1, axis=1)).all(axis=2).any(axis=1))
+    used, triangles = np.unique(mesh.triangles[kept], return_inverse=True)
+    triangles = triangles.reshape(-1, 3).astype(np.uint32)
+    lowest = grid[used].min(axis=0)
+    points = grid[used] - lowest
+    if points.max() >= _LARGEST or np.abs(lowest).max() >= 2**31:
+        raise ValueError(f"step {step!r} is too small for positions up to {np.abs(mesh.vertices[used]).max()!r}")
+    forms = [DracoPy.encode(points.astype(np.uint32), triangles, compression_level=level) for level in _LEVELS]
+    data = _HEADER.pack(exponent, *lowest.astype(int).tolist()) + min(forms, key=len)
+    decoded = decode_mesh(data)
+    order = _same_triangles(grid[used], triangles, np.round(decoded.vertices / step), decoded.triangles)
+    return CompactMesh(data, kept[order], step)
+
+
+def decode_mesh(data: bytes) -> Mesh:
+    """The mesh of the bytes of `encode_mesh`.  Raises ValueError where they are not such bytes or are cut short."""
+    import DracoPy
+
+    try:
+        exponent, *lowest = _HEADER.unpack_from(data)
+        decoded = DracoPy.decode(data[_HEADER.size :])
+    except Exception as error:  # Draco has errors of its own
+        raise ValueError(f"not a compact mesh ({error})") from None
+    points = np.asarray(decoded.points).astype(np.int64)
+    return Mesh.of((points + np.array(lowest)) * 2.0**exponent, np.asarray(decoded.faces).astype(np.int32))
+
+
+def _same_triangles(points, triangles, decoded_points, decoded_triangles) -> np.ndarray:
+    """For each decoded triangle the number (f,) of the one with the same three points in the same turn."""
+    _, places = np.unique(np.concatenate([points, decoded_points]), axis=0, return_inverse=True)
+    places = places.reshape(-1)
+    ranks = []
+    for corners in (places[triangles], places[len(points) :][decoded_triangles]):
+        first = corners.argmin(axis=1)[:, None]
+        ranks.append(np.lexsort(np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1).T))
+    order = np.empty(len(ranks[0]), np.int64)
+    order[ranks[1]] = ranks[0]
+    return order
+
+
+def grid_step(mesh: Mesh, cameras: list[Camera], *, shift_px: float = 0.05) -> float:
+    """Largest power of two (world's unit) whose grid moves no vertex by more than `shift_px` in any view."""
+    used = np.unique(mesh.triangles)
+    points = np.asarray(mesh.vertices, np.float64)[used]
+    if not len(points):
+        return 1.0
+    extent = float(np.ptp(points, axis=0).max()) or 1.0
+    step = 2.0 ** np.floor(np.log2(extent / 64))
+    while shift(points, np.round(points / step) * step, cameras) > shift_px and step > extent * 2.0**-30:
+        step *= 0.5
+    return float(step)
+
+
+def shift(points: np.ndarray, moved: np.ndarray, cameras: list[Camera]) -> float:
+    """Largest distance in pixels, over all cameras that have it in front, between points (n, 3) and their copies."""
+    worst = 0.0
+    for camera in cameras:
+        (before, depth), (after, depth_after) = camera.project(points), camera.project(moved)
+        front = (depth > 0) & (depth_after > 0)
+        if front.any():
+            worst = max(worst, float(np.linalg.norm(after[front] - before[front], axis=1).max()))
+    return worst
+
+
+def mesh_step(mesh: Mesh, cameras: list[Camera]) -> float:
+    """The step to code a mesh with: that of the grid its vertices lie on, so that nothing changes, where there is one
+    at most 16 times finer than needed; else that of `grid_step`."""
+    needed = grid_step(mesh, cameras)
+    points = np.asarray(mesh.vertices, np.float64)[np.unique(mesh.triangles)]
+    for halvings in range(-10, 5):
+        step = needed * 0.5**halvings
+        if np.array_equal(np.round(points / step) * step, points):
+            return step
+    return needed
+
+
+_CHART_NUMBERS = 2  # texels per unit along rows and columns
+_SAME = 11  # numbers of a camera without distortion
+
+
+def pack_cameras(cameras: Sequence[Camera]) -> bytes:
+    """float32 numbers a camera: fx, skew, fy, cx, cy, rotation vector, translation, and distortion where any has one;
+    preceded by rows, columns and the number of numbers.  Names are not kept."""
+    distorted = any(tuple(camera.distortion) != NO_DISTORTION for camera in cameras)
+    rows = []
+    for camera in cameras:
+        k = camera.intrinsics
+        inner = [k[0, 0], k[0, 1], k[1, 1], k[0, 2], k[1, 2]]
+        outer = [*rotation_vector(camera.rotation), *camera.translation]
+        rows.append([*inner, *outer, *(camera.distortion if distorted else ())])
+    size = _SAME + (len(NO_DISTORTION) if distorted else 0)
+    head = np.array([cameras[0].rows, cameras[0].columns, size] if cameras else [0, 0, size], "<i4")
+    return head.tobytes() + np.array(rows, "<f4").tobytes()
+
+
+def unpack_cameras(data: bytes) -> list[Camera]:
+    """Inverse of `pack_cameras`, to float32 precision; cameras are named by their place."""
+    rows, columns, size = (int(v) for v in np.frombuffer(data, "<i4", 3))
+    table = np.frombuffer(data, "<f4", offset=12).reshape(-1, size).astype(np.float64)
+    cameras = []
+    for number, (fx, skew, fy, cx, cy, *rest) in enumerate(table):
+        intrinsics = np.array([[fx, skew, cx], [0, fy, cy], [0, 0, 1]])
+        distortion = tuple(rest[6:]) if size > _SAME else NO_DISTORTION
+        rotation = rotation_matrix(np.array(rest[:3]))
+        cameras.append(Camera(str(number), intrinsics, rotation, np.array(rest[3:6]), rows, columns, distortion))
+    return cameras
+
+
+def chart_bytes(chart: np.ndarray, order: np.ndarray) -> int:
+    """Bytes of the atlas: each triangle's chart number (f,), in the order (f,) of the mesh's walk, against that of the
+    triangle before; and the numbers from which a chart's corners and tiles follow, once the mesh is known."""
+    along = chart[order].astype(np.int64)
+    change = np.diff(along, prepend=along[:1]) if len(along) else along
+    moved = np.concatenate([[0], (change[:-1] != 0)]).astype(np.int64) if len(along) else along
+    charts = int(chart.max(initial=-1)) + 1
+    return len(encode_integers(change, moved, 2)) + 4 * _CHART_NUMBERS * charts
+
+
+def lamp_bytes(lighting: dict) -> int:
+    """4 bytes for each number of `Lighting.as_dict`."""
+
+    def numbers(value) -> int:
+        if isinstance(value, dict):
+            return sum(map(numbers, value.values()))
+        if isinstance(value, list | tuple):
+            return sum(map(numbers, value))
+        return int(isinstance(value, int | float))
+
+    return 4 * numbers(lighting)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """parts: bytes by what they hold; mesh: as it was coded, vertex_shift_px: how far that moves a vertex, at most."""
+
+    parts: dict[str, int]
+    mesh: CompactMesh
+    vertex_shift_px: float
+
+    @property
+    def total(self) -> int:
+        """All bytes."""
+        return sum(self.parts.values())
+
+
+def cost_of(mesh: Mesh, chart: np.ndarray, cameras: list, lighting: dict, residual: dict[str, int]) -> Cost:
+    """chart (f,): of the atlas; lighting: as plain data; residual: its bytes by part, parameters included (a "total"
+    among them is left out)."""
+    coded = encode_mesh(mesh, step=mesh_step(mesh, cameras))
+    used = np.unique(mesh.triangles)
+    moved = shift(mesh.vertices[used], coded.restored(mesh).vertices[used], cameras)
+    parts = {f"residual_{name}": int(size) for name, size in residual.items() if name != "total"}
+    parts |= {
+        "mesh": len(coded.data),
+        "charts": chart_bytes(chart, coded.order),
+        "cameras": len(pack_cameras(cameras)),
+        "lamps": lamp_bytes(lighting),
+    }
+    return Cost(parts, coded, moved)

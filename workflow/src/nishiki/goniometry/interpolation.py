@@ -1,0 +1,206 @@
+"""Interpolate positive functions on the hemisphere, from a grid or from scattered directions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numba import njit
+
+MARGIN = 4  # nodes added on every side, so that the spline's ends are far from where it is used
+RUN_OUT = 24  # rows that the straight line beyond the horizon is followed: the filter forgets by 0.27 a row
+FLOOR = 1e-9  # of the largest value: smaller ones, zeros among them, have no usable logarithm
+
+
+def coefficients(values: np.ndarray) -> np.ndarray:
+    """Cubic B-spline coefficients (nt + 2 MARGIN, np + 2 MARGIN, channels) of log values (nt, np, channels).
+
+    Rows are theta from the pole to the horizon, columns phi round the azimuth (an even number). Beyond the pole the
+    function goes on at phi + pi; beyond the horizon the logarithm goes on as a straight line. ValueError otherwise.
+    """
+    values = np.asarray(values, np.float64)
+    nt, around, _ = values.shape
+    if around % 2 or nt <= MARGIN or around < 2 * MARGIN:
+        raise ValueError(f"grid of {nt} x {around}: more than {MARGIN} rows, an even number of columns from 8 expected")
+    least = np.maximum(values.max(axis=(0, 1)), 1e-300) * FLOOR
+    logs = np.log(np.maximum(values, least))
+    logs[0] = logs[0].mean(axis=0)  # one value at the pole, whatever the azimuth
+    step = np.arange(1, RUN_OUT + 1)[:, None, None]
+    half = np.concatenate([logs, logs[-1] + step * (logs[-1] - logs[-2])])
+    # from horizon to horizon through the pole: there the spline is as smooth as anywhere
+    arc = np.concatenate([np.roll(half[1:], around // 2, axis=1)[::-1], half])
+    return _filtered(arc, around, len(half) - 1 - MARGIN, nt + 2 * MARGIN)
+
+
+def _filtered(arc: np.ndarray, around: int, first: int, rows: int) -> np.ndarray:
+    """Spline coefficients along both axes; round the azimuth the filter is exactly periodic."""
+    from scipy.ndimage import spline_filter1d
+
+    inner = spline_filter1d(arc, 3, axis=0, mode="mirror")[first : first + rows]
+    # on a circle the filter [1/6, 4/6, 1/6] is a division in the Fourier domain
+    response = (2 + np.cos(2 * np.pi * np.fft.rfftfreq(around))) / 3
+    turned = np.fft.irfft(np.fft.rfft(inner, axis=1) / response[None, :, None], n=around, axis=1)
+    return np.ascontiguousarray(np.concatenate([turned[:, -MARGIN:], turned, turned[:, :MARGIN]], axis=1))
+
+
+def evaluate(spline: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+    """exp of the spline (..., channels) at unit vectors (..., 3); 0 below the horizon."""
+    flat = np.ascontiguousarray(outgoing.reshape(-1, 3))
+    out = np.empty((len(flat), spline.shape[2]))
+    _evaluate(spline, flat, out)
+    return out.reshape(*outgoing.shape[:-1], spline.shape[2])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _evaluate(spline, directions, out):
+    """Fill out (n, channels) from the tensor product of cubic B-splines."""
+    rows, columns, channels = spline.shape
+    nt, around = rows - 2 * MARGIN, columns - 2 * MARGIN
+    v, w = np.empty(4), np.empty(4)
+    for i in range(len(directions)):
+        x, y, z = directions[i]
+        if not z >= 0:
+            out[i] = 0.0
+            continue
+        down = np.arctan2(np.hypot(x, y), z) / (np.pi / 2) * (nt - 1)
+        turn = np.arctan2(y, x) / (2 * np.pi)
+        turn = (turn - np.floor(turn)) * around
+        row, column = min(int(down), nt - 1), min(int(turn), around - 1)
+        _weights(down - row, v)
+        _weights(turn - column, w)
+        for k in range(channels):
+            total = 0.0
+            for a in range(4):
+                part = 0.0
+                for b in range(4):
+                    part += w[b] * spline[row + MARGIN - 1 + a, column + MARGIN - 1 + b, k]
+                total += v[a] * part
+            out[i, k] = np.exp(total)
+
+
+@njit(cache=True, error_model="numpy")
+def _weights(t, w):
+    """Cubic B-spline weights of the four nodes round a place t in [0, 1] between the second and the third."""
+    s = 1.0 - t
+    w[0] = s * s * s / 6.0
+    w[1] = (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0
+    w[2] = (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0
+    w[3] = t * t * t / 6.0
+
+
+SMOOTHING = np.logspace(-12, 0, 25)  # of the roughness against the misfit, over the kernel's largest eigenvalue
+LEAST_SIGMA = 0.01  # of a logarithm: what repeated measurements leave at best
+Kernel = Literal["thin_plate", "cubic"]
+Predictor = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class SmoothingSpline:
+    """points (n, 2) on the disc; weights (n, channels); trend (terms, channels); folds (k, 2): signs of the symmetric
+    images; smoothing: the factor chosen, over the kernel's largest eigenvalue; left_out (n, channels): error of the
+    logarithm at each point when it is predicted from the others."""
+
+    points: np.ndarray
+    weights: np.ndarray
+    trend: np.ndarray
+    folds: np.ndarray
+    kernel: Kernel
+    smoothing: float
+    left_out: np.ndarray
+
+    def __call__(self, places: np.ndarray) -> np.ndarray:
+        """Logarithms (m, channels) at places (m, 2)."""
+        radial = symmetric_kernel(places, self.points, self.folds, self.kernel)
+        return radial @ self.weights + trend_terms(places, self.folds) @ self.trend
+
+
+def symmetric_kernel(a: np.ndarray, b: np.ndarray, folds: np.ndarray, kernel: Kernel) -> np.ndarray:
+    """Mean of r^2 log r or r^3 over the distances from a (m, 2) to the images of b (n, 2): (m, n)."""
+    total = np.zeros((len(a), len(b)))
+    for fold in folds:
+        image = b * fold
+        squared = (a[:, :1] - image[:, 0]) ** 2 + (a[:, 1:] - image[:, 1]) ** 2
+        if kernel == "cubic":
+            total += squared * np.sqrt(squared)
+        else:
+            total += 0.5 * squared * np.log(np.maximum(squared, 1e-300))
+    return total / len(folds)
+
+
+def trend_terms(places: np.ndarray, folds: np.ndarray) -> np.ndarray:
+    """1, x and y (m, terms): those that the symmetry leaves."""
+    kept = [axis for axis in (0, 1) if (folds[:, axis] == 1).all()]
+    return np.column_stack([np.ones(len(places)), *(places[:, axis] for axis in kept)])
+
+
+def fit_spline(
+    points: np.ndarray, logs: np.ndarray, sigma: np.ndarray, folds: np.ndarray, *, kernel: Kernel = "cubic"
+) -> SmoothingSpline:
+    """Polyharmonic smoothing spline whose smoothing predicts each point best from the others (ordinary
+    cross-validation; Wahba, Spline Models for Observational Data, 1990, ch. 4).
+
+    points (n, 2), all different; logs (n, channels); sigma (n,): standard deviation of the logarithms, 0 where unknown.
+    One eigenvalue problem of size n serves every smoothing and every channel. ValueError below four points or where
+    they do not fix the trend.
+    """
+    trend = trend_terms(points, folds)
+    if len(points) < 4 or np.linalg.matrix_rank(trend) < trend.shape[1]:
+        raise ValueError(f"{len(points)} directions do not determine a surface; at least 4, not in one line, expected")
+    deviation = np.sqrt(sigma**2 + LEAST_SIGMA**2)
+    scale = np.sqrt(np.mean(deviation**2)) / deviation  # noisy points count less
+    matrix = scale[:, None] * symmetric_kernel(points, points, folds, kernel) * scale
+    basis = np.linalg.qr(scale[:, None] * trend, mode="complete")[0][:, trend.shape[1] :]
+    eigenvalues, vectors = np.linalg.eigh(basis.T @ matrix @ basis)
+    eigenvalues, vectors = np.maximum(eigenvalues, 0.0), basis @ vectors
+    scaled = vectors.T @ (scale[:, None] * logs)
+    largest = max(float(eigenvalues[-1]), 1e-300)
+    tried = []
+    for factor in SMOOTHING:
+        damped = 1 / (eigenvalues + factor * largest)
+        weights = vectors @ (damped[:, None] * scaled)
+        left_out = weights / (vectors**2 @ damped)[:, None]
+        tried.append((float((left_out**2).sum()), factor, weights, left_out))
+    _, factor, weights, left_out = min(tried, key=lambda entry: entry[0])
+    misfit = scale[:, None] * logs - matrix @ weights - factor * largest * weights
+    beta = np.linalg.lstsq(scale[:, None] * trend, misfit, rcond=None)[0]
+    return SmoothingSpline(
+        points, scale[:, None] * weights, beta, folds, kernel, float(factor), left_out / scale[:, None]
+    )
+
+
+def fit_linear(points: np.ndarray, logs: np.ndarray, folds: np.ndarray) -> Predictor:
+    """Linear on the triangles of the points and their images; the nearest point's value outside them.
+
+    Triangles over symmetric points need not be symmetric, so places are folded first.
+    """
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+    unfolded, repeated = unfold(points, logs, folds)
+    inside, nearest = LinearNDInterpolator(unfolded, repeated), NearestNDInterpolator(unfolded, repeated)
+
+    def predict(places: np.ndarray) -> np.ndarray:
+        places = folded(places, folds)
+        values = inside(places)
+        return np.where(np.isfinite(values), values, nearest(places))
+
+    return predict
+
+
+def folded(places: np.ndarray, folds: np.ndarray) -> np.ndarray:
+    """Places (m, 2) brought to one of their images: that with the greatest x, then the greatest y."""
+    best = places
+    for fold in folds:
+        image = places * fold
+        better = (image[:, 0] > best[:, 0]) | ((image[:, 0] == best[:, 0]) & (image[:, 1] > best[:, 1]))
+        best = np.where(better[:, None], image, best)
+    return best
+
+
+def unfold(points: np.ndarray, logs: np.ndarray, folds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points with their symmetric images, each place once, and the values that belong to them."""
+    places = np.concatenate([points * fold for fold in folds])
+    _, first = np.unique(np.round(places, 9) + 0.0, axis=0, return_index=True)
+    first.sort()
+    return places[first], np.concatenate([logs] * len(folds))[first]

@@ -1,0 +1,353 @@
+"""Turn the axes of a rig: turntables and goniometer arms behind GRBL 1.1, and turntables of ComXim.
+
+The controller counts in its own units, which $100 to $102 tie to motor steps; a description says how many make a
+degree. Positions are machine coordinates, relative to where homing ended: they need no work offset, and none that
+another program has left behind can shift them. A controller that has restarted or raised an alarm has lost its
+position, and no axis moves before it is homed again.
+
+A command is `CT+NAME(values);`, an answer `CR+OK;` or `CR+ERR=N;`, and a turn ends with `CR+EVENT=TB_END;`. Between
+them the table may send the heartbeat `#`. It turns by angles, not to them, and has no switch at zero: its zero is where
+it stood when it was switched on. So the angle is counted here, and lost with the connection.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+
+from nishiki.rig.device import DeviceError, DeviceLost, ask_operator, closed_on_failure
+from nishiki.rig.serial_line import SerialLine
+
+GREETING = r"^Grbl"
+TOO_OLD = r"^Grbl 0\."
+"""Greeting of releases before 1.1, whose status reports have another form."""
+RESET = "\x18"
+"""Ctrl-X: restarts the controller at once."""
+GREETING_S = 2.5
+"""Seconds that an Arduino needs to start after its port was opened."""
+ANSWER_S = 5.0
+HOMING_S = 120.0
+MOVE_S = 120.0
+POLL_S = 0.05
+STANDS_WITHIN = 0.02
+"""Controller's units by which a position may differ from what was asked: it reports three decimals of whole steps."""
+MM_PER_INCH = 25.4
+
+ERRORS = {
+    5: "Homing is switched off. Remedy: connect limit switches and set $22=1",
+    8: "The controller was not idle. Remedy: wait until it stands and run again",
+    9: "The controller is locked after an alarm or a start. Remedy: run again; homing unlocks it",
+    10: "Soft limits need homing. Remedy: set $22=1",
+    13: "The safety door is open. Remedy: close it and run again",
+    15: "The target is beyond the axis's travel. Remedy: correct range_deg of the axis, or $130 to $132",
+    20: "The controller does not know this command. Remedy: check that it runs GRBL 1.1 and has this axis",
+}
+"""What `error:N` means, of those that a rig can cause, and the remedy."""
+ALARMS = {
+    1: "A limit switch was hit and the position is lost. Remedy: free the axis by hand, find what it hit, run again",
+    2: "The target is beyond the soft limits. Remedy: correct range_deg of the axis, or $130 to $132, and run again",
+    3: "A reset stopped the movement and the position is lost. Remedy: run again; the axes are homed first",
+    6: "A reset stopped the homing. Remedy: run again",
+    7: "The safety door was opened while homing. Remedy: close it and run again",
+    8: "Homing did not leave the limit switch. Remedy: raise the pull-off $27, check the switch's wiring, run again",
+    9: "Homing did not reach a limit switch. Remedy: check the switch and its wiring, $23 (direction), $130 to $132",
+}
+"""What `ALARM:N` means, of those that a rig can cause, and the remedy."""
+STATES = {
+    "Hold": "It is paused. Remedy: release the pause button and run again",
+    "Door": "The safety door is open. Remedy: close it and run again",
+    "Check": "It only checks commands. Remedy: send $C to end that mode, then run again",
+    "Sleep": "It sleeps. Remedy: switch it off and on, then run again",
+}
+"""States of a controller in which nothing moves, and the remedy."""
+
+
+class Grbl:
+    """A controller, which several axes may share.
+
+    Parameters
+    ----------
+    device : str
+        Name in messages.
+    port : str
+        Serial port.
+    baud : int
+        Bits per second.
+    """
+
+    def __init__(self, device: str, port: str, baud: int = 115200) -> None:
+        self.device, self.port = device, port
+        self.line = SerialLine(device, port, baud, restart=GREETING)
+        self.home_position: dict[str, float] = {}
+        self.alarmed = False
+        with closed_on_failure(self.line):
+            # Most boards restart when their port is opened; one that is reached by USB itself does not.
+            greeting = self.line.greeting(GREETING, GREETING_S)
+            self._expect_release(greeting or self._restart())
+
+    @property
+    def homed(self) -> bool:
+        """Whether the positions of the axes are known."""
+        return bool(self.home_position)
+
+    def home(self) -> None:
+        """Drive every axis to its limit switch and keep where that is. Done once after a start or an alarm."""
+        if self.homed:
+            return
+        if self.alarmed:
+            self._restart()
+        self._command("$H", HOMING_S)
+        self._command("G21 G90", ANSWER_S)
+        _, position = self._wait_until_idle(time.monotonic() + HOMING_S)
+        self.home_position = position
+
+    def move(self, letter: str, target: float) -> None:
+        """Turn one axis to a machine coordinate; returns when the controller stands still there."""
+        word = f"{letter}{target:.3f}"
+        end = time.monotonic() + MOVE_S
+        self._command(f"G53 G0 {word}", MOVE_S)
+        while True:
+            _, position = self._wait_until_idle(end)
+            if abs(position[letter] - target) <= STANDS_WITHIN:
+                return
+            if abs(position[letter] * MM_PER_INCH - target) <= STANDS_WITHIN:
+                self.home_position = {}
+                raise DeviceError(
+                    f"{self.device} at {self.port}: axis {letter} reports {position[letter]:.4f} after a movement to "
+                    f"{target:.3f}, which is the same position in inches. Remedy: set $13=0 and run again"
+                )
+            if time.monotonic() > end:
+                self.home_position = {}
+                found = f"stands at {position[letter]:.3f}, expected {target:.3f}"
+                raise DeviceError(
+                    f"{self.device} at {self.port}: sent 'G53 G0 {word}', axis {letter} {found} after {MOVE_S:g} s. "
+                    "Remedy: check what holds it, then run again; the axes are homed first"
+                )
+            time.sleep(POLL_S)
+
+    def close(self) -> None:
+        """Close the line; a second call does nothing."""
+        self.home_position = {}
+        self.line.close()
+
+    def _expect_release(self, greeting: str) -> None:
+        """Raise DeviceError where the controller runs a release of GRBL that this module cannot read."""
+        if re.search(TOO_OLD, greeting):
+            raise DeviceError(
+                f"{self.device} at {self.port}: expected GRBL 1.1 or newer, found {greeting!r}. "
+                "Remedy: install GRBL 1.1 on the controller"
+            )
+
+    def _restart(self) -> str:
+        """Restart the controller and return its greeting."""
+        self.line.discard()  # after some alarms it restarts by itself, and its greeting is still to be read
+        self.line.send(RESET, ending=False)
+        greeting = self.line.greeting(GREETING, GREETING_S)
+        if not greeting:
+            raise DeviceLost(
+                f"{self.device} at {self.port}: sent Ctrl-X, received no greeting of GRBL within {GREETING_S:g} s. "
+                f"Remedy: check its power, and the port and speed ({self.line.baud} baud) with ./nishiki rig ports"
+            )
+        self.home_position, self.alarmed = {}, False
+        return greeting
+
+    def _command(self, text: str, timeout_s: float) -> None:
+        self._asking(text, r"^ok$", timeout_s)
+
+    def _asking(self, text: str, expect: str, timeout_s: float, ending: bool = True) -> re.Match[str]:
+        """One exchange; whatever goes wrong in it leaves the positions unknown."""
+        try:
+            return self.line.ask(text, expect, timeout_s, r"^(error|ALARM):(\d+)", self._explain, ending)
+        except DeviceError:
+            self.home_position = {}
+            raise
+
+    def _explain(self, refusal: re.Match[str]) -> str:
+        number = int(refusal[2])
+        if refusal[1] == "ALARM":
+            self.alarmed = True
+            return ALARMS.get(number, f"Remedy: look up alarm {number} of GRBL 1.1")
+        return ERRORS.get(number, f"Remedy: look up error {number} of GRBL 1.1")
+
+    def _wait_until_idle(self, end: float) -> tuple[str, dict[str, float]]:
+        """State and position once the controller stands still."""
+        while True:
+            state, position = self._status()
+            if state == "Idle":
+                return state, position
+            self.alarmed = self.alarmed or state == "Alarm"
+            if state == "Alarm" or state in STATES:
+                self.home_position = {}
+                why = STATES.get(state, ERRORS[9])
+                raise DeviceError(f"{self.device} at {self.port}: sent '?', received the state {state}. {why}")
+            if time.monotonic() > end:
+                self.home_position = {}
+                raise DeviceError(
+                    f"{self.device} at {self.port}: still in state {state} after the time for this movement. "
+                    "Remedy: check what holds the axis, and its greatest speed ($110 to $112)"
+                )
+            time.sleep(POLL_S)
+
+    def _status(self) -> tuple[str, dict[str, float]]:
+        match = self._asking("?", r"^<([A-Za-z]+)(?::\d+)?\|(.*)>$", ANSWER_S, ending=False)
+        position = re.search(r"MPos:([-\d.,]+)", match[2])
+        try:
+            values = [float(value) for value in position[1].split(",")] if position else []
+        except ValueError:
+            values = []
+        if not values:
+            raise DeviceError(
+                f"{self.device} at {self.port}: sent '?', received {match[0]!r} without a machine position. "
+                "Remedy: set $10=1"
+            )
+        return match[1], dict(zip("XYZABC", values, strict=False))
+
+
+class GrblAxis:
+    """One axis of a GRBL controller.
+
+    Parameters
+    ----------
+    name : str
+        Name in messages.
+    controller : Grbl
+        The controller, which other axes may share.
+    letter : str
+        X, Y, Z, A, B or C.
+    units_per_degree : float
+        Units of the controller for a degree; negative where it counts the other way.
+    home_deg : float
+        Angle, in degrees, at which homing ends.
+    range_deg : tuple of float
+        Smallest and largest angle, in degrees.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        controller: Grbl,
+        letter: str,
+        units_per_degree: float = 1.0,
+        home_deg: float = 0.0,
+        range_deg: tuple[float, float] = (0.0, 360.0),
+    ) -> None:
+        self.name, self.controller, self.letter = name, controller, letter
+        self.units_per_degree, self.home_deg, self.range_deg = units_per_degree, home_deg, range_deg
+
+    def home(self) -> None:
+        """Home all axes of the controller, unless they are."""
+        self.controller.home()
+        if self.letter not in self.controller.home_position:
+            axes = ", ".join(self.controller.home_position)
+            raise DeviceError(f"{self.name}: the controller has no axis {self.letter}; it has {axes}")
+
+    def move_to(self, degrees: float) -> None:
+        """Turn to an angle and return when the axis stands."""
+        expect_in_range(self.name, degrees, self.range_deg)
+        if not self.controller.homed:
+            raise not_homed(self.name)
+        start = self.controller.home_position[self.letter]
+        self.controller.move(self.letter, start + (degrees - self.home_deg) * self.units_per_degree)
+
+    def close(self) -> None:
+        """Close the controller, with all of its axes."""
+        self.controller.close()
+
+
+def expect_in_range(name: str, degrees: float, range_deg: tuple[float, float]) -> None:
+    """Raise DeviceError where an angle is outside the range of an axis (or is not a number)."""
+    low, high = range_deg
+    if not low <= degrees <= high:
+        raise DeviceError(
+            f"{name}: expected an angle from {low:g} to {high:g} degrees, found {degrees:g}. "
+            "Remedy: correct the plan, or range_deg in the description of the rig"
+        )
+
+
+def not_homed(name: str) -> DeviceError:
+    """What is raised where an axis is to move whose position is not known."""
+    return DeviceError(f"{name}: its position is not known since it was opened or failed. Remedy: home it first")
+
+
+COMXIM_ANSWER_S = 3.0
+TURN_S = 180.0
+"""Seconds that a whole turn may take at the slowest speed."""
+STEP_DEG = 0.01
+"""Angles are sent with two decimals, and counted as they were sent."""
+
+
+class ComXimTurntable:
+    """A ComXim turntable as an axis.
+
+    Parameters
+    ----------
+    name : str
+        Name in messages.
+    port : str
+        Serial port.
+    baud : int
+        Bits per second.
+    command : {"TRUNSINGLE", "TURNSINGLE"}
+        How the table's firmware spells the command that turns it.
+    reference : {"operator", "table"}
+        How its zero is found: a person turns it to its mark; or it returns to the zero that it keeps while switched on.
+    """
+
+    def __init__(
+        self, name: str, port: str, baud: int = 115200, command: str = "TRUNSINGLE", reference: str = "operator"
+    ) -> None:
+        self.name, self.command, self.reference = name, command, reference
+        self.angle: float | None = None
+        self.range_deg = (0.0, 360.0)
+        self.line = SerialLine(name, port, baud, ending=";", ignore=b"#")
+        with closed_on_failure(self.line):
+            # Opening the port can reach the table as noise, which it answers with CR+ERR: either answer shows that it
+            # is there.
+            self.line.ask("CT()", r"CR\+(OK|ERR)", COMXIM_ANSWER_S)
+            self.line.discard()
+
+    def home(self) -> None:
+        """Find the zero; see `reference`."""
+        self.angle = None
+        if self.reference == "operator":
+            ask_operator(self.name, "turn the table by hand to its zero mark")
+            self._ask("CT+SETZERO()")
+        else:
+            # A table that stands at zero already acknowledges TOZERO and never says that it ended: it is moved first.
+            self._turn(1.0)
+            self._ask("CT+TOZERO()")
+            self.line.answer(r"CR\+EVENT=TB_END", TURN_S, r"CR\+ERR=(\d+)", self._explain)
+        self.angle = 0.0
+
+    def move_to(self, degrees: float) -> None:
+        """Turn the shorter way to an angle, and return when the table stands."""
+        if not math.isfinite(degrees):
+            raise DeviceError(f"{self.name}: expected an angle in degrees, found {degrees}. Remedy: correct the plan")
+        if self.angle is None:
+            raise not_homed(self.name)
+        angle, self.angle = self.angle, None  # unknown while it turns
+        steps = round(((degrees - angle + 180.0) % 360.0 - 180.0) / STEP_DEG)
+        if steps:
+            self._turn(steps * STEP_DEG)
+        self.angle = (angle + steps * STEP_DEG) % 360.0
+
+    def close(self) -> None:
+        """Close the line; a second call does nothing."""
+        self.angle = None
+        self.line.close()
+
+    def _turn(self, degrees: float) -> None:
+        direction = 0 if degrees > 0 else 1
+        self._ask(f"CT+{self.command}({direction},{abs(degrees):.2f})".replace(".00)", ")"))
+        self.line.answer(r"CR\+EVENT=TB_END", TURN_S, r"CR\+ERR=(\d+)", self._explain)
+
+    def _ask(self, text: str) -> None:
+        self.line.ask(text, r"CR\+OK", COMXIM_ANSWER_S, r"CR\+ERR=(\d+)", self._explain)
+
+    def _explain(self, refusal: re.Match[str]) -> str:
+        other = "TURNSINGLE" if self.command == "TRUNSINGLE" else "TRUNSINGLE"
+        return (
+            f"The table refuses the command. Remedy: write 'command: {other}' into its description if its firmware "
+            "spells it so; otherwise switch the table off and on and run again"
+        )
