@@ -7,16 +7,13 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
 from nishiki.formats.problems import raise_errors
-from nishiki.geometry.camera import Camera
-from nishiki.geometry.camera import read_cameras
+from nishiki.geometry.camera import Camera, read_cameras
 from nishiki.geometry.cleaning import clean
 from nishiki.geometry.coherence import measure_coherence
 from nishiki.geometry.hollows import Photographed, sink_hollows
 from nishiki.geometry.hull import carve
-from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.mesh import read_points, read_triangles, write_ply
-from nishiki.geometry.placement import agreement, contradicted, known_from, outline_of
-from nishiki.geometry.placement import move_mesh
+from nishiki.geometry.mesh import Mesh, read_points, read_triangles, write_ply
+from nishiki.geometry.placement import agreement, contradicted, known_from, move_mesh, outline_of
 from nishiki.geometry.silhouettes import Silhouette, display, possible_shadow, segment
 from nishiki.geometry.surface import SimplifiedMesh, fewest_triangles, shape_of, smoothed, snapped, without_small_parts
 from nishiki.observations.turntable_coherence import FEWEST_VIEWS, describe_coherence
@@ -209,8 +206,7 @@ def mirrored(vertices: np.ndarray, triangles: np.ndarray, mirror: list[int] | No
 
 def merge_scans(context: Context, views: Views, cameras: list[Camera], mirror: list[int] | None):
     """Merge range scans, registered to the first, in the cameras' world."""
-    from nishiki.geometry.scans import merge
-    from nishiki.geometry.scans import register
+    from nishiki.geometry.scans import merge, register
 
     folder, settings = context.inputs["ingest"], context.settings
     scans = [read_points(folder.path(name)) for name in views.geometry["scans"]]
