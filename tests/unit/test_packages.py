@@ -19,15 +19,15 @@ LIGHT = {"numpy"}
 NAMES = {module: name for name, module in MODULES.items()}
 PLACES = {
     "av": {"output.py"},
-    "colour-science": {"sensitivities.py"},
-    "gphoto2": {"gphoto.py"},
+    "colour-science": {"target.py"},
+    "gphoto2": {"cameras.py"},
     "materialx": {"materialx.py"},
-    "pymeshlab": {"merging.py", "meshlab.py"},
+    "pymeshlab": {"scans.py"},
     "pyarrow": {"exporting.py"},
-    "pyserial": {"ports.py", "serial_line.py"},
+    "pyserial": {"description.py", "serial_line.py"},
     "rawpy": {"raw.py"},
-    "scikit-image": {"hull.py", "surface.py"},
-    "trimesh": {"merging.py", "mesh_files.py", "surfaces.py"},
+    "scikit-image": {"hull.py", "shape.py"},
+    "trimesh": {"mesh.py", "scans.py", "surfaces.py"},
     "usd-core": {"usd.py"},
 }
 """The modules that take a package of an extra. Of a new one, `idle` of the declaration says which scenes load it."""
