@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.maps import Maps
-from nishiki.colour.sampling import channel_weights
 from nishiki.colour.colour import illuminant as named_illuminant
 from nishiki.colour.colour import srgb_matrix, white_xyz, xyz_from_spectra, xyz_to_lab
+from nishiki.colour.sampling import channel_weights
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 from nishiki.formats.stored import load_arrays
