@@ -18,6 +18,10 @@ Measurements = Literal["all", "auto"] | Annotated[int, Field(ge=8, le=100_000)]
 Bases = Literal["auto"] | Annotated[int, Field(ge=1, le=16)]
 """How many of the measurements a stage uses: all, a number, or as many as the data ask for."""
 
+ARRAYS = ("numpy", "scipy", "numba", "zarr")
+OPENCV = "opencv-contrib-python-headless"
+"""Packages that most stages load."""
+
 
 @dataclass(frozen=True)
 class SceneFacts:

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at, extreme
-from nishiki.stages.base import Asked, Cost, Measurements, SceneFacts, Stage
+from nishiki.stages.base import ARRAYS, Asked, Cost, Measurements, SceneFacts, Stage
 
 PAINTING_LIMITS = (
     Limit("samples", "samples of the gloss, least region", extreme("samples", min)),
@@ -40,7 +40,7 @@ PAINTING = Stage(
     does="Torrance-Sparrow parameters",
     requires=("ingest", "normals"),
     needs_colour=True,
-    libraries=("numpy", "scipy", "numba", "zarr"),
+    libraries=ARRAYS,
     cost=lambda facts: Cost(mib=260, tiles=0.9, seconds=2.2, us_per_pixel=6, us_per_sample=0.02),
 )
 
@@ -107,7 +107,7 @@ OBJECT = Stage(
     geometry="turntable",
     requires=("ingest", "texels"),
     needs_colour=True,
-    libraries=("numpy", "scipy", "numba", "zarr"),
+    libraries=ARRAYS,
     # with polarisers diffuse and specular part
     cost=lambda facts: Cost(
         mib=330, bytes_per_sample=40, seconds=3.5, us_per_sample=6.8 if len(facts.states) > 1 else 3.4

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at
-from nishiki.stages.base import Asked, Cost, SceneFacts, Stage, poses_of
+from nishiki.stages.base import OPENCV, Asked, Cost, SceneFacts, Stage, poses_of
 
 
 def _pose_outliers(diagnostics: Mapping[str, Any]) -> float | None:
@@ -81,7 +81,7 @@ STAGE = Stage(
         None if facts.has_poses else "the capture has no camera matrices, no board pictures and no correspondences"
     ),
     looks_at=_looks_at,
-    libraries=("numpy", "scipy", "zarr", "opencv-contrib-python-headless"),
+    libraries=("numpy", "scipy", "zarr", OPENCV),
     threads=1,
     cost=lambda facts: Cost(mib=200, seconds=1.5),
 )

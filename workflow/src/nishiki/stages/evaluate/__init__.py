@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
-from nishiki.stages.base import Cost, SceneFacts, Stage, photographs_or_states
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, SceneFacts, Stage, photographs_or_states
 
 
 class EvaluateSettings(Guarded, stage="evaluate", version=1):
@@ -33,7 +33,7 @@ PAINTING = Stage(
     lacks=_nothing_to_compare,
     needs_colour=True,
     looks_at=lambda facts, settings, asked: ("check",),
-    libraries=("numpy", "scipy", "numba", "zarr"),
+    libraries=ARRAYS,
     cost=lambda facts: (
         Cost(mib=390, bytes_per_pixel=160, seconds=2.8, us_per_pixel=16)
         if facts.truth_sha256
@@ -70,7 +70,7 @@ OBJECT = Stage(
     wants=lambda settings: ("polarise",),
     needs_colour=True,
     looks_at=photographs_or_states,
-    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "opencv-contrib-python-headless", "dracopy"),
+    libraries=(*ARRAYS, "pywavelets", OPENCV, "dracopy"),
     cost=lambda facts: Cost(mib=380, bytes_per_sample=90, seconds=5, us_per_sample=3),
 )
 

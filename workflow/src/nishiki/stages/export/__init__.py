@@ -7,7 +7,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Figure, Limit, at
-from nishiki.stages.base import Cost, Stage, no_format, photographs_or_states
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, no_format, photographs_or_states
 
 Format = Literal[
     "normals", "height", "albedo", "relight", "spectral", "gltf", "mitsuba", "merl", "iiif", "usd", "materialx"
@@ -95,7 +95,7 @@ PAINTING = Stage(
     wants=lambda settings: tuple(dict.fromkeys(name for each in settings.formats for name in NEEDS.get(each, ()))),
     needs_colour=True,
     looks_at=lambda facts, settings, asked: ("check",),
-    libraries=("numpy", "scipy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless", "usd-core", "materialx"),
+    libraries=(*ARRAYS, "OpenEXR", OPENCV, "usd-core", "materialx"),
     idle={"usd-core": no_format("export", "usd"), "materialx": no_format("export", "materialx")},
     deliverables=("exports",),
     cost=lambda facts: Cost(mib=620, bytes_per_pixel=40, seconds=5, us_per_pixel=20, us_per_sample=0.5),
@@ -143,16 +143,7 @@ OBJECT = Stage(
     uses=("polarise",),
     needs_colour=True,
     looks_at=photographs_or_states,
-    libraries=(
-        "numpy",
-        "scipy",
-        "numba",
-        "zarr",
-        "pywavelets",
-        "opencv-contrib-python-headless",
-        "usd-core",
-        "materialx",
-    ),
+    libraries=(*ARRAYS, "pywavelets", OPENCV, "usd-core", "materialx"),
     idle={"usd-core": no_format("object_export", "usd"), "materialx": no_format("object_export", "materialx")},
     deliverables=("exports",),
     threads=1,

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at, extreme, share
-from nishiki.stages.base import Asked, Cost, SceneFacts, Stage
+from nishiki.stages.base import ARRAYS, OPENCV, Asked, Cost, SceneFacts, Stage
 
 
 def _albedo(diagnostics: Mapping[str, Any]) -> float | None:
@@ -114,7 +114,7 @@ STAGE = Stage(
     requires=("ingest",),
     needs_colour=True,
     looks_at=_looks_at,
-    libraries=("numpy", "scipy", "numba", "zarr", "opencv-contrib-python-headless"),
+    libraries=(*ARRAYS, OPENCV),
     deliverables=("*.png", "*.csv"),
     threads=1,
     cost=lambda facts: Cost(mib=220, bytes_per_sample=2, seconds=1.8, us_per_sample=0.28),

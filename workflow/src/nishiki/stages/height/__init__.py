@@ -6,7 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at
-from nishiki.stages.base import Cost, Stage
+from nishiki.stages.base import ARRAYS, Cost, Stage
 
 LIMITS = (
     Limit(
@@ -47,7 +47,7 @@ STAGE = Stage(
     settings=HeightSettings,
     does="height by integration of the normals",
     requires=("normals",),
-    libraries=("numpy", "scipy", "numba", "zarr"),
+    libraries=ARRAYS,
     threads=1,
     cost=lambda facts: Cost(mib=200, bytes_per_pixel=96, seconds=1.4, us_per_pixel=36),
 )

@@ -8,7 +8,7 @@ from pydantic import Field
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at
 from nishiki.formats.image_header import RAW_SUFFIXES
-from nishiki.stages.base import Cost, SceneFacts, Stage, only_files
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, SceneFacts, Stage, only_files
 
 LIMITS = (
     Limit(
@@ -84,11 +84,11 @@ STAGE = Stage(
     settings=IngestSettings,
     does="photographs to linear, white-normalised observations",
     geometry=None,
-    libraries=("numpy", "scipy", "numba", "zarr", "opencv-contrib-python-headless", "OpenEXR", "rawpy"),
+    libraries=(*ARRAYS, OPENCV, "OpenEXR", "rawpy"),
     idle={
         "rawpy": only_files(RAW_SUFFIXES, "camera raw"),
         "OpenEXR": only_files(frozenset({".exr"}), "an EXR file"),
-        "opencv-contrib-python-headless": _no_pictures,
+        OPENCV: _no_pictures,
     },
     cost=_ingest_cost,
 )

@@ -8,7 +8,7 @@ from pydantic import Field
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at, extreme
 from nishiki.observations.turntable_coherence import DOUBTFUL, INCOHERENT
-from nishiki.stages.base import Asked, Cost, Reason, SceneFacts, Stage, surface_of
+from nishiki.stages.base import ARRAYS, OPENCV, Asked, Cost, Reason, SceneFacts, Stage, surface_of
 
 
 def _scan_residual(diagnostics: Mapping[str, Any]) -> float | None:
@@ -117,16 +117,7 @@ STAGE = Stage(
     requires=("ingest", "cameras"),
     needs_colour=True,
     looks_at=_looks_at,
-    libraries=(
-        "numpy",
-        "scipy",
-        "numba",
-        "zarr",
-        "opencv-contrib-python-headless",
-        "scikit-image",
-        "trimesh",
-        "pymeshlab",
-    ),
+    libraries=(*ARRAYS, OPENCV, "scikit-image", "trimesh", "pymeshlab"),
     idle={
         "trimesh": _only_surface(("file", "scans"), "the surface comes from silhouettes"),
         "pymeshlab": _only_surface(("scans",), "there are no range scans to merge"),

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, flagged, share
-from nishiki.stages.base import Cost, Lights, SceneFacts, Stage
+from nishiki.stages.base import ARRAYS, Cost, Lights, SceneFacts, Stage
 
 LIMITS = (
     Limit(
@@ -92,7 +92,7 @@ STAGE = Stage(
     requires=("ingest",),
     wants=lambda settings: ("separate",),
     needs_colour=True,  # normals from luminance alone are others, so that they would depend on the products
-    libraries=("numpy", "scipy", "numba", "zarr"),
+    libraries=ARRAYS,
     cost=_normals_cost,
     scatter=True,
 )

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at, extreme
-from nishiki.stages.base import Cost, SceneFacts, Stage, no_method
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, SceneFacts, Stage, no_method
 
 
 def _largest_beta(diagnostics: Mapping[str, Any]) -> float | None:
@@ -132,7 +132,7 @@ STAGE = Stage(
     lacks=_no_polarisers,
     needs_colour=True,
     looks_at=lambda facts, settings, asked: ("photographs", "states", "white_states"),
-    libraries=("numpy", "scipy", "numba", "zarr", "opencv-contrib-python-headless"),
+    libraries=(*ARRAYS, OPENCV),
     deliverables=("*.png", "*.exr"),
     cost=lambda facts: Cost(mib=300, bytes_per_pixel=400, seconds=2.5, us_per_pixel=16, us_per_sample=3.2),
 )

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, PositiveFloat
 
 from nishiki.artifacts.closed import Closed, Guarded
-from nishiki.stages.base import Cost, Stage, digest_of, no_film
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, digest_of, no_film
 
 
 class LightSettings(Closed):
@@ -92,7 +92,7 @@ PAINTING = Stage(
             for table in sorted(table for table in illuminants(block) if table.lower().endswith(".csv"))
         }
     },
-    libraries=("numpy", "scipy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless", "av"),
+    libraries=(*ARRAYS, "OpenEXR", OPENCV, "av"),
     idle={"av": no_film("render", "sequences")},
     deliverables=("*.png", "*.exr", "*.mp4", "*.webp"),
     cost=lambda facts: Cost(mib=380, bytes_per_pixel=160, seconds=4, us_per_pixel=30),
@@ -159,7 +159,7 @@ OBJECT = Stage(
     product="render",
     requires=("ingest", "mesh", "cameras", "texels", "object_brdf", "residual"),
     needs_colour=True,
-    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "OpenEXR", "opencv-contrib-python-headless", "av"),
+    libraries=(*ARRAYS, "pywavelets", "OpenEXR", OPENCV, "av"),
     idle={"av": no_film("object_render", "film")},
     deliverables=("*.png", "*.exr", "*.mp4", "*.webp"),
     cost=lambda facts: Cost(mib=270, bytes_per_sample=70, seconds=4, us_per_sample=9.5),
@@ -265,7 +265,7 @@ CLOTH = Stage(
     requires=("cloth_brdf",),
     needs_colour=True,
     filled=lambda block, settings: with_digest_of_mesh(block.mesh, "cloth_render"),
-    libraries=("numpy", "scipy", "numba", "trimesh", "OpenEXR", "opencv-contrib-python-headless", "av"),
+    libraries=("numpy", "scipy", "numba", "trimesh", "OpenEXR", OPENCV, "av"),
     idle={
         "av": no_film("cloth_render", "film"),
         "trimesh": lambda facts, settings: None if settings["cloth_render"].mesh else "no mesh file is draped",

@@ -3,7 +3,7 @@
 from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
-from nishiki.stages.base import Cost, Stage
+from nishiki.stages.base import OPENCV, Cost, Stage
 
 
 class PageSettings(Guarded):
@@ -24,7 +24,7 @@ PAINTING = Stage(
     does="HTML report of the scene",
     requires=("ingest", "normals"),
     uses=("separate", "height", "spectra", "brdf", "render", "evaluate", "viewer", "export"),
-    libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
+    libraries=("numpy", "jinja2", "zarr", OPENCV),
     deliverables=("*.html", "thumbnail.jpg"),
     threads=1,
     cost=lambda facts: Cost(mib=230, bytes_per_pixel=16, seconds=2, us_per_pixel=8),
@@ -53,7 +53,7 @@ OBJECT = Stage(
         "object_export",
         "object_viewer",
     ),
-    libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
+    libraries=("numpy", "jinja2", "zarr", OPENCV),
     deliverables=("*.html", "thumbnail.jpg"),
     threads=1,
     cost=lambda facts: Cost(mib=230, bytes_per_sample=1, seconds=1.8, us_per_sample=0.2),
@@ -75,7 +75,7 @@ CLOTH = Stage(
     requires=("ingest", "goniometer_samples"),
     wants=lambda settings: ("weave",),
     uses=("cloth_brdf", "cloth_render", "cloth_evaluate", "cloth_export", "cloth_viewer"),
-    libraries=("numpy", "scipy", "jinja2", "numba", "opencv-contrib-python-headless"),
+    libraries=("numpy", "scipy", "jinja2", "numba", OPENCV),
     deliverables=("*.html", "thumbnail.jpg"),
     threads=1,
     cost=lambda facts: Cost(mib=260, seconds=5.5),

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at
-from nishiki.stages.base import Cost, Stage
+from nishiki.stages.base import ARRAYS, Cost, Stage
 
 
 def _residual_loss(diagnostics: Mapping[str, Any]) -> float | None:
@@ -73,6 +73,6 @@ STAGE = Stage(
     geometry="turntable",
     requires=("mesh", "cameras", "texels", "object_brdf"),
     needs_colour=True,
-    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "dracopy"),
+    libraries=(*ARRAYS, "pywavelets", "dracopy"),
     cost=lambda facts: Cost(mib=340, bytes_per_sample=22, seconds=14, us_per_sample=20),
 )

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at
-from nishiki.stages.base import Bases, Cost, SceneFacts, Stage, digest_of
+from nishiki.stages.base import ARRAYS, Bases, Cost, SceneFacts, Stage, digest_of
 
 LIMITS = (
     Limit(
@@ -66,7 +66,7 @@ STAGE = Stage(
     filled=lambda block, settings: (
         {} if block.training == "synthetic" else {"training_sha256": digest_of(block.training, "spectra.training")}
     ),
-    libraries=("numpy", "scipy", "numba", "zarr"),
+    libraries=ARRAYS,
     threads=1,
     cost=lambda facts: Cost(mib=270, tiles=0.5, seconds=2.2, us_per_pixel=8),
     scatter=True,

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
-from nishiki.stages.base import Cost, Stage
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage
 from nishiki.stages.render import DYES, Colour, MeshSettings, Name, with_digest_of_mesh
 
 
@@ -26,7 +26,7 @@ PAINTING = Stage(
     wants=lambda settings: ("height", "spectra", "brdf"),
     uses=("evaluate",),
     needs_colour=True,
-    libraries=("numpy", "numba", "jinja2", "zarr", "opencv-contrib-python-headless"),
+    libraries=("numpy", "numba", "jinja2", "zarr", OPENCV),
     threads=1,
     cost=lambda facts: Cost(mib=300, bytes_per_pixel=60, seconds=3, us_per_pixel=5, us_per_sample=0.03),
 )
@@ -46,7 +46,7 @@ OBJECT = Stage(
     product="viewer",
     requires=("ingest", "mesh", "cameras", "texels", "object_brdf", "residual"),
     needs_colour=True,
-    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "jinja2", "opencv-contrib-python-headless"),
+    libraries=(*ARRAYS, "pywavelets", "jinja2", OPENCV),
     threads=1,
     cost=lambda facts: Cost(mib=270, seconds=4),
 )

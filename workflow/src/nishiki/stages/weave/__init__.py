@@ -7,7 +7,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, extreme
-from nishiki.stages.base import Cost, Stage
+from nishiki.stages.base import OPENCV, Cost, Stage
 
 
 def _weave_error(diagnostics: Mapping[str, Any]) -> float | None:
@@ -70,7 +70,7 @@ STAGE = Stage(
     requires=("goniometer_samples",),
     lacks=lambda facts, settings: None if facts.frontal else "no measurement has its light at the normal of the cloth",
     needs_colour=True,
-    libraries=("numpy", "scipy", "numba", "opencv-contrib-python-headless"),
+    libraries=("numpy", "scipy", "numba", OPENCV),
     deliverables=("*.ply", "*.png", "*.svg"),
     cost=lambda facts: Cost(mib=480, seconds=60),
 )
