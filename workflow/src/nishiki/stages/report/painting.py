@@ -9,7 +9,6 @@ from nishiki.artifacts.maps import Maps
 from nishiki.artifacts.stage import Context
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.observations.plane import Observations
-from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.report.numbers import figure, plain
 from nishiki.report.page import Block, Cell, Figure, Figures, Note, Section, Table, contents, film, read_json
 from nishiki.report.pictures import Ruler, file_picture, ruler
@@ -17,7 +16,7 @@ from nishiki.report.scene_page import text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart
 from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting, kind_of
 from nishiki.stages.report.painting_prediction import relighting_section
-from nishiki.stages.report.painting_surface import colour_section, shape_section
+from nishiki.stages.report.painting_surface import PageMaps, colour_section, shape_section
 from nishiki.stages.report.summary import at_a_glance, choices, verdict
 from nishiki.stages.table import CHAIN
 
@@ -42,6 +41,7 @@ def run(context: Context) -> dict:
     relighting = relighting_section(inputs.get("evaluate"), maps.get("evaluate"), evaluation, widest)
     truth = evaluation or {}
     camera = read_camera_colour(inputs["ingest"].path("curves.npz"), len(frames.channels), frames.to_srgb)
+    page = PageMaps(maps, frames.mask, frames.pixel_pitch_mm, truth, widest, scale_bar)
     return write_scene_page(
         context,
         CHAIN,
@@ -53,27 +53,9 @@ def run(context: Context) -> dict:
         sections=[
             appearance_section(inputs.get("render"), widest, settings.video_mb, scale_bar),
             relighting,
-            shape_section(
-                maps["normals"],
-                widest=widest,
-                height=maps.get("height"),
-                pitch=frames.pixel_pitch_mm,
-                evaluated=maps.get("evaluate"),
-                mask=frames.mask,
-                evaluation=evaluation,
-                refined=diagnostics["normals"].get("refined", False),
-                ruler=scale_bar,
-            ),
+            shape_section(page, refined=diagnostics["normals"].get("refined", False)),
             colour_section(
-                maps["normals"],
-                widest=widest,
-                camera=camera,
-                spectra=maps.get("spectra"),
-                evaluated=maps.get("evaluate"),
-                evaluation=evaluation,
-                known=frames.mask & ((maps["normals"].read("flags") & NO_ESTIMATE) == 0),
-                expected_de00=diagnostics.get("spectra", {}).get("expected_de00"),
-                ruler=scale_bar,
+                page, camera=camera, expected_de00=diagnostics.get("spectra", {}).get("expected_de00") or {}
             ),
             gloss_section(
                 read_json(inputs.get("brdf"), "parameters.json"),

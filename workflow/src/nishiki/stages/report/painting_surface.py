@@ -1,10 +1,11 @@
 """The sections of a painting's page on shape and colour: normals, height, spectra and their errors."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from nishiki.artifacts.maps import Maps
 from nishiki.colour.colour import (
     illuminant,
     srgb_encode,
@@ -75,23 +76,32 @@ LIGHTS = (
 )
 
 
-def shape_section(
-    normals,
-    *,
-    widest: int,
-    height=None,
-    pitch: float | None = None,
-    evaluated=None,
-    mask: np.ndarray | None = None,
-    evaluation: dict[str, Any] | None = None,
-    refined: bool = False,
-    ruler: Ruler | None = None,
-) -> Section:
-    """normals, height, evaluated : `Maps` of those stages or None; pitch : of a pixel, mm; evaluation :
-    evaluation.json; refined : whether normals and gloss were fitted together."""
+@dataclass(frozen=True)
+class PageMaps:
+    """What the sections on shape and colour are made from.
+
+    maps : of the stages that left some, by their names; mask : (rows, columns) bool, the object; pitch : of a pixel,
+    mm; evaluation : evaluation.json, empty without one; widest : columns of a picture; ruler : below pictures.
+    """
+
+    maps: dict[str, Maps]
+    mask: np.ndarray
+    pitch: float | None
+    evaluation: dict[str, Any]
+    widest: int
+    ruler: Ruler | None
+
+    def known(self, rows: slice) -> np.ndarray:
+        """Return the pixels of the object that have an estimate, (r, columns) bool."""
+        return self.mask[rows] & ((self.maps["normals"].read("flags", rows) & bits.NO_ESTIMATE) == 0)
+
+
+def shape_section(page: PageMaps, *, refined: bool) -> Section:
+    """Return normals, height and their errors. refined : whether normals and gloss were fitted together."""
+    normals, height, evaluated = (page.maps.get(name) for name in ("normals", "height", "evaluate"))
     shape = tuple(normals.group["normals"].shape[:2])
-    block = block_of(shape[1], widest)
-    known = shrink(lambda rows: _known(normals, rows, mask), shape, block) > 0
+    block = block_of(shape[1], page.widest)
+    known = shrink(lambda rows: page.known(rows).astype(np.float32), shape, block) > 0
 
     def small(name: str, maps=normals) -> np.ndarray:
         values = shrink(lambda rows: maps.read(name, rows), shape, block)
@@ -104,9 +114,9 @@ def shape_section(
     # one scale for both, so that expected and true errors can be compared
     ends = [np.nanpercentile(v, 98) for v in (sigma, error) if v is not None and np.isfinite(v).any()]
     end = float(max(ends, default=1))
-    items = [Figure("Normals", NORMALS, normal_picture(small("normals")), ruler=ruler)]
+    items = [Figure("Normals", NORMALS, normal_picture(small("normals")), ruler=page.ruler)]
     if height is not None:
-        items += _height(height, shape, block, known, pitch, ruler)
+        items += _height(page, shape, block, known)
     expected = scalar_picture(sigma, heat(), unit="degrees", low=0.0, high=end)
     items.append(Figure("Expected error of the normals", CALIBRATED if calibrated else FORMAL, expected))
     if error is not None:
@@ -115,9 +125,9 @@ def shape_section(
     lights = scalar_picture(small("lights_used"), sea(), unit="lights", digits=3)
     items.append(Figure("Lights used", LIGHTS_OF_REFINED if refined else LIGHTS, lights))
     key = {k: (colour, text) for k, (_, colour, text) in enumerate(CLASSES)}
-    flags = class_picture(_flags(normals, shape, block, mask), key)
+    flags = class_picture(_flags(page, shape, block), key)
     items.append(Figure("Weak places", "where an estimate is missing or weak.", flags))
-    return Section("shape", "Shape", [Figures(items), *_against_truth(evaluation or {})])
+    return Section("shape", "Shape", [Figures(items), *_against_truth(page.evaluation)])
 
 
 def _against_truth(evaluation: dict[str, Any]) -> list[Block]:
@@ -139,17 +149,10 @@ def _against_truth(evaluation: dict[str, Any]) -> list[Block]:
     return blocks
 
 
-def _known(normals, rows: slice, mask: np.ndarray | None) -> np.ndarray:
-    has = (normals.read("flags", rows) & bits.NO_ESTIMATE) == 0
-    return (has if mask is None else has & mask[rows]).astype(np.float32)
-
-
-def _flags(normals, shape: tuple[int, int], block: int, mask: np.ndarray | None) -> np.ndarray:
+def _flags(page: PageMaps, shape: tuple[int, int], block: int) -> np.ndarray:
     """Return the gravest class of each block of pixels; NaN outside the mask."""
-    classes = shrink(lambda rows: _classes(normals.read("flags", rows)), shape, block, worst=True)
-    if mask is None:
-        return classes
-    inside = shrink(lambda rows: mask[rows].astype(np.float32), shape, block) > 0
+    classes = shrink(lambda rows: _classes(page.maps["normals"].read("flags", rows)), shape, block, worst=True)
+    inside = shrink(lambda rows: page.mask[rows].astype(np.float32), shape, block) > 0
     return np.where(inside, classes, np.nan)
 
 
@@ -161,11 +164,12 @@ def _classes(flags: np.ndarray) -> np.ndarray:
     return classes
 
 
-def _height(height, shape, block: int, known: np.ndarray, pitch: float | None, ruler: Ruler | None) -> list[Figure]:
+def _height(page: PageMaps, shape: tuple[int, int], block: int, known: np.ndarray) -> list[Figure]:
+    height, ruler = page.maps["height"], page.ruler
     unit = height.attributes("height").get("unit", "")
     values = shrink(lambda rows: height.read("height", rows), shape, block).astype(np.float64)
     values[~known] = np.nan
-    step = (pitch or 1.0) * block if unit == "mm" else float(block)
+    step = (page.pitch or 1.0) * block if unit == "mm" else float(block)
     flat = values - np.nanmin(values) if np.isfinite(values).any() else values
     relief = np.repeat(hillshade(values, step=step)[..., None], 3, axis=-1)
     return [
@@ -189,34 +193,28 @@ VARNISH = (
 )
 
 
-def colour_section(
-    normals,
-    *,
-    widest: int,
-    camera: CameraColour,
-    spectra=None,
-    evaluated=None,
-    evaluation: dict[str, Any] | None = None,
-    known: np.ndarray | None = None,
-    expected_de00: dict[str, float] | None = None,
-    ruler: Ruler | None = None,
-) -> Section:
+def colour_section(page: PageMaps, *, camera: CameraColour, expected_de00: dict[str, float]) -> Section:
     """Return diffuse reflectance, spectra where there are some, and their errors.
 
-    normals, spectra, evaluated : `Maps` of those stages or None; camera : map of the channels to XYZ, used where there
-    are no spectra; evaluation : evaluation.json or None; known : (rows, columns) bool, pixels with an estimate;
-    expected_de00 : diagnostic of the spectra.
+    camera : map of the channels to XYZ, used where there are no spectra; expected_de00 : diagnostic of the spectra.
     """
-    shape = tuple(normals.group["reflectance"].shape[:2])
-    block = block_of(shape[1], widest)
+    normals, spectra, evaluated = (page.maps.get(name) for name in ("normals", "spectra", "evaluate"))
+    shape, ruler = tuple(normals.group["reflectance"].shape[:2]), page.ruler
+    block = block_of(shape[1], page.widest)
+
+    def masked(maps: Maps, name: str, rows: slice) -> np.ndarray:
+        values = np.array(maps.read(name, rows), np.float32)
+        values[~page.known(rows)] = np.nan
+        return values
+
     maps, name = (normals, "reflectance") if spectra is None else (spectra, "coefficients")
-    small = shrink(lambda rows: _masked(maps.read(name, rows), known, rows), shape, block)
+    small = shrink(lambda rows: masked(maps, name, rows), shape, block)
     if spectra is None:
         figure = _diffuse(xyz_to_srgb_linear(camera.xyz(small), white=camera.white), camera.how, (), ruler)
         return Section("colour", "Colour", [Figures([figure])])
     basis = np.array(spectra.attributes("coefficients")["basis"])
     xyz = small @ xyz_matrix(illuminant("D65"), basis).T
-    truth = (evaluation or {}).get("reflectance") or {}
+    truth = page.evaluation.get("reflectance") or {}
     if truth.get("regions"):
         labels = None
         if evaluated is not None and "regions" in evaluated:
@@ -233,13 +231,13 @@ def colour_section(
         difference = shrink(lambda rows: evaluated.read("reflectance_de00", rows), shape, block)
         picture = scalar_picture(difference, heat(), unit="ΔE00 under D65", low=0.0)
         items.append(Figure("Difference to the true reflectance", UNDER_D65, picture))
-    sigma = shrink(lambda rows: _masked(spectra.read("sigma", rows), known, rows), shape, block)
+    sigma = shrink(lambda rows: masked(spectra, "sigma", rows), shape, block)
     picture = scalar_picture(sigma, heat(), unit="reflectance, expected rms", low=0.0)
     items.append(Figure("Expected error of the spectra", EXPECTED_ERROR, picture))
     blocks: list[Block] = [Figures(items)]
     if curves:
         blocks += [Heading("Spectra"), f"{about} {VARNISH}", Figures(curves, 3)]
-    return Section("colour", "Colour", [*blocks, *_tables(expected_de00 or {}, truth)])
+    return Section("colour", "Colour", [*blocks, *_tables(expected_de00, truth)])
 
 
 def _diffuse(linear: np.ndarray, how: str, marks: tuple, ruler: Ruler | None) -> Figure:
@@ -285,14 +283,6 @@ def spread_out(points: np.ndarray, count: int, first: int) -> list[int]:
         chosen.append(following)
         distance = np.minimum(distance, np.linalg.norm(points - points[following], axis=1))
     return chosen
-
-
-def _masked(values: np.ndarray, known: np.ndarray | None, rows: slice) -> np.ndarray:
-    if known is None:
-        return values
-    values = np.array(values, np.float32)
-    values[~known[rows]] = np.nan
-    return values
 
 
 def _of_regions(regions: list[dict], names: list[str], labels: np.ndarray | None) -> tuple[list[Figure], tuple]:
