@@ -69,6 +69,19 @@ def test_axes_are_found_but_for_a_half_turn(axes):
     assert found.curl[1] < 0.8 * found.curl[0]
 
 
+@pytest.mark.parametrize("seed", [1, 2])
+def test_no_order_is_named_that_the_test_refuses_again(seed):
+    """The lamps of another dome, in any order: no order of them explains the photographs."""
+    values = photographs(dome(RINGS), gloss=0.5)
+    listed = np.random.default_rng(seed).permutation(dome(((6, 20), (6, 70))))
+    found = arrange(values, listed)
+    assert (
+        found.as_stated or found.unexplained or arrange(values, turned(listed[list(found.order)], found.axes)).as_stated
+    )
+    if found.unexplained:
+        assert not found.rearranged
+
+
 def test_nothing_is_told_of_three_lamps_or_without_light():
     directions = dome(RINGS)
     assert arrange(np.full((12, 60, 80), np.nan), directions) is None

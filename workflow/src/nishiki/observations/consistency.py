@@ -349,6 +349,10 @@ def _arrangement_problems(judgement: Judgement, capture: Capture) -> list[Proble
         f"misfit of the photographs {percent[0]:.1f} % as listed, {percent[1]:.1f} % with the remedy; curl of the "
         f"slopes {percent[2]:.0f} % as listed, {percent[3]:.0f} % with the remedy"
     )
+    if arrangement.unexplained:
+        what = "the photographs contradict the list of lamps, and no order of the lamps was found that explains them"
+        remedy = f"Compare {file} with the photographs (check --open shows them), or measure the lamps on mirror balls"
+        return [error("lights-order", file, what, found=f"misfit of the photographs {percent[0]:.1f} %", remedy=remedy)]
     options, kinds = [], []
     number = tuple(range(len(judgement.lights)))
     if arrangement.order != number:

@@ -19,7 +19,7 @@ that of the lamps are laid over each other by rotations and assignments (Kuhn, 1
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -70,6 +70,9 @@ class Arrangement:
         By how many standard errors residual and curl are better than as stated; 0 where nothing is to be changed.
     mirror_undecided : bool
         Whether the slopes have as little curl with one axis mirrored, although they are no noise.
+    unexplained : bool
+        Whether the stated arrangement is wrong and none was found that explains the photographs; order and axes are
+        then those stated.
     """
 
     order: tuple[int, ...]
@@ -78,11 +81,17 @@ class Arrangement:
     curl: tuple[float, float]
     sigmas: tuple[float, float]
     mirror_undecided: bool
+    unexplained: bool = False
+
+    @property
+    def rearranged(self) -> bool:
+        """Whether another order or other axes explain the photographs."""
+        return self.axes != "x,y" or self.order != tuple(range(len(self.order)))
 
     @property
     def as_stated(self) -> bool:
         """Whether nothing is to be changed."""
-        return self.axes == "x,y" and self.order == tuple(range(len(self.order)))
+        return not self.rearranged and not self.unexplained
 
 
 @dataclass(frozen=True)
@@ -133,8 +142,20 @@ def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
     Returns
     -------
     Arrangement or None
-        As stated unless another one is better beyond doubt; None where nothing can be told.
+        As stated unless another one is better beyond doubt. Another one is named only where the same test, with the
+        lamps arranged so, finds nothing to change. None where nothing can be told.
     """
+    found = _arrange(values, lamps)
+    if found is None or found.as_stated:
+        return found
+    again = _arrange(values, turned(lamps[list(found.order)], found.axes))
+    if again is not None and again.as_stated:
+        return found
+    return replace(found, order=tuple(range(len(values))), axes="x,y", mirror_undecided=False, unexplained=True)
+
+
+def _arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
+    """Find the order and the axes that explain the photographs best, without a test of what was found."""
     tiles = _cut(values, lamps)
     if tiles is None:
         return None

@@ -50,7 +50,7 @@ def contact_sheet(judgement: Judgement, problems: Sequence[Problem], title: str)
 def _shown_directions(judgement: Judgement) -> np.ndarray:
     """Return directions (lights, 3) that the photographs show; NaN where nothing can be told."""
     found = judgement.arrangement
-    if found is not None and not found.as_stated:
+    if found is not None and found.rearranged:
         return turned(judgement.directions[list(found.order)], found.axes)
     if judgement.consistency is None:
         return np.full(judgement.directions.shape, np.nan)
@@ -106,7 +106,7 @@ def _numbers(judgement: Judgement, j: int) -> list[str]:
     shift = [f"shift {x:+z.2f}, {y:+z.2f} ± {sigma:.2f} px"] if np.isfinite(sigma) else []
     arrangement, found = judgement.arrangement, judgement.consistency
     lines = [f"stated {stated}"]
-    if arrangement is not None and not arrangement.as_stated:
+    if arrangement is not None and arrangement.rearranged:
         lamp = judgement.names[arrangement.order[j]].split("/")[-1]
         return [*lines, f"shows {shown}, the lamp listed for {lamp}", *shift]
     if found is None or not np.isfinite(found.residual[j]):
