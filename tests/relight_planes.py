@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.formats.relight_weights import FROM_YCOCG, bilinear_weights, gaussian_weights, grid_directions, terms_of
+from nishiki.formats.relight import FROM_YCOCG, bilinear_weights, gaussian_weights, grid_directions, terms_of
 
 SIGMA, SIDE, REGULARISATION = 0.125, 8, 0.1  # defaults of relight-cli: Gaussians, nodes along a side, r above
 OWN_RANGE = 0.5  # share of a plane's own range in its scale; the rest is that of the largest

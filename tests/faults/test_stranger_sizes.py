@@ -27,10 +27,8 @@ from nishiki.capture.registry import recognise
 from nishiki.capture.seal import read_manifest
 from nishiki.engine.project import load_project
 from nishiki.errors import UserError
-from nishiki.formats.bounds import BOUNDS, bound
-from nishiki.formats.files import read_json
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes
+from nishiki.formats.files import BOUNDS, bound, read_json
+from nishiki.formats.images import read_codes, read_header
 from nishiki.formats.matlab import read_matlab
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.stored import load_arrays, open_group, zstd_content_size
@@ -443,7 +441,7 @@ def test_a_table_in_which_every_photograph_is_of_another_view_and_light(tmp_path
 
 def test_thousands_of_lights_and_boards_are_compared_at_once(tmp_path, quick):
     from nishiki.capture.frames import Frame
-    from nishiki.capture.goniometer_rules import goniometer_problems
+    from nishiki.capture.goniometer import goniometer_problems
 
     frames = []
     for i in range(4000):

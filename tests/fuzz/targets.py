@@ -18,27 +18,23 @@ from fuzz.corpus import FOLDER, IMAGES, LIGHTS, MESHES, STORES, TABLES, YAML, co
 from fuzz.watch import paused
 
 from nishiki.artifacts.artifact import MANIFEST, open_artifact
-from nishiki.capture.bundler import read_bundler
-from nishiki.capture.cameras import read_cameras, read_points
+from nishiki.capture.colmap import read_transforms
 from nishiki.capture.folder import examine, read_intensities
 from nishiki.capture.frames import read_frames
 from nishiki.capture.goniometer_tables import read_table
 from nishiki.capture.lights import lights_from_vectors, read_lights
-from nishiki.capture.meshroom import read_meshroom
-from nishiki.capture.metashape import read_metashape
 from nishiki.capture.options import ConvertOptions
+from nishiki.capture.photogrammetry import read_bundler, read_meshroom, read_metashape
 from nishiki.capture.registry import read_source
-from nishiki.capture.relight_files import read_relight
 from nishiki.capture.relightable import SUFFIXES, open_relightable
+from nishiki.capture.rti_projects import read_relight
 from nishiki.capture.schema import geometry_named, read_capture_file
 from nishiki.capture.seal import manifest_text, read_manifest
-from nishiki.capture.spectra_tables import read_curves
-from nishiki.capture.transforms import read_transforms
-from nishiki.capture.turntable_schema import read_intrinsics
+from nishiki.capture.tables import read_cameras, read_curves, read_points
+from nishiki.capture.turntable_rules import read_intrinsics
 from nishiki.engine.project import load_project, load_yaml
 from nishiki.errors import UserError
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes
+from nishiki.formats.images import read_codes, read_header
 from nishiki.formats.masks import read_labels, read_mask
 from nishiki.formats.mesh_heading import expect_mesh
 from nishiki.formats.problems import CaptureError

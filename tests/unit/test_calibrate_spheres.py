@@ -12,7 +12,7 @@ from nishiki.calibrate.spheres_result import calibrate_spheres
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.lights import read_lights
-from nishiki.capture.relight_files import read_relight
+from nishiki.capture.rti_projects import read_relight
 from nishiki.capture.spheres.findings import SphereInput
 from nishiki.capture.spheres.lamps import _centred
 from nishiki.capture.spheres.optics import SphereCamera, outline_points, pixel_of_direction, reflected_rays, sphere_of

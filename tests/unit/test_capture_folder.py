@@ -14,7 +14,7 @@ from conftest import PROJECT
 from nishiki.capture import seal as seal_module
 from nishiki.capture.folder import load_capture
 from nishiki.capture.seal import capture_digest, payload_digests, read_manifest, seal, sha256_of, verify_seal
-from nishiki.capture.spectra_tables import read_curves
+from nishiki.capture.tables import read_curves
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
 

@@ -11,8 +11,7 @@ from goniometer_captures import HEADING, cloth, directions, edit_goniometer, mak
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
-from nishiki.capture.goniometer import goniometer_facts
-from nishiki.capture.goniometer_rules import SAME_DEG, nearest
+from nishiki.capture.goniometer import SAME_DEG, goniometer_facts, nearest
 from nishiki.capture.goniometer_tables import is_table, read_table
 from nishiki.capture.seal import seal
 from nishiki.cli import main

@@ -8,8 +8,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes
+from nishiki.formats.images import read_codes, read_header
 from nishiki.formats.masks import read_labels, read_mask
 from nishiki.formats.problems import CaptureError
 

@@ -10,7 +10,7 @@ from unit.test_capture_colmap import COLUMNS, ROWS, around, photographs, write_m
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
-from nishiki.capture.meshroom import read_meshroom
+from nishiki.capture.photogrammetry import read_meshroom
 from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError
 from nishiki.geometry.camera import load_cameras

@@ -10,7 +10,7 @@ from captures import RING, write_frame
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.lights import read_lights
-from nishiki.capture.relight_files import read_relight
+from nishiki.capture.rti_projects import read_relight
 from nishiki.formats.problems import CaptureError
 
 NAMES = ["a.png", "b.png", "c.png", "d.png", "e.png"]

@@ -16,7 +16,7 @@ from nishiki.capture.layouts import photographs_in
 from nishiki.capture.relightable import lamps_for, open_relightable, recognise_relightable
 from nishiki.formats.picture_tiles import write_deep_zoom
 from nishiki.formats.problems import CaptureError
-from nishiki.formats.relight_weights import bilinear_weights
+from nishiki.formats.relight import bilinear_weights
 from nishiki.observations.check import check_capture
 
 

@@ -14,8 +14,8 @@ from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.relightable import lamps_for
 from nishiki.colour.colour import decode, srgb_encode
+from nishiki.formats.legacy_rti import write_ptm
 from nishiki.formats.problems import CaptureError
-from nishiki.formats.ptm import write_ptm
 from nishiki.observations.check import check_capture
 from nishiki.photometric.solve import estimate_normals
 from nishiki.stages.export.light_models import HarmonicModel, ptm_weights

@@ -14,7 +14,7 @@ from relightable_images import (
 )
 from small_painting import dome
 
-from nishiki.formats.hsh import hemispherical_harmonics
+from nishiki.formats.legacy_rti import hemispherical_harmonics
 
 FILES = {
     "four.rti": lambda: hsh_file(4),

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy.io import savemat
 
-from nishiki.capture.cameras import camera_centre, read_cameras
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.seal import seal
+from nishiki.capture.tables import camera_centre, read_cameras
 from nishiki.capture.turntable import turntable_facts
 from nishiki.cli import main
 from nishiki.formats.problems import CaptureError

@@ -29,8 +29,7 @@ from small_painting import (
 from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab, xyz_to_srgb_linear
 from nishiki.commands.exporting import FORMATS
 from nishiki.errors import UserError
-from nishiki.formats.exr_bands import ExrWriter, read_blocks
-from nishiki.formats.tiff_bands import write_tiff
+from nishiki.formats.banded_pictures import ExrWriter, read_blocks, write_tiff
 from nishiki.stages.export import ExportSettings, Format
 from nishiki.stages.export.painting import run
 from nishiki.stages.report.capture import export_section

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from nishiki.errors import UserError
-from nishiki.formats.materialx import write_materialx
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
-from nishiki.formats.usd import write_usdz
+from nishiki.formats.usd import write_materialx, write_usdz
 from nishiki.packages import MODULES
 from nishiki.stages.export.gloss import GltfMaterial, white_at_grazing
 

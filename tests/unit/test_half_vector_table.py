@@ -7,7 +7,7 @@ import pytest
 
 from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.half_vector_table import HalfVectorTable, unwarped, warped
-from nishiki.formats.bsdf import bsdf_bytes
+from nishiki.formats.merl import bsdf_bytes
 
 WARD = Ward(diffuse=np.array([0.05, 0.04, 0.1]), specular=np.full(3, 0.2), alpha_x=0.5, alpha_y=0.2)
 FINE = 400

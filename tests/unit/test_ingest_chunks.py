@@ -11,8 +11,7 @@ from zarr.codecs import ZstdCodec
 
 from nishiki.errors import UserError
 from nishiki.formats.stored import open_bands
-from nishiki.formats.zarr_chunks import read_chunk, write_chunk
-from nishiki.formats.zarr_store import BandedGroup
+from nishiki.formats.zarr_store import BandedGroup, read_chunk, write_chunk
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])

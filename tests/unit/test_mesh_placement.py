@@ -10,8 +10,8 @@ import trimesh
 import yaml
 from turned_cameras import turn
 
-from nishiki.capture.cameras import MATRIX_COLUMNS
 from nishiki.capture.folder import load_capture
+from nishiki.capture.tables import MATRIX_COLUMNS
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.placement import AXES, measure_placement, move_mesh, outline_of
 from nishiki.observations.check import check_capture

@@ -21,7 +21,7 @@ PLACES = {
     "av": {"output.py"},
     "colour-science": {"target.py"},
     "gphoto2": {"cameras.py"},
-    "materialx": {"materialx.py"},
+    "materialx": {"usd.py"},
     "pymeshlab": {"scans.py"},
     "pyarrow": {"exporting.py"},
     "pyserial": {"description.py", "serial_line.py"},

@@ -13,9 +13,8 @@ from PIL import Image, ImageCms
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.evaluate.camera_colour import assumed_colour
-from nishiki.formats.icc import ROMM, RgbSpace, icc_profile
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes
+from nishiki.formats.coding import ROMM, RgbSpace, icc_profile
+from nishiki.formats.images import read_codes, read_header
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
 from nishiki.observations.frames import FrameReader

@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 import tifffile
 
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes
+from nishiki.formats.images import read_codes, read_header
 from nishiki.formats.problems import CaptureError
 
 ROWS, COLUMNS = 37, 50

@@ -15,8 +15,7 @@ import tifffile
 
 from nishiki.capture.taking import channel_names
 from nishiki.formats import picture_process
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes, read_jpeg_bytes
+from nishiki.formats.images import read_codes, read_header, read_jpeg_bytes
 from nishiki.formats.problems import CaptureError
 
 NAMES = ("red", "green", "blue")

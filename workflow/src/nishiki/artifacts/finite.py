@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.formats.exr_bands import BLOCK_ROWS, read_blocks
+from nishiki.formats.banded_pictures import BLOCK_ROWS, read_blocks
 from nishiki.threads import threads
 
 BLOCK = 1 << 26  # bytes of an array looked at together

@@ -18,7 +18,7 @@ import numpy as np
 from nishiki.calibrate.result import Calibration, finite, list_photographs
 from nishiki.capture.taking import channel_names, full_scale_of, read_channels
 from nishiki.errors import UserError
-from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_header
 from nishiki.formats.text_tables import table_rows
 from nishiki.observations.linearise import check_linearity
 from nishiki.report.page import Figure, Figures, Section, Table

@@ -20,7 +20,7 @@ import yaml
 from nishiki.calibrate.result import Calibration, finite
 from nishiki.capture.taking import full_scale_of, read_grey
 from nishiki.errors import UserError
-from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_header
 from nishiki.geometry.board import BoardCorners, BoardShape, board_of, calibrate, detect_boards
 from nishiki.geometry.board import Calibration as LensFit
 from nishiki.report.page import Figure, Figures, Section, Table

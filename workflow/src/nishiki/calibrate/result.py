@@ -17,7 +17,7 @@ from nishiki.capture.seal import sha256_of
 from nishiki.capture.taking import settings_text
 from nishiki.errors import UserError
 from nishiki.formats.files import put_file
-from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_header
 from nishiki.report.page import Facts, Listing, Page, Section, render_page
 from nishiki.version import PROJECT_VERSION
 

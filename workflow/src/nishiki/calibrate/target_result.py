@@ -18,13 +18,12 @@ from nishiki.calibrate.target import (
     recover,
     verdict,
 )
-from nishiki.capture.spectra_tables import read_curves
+from nishiki.capture.tables import read_curves
 from nishiki.capture.taking import full_scale_of
 from nishiki.colour.colour import Encoding, illuminant, srgb_encode, white_xyz, xyz_to_srgb_linear
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes
+from nishiki.formats.images import read_codes, read_header
 from nishiki.report.page import Block, Facts, Figure, Figures, Note, Section, Table
 from nishiki.report.pictures import encoded
 from nishiki.report.svg import Curve, chart

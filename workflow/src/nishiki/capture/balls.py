@@ -15,7 +15,7 @@ from nishiki.capture.spheres.measure import MeasuredSpheres, measure_spheres
 from nishiki.capture.spheres.optics import outline_points
 from nishiki.capture.spheres.picture import draw_findings
 from nishiki.errors import UserError
-from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_header
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 
 PICTURE, MASK = "mirror_balls.png", "mask.png"

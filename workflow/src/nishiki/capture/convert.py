@@ -8,15 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from nishiki.capture.goniometer_convert import MeasuredTable, write_table_capture
+from nishiki.capture.layout_writers import MeasuredTable, write_plane, write_round, write_table_capture
 from nishiki.capture.layouts import Layout
 from nishiki.capture.options import ConvertOptions, file_problems, folder_problems
-from nishiki.capture.plane_convert import write_plane
 from nishiki.capture.registry import read_source
 from nishiki.capture.relightable import Rendering, write_rendered
-from nishiki.capture.turntable_convert import write_round
 from nishiki.capture.turntable_layouts import RoundLayout
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
+from nishiki.formats.problems import Problem, raise_errors, refuse
 
 JUDGED = (
     *("camera-moved", "lamps-near", "lamp-failed", "photograph-repeated", "ambient-light", "lights-axes-undecided"),
@@ -75,8 +73,7 @@ def convert(source: Path | str, target: Path | str, options: ConvertOptions | No
     options = replace(options or ConvertOptions(), **given)
     source, target = named(Path(source)), Path(target)
     if target.exists():
-        remedy = "Choose another name; nothing is overwritten"
-        raise CaptureError(error("target-exists", str(target), "target exists", remedy=remedy))
+        refuse("target-exists", str(target), "target exists", remedy="Choose another name; nothing is overwritten")
     missing = file_problems(lights=options.lights_file)
     if options.ambient is not None and not options.ambient.is_dir():
         missing += file_problems(ambient=options.ambient)

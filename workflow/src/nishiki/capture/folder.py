@@ -12,17 +12,24 @@ from typing import TypeVar
 
 import numpy as np
 
-from nishiki.capture.frames import DIALECTS, Frame, dialect_of, exposure_problems, inside, lamp_problems, read_frames
+from nishiki.capture.frames import (
+    DIALECTS,
+    Frame,
+    Photographed,
+    dialect_of,
+    exposure_problems,
+    inside,
+    lamp_problems,
+    read_frames,
+)
 from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
-from nishiki.capture.photographed import Photographed
 from nishiki.capture.schema import LOST_BY_FIT, NAMED_ILLUMINANTS, CaptureFile, geometry_named, read_capture_file
 from nishiki.capture.schema_base import Session
-from nishiki.capture.spectra_tables import Curves, read_curves
+from nishiki.capture.tables import Curves, read_curves
 from nishiki.capture.turntable import TurntableCapture, examine_turntable
-from nishiki.formats.bounds import bound
-from nishiki.formats.files import leads_out
-from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, warning
+from nishiki.formats.files import bound, leads_out
+from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading, table_rows
 
 T = TypeVar("T")
@@ -72,20 +79,20 @@ def payload_of(root: Path) -> Path:
         if (half / "data").is_dir():
             remedy = "Run seal again on the same name: it completes the sealing; nothing is lost"
             what = "sealing was interrupted"
-            raise CaptureError(error("seal-interrupted", str(root), what, found=half.name, remedy=remedy))
-        raise CaptureError(error("folder-missing", str(root), "no such capture folder", remedy=WHERE_IS_IT))
+            refuse("seal-interrupted", str(root), what, found=half.name, remedy=remedy)
+        refuse("folder-missing", str(root), "no such capture folder", remedy=WHERE_IS_IT)
     for payload in (root / "data", root):
         description = payload / "capture.yaml"
         if description.is_file():
             if leads_out(description, root):
                 found, remedy = str(description.resolve()), "Copy the file itself into the capture folder"
                 what = "link out of the folder"
-                raise CaptureError(error("outside-folder", str(description), what, found=found, remedy=remedy))
+                refuse("outside-folder", str(description), what, found=found, remedy=remedy)
             return payload
     if not any(root.iterdir()):
-        raise CaptureError(error("folder-empty", str(root), "capture folder is empty"))
+        refuse("folder-empty", str(root), "capture folder is empty")
     remedy = "Make one from photographs and lights with the convert command, or write capture.yaml by hand"
-    raise CaptureError(error("capture-missing", str(root), "folder holds no capture.yaml", remedy=remedy))
+    refuse("capture-missing", str(root), "folder holds no capture.yaml", remedy=remedy)
 
 
 def load_capture(root: Path | str) -> Capture | TurntableCapture | GoniometerCapture:
@@ -147,7 +154,12 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture 
     geometry = settings.geometry if settings else geometry_named(payload / "capture.yaml")
     geometry = geometry if geometry in tuple(DIALECTS) else dialect_of(payload / "frames.csv")
     listed = not (settings and geometry == "goniometer" and settings.goniometer.table)  # a table has no photographs
-    frames = attempt(lambda: read_frames(_table_of(payload), geometry=geometry)) if listed else ()
+    frames: tuple[Frame, ...] | None = ()
+    if listed:
+        table = payload / "frames.csv"
+        if table.is_symlink():  # it must lie in the folder itself
+            table = attempt(lambda: inside(payload, "frames.csv", "capture folder"))
+        frames = attempt(lambda: read_frames(table, geometry=geometry)) if table else None
     if settings is None:
         return None, problems
 
@@ -181,26 +193,14 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture 
     return capture, problems + list(lights.warnings)
 
 
-def _table_of(payload: Path) -> Path:
-    """frames.csv, which must lie in the folder itself where it is there."""
-    table = payload / "frames.csv"
-    return inside(payload, table.name, "capture folder") if table.is_symlink() else table
-
-
 def _illuminant(settings: Session, named: Callable, attempt: Callable) -> Curves | str | None:
     """The name of a CIE illuminant, or a curve from the file."""
     value = settings.illuminant
     if value is None or value in NAMED_ILLUMINANTS:
         return value
     if "." not in value and "/" not in value:
-
-        def refuse():
-            expected = f"a CSV file or one of {', '.join(NAMED_ILLUMINANTS)}"
-            raise CaptureError(
-                error("illuminant-unknown", "capture.yaml illuminant", "unknown", expected=expected, found=value)
-            )
-
-        return attempt(refuse)
+        where, expected = "capture.yaml illuminant", f"a CSV file or one of {', '.join(NAMED_ILLUMINANTS)}"
+        return attempt(lambda: refuse("illuminant-unknown", where, "unknown", expected=expected, found=value))
     path = named(value, "illuminant")
     return attempt(lambda: read_curves(path, label=value)) if path else None
 
@@ -215,7 +215,7 @@ def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> n
     expect_rows(len(rows), "lights", path.name, "intensities")
     if sorted(names) != sorted(("light", *channels)):
         found, expected = ",".join(names)[:80], f"light,{','.join(channels)}"
-        raise CaptureError(error("intensities-unreadable", path.name, "columns", expected=expected, found=found))
+        refuse("intensities-unreadable", path.name, "columns", expected=expected, found=found)
     table = np.full((len(lights.names), len(channels)), np.nan)
     problems = []
     for number, cells in enumerate(rows, start=2):
@@ -267,10 +267,8 @@ def _band_problems(frames: tuple[Frame, ...], channels: tuple[str, ...]) -> list
     problems = []
     for frame in frames:
         listed = {part.channel for part in frame.bands}
-        where, of = (
-            f"frames.csv row {frame.row}",
-            f"{frame.role} frame" + (f" of light '{frame.light}'" * bool(frame.light)),
-        )
+        where = f"frames.csv row {frame.row}"
+        of = f"{frame.role} frame" + (f" of light '{frame.light}'" * bool(frame.light))
         if listed and listed < set(channels):
             found = ", ".join(name for name in channels if name not in listed)
             what, remedy = f"{of} lacks a band", "Add its row to frames.csv"

@@ -1,4 +1,4 @@
-"""frames.csv: which photograph is what."""
+"""frames.csv: which photograph is what, and what captures of all geometries have in common."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 from nishiki.capture.lights import Lights, light_name
 from nishiki.capture.polariser import parse_state
-from nishiki.formats.bounds import bound
-from nishiki.formats.files import leads_out, name_fault
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
+from nishiki.capture.schema_base import Session
+from nishiki.formats.files import bound, leads_out, name_fault
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse
 from nishiki.formats.text_tables import expect_rows, label_problems, reading, table_rows
 
 ROLES = ("sample", "check", "white", "dark", "flat", "ambient")
@@ -301,15 +301,52 @@ def inside(payload: Path, file: str, where: str) -> Path:
     remedy = "Put the file into the capture folder and name it relative to capture.yaml, with forward slashes"
     fault = name_fault(file)
     if fault:
-        raise CaptureError(error("outside-folder", where, fault, found=repr(file[:200]), remedy=remedy))
+        refuse("outside-folder", where, fault, found=repr(file[:200]), remedy=remedy)
     path = payload / file
     try:
         there = path.is_file()
     except OSError as e:
         raise CaptureError(error("image-missing", where, f"'{file}' cannot be reached", found=str(e.strerror))) from e
     if not there:
-        raise CaptureError(error("image-missing", where, f"'{file}' is missing"))
+        refuse("image-missing", where, f"'{file}' is missing")
     if leads_out(path, payload):
         found = f"'{file}' leads to {os.path.realpath(path)}"
-        raise CaptureError(error("outside-folder", where, "link out of the folder", found=found, remedy=remedy))
+        refuse("outside-folder", where, "link out of the folder", found=found, remedy=remedy)
     return path
+
+
+class SourcePhotographs:
+    """Photographs of a folder that `convert` reads, of any geometry; channels: their names where a file states them."""
+
+    photographs: tuple[Path, ...]
+    channels: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of the photographs."""
+        return len(self.photographs)
+
+
+@dataclass(frozen=True)
+class Photographed:
+    """root: the folder; payload: where capture.yaml lies (root, or root/data of a sealed one); frames: every
+    photograph, in the order of frames.csv."""
+
+    root: Path
+    payload: Path
+    settings: Session
+    frames: tuple[Frame, ...]
+
+    @property
+    def geometry(self) -> str:
+        """plane, turntable or goniometer."""
+        return self.settings.geometry
+
+    @property
+    def sealed(self) -> bool:
+        """Whether the folder is a bag with the digests of all its files."""
+        return (self.root / "bagit.txt").is_file()
+
+    def frames_of(self, role: str) -> tuple[Frame, ...]:
+        """Frames of one role, in the order of the table."""
+        return tuple(f for f in self.frames if f.role == role)

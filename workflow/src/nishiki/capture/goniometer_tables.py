@@ -1,4 +1,4 @@
-"""Tables of reflectances: CSV with a column a channel, `.brdf` of Cornell, `.bin` of UTIA and `.binary` of MERL."""
+"""Tables of reflectances against angles: reading them, in every unit, and writing them as captures."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.goniometer_rules import in_radians, radians_problem
-from nishiki.formats.bounds import bound
-from nishiki.formats.merl import MERL_BYTES, merl_values, read_merl
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.formats.files import bound
+from nishiki.formats.merl import MERL_BYTES, UTIA_BYTES, merl_values, read_merl, read_utia
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading, table_lines, table_rows
-from nishiki.formats.utia import UTIA_BYTES, read_utia
 from nishiki.goniometry.directions import unit
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
@@ -44,6 +42,8 @@ MERL_VIEWS = ((0.0, 0.0), *((3.0 * k, 7.5 * step) for k in range(1, 27) for step
 SHOWN = 5  # wrong rows told of one kind
 MOST_PROBLEMS = 20  # rows that cannot be read, before reading stops
 Lines, Rows = Iterator[tuple[int, str]], Iterator[tuple[int, list[str]]]
+FEWEST_ANGLES = 6  # measurements whose angles together tell their unit
+LEAST_SPREAD = 0.1  # greatest theta, in whatever unit, below which angles tell nothing
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def _csv(lines: Rows, name: str, values: str) -> tuple[np.ndarray, tuple[str, ..
     if missing or not channels or len(set(heading)) != len(heading) or "" in heading:
         expected, found = f"{', '.join(ANGLES)} and one column a channel, each once", ", ".join(heading)[:80]
         remedy = "Name the columns in the first line"
-        raise CaptureError(error("table-columns", name, "columns", expected=expected, found=found, remedy=remedy))
+        refuse("table-columns", name, "columns", expected=expected, found=found, remedy=remedy)
     _expect_reflectances(channels, name, values)
     order = [heading.index(column) for column in (*ANGLES, *channels)]
     numbers, places, problems = array("d"), array("q"), []
@@ -199,9 +199,7 @@ def _expect_reflectances(channels: tuple[str, ...], name: str, values: str) -> N
     remedy = "Keep the four angles and the columns in 1/sr (a radiance factor is pi times as much); delete the others"
     if set(held) == {RADIANCE_FACTOR}:
         remedy = "Convert it with --values radiance_factor, or radiance_factor_percent where a white has 100"
-    raise CaptureError(
-        error("table-quantities", name, what, expected="channels in 1/sr alone", found=found, remedy=remedy)
-    )
+    refuse("table-quantities", name, what, expected="channels in 1/sr alone", found=found, remedy=remedy)
 
 
 def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array, list[Problem]]:
@@ -224,9 +222,7 @@ def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], arra
     if len(rest) % wide:
         expected, found = f"rows of {wide} numbers", f"{len(rest) % wide} numbers in the last"
         remedy = "Copy the file again from where it came"
-        raise CaptureError(
-            error("table-unreadable", name, "table ends early", expected=expected, found=found, remedy=remedy)
-        )
+        refuse("table-unreadable", name, "table ends early", expected=expected, found=found, remedy=remedy)
     rows = rest.reshape(-1, wide).copy()
     rows[:, :4] = np.degrees(rows[:, :4])
     return rows, tuple(f"{nm:g} nm" for nm in values[1 : 1 + count]), places[1 + count :: wide], []
@@ -259,7 +255,7 @@ def _checked(
 ) -> ReflectanceTable:
     """The table, if it has rows of possible angles and finite values."""
     if not len(rows):
-        raise CaptureError(error("table-empty", name, "no reflectances in it", remedy="Add a row for each measurement"))
+        refuse("table-empty", name, "no reflectances in it", remedy="Add a row for each measurement")
     theta, phi, values = rows[:, [0, 2]], rows[:, [1, 3]], rows[:, 4:]
     # angles that come from radians may pass 90 degrees by rounding
     possible = (np.isfinite(theta) & (theta >= 0) & (theta < 90) & (np.abs(phi) <= 360)).all(axis=1)
@@ -274,8 +270,22 @@ def _checked(
     raise_errors(problems)
     dark = int((values <= 0).any(axis=1).sum())
     if dark == len(rows):
-        raise CaptureError(error("table-value", name, "no row has values above 0 in all its channels"))
+        refuse("table-value", name, "no row has values above 0 in all its channels")
     if dark:
         what = "rows with values of 0 or below are not used"
         notes.append(warning("table-dark", name, what, found=f"{dark} of {len(rows)}"))
     return ReflectanceTable(rows[:, :2], rows[:, 2:4], values, channels, tuple(notes))
+
+
+def in_radians(angles: np.ndarray) -> bool:
+    """Whether angles (n, 4) theta_i, phi_i, theta_r, phi_r of some measurements are radians: none is above pi / 2 for
+    theta and 2 pi for phi, which in degrees would all be views along the normal."""
+    theta, phi = np.abs(angles[:, [0, 2]]), np.abs(angles[:, [1, 3]])
+    within = (theta <= np.pi / 2 + 1e-3).all() and (phi <= 2 * np.pi + 1e-3).all()
+    return bool(within and len(angles) >= FEWEST_ANGLES and theta.max() > LEAST_SPREAD)
+
+
+def radians_problem(file: str, remedy: str) -> Problem:
+    """angles-radians, for angles named in degrees of which none is above a turn in radians."""
+    what, expected = "the angles are radians: no theta is above pi / 2, no phi above 2 pi", "degrees"
+    return error("angles-radians", file, what, expected=expected, remedy=remedy)

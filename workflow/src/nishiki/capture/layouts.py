@@ -13,25 +13,22 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
-from nishiki.capture.bands import find_bands
-from nishiki.capture.frames import inside
+from nishiki.capture.frames import SourcePhotographs, inside
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
 from nishiki.capture.lights_evidence import sample_photographs
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.photographed import SourcePhotographs
-from nishiki.capture.relight_files import CROPPED, find_relight, is_relight, read_relight
-from nishiki.capture.rtibuilder import RtiProject
+from nishiki.capture.pairing import find_bands
+from nishiki.capture.rti_projects import CROPPED, RtiProject, find_relight, is_relight, read_relight
 from nishiki.capture.spheres.optics import direction_from_sphere, mean_direction
 from nishiki.capture.stated_lights import StatedLights, decide, decide_strengths, read_lights_file, scale_to_middle
-from nishiki.formats.bounds import bound
-from nishiki.formats.files import NAME_BYTES, files_with, is_plain, leads_out, read_text, same_name
-from nishiki.formats.image_header import IMAGE_SUFFIXES
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.capture.taking import read_grey
+from nishiki.formats.files import NAME_BYTES, bound, files_with, is_plain, leads_out, read_text, same_name
+from nishiki.formats.images import read_header
+from nishiki.formats.picture_files import IMAGE_SUFFIXES
+from nishiki.formats.problems import CaptureError, Problem, error, expect_one, raise_errors, refuse, warning
 from nishiki.formats.relight import INFO, LAYERS, is_relight_folder
+from nishiki.formats.relight_planes import TILE, is_web_rti
 from nishiki.formats.text_tables import expect_rows, reading, table_lines
-from nishiki.formats.webrti import TILE, is_web_rti
 
 MASK_WORD = re.compile(r"(^|[._\- ])mask([._\- ]|$)", re.IGNORECASE)
 MASK_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr")
@@ -39,7 +36,6 @@ UNREAD_SUFFIXES = frozenset(".tga .bmp .webp .gif .heic .heif .jp2 .ppm .pgm .pn
 PROBE_DATA = "circle_data.txt"
 DIRECTIONS = "light_directions.txt"
 RELIGHTABLE = (".ptm", ".rti")
-LUMA = np.array([0.299, 0.587, 0.114])
 DISAGREEMENT = np.radians(3.0)
 
 
@@ -115,7 +111,7 @@ def _refuse_unread(folder: Path) -> None:
         suffix = os.path.splitext(unread[0])[1]
         remedy = f"Convert them to PNG without changing size or values (ImageMagick: mogrify -format png *{suffix})"
         what = "these pictures are of a format that is not read"
-        raise CaptureError(error("image-unsupported", str(folder), what, expected=expected, found=found, remedy=remedy))
+        refuse("image-unsupported", str(folder), what, expected=expected, found=found, remedy=remedy)
 
 
 def source_problems(path: Path, folder: Path) -> list[Problem]:
@@ -136,11 +132,7 @@ def find_lights_file(source: Path, options: ConvertOptions) -> Path | None:
     (layout-unknown) where there are several.
     """
     listed = files_with(source, (".lp",))
-    if options.lights_file is None and len(listed) > 1:
-        found = ", ".join(p.name for p in listed)
-        what, remedy = "several .lp files", "Name one: --lights FILE"
-        raise CaptureError(error("layout-unknown", str(source), what, found=found, remedy=remedy))
-    file = options.lights_file or (listed[0] if listed else None)
+    file = options.lights_file or expect_one(listed, source, "several .lp files", "Name one: --lights FILE")
     if file is None and not (source / DIRECTIONS).is_file():
         file = find_relight(source)
     rendered = is_relight_folder(source) or is_web_rti(source) or files_with(source, RELIGHTABLE)
@@ -198,7 +190,7 @@ def read_rtibuilder(source: Path, project: RtiProject, options: ConvertOptions) 
     lights = stated.lights
     if all(file is None for file in lights.files):
         what, remedy = "the lights file names no photographs", "Convert the folder of photographs with --lights"
-        raise CaptureError(error("layout-unknown", lights_file.name, what, remedy=remedy))
+        refuse("layout-unknown", lights_file.name, what, remedy=remedy)
     folder = project.photographs(lights)
     layout = _with_lights(folder, stated, lights_file, options.mask or find_mask(source) or find_mask(folder))
     layout = _settled(layout, stated, lights_file, options)
@@ -267,7 +259,7 @@ def _folder_named(source: Path, lights: Lights, file: Path) -> Path:
     if ".." in place.parts and (source / place).is_dir():
         what, there = "the photographs lie outside of the folder of their lights", (source / place).resolve()
         remedy = f"Convert their folder: ./nishiki convert {shlex.join([str(there), 'CAPTURE', '--lights', str(file)])}"
-        raise CaptureError(error("photograph-missing", str(source), what, found=str(there), remedy=remedy))
+        refuse("photograph-missing", str(source), what, found=str(there), remedy=remedy)
     found = [
         path
         for path in sorted(source.iterdir())
@@ -299,9 +291,7 @@ def read_diligent(source: Path, directions: Path, options: ConvertOptions) -> La
             raise CaptureError(error("intensities-unreadable", scales.name, "not a table of numbers")) from e
         if len(intensities) != len(present) or not (np.isfinite(intensities) & (intensities > 0)).all():
             expected = f"{len(present)} rows of numbers above 0"
-            raise CaptureError(
-                error("intensities-invalid", scales.name, "table", expected=expected, found=f"{intensities.shape}")
-            )
+            refuse("intensities-invalid", scales.name, "table", expected=expected, found=f"{intensities.shape}")
     layout = _in_order(source, present, bare, intensities, mask, "DiLiGenT")
     if names.is_file():
         return Layout(layout.name, layout.photographs, layout.lights, intensities, mask, bare.warnings)
@@ -316,7 +306,7 @@ def read_with_spheres(source: Path, probes: list[Path], options: ConvertOptions)
     objects = [pictures for pictures in map(photographs_in, folders) if pictures]
     if len(objects) != 1:
         what = "exactly one folder of photographs is expected beside the mirror spheres"
-        raise CaptureError(error("layout-unknown", str(source), what, found=f"{len(objects)}"))
+        refuse("layout-unknown", str(source), what, found=f"{len(objects)}")
     photographs = objects[0]
     spheres = []
     for probe in probes:
@@ -347,7 +337,7 @@ def _circle(probe: Path) -> tuple[float, float, float]:
     if not all(map(math.isfinite, (column, row, radius))) or not 1 <= radius <= bound("image_side"):
         found = f"{column:g}, {row:g}, {radius:g}"
         expected = "finite column and row, a radius of at least 1 pixel"
-        raise CaptureError(error("probe-unreadable", file, "circle", expected=expected, found=found))
+        refuse("probe-unreadable", file, "circle", expected=expected, found=found)
     return row, column - 1, radius
 
 
@@ -356,22 +346,15 @@ def _towards_lamp(path: Path, height: float, column: float, radius: float) -> np
 
     height : of the sphere's centre above the lower edge of the picture, in pixels (the lowest row is 1).
     """
-    picture = _grey(path)
+    picture = read_grey(path).astype(np.float64)
     row = len(picture) - height
     if not (0 <= row < picture.shape[0] and 0 <= column < picture.shape[1]):
         found, expected = f"row {row:g}, column {column:g}", f"within {picture.shape[0]} x {picture.shape[1]}"
-        raise CaptureError(error("probe-unreadable", path.name, "mirror sphere", expected=expected, found=found))
+        refuse("probe-unreadable", path.name, "mirror sphere", expected=expected, found=found)
     try:
         return direction_from_sphere(picture, (row, column), radius)
     except ValueError as e:
         raise CaptureError(error("probe-unreadable", path.name, "mirror sphere", found=str(e))) from e
-
-
-def _grey(path: Path) -> np.ndarray:
-    header = read_header(path)
-    names = ("grey",) if header.channels < 3 else ("red", "green", "blue")
-    codes = read_codes(path, names, header=header).astype(np.float64)
-    return codes[..., 0] if len(names) == 1 else codes @ LUMA
 
 
 def _in_order(
@@ -396,6 +379,4 @@ def _expect_count(source: Path, present: list[Path], count: int) -> None:
     if len(present) != count:
         expected, found = f"{count}, one a light", f"{len(present)}"
         remedy = "Move other pictures away, or name the photographs in the lights file"
-        raise CaptureError(
-            error("photographs-count", str(source), "photographs", expected=expected, found=found, remedy=remedy)
-        )
+        refuse("photographs-count", str(source), "photographs", expected=expected, found=found, remedy=remedy)

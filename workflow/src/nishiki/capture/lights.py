@@ -8,7 +8,6 @@ are not of unit length, byte-order marks and blank lines. All are read; what can
 from __future__ import annotations
 
 import codecs
-import csv
 import io
 import math
 import re
@@ -20,10 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.formats.bounds import bound
-from nishiki.formats.files import read_bytes
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
-from nishiki.formats.text_tables import expect_rows, label_problems, reading
+from nishiki.formats.files import bound, read_bytes
+from nishiki.formats.problems import Problem, error, raise_errors, refuse, warning
+from nishiki.formats.text_tables import cells_of, expect_rows, label_problems, reading
 
 IMAGE_SUFFIX = re.compile(r"\.(png|tiff?|jpe?g|exr|bmp|dng|cr[23w]|nef|arw|raf|orf|rw2|pef|srw|tga)$", re.IGNORECASE)
 COPLANAR_RATIO = 1e-3  # smallest / largest singular value of the direction matrix
@@ -68,7 +66,7 @@ def read_lights(path: Path, *, kind: str = "direction", frontal: bool = True) ->
     """
     names, numbers = read_numbers(path)
     if numbers.shape[1] != 3:
-        raise CaptureError(error("lights-unreadable", path.name, f"{numbers.shape[1]} numbers a line", expected="3"))
+        refuse("lights-unreadable", path.name, f"{numbers.shape[1]} numbers a line", expected="3")
     return lights_from_vectors(names, numbers, file=path.name, kind=kind, frontal=frontal)
 
 
@@ -189,10 +187,7 @@ def rearrange(lights: Lights, order: str | None, axes: str | None) -> tuple[Ligh
         if not re.fullmatch(r"-?x,-?y|-?y,-?x", axes):
             remedy = "Write it with an equals sign where it begins with a dash: --lights-axes=-x,y"
             expected = "x,-y and the like, one of the eight ways to turn and mirror"
-            what = "not two axes"
-            raise CaptureError(
-                error("option-unusable", "lights-axes", what, expected=expected, found=axes, remedy=remedy)
-            )
+            refuse("option-unusable", "lights-axes", "not two axes", expected=expected, found=axes, remedy=remedy)
         columns = [(-1 if axis.startswith("-") else 1) * vectors[:, "xy".index(axis[-1])] for axis in axes.split(",")]
         vectors = np.column_stack([*columns, vectors[:, 2]])
     directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -210,7 +205,7 @@ def _order_of(text: str, count: int) -> np.ndarray:
         if sorted(numbers.tolist()) == places.tolist():
             return numbers
     expected = f"shift:N, reverse, or each number from 1 to {count} once, with commas between"
-    raise CaptureError(error("option-unusable", "lights-order", "not an order", expected=expected, found=text[:60]))
+    refuse("option-unusable", "lights-order", "not an order", expected=expected, found=text[:60])
 
 
 def direction_problems(directions: np.ndarray, file: str) -> list[Problem]:
@@ -239,7 +234,7 @@ def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None
         expected = "the number of lights in the first line"
         remedy = "Begin it with the number of lights; a line '[file name] x y z' for each follows"
         what = "not a .lp file"
-        raise CaptureError(error("lights-unreadable", file, what, expected=expected, found=found, remedy=remedy))
+        refuse("lights-unreadable", file, what, expected=expected, found=found, remedy=remedy)
     parsed = [_parse_line(line) for _, line in lines]
     problems = []
     for (number, line), each in zip(lines, parsed, strict=True):
@@ -258,7 +253,7 @@ def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None
     rows = [each[1] for each in parsed if each]
     if any(n is None for n in names) and any(n is not None for n in names):
         what, remedy = "some lines have a file name and some have none", "Name the photograph in every line, or in none"
-        raise CaptureError(error("lights-unreadable", file, what, remedy=remedy))
+        refuse("lights-unreadable", file, what, remedy=remedy)
     if len({len(row) for row in rows}) > 1:  # names that end in numbers
         rows = [row[-3:] for row in rows]
     return names, rows
@@ -316,27 +311,25 @@ def _name_before(line: str, tokens: list[str], start: int) -> str | None:
 
 def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[str | None], list[list[float]]]:
     """lights.csv: light,x,y,z or light,azimuth_deg,polar_deg (azimuth from x towards y; polar from the normal)."""
-    rows = csv.DictReader(line for _, line in _kept(text))
-    columns = [c.strip() for c in rows.fieldnames or []]
-    rows.fieldnames = columns
+    rows = cells_of(_kept(text))
+    columns = next(rows, (0, []))[1]
     cartesian, angular = ["light", "x", "y", "z"], ["light", "azimuth_deg", "polar_deg"]
     if sorted(columns) not in (sorted(cartesian), sorted(angular)):
         expected = f"{','.join(cartesian)} or {','.join(angular)}"
-        found = ",".join(columns)[:80]
-        raise CaptureError(error("lights-unreadable", file, "wrong columns", expected=expected, found=found))
+        refuse("lights-unreadable", file, "wrong columns", expected=expected, found=",".join(columns)[:80])
     names, vectors, problems = [], [], []
-    for i, row in enumerate(islice(rows, bound("lights") + 1), start=2):
-        keys = cartesian[1:] if "x" in columns else angular[1:]
-        values = [_number((row[k] or "").strip()) for k in keys]
+    for number, cells in islice(rows, bound("lights") + 1):
+        row = dict(zip(columns, cells, strict=False))
+        values = [_number(row.get(key, "")) for key in (cartesian if "x" in columns else angular)[1:]]
         if (
-            None in row
-            or not (row["light"] or "").strip()
+            len(cells) != len(columns)
+            or not row["light"]
             or not all(v is not None and math.isfinite(v) for v in values)
         ):
-            found = ",".join(str(v) for v in row.values())[:60]
-            problems.append(error("lights-unreadable", f"{file} line {i}", "row cannot be read", found=found))
+            found = ",".join(cells)[:60]
+            problems.append(error("lights-unreadable", f"{file} line {number}", "row cannot be read", found=found))
             continue
-        names.append(row["light"].strip())
+        names.append(row["light"])
         vectors.append(values if len(values) == 3 else from_angles(*np.radians(values)).tolist())
     raise_errors(problems)
     return names, vectors

@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.formats.coarse_pictures import read_coarse
 from nishiki.formats.exif import Exif
-from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_coarse, read_header
 from nishiki.photometric.consistency import SURE, fit_lambert, none_where_undetermined, spread_pixels
 from nishiki.photometric.near_lamps import NearLamps, measure_width
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from nishiki.capture.goniometer_schema import Azimuths, Values
-from nishiki.formats.problems import CaptureError, Problem, error
+from nishiki.capture.goniometer import Azimuths, Values
+from nishiki.formats.problems import CaptureError, Problem, error, refuse
 
 FLAGS = {
     "lights_file": "lights",
@@ -103,14 +103,13 @@ class ConvertOptions:
             problem = error("option-unusable", "lights-kind", "no such kind", expected=expected, found=self.lights_kind)
             raise CaptureError(problem)
         if self.width_mm is not None and not 0 < self.width_mm < 1e9:
-            found = f"{self.width_mm:g}"
-            raise CaptureError(error("option-unusable", "width-mm", "no width", expected="millimetres", found=found))
+            refuse("option-unusable", "width-mm", "no width", expected="millimetres", found=f"{self.width_mm:g}")
 
     def refuse(self, remedy: str, *fields: str) -> None:
         """Raise CaptureError (option-unusable) where one of these fields, which mean nothing to a layout, is given."""
         given = [FLAGS.get(field, field) for field in fields if getattr(self, field)]
         if given:
-            raise CaptureError(error("option-unusable", ", ".join(given), "cannot be used here", remedy=remedy))
+            refuse("option-unusable", ", ".join(given), "cannot be used here", remedy=remedy)
 
 
 def folder_problems(**given: Path | None) -> list[Problem]:

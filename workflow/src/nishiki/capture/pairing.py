@@ -1,19 +1,29 @@
-"""One rule for which picture of a second folder (white boards, silhouettes) belongs to which photograph.
+"""Which files belong together: photographs and their masks or boards by name, files of one band each by lamp.
 
 Pictures belong together by the part of their names that varies: what all names of a folder begin or end with is left
 out of account (`painting_L1`, `painting_H1` and `board_L1`, `board_H1` give `L1` and `H1` in both folders), as are
 capitals and leading zeros. Two running counts that never meet (`DSC0041 ...` and `DSC0101 ...`) hold no such part:
 there the order is all that is known, and a warning lists the pairs. Anything else is refused.
+
+A band is told by a wavelength (`lamp03_450nm.tif`, `450/lamp03.tif`), a colour (`L3_blue.png`) or a number of a filter
+(`L3_band2.tif`). What is left of the name is the lamp's.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
-from nishiki.formats.problems import CaptureError, Problem, error, left_out, name_some, warning
+import numpy as np
+
+from nishiki.capture.lights import Lights, lights_from_vectors
+from nishiki.formats.files import same_name
+from nishiki.formats.images import read_header
+from nishiki.formats.problems import Problem, error, left_out, name_some, raise_errors, refuse, warning
 
 Token = str | int
 
@@ -42,7 +52,7 @@ def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: s
     if len(parts) != len(present):
         expected, found = f"{len(photographs)}, one a photograph", f"{len(others)}"
         remedy = f"Name the {what} as the photographs, or move the others away"
-        raise CaptureError(error("pairing-count", folder, what, expected=expected, found=found, remedy=remedy))
+        refuse("pairing-count", folder, what, expected=expected, found=found, remedy=remedy)
     by_part = dict(zip(present, others, strict=True))
     if set(parts) == set(present):
         return Pairing(tuple(by_part[part] for part in parts))
@@ -60,7 +70,7 @@ def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: s
     )
     found = f"no partner for {name_some(lacking)}; {name_some(strange)} fit no photograph"
     summary = f"{what} cannot be paired with the photographs by name"
-    raise CaptureError(error("pairing-unmatched", folder, summary, found=found, remedy=remedy))
+    refuse("pairing-unmatched", folder, summary, found=found, remedy=remedy)
 
 
 def names_apart(paths: Sequence[Path], folder: str) -> list[tuple[Token, ...]]:
@@ -71,8 +81,7 @@ def names_apart(paths: Sequence[Path], folder: str) -> list[tuple[Token, ...]]:
         if name in first:
             remedy = "Rename one, or move it away; names must differ in more than suffix, capitals and leading zeros"
             found = f"{first[name].name}, {path.name}"
-            what = "two pictures of the same name"
-            raise CaptureError(error("pairing-ambiguous", folder, what, found=found, remedy=remedy))
+            refuse("pairing-ambiguous", folder, "two pictures of the same name", found=found, remedy=remedy)
         first[name] = path
     return varying_parts(names)
 
@@ -106,3 +115,181 @@ def _in_order(photographs: Sequence[Path], chosen: Sequence[Path], what: str, fo
     summary = f"{what} have running numbers of their own: paired with the photographs in the order of the numbers"
     remedy = f"If a pair is wrong, name the {what} as the photographs and convert again"
     return warning("paired-in-order", folder, summary, found=pairs, remedy=remedy)
+
+
+COLOURS = "uv ultraviolet violet royalblue blue cyan green lime yellow amber orange red".split()
+COLOURS += "deepred farred nir ir infrared".split()
+"""Names of bands, from short to long wavelengths."""
+LETTERS = {"b": "blue", "g": "green", "r": "red"}
+SHORTEST_NM, LONGEST_NM = 200, 2500
+SAME_DIRECTION = np.cos(np.radians(0.1))
+LEAST_SHARE = 0.5  # of the files of all lamps in all bands that must be there before any are called missing
+PREFIX = r"(?:(?<![a-z])(?:f|wl?|led|lambda|filter|band)[ _-]?)?"
+PATTERNS = (
+    PREFIX + r"(?<![0-9])(?P<nm>[0-9]{3,4})[ _-]?nm(?![a-z])",
+    r"(?<![a-z])(?P<colour>(?:royal|deep|far)[ _-]?(?:blue|red)|" + "|".join(COLOURS) + r")(?![a-z])",
+    r"(?<![a-z])(?P<filter>(?:band|filter|ch|channel)[ _-]?[0-9]{1,2})(?![0-9])",
+    r"(?<![0-9a-z])(?P<letter>[rgb])(?![0-9a-z])",
+    PREFIX + r"(?<![0-9])(?P<nm>[2-9][0-9]{2}|1[0-9]{3})(?![0-9])",
+)
+
+
+@dataclass(frozen=True)
+class BandFiles:
+    """channels: names of the bands in order; files: by lamp, in natural order, the file of each channel that it has."""
+
+    channels: tuple[str, ...]
+    files: dict[str, dict[str, Path]]
+
+
+@dataclass(frozen=True)
+class BandedPhotographs:
+    """files[i][k] is channel k under lights.names[i]; warnings: what was assumed, and what was left out."""
+
+    lights: Lights
+    channels: tuple[str, ...]
+    files: tuple[tuple[Path, ...], ...]
+    warnings: tuple[Problem, ...]
+
+
+def sort_bands(folder: Path, pictures: Callable[[Path], list[Path]]) -> list[BandFiles]:
+    """Sort the pictures of a folder, or of the folders in it, by lamp and band; one result for each way to read them.
+
+    pictures: function that lists the pictures of a folder in natural order.
+    """
+    named = {path: path.relative_to(folder).with_suffix("").as_posix() for path in _all_pictures(folder, pictures)}
+    readings = []
+    for pattern, place in product(PATTERNS, (-1, 0)):
+        files: dict[str, dict[str, Path]] = {}
+        for path, name in named.items():
+            lamp, band = _split_name(name, pattern, place)
+            if band:
+                files.setdefault(lamp, {}).setdefault(band, path)
+        channels = sorted({band for bands in files.values() for band in bands}, key=_band_key)
+        if set(channels) == {"red", "green", "blue"}:
+            channels.reverse()
+        if len(channels) > 1:
+            readings.append(BandFiles(tuple(channels), files))
+    return readings
+
+
+def find_bands(
+    source: Path, lights: Lights, pictures: Callable[[Path], list[Path]], *, kind: str = "direction"
+) -> BandedPhotographs | None:
+    """Find the bands of each lamp's photograph; None where the folder holds one photograph a lamp.
+
+    pictures: function that lists the pictures of a folder in natural order; kind: of the lights' vectors.
+    Raises CaptureError (band-missing, band-channels) where a lamp lacks a band, or a file has several channels.
+    """
+    for sorted_files in sort_bands(source, pictures):
+        lamps = _match_lamps(sorted_files, lights, kind)
+        if lamps is None:
+            continue
+        chosen, kept = lamps
+        table = [sorted_files.files.get(lamp, {}) for lamp in kept]
+        share = sum(map(len, table)) / (len(table) * len(sorted_files.channels))
+        if share >= LEAST_SHARE:
+            files = complete_bands(sorted_files.channels, dict(zip(kept, table, strict=True)), str(source))
+            named = sorted({path for bands in files for path in bands})
+            notes = [_say_bands(source, sorted_files.channels, files)]
+            left = [path.name for path in _all_pictures(source, pictures) if path not in set(named)]
+            if left:
+                what = "pictures of no lamp and band were left out"
+                notes.append(warning("photograph-unlisted", str(source), what, found=", ".join(left[:5])))
+            return BandedPhotographs(chosen, sorted_files.channels, files, (*chosen.warnings, *notes))
+    return None
+
+
+def complete_bands(
+    channels: Sequence[str], files: dict[str, dict[str, Path]], folder: str
+) -> tuple[tuple[Path, ...], ...]:
+    """The files (lamps, channels). CaptureError: band-missing for each lamp that lacks one, band-channels."""
+    remedy = "Put the file there, or take the lamp out of the lights file"
+    lacking = {lamp: [name for name in channels if name not in bands] for lamp, bands in files.items()}
+    problems = [
+        error("band-missing", folder, f"lamp '{lamp}' has no photograph in {', '.join(names)}", remedy=remedy)
+        for lamp, names in lacking.items()
+        if names
+    ]
+    for path in (path for bands in files.values() for path in bands.values()):
+        header = read_header(path)
+        if header.channels - header.alpha != 1:
+            what = "a file of one band has one channel"
+            remedy = "Save it as a grey picture, without changing its values"
+            found = f"{header.channels - header.alpha}"
+            problems.append(error("band-channels", path.name, what, expected="1", found=found, remedy=remedy))
+    raise_errors(problems)
+    return tuple(tuple(bands[channel] for channel in channels) for bands in files.values())
+
+
+def _all_pictures(source: Path, pictures: Callable[[Path], list[Path]]) -> list[Path]:
+    """Pictures of a folder; where it has none, those of the folders in it."""
+    inner = sorted(path for path in source.iterdir() if path.is_dir())
+    return pictures(source) or [path for folder in inner for path in pictures(folder)]
+
+
+def _split_name(name: str, pattern: str, place: int = -1) -> tuple[str, str]:
+    """The lamp's and the band's part of a name, told last or (place 0) first; the band is empty where there is none."""
+    found = list(re.finditer(pattern, name, re.IGNORECASE))
+    if not found:
+        return _tidied(name), ""
+    match = found[place]
+    groups = match.groupdict()
+    band = re.sub(r"[ _-]", "", match[0]).lower()
+    if groups.get("nm"):
+        number = int(groups["nm"])
+        band = f"{number}nm" if SHORTEST_NM <= number <= LONGEST_NM else ""
+    band = LETTERS.get(band, band)
+    return _tidied(name[: match.start()] + "/" + name[match.end() :]), band
+
+
+def _tidied(name: str) -> str:
+    """A name without the separators that a band leaves behind."""
+    parts = [part.strip("_-. ") for part in re.split(r"[/\\]", name)]
+    return "_".join(part for part in parts if part)
+
+
+def _band_key(band: str) -> tuple[int, int, str]:
+    """Wavelengths and filters by their number, colours from short to long wavelengths."""
+    number = re.search(r"[0-9]+", band)
+    return (0, int(number[0]), band) if number else (1, COLOURS.index(band) if band in COLOURS else 0, band)
+
+
+def _match_lamps(sorted_files: BandFiles, lights: Lights, kind: str) -> tuple[Lights, list[str]] | None:
+    """The lights, and the lamp of `sorted_files` of each; None where they do not belong together.
+
+    Lights that name each file of a lamp are one light, where their directions agree.
+    """
+    count = sum(map(len, sorted_files.files.values()))
+    lamps = list(sorted_files.files)
+    if all(file is None for file in lights.files):
+        if len(lamps) != len(lights.names) or count == len(lamps):
+            return None
+        named = lights_from_vectors(lamps, lights.vectors, file="lights", kind=kind, frontal=False)
+        return named, lamps
+    by_name = {same_name(lamp): lamp for lamp in lamps}
+    matched = [_lamp_of(name, by_name) for name in lights.names]
+    if max(Counter(filter(None, matched)).values(), default=2) == 1:  # a lamp without any file is called missing
+        kept = [lamp or light for lamp, light in zip(matched, lights.names, strict=True)]
+        return (lights, kept) if count > len(lamps) else None
+    if None in matched:
+        return None
+    first = {lamp: matched.index(lamp) for lamp in matched}
+    same = [lights.directions[i] @ lights.directions[first[lamp]] for i, lamp in enumerate(matched)]
+    if min(same) < SAME_DIRECTION or len(first) < 2:
+        return None
+    vectors = lights.vectors[list(first.values())]
+    return lights_from_vectors(list(first), vectors, file="lights", kind=kind, frontal=False), list(first)
+
+
+def _lamp_of(light: str, by_name: dict[str, str]) -> str | None:
+    """The lamp of a light, which is called as the lamp or as one of its files."""
+    names = [_tidied(light), *(_split_name(light, pattern)[0] for pattern in PATTERNS)]
+    return next((by_name[same_name(name)] for name in names if same_name(name) in by_name), None)
+
+
+def _say_bands(source: Path, channels: Sequence[str], files: Sequence[Sequence[Path]]) -> Problem:
+    example = ", ".join(path.relative_to(source).as_posix() for path in files[0][:3])
+    what = f"the photographs are taken for {len(channels)} bands of {len(files)} lamps: {', '.join(channels)}"
+    remedy = "If that is wrong, list the files in frames.csv by hand"
+    return warning("bands-assumed", source.name, what, found=f"{example} of one lamp", remedy=remedy)

@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from nishiki.formats.coarse_pictures import read_coarse
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.images import read_coarse
+from nishiki.formats.problems import Problem, error, refuse, warning
 from nishiki.polarisation.series_order import fits_by_chance, series_design
 
 Kind = Literal["none", "circular", "linear", "generator"]
@@ -54,9 +54,7 @@ def parse_state(text: str, where: str = "polariser") -> State:
     near = difflib.get_close_matches(text.casefold(), ("off", "on"), n=1, cutoff=0.6)
     remedy = f"Did you mean '{near[0]}'?" if near else "Angles are in degrees, at most 360"
     expected = "empty, off, on, an analyser angle (45), or generator/analyser angles (0/90)"
-    raise CaptureError(
-        error("polariser-unknown", where, "polariser state", expected=expected, found=repr(text), remedy=remedy)
-    )
+    refuse("polariser-unknown", where, "polariser state", expected=expected, found=repr(text), remedy=remedy)
 
 
 def kind_of(states: tuple[str, ...]) -> Kind:
@@ -92,12 +90,12 @@ def state_warnings(photographs: Sequence[Path], states: Sequence[str], source: s
     values = [read_coarse(path, COARSE, "linear") for path in photographs]
     if len({value.shape for value in values}) > 1:
         what = "named as states of one view, but of different sizes"
-        raise CaptureError(error("states-contradicted", source, what, remedy=NO_SERIES))
+        refuse("states-contradicted", source, what, remedy=NO_SERIES)
     stack = np.array([value.ravel() for value in values])
     varied = stack[stack.std(axis=1) > 0]
     if len(varied) > 1 and (alike := float(np.median(np.corrcoef(varied)))) < LEAST_ALIKE:
         what, found = "named as states of one view, but they show different things", f"correlation {alike:.2f}"
-        raise CaptureError(error("states-contradicted", source, what, found=found, remedy=NO_SERIES))
+        refuse("states-contradicted", source, what, found=found, remedy=NO_SERIES)
     if not fits_by_chance(stack, series_design(np.array([parse_state(state).angles_deg for state in states]))):
         return []
     what = "the photographs do not vary with these angles as light behind polarisers does"

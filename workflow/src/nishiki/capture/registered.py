@@ -14,11 +14,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from nishiki.capture.turntable_schema import Intrinsics
+from nishiki.capture.turntable_rules import Intrinsics
 from nishiki.formats.files import same_name, walk
-from nishiki.formats.image_header import IMAGE_SUFFIXES
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.images import read_header
+from nishiki.formats.picture_files import IMAGE_SUFFIXES
+from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
 from nishiki.formats.text_tables import reading
 from nishiki.geometry.camera import Camera, point_in_sight
 
@@ -95,7 +95,7 @@ class Pictures:
         if len(best) > 1:
             found = ", ".join(str(path.relative_to(self.folder)) for path in best[:3])
             what, remedy = f"several pictures may be the photograph '{name}'", "Move the others out of the folder"
-            raise CaptureError(error("photograph-ambiguous", str(self.folder), what, found=found, remedy=remedy))
+            refuse("photograph-ambiguous", str(self.folder), what, found=found, remedy=remedy)
         return best[0] if best else None
 
     def paths(self, names: Sequence[str], file: str) -> list[Path]:

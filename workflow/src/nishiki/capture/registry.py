@@ -1,4 +1,4 @@
-"""One registry of folder layouts: what each is recognised by, and what reads it.
+"""One registry of folder layouts: what each is recognised by, and what reads it; and what a folder of folders holds.
 
 A further layout is one entry here and one module with its two functions. The first entry whose `matches` returns
 evidence is read, so that lamps come before cameras, and photographs before what was computed from them.
@@ -6,15 +6,14 @@ evidence is read, so that lamps come before cameras, and photographs before what
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from nishiki.capture.balls import find_photographs, read_with_balls
-from nishiki.capture.bundler import bundler_file, read_bundler
-from nishiki.capture.colmap import colmap_folder, read_colmap
-from nishiki.capture.goniometer_convert import MeasuredTable, read_measurements, recognise_table
+from nishiki.capture.colmap import colmap_folder, read_colmap, read_transforms, transforms_file
+from nishiki.capture.layout_writers import MeasuredTable, read_measurements, recognise_table
 from nishiki.capture.layouts import (
     DIRECTIONS,
     Layout,
@@ -25,12 +24,17 @@ from nishiki.capture.layouts import (
     read_with_lights_file,
     read_with_spheres,
 )
-from nishiki.capture.meshroom import meshroom_file, read_meshroom
-from nishiki.capture.metashape import metashape_file, read_metashape
 from nishiki.capture.options import ConvertOptions
+from nishiki.capture.photogrammetry import (
+    bundler_file,
+    meshroom_file,
+    metashape_file,
+    read_bundler,
+    read_meshroom,
+    read_metashape,
+)
 from nishiki.capture.relightable import Rendering, read_relightable, recognise_relightable
-from nishiki.capture.rtibuilder import RtiProject
-from nishiki.capture.transforms import read_transforms, transforms_file
+from nishiki.capture.rti_projects import RtiProject
 from nishiki.capture.turntable_layouts import (
     RoundLayout,
     cameras_of,
@@ -41,7 +45,9 @@ from nishiki.capture.turntable_layouts import (
     read_numbered,
     read_series,
 )
-from nishiki.formats.problems import CaptureError, error
+from nishiki.formats.files import Refused, bound, files_with, leads_out
+from nishiki.formats.picture_files import IMAGE_SUFFIXES
+from nishiki.formats.problems import CaptureError, refuse
 
 UNKNOWN = "no lamps found, nor cameras"
 SourceLayout = Layout | RoundLayout | Rendering | MeasuredTable
@@ -75,6 +81,20 @@ class FolderLayout:
     files: bool = False
 
 
+CAMERAS: tuple[tuple[str, str, Callable, Callable], ...] = (
+    ("COLMAP", "cameras of COLMAP (cameras and images, .txt or .bin)", colmap_folder, read_colmap),
+    ("Meshroom", "cameras of Meshroom (cameras.sfm)", meshroom_file, read_meshroom),
+    (
+        "transforms.json",
+        "cameras of Blender, nerfstudio or another NeRF program (transforms.json)",
+        transforms_file,
+        read_transforms,
+    ),
+    ("Metashape", "cameras of Metashape (.xml)", metashape_file, read_metashape),
+    ("Bundler", "cameras of Bundler (bundle.out with list.txt)", bundler_file, read_bundler),
+)
+"""Programs whose cameras are read: name, signs, what finds their file or folder, and what reads it."""
+
 LAYOUTS = (
     FolderLayout(
         "RTIBuilder project",
@@ -95,36 +115,7 @@ LAYOUTS = (
         read_diligent,
     ),
     FolderLayout("mirror spheres", "folders of mirror spheres with circle_data.txt", find_spheres, read_with_spheres),
-    FolderLayout(
-        "cameras of COLMAP",
-        "cameras of COLMAP (cameras and images, .txt or .bin)",
-        lambda source, options: colmap_folder(source),
-        cameras_of("COLMAP", lambda folder, pictures: read_colmap(folder)),
-    ),
-    FolderLayout(
-        "cameras of Meshroom",
-        "cameras of Meshroom (cameras.sfm)",
-        lambda source, options: meshroom_file(source),
-        cameras_of("Meshroom", lambda file, pictures: read_meshroom(file)),
-    ),
-    FolderLayout(
-        "cameras of transforms.json",
-        "cameras of Blender, nerfstudio or another NeRF program (transforms.json)",
-        lambda source, options: transforms_file(source),
-        cameras_of("transforms.json", read_transforms),
-    ),
-    FolderLayout(
-        "cameras of Metashape",
-        "cameras of Metashape (.xml)",
-        lambda source, options: metashape_file(source),
-        cameras_of("Metashape", lambda file, pictures: read_metashape(file)),
-    ),
-    FolderLayout(
-        "cameras of Bundler",
-        "cameras of Bundler (bundle.out with list.txt)",
-        lambda source, options: bundler_file(source),
-        cameras_of("Bundler", read_bundler),
-    ),
+    *(FolderLayout(f"cameras of {name}", signs, find, cameras_of(name, read)) for name, signs, find, read in CAMERAS),
     FolderLayout("list of cameras", "a list of cameras (*_par.txt)", find_camera_list, read_middlebury),
     FolderLayout("camera matrices", "a .mat file with matrices P", find_matrices, read_numbered),
     FolderLayout("polarisation series", "photographs named GENERATOR_ANALYSER in degrees", find_states, read_series),
@@ -171,7 +162,7 @@ def read_source(source: Path, options: ConvertOptions, *, search: bool = True) -
     if not source.is_dir():
         remedy = "Name the folder of the photographs; a lights file outside of it by --lights FILE"
         what = "no folder, no table of reflectances and no relightable image" if source.exists() else "no such folder"
-        raise CaptureError(error("folder-missing", str(source), what, remedy=remedy))
+        refuse("folder-missing", str(source), what, remedy=remedy)
     photographs = LAST_RESORT.matches(source, options)  # says what is wrong with pictures that are not read
     found = None
     if photographs and search:
@@ -187,4 +178,57 @@ def read_source(source: Path, options: ConvertOptions, *, search: bool = True) -
         "these: ./nishiki calibrate spheres BALLS CALIBRATION, then --lights CALIBRATION/lamps.dome. Or write "
         "capture.yaml and frames.csv by hand (docs/capture-folder.md)"
     )
-    raise CaptureError(error("layout-unknown", str(source), UNKNOWN, expected=expected, found=found, remedy=remedy))
+    refuse("layout-unknown", str(source), UNKNOWN, expected=expected, found=found, remedy=remedy)
+
+
+NOTHING = ConvertOptions()
+
+
+class ArchiveEntry(NamedTuple):
+    """One folder or file: path relative to the archive, name of its layout, its parts in words, reason or ''."""
+
+    path: str
+    layout: str
+    parts: str
+    reason: str
+
+
+def list_archive(archive: Path) -> Iterator[ArchiveEntry]:
+    """Recognise each folder below an archive, and each file where a folder holds several that stand for themselves.
+
+    A folder that is recognised, or a capture, is not entered. `reason` says in one line why a source cannot be read.
+    """
+    pending = [(archive, 0)]
+    while pending:
+        place, depth = pending.pop()
+        inner = sorted(path for path in place.iterdir() if not path.name.startswith("."))
+        folders = [path for path in inner if path.is_dir() and not leads_out(path, archive)]
+        if any((place / part / "capture.yaml").is_file() for part in (".", "data")):
+            yield ArchiveEntry(str(place.relative_to(archive)), "capture", "", "it is a capture already")
+            continue
+        entry = _entry_of(place, archive)
+        single = [path for path in inner if path.is_file() and recognise(path, NOTHING) is not None]
+        if entry.reason and len(single) > 1:
+            yield from (_entry_of(path, archive) for path in single)
+        elif entry.layout or not folders:
+            yield entry
+        if not entry.layout and depth < bound("folder_depth"):
+            pending += [(path, depth + 1) for path in reversed(folders)]
+
+
+def _entry_of(source: Path, archive: Path) -> ArchiveEntry:
+    """What one source is; the layout is '' where none is recognised and no picture lies there."""
+    name, layout = str(source.relative_to(archive)), ""
+    try:
+        found = recognise(source, NOTHING)
+        layout = found[0].name if found else ""
+        return ArchiveEntry(name, layout, read_source(source, NOTHING, search=False).parts, "")
+    except (CaptureError, Refused) as problem:
+        problems = problem.problems if isinstance(problem, CaptureError) else (problem,)
+        pictures = len(files_with(source, IMAGE_SUFFIXES)) if source.is_dir() else 0
+        known = layout or problems[0].what != UNKNOWN
+        reason = f"{problems[0]}" + (f" (and {len(problems) - 1} more)" if len(problems) > 1 else "")
+        if not known:
+            reason = f"{UNKNOWN}; convert searches the pictures for mirror balls" if pictures else UNKNOWN
+        parts = f"{pictures} pictures" if pictures else ""
+        return ArchiveEntry(name, layout or ("unknown" if pictures else ""), parts, reason)

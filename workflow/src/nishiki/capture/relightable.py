@@ -11,21 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
+from nishiki.capture.layout_writers import write_tables
 from nishiki.capture.layouts import RELIGHTABLE as SUFFIXES
 from nishiki.capture.layouts import photographs_in, state_lights
 from nishiki.capture.lights import Lights, lights_from_vectors
 from nishiki.capture.options import NO_PHOTOGRAPHS, ConvertOptions, file_problems
-from nishiki.capture.plane_convert import write_tables
 from nishiki.capture.schema import LOST_BY_FIT
 from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import COLOUR, take, take_mask
 from nishiki.formats.files import Refused, expect_memory, files_with
-from nishiki.formats.hsh import HshFile, open_hsh
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
-from nishiki.formats.ptm import PtmFile, open_ptm
+from nishiki.formats.legacy_rti import HshFile, PtmFile, open_hsh, open_ptm
+from nishiki.formats.problems import CaptureError, Problem, expect_one, raise_errors, warning
 from nishiki.formats.relight import INFO, RelightFolder, is_relight_folder, open_relight
+from nishiki.formats.relight_planes import WEB_INFO, WebRtiFolder, is_web_rti, open_web_rti
 from nishiki.formats.text_tables import refusal
-from nishiki.formats.webrti import WEB_INFO, WebRtiFolder, is_web_rti, open_web_rti
 
 RINGS = ((20, 6), (35, 9), (50, 9))  # degrees from the normal, lamps
 BYTES_A_PIXEL = 36  # of memory, for a picture that is rendered and coded
@@ -76,11 +75,7 @@ def recognise_relightable(source: Path, options: ConvertOptions | None = None) -
     if _is_folder_image(source):
         return source.resolve()
     files = files_with(source, SUFFIXES)
-    if len(files) > 1:
-        what, remedy = "several relightable images", f"Convert one: {files[0]}"
-        named = ", ".join(path.name for path in files[:5])
-        raise CaptureError(error("layout-unknown", str(source), what, found=named, remedy=remedy))
-    return files[0] if files else None
+    return expect_one(files, source, "several relightable images", f"Convert one: {next(iter(files), '')}")
 
 
 def _is_folder_image(folder: Path) -> bool:

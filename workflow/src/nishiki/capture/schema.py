@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from nishiki.artifacts.closed import Closed
-from nishiki.capture.goniometer_schema import GoniometerFile
+from nishiki.capture.goniometer import GoniometerFile
 from nishiki.capture.schema_base import Positive, Session, read_mapping, validate
-from nishiki.capture.turntable_schema import TurntableFile
+from nishiki.capture.turntable_rules import TurntableFile
 from nishiki.formats.problems import CaptureError
 
 NAMED_ILLUMINANTS = ("A", "D50", "D55", "D65", "E", *(f"F{i}" for i in range(1, 13)))

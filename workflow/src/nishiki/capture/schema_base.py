@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError, field_validator
 from nishiki.artifacts.closed import Closed, Fault, faults
 from nishiki.formats import plain_yaml
 from nishiki.formats.files import Refused, is_plain, read_text
-from nishiki.formats.problems import CaptureError, Problem, error
+from nishiki.formats.problems import CaptureError, Problem, error, refuse
 from nishiki.formats.text_tables import refusal
 
 FORMAT = 1
@@ -149,9 +149,7 @@ def read_mapping(path: Path, loader: type[UniqueKeyLoader] = UniqueKeyLoader) ->
             )
         ) from e
     if not isinstance(parsed, dict):
-        raise CaptureError(
-            error("yaml-invalid", path.name, "wrong content", expected="keys with values", found=type(parsed).__name__)
-        )
+        refuse("yaml-invalid", path.name, "wrong content", expected="keys with values", found=type(parsed).__name__)
     return parsed
 
 

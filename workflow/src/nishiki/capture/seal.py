@@ -11,7 +11,7 @@ from datetime import date as Date
 from pathlib import Path
 
 from nishiki.formats.files import Refused, flush_folder, is_plain, leads_out, open_regular, put_file, read_bytes, walk
-from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors
+from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, refuse
 from nishiki.formats.text_tables import refusal
 
 MANIFEST, TAG_MANIFEST = "manifest-sha256.txt", "tagmanifest-sha256.txt"
@@ -109,7 +109,7 @@ def _manifest_lines(path: Path) -> list[str]:
     try:
         if leads_out(path, path.parent):
             what, remedy = "link out of the folder", "Copy the file itself into the folder"
-            raise CaptureError(error("seal-manifest", path.name, what, found=os.path.realpath(path), remedy=remedy))
+            refuse("seal-manifest", path.name, what, found=os.path.realpath(path), remedy=remedy)
         lines = read_bytes(path, "manifest_bytes", name=path.name).decode("utf-8").split("\n")
     except (FileNotFoundError, UnicodeDecodeError) as e:
         raise CaptureError(error("seal-manifest", path.name, "cannot be read as UTF-8 text", found=str(e))) from e
@@ -149,10 +149,10 @@ def seal(root: Path, *, progress: Callable[[str], None] | None = None) -> str:
         os.rename(half, root)
         return capture_digest(root)
     if not root.is_dir():
-        raise CaptureError(error("folder-missing", str(root), "no such capture folder", remedy=WHERE_IS_IT))
+        refuse("folder-missing", str(root), "no such capture folder", remedy=WHERE_IS_IT)
     if (root / "bagit.txt").is_file():
         remedy = "A sealed capture stays as it is; copy its data folder to make another capture"
-        raise CaptureError(error("seal-done", str(root), "capture is already sealed", remedy=remedy))
+        refuse("seal-done", str(root), "capture is already sealed", remedy=remedy)
     inside = (root / "data" / "capture.yaml").is_file()
     _refuse_links(root)
     if inside:
@@ -175,8 +175,7 @@ def _clear_half(half: Path) -> None:
     strange = sorted({path.name for path in half.iterdir()} - tag_files)
     if strange:
         remedy = "It may hold another capture: check it, move it away and seal again"
-        found = ", ".join(strange[:5])
-        raise CaptureError(error("seal-occupied", str(half), "folder exists already", found=found, remedy=remedy))
+        refuse("seal-occupied", str(half), "folder exists already", found=", ".join(strange[:5]), remedy=remedy)
     for path in half.iterdir():
         path.unlink()
     half.rmdir()
@@ -195,14 +194,12 @@ def expect_sealed(path: Path, name: str, digests: dict[str, str]) -> None:
         return
     remedy = "Restore the file from a backup; a sealed capture must stay as it was"
     if name not in digests:
-        raise CaptureError(error("seal-foreign", name, "not listed in the manifest", remedy=remedy))
+        refuse("seal-foreign", name, "not listed in the manifest", remedy=remedy)
     digest = sha256_of(path)
     if digest != digests[name]:
         expected = f"sha256 {digests[name][:12]}..."
         what = "changed after sealing"
-        raise CaptureError(
-            error("seal-changed", name, what, expected=expected, found=f"{digest[:12]}...", remedy=remedy)
-        )
+        refuse("seal-changed", name, what, expected=expected, found=f"{digest[:12]}...", remedy=remedy)
 
 
 def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
@@ -210,12 +207,10 @@ def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
 
     digests: read every file; otherwise only the names are compared.
     """
+    missing = [name for name in TAGS if not (root / name).is_file()]
+    if missing:
+        return [error("seal-missing", name, "file of the seal is missing") for name in missing]
     problems: list[Problem] = []
-    for name in TAGS:
-        if not (root / name).is_file():
-            problems.append(error("seal-missing", name, "file of the seal is missing"))
-    if problems:
-        return problems
     try:
         _refuse_links(root)
         listed = read_manifest(root / MANIFEST)
@@ -229,13 +224,10 @@ def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
         what = "not listed in the manifest"
         problems.append(error("seal-foreign", name, what, remedy="Remove it, or make a new capture that holds it"))
     for name in sorted(set(listed) & set(present)) if digests else ():
-        present_digest = sha256_of(present[name])
-        if present_digest != listed[name]:
-            expected = f"sha256 {listed[name][:12]}..."
-            what = "changed after sealing"
-            problems.append(
-                error("seal-changed", name, what, expected=expected, found=f"{present_digest[:12]}...", remedy=remedy)
-            )
+        try:
+            expect_sealed(present[name], name, listed)
+        except CaptureError as e:
+            problems += e.problems
     if (root / TAG_MANIFEST).is_file():
         try:
             tags = read_manifest(root / TAG_MANIFEST)

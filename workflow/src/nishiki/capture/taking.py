@@ -19,11 +19,10 @@ from nishiki.capture.lights import Lights
 from nishiki.formats.coding import coding_used
 from nishiki.formats.exif import Exif, read_exif
 from nishiki.formats.exr import several_layers
-from nishiki.formats.image_header import ImageHeader
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes
+from nishiki.formats.images import read_codes, read_header
 from nishiki.formats.masks import examine_mask
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.picture_files import ImageHeader
+from nishiki.formats.problems import CaptureError, Problem, refuse, warning
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 COLOUR = ("red", "green", "blue")
@@ -37,7 +36,7 @@ def channel_names(header: ImageHeader) -> tuple[str, ...]:
     if several_layers(header.names):
         what, found = "several layers, none of them called Combined or Beauty", ", ".join(header.names)[:200]
         remedy = "Write an EXR of one layer, or list the channels of one under camera.channels of a capture.yaml"
-        raise CaptureError(error("layers-several", "photographs", what, found=found, remedy=remedy))
+        refuse("layers-several", "photographs", what, found=found, remedy=remedy)
     if header.names:
         return COLOUR if header.names == ("R", "G", "B") else header.names
     count = header.channels - header.alpha

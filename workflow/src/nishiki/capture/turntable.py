@@ -8,15 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.cameras import arrange_cameras, read_cameras, read_points
-from nishiki.capture.frames import Frame, inside
+from nishiki.capture.frames import Frame, Photographed, inside
 from nishiki.capture.lights import Lights, read_lights
-from nishiki.capture.photographed import Photographed
 from nishiki.capture.polariser import kind_of
-from nishiki.capture.spectra_tables import Curves
-from nishiki.capture.turntable_rules import turntable_problems
-from nishiki.capture.turntable_schema import Intrinsics, TurntableFile, read_intrinsics
-from nishiki.formats.image_headers import read_header
+from nishiki.capture.tables import Curves, arrange_cameras, read_cameras, read_points
+from nishiki.capture.turntable_rules import Intrinsics, TurntableFile, read_intrinsics, turntable_problems
+from nishiki.formats.images import read_header
 from nishiki.formats.mesh_heading import expect_mesh
 from nishiki.formats.problems import Problem
 
@@ -164,7 +161,9 @@ def examine_turntable(
         if path is not None and key in ("turntable.mesh", "turntable.scans"):
             scan = key == "turntable.scans"
             attempt(lambda p=path, f=file, k=key, s=scan: expect_mesh(p, f, f"capture.yaml {k}", scan=s))
-    lights = _lights(payload, settings, attempt)
+    file, kind = (settings.lights.file, settings.lights.kind) if settings.lights else (None, "direction")
+    listed = attempt(lambda: inside(payload, file, "capture.yaml lights.file")) if file else None
+    lights = attempt(lambda: read_lights(listed, kind=kind, frontal=False)) if listed else None
     table, intrinsics = read("cameras", read_cameras), read("intrinsics", read_intrinsics)
     if frames is None:
         return None, []
@@ -214,11 +213,3 @@ def _lamps_named(frames: tuple[Frame, ...], lights: Lights | None) -> tuple[Fram
         return lights.names[place] if place is not None else frame.light or alone
 
     return tuple(replace(f, light=called(f)) if f.role in ("sample", "white") else f for f in frames)
-
-
-def _lights(payload: Path, settings: TurntableFile, attempt: Callable) -> Lights | None:
-    if settings.lights is None or settings.lights.file is None:
-        return None
-    file, kind = settings.lights.file, settings.lights.kind
-    path = attempt(lambda: inside(payload, file, "capture.yaml lights.file"))
-    return attempt(lambda: read_lights(path, kind=kind, frontal=False)) if path else None

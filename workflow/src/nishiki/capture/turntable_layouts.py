@@ -11,19 +11,18 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.cameras import camera_centre, camera_problems
+from nishiki.capture.frames import SourcePhotographs
 from nishiki.capture.layouts import natural_key, natural_parts, photographs_in, source_problems
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.photographed import SourcePhotographs
 from nishiki.capture.polariser import parse_state, state_warnings
 from nishiki.capture.registered import Pictures, Registration, aim_problems, reading_cameras
 from nishiki.capture.seal import sha256_of
-from nishiki.formats.bounds import bound
-from nishiki.formats.files import files_with, read_text
-from nishiki.formats.image_header import IMAGE_SUFFIXES
-from nishiki.formats.image_headers import read_header
+from nishiki.capture.tables import camera_centre, camera_problems
+from nishiki.formats.files import bound, files_with, read_text
+from nishiki.formats.images import read_header
 from nishiki.formats.matlab import read_matlab
-from nishiki.formats.problems import CaptureError, Problem, error, expect_one, left_out, raise_errors, warning
+from nishiki.formats.picture_files import IMAGE_SUFFIXES
+from nishiki.formats.problems import CaptureError, Problem, error, expect_one, left_out, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.turn import order_round, turn_of
@@ -155,9 +154,7 @@ def read_numbered(source: Path, stored: tuple[Path, np.ndarray], options: Conver
     if len(photographs) != len(matrices):
         expected, found = f"{len(matrices)}, one a matrix of {path.name}", f"{len(photographs)}"
         remedy = "Move other pictures away"
-        raise CaptureError(
-            error("photographs-count", str(source), "photographs", expected=expected, found=found, remedy=remedy)
-        )
+        refuse("photographs-count", str(source), "photographs", expected=expected, found=found, remedy=remedy)
     what = "matrices have no file names: given to the photographs in the natural order of their names"
     found = f"{photographs[0].name} ... {photographs[-1].name}"
     notes.append(warning("cameras-in-order", path.name, what, found=found))
@@ -223,11 +220,9 @@ def _registered(source: Path, program: str, file: str, found: Registration, pict
     photographs, views = [path for path, _ in ordered], [view for _, view in ordered]
     if len(set(photographs)) != len(views):
         twice = next(path.name for path in photographs if photographs.count(path) > 1)
-        what, remedy = (
-            "two cameras of one photograph",
-            f"Give the photographs names of their own before {program} is run",
-        )
-        raise CaptureError(error("photograph-repeats", file, what, found=twice, remedy=remedy))
+        what = "two cameras of one photograph"
+        remedy = f"Give the photographs names of their own before {program} is run"
+        refuse("photograph-repeats", file, what, found=twice, remedy=remedy)
     problems = []
     for view, path in zip(views, photographs, strict=True):
         problems += source_problems(path, source)
@@ -282,12 +277,10 @@ def read_series(source: Path, photographs: list[Path], options: ConvertOptions) 
     states = [parse_state(f"{generator}/{analyser}").name for generator, analyser in pairs]
     if len(set(states)) != len(states):
         found = next(state for state in states if states.count(state) > 1)
-        raise CaptureError(error("photograph-repeats", str(source), "two photographs of one state", found=found))
+        refuse("photograph-repeats", str(source), "two photographs of one state", found=found)
     order = sorted(range(len(states)), key=lambda i: parse_state(states[i]).angles_deg)
-    notes, calibrations = (
-        state_warnings(photographs, states, str(source)),
-        sorted(files_with(source, (".mat",)), key=natural_key),
-    )
+    notes = state_warnings(photographs, states, str(source))
+    calibrations = sorted(files_with(source, (".mat",)), key=natural_key)
     generators, analysers = ({angles[k] for angles in (parse_state(s).angles_deg for s in states)} for k in (0, 1))
     if len(states) != len(generators) * len(analysers):
         expected, found = f"{len(generators)} x {len(analysers)} states", f"{len(states)}"

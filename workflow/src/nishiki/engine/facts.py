@@ -24,7 +24,7 @@ from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture, TurntableFacts, turntable_facts
 from nishiki.engine.project import Scene
 from nishiki.errors import UserError
-from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_header
 from nishiki.formats.problems import CaptureError
 from nishiki.installation import SOURCE
 from nishiki.observations.region import object_mask, region_around, region_of

@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path
 
 from nishiki.engine.plan import Plan, PlannedStage
-from nishiki.formats.bounds import machine_memory
+from nishiki.formats.files import machine_memory
 from nishiki.stages.table import CHAIN
 from nishiki.threads import threads
 

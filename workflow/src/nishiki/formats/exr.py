@@ -13,8 +13,7 @@ import numpy as np
 
 from nishiki.formats.coding import D65, LINEAR, Coding, Matrix, primaries_xyz
 from nishiki.formats.exif import Exif
-from nishiki.formats.image_header import ImageHeader
-from nishiki.formats.picture_files import Output, Picture, Wanted, unsupported
+from nishiki.formats.picture_files import ImageHeader, Output, Picture, Wanted, unsupported
 
 _COLOURS = {"red": ("R", "red"), "green": ("G", "green"), "blue": ("B", "blue"), "grey": ("Y", "L"), "gray": ("Y", "L")}
 _NO_LIGHT = frozenset("a alpha z zback zf depth depth.z id mask ar ag ab ra ga ba".split())

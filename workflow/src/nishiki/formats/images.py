@@ -1,4 +1,7 @@
-"""Decoding photographs: channels in the order red, green, blue; the stored codes, nothing applied to them."""
+"""Photographs: their headers before anything large is allocated, and the stored codes, nothing applied to them.
+
+A damaged or hostile header may claim any size; what it claims is compared with what the file can hold and with the
+bounds of `nishiki.formats.files`, and only then is the file decoded. Channels come in the order red, green, blue."""
 
 from __future__ import annotations
 
@@ -8,10 +11,64 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.formats.exr import match_channels
-from nishiki.formats.image_header import ImageHeader
-from nishiki.formats.image_headers import absurd_claim, open_picture_file, read_header
+from nishiki.formats.files import BOUNDS, Refused, bound, open_regular, remedy
+from nishiki.formats.picture_files import ImageHeader
 from nishiki.formats.picture_process import hold, request_codes, request_header
-from nishiki.formats.problems import CaptureError, error
+from nishiki.formats.problems import CaptureError, Problem, error, refuse
+from nishiki.formats.text_tables import refusal
+
+
+def read_header(path: Path, *, name: str | None = None) -> ImageHeader:
+    """Header of a photograph; CaptureError (image-missing, image-unreadable, image-truncated, image-unsupported,
+    image-absurd) if none.
+
+    Files that are cut off are found without decoding them: by the end marker of JPEG, the last chunk of PNG and the
+    places of the strips of TIFF. name: how to call the file in messages (default: its own name).
+    """
+    name = name or path.name
+    handle = open_picture_file(path, name)
+    try:
+        header = request_header(handle, path.suffix, name)
+        problem = absurd_claim(header, os.fstat(handle).st_size, name)
+    finally:
+        os.close(handle)
+    if problem:
+        raise CaptureError(problem)
+    return header
+
+
+def open_picture_file(path: Path, name: str) -> int:
+    """A handle for reading a picture. CaptureError (image-missing, image-unreadable) where there is no regular file."""
+    try:
+        return open_regular(path, name)
+    except FileNotFoundError as e:
+        raise CaptureError(error("image-missing", name, "file is missing")) from e
+    except Refused as e:
+        raise CaptureError(refusal(e, "image-unreadable")) from e
+
+
+def absurd_claim(header: ImageHeader, bytes_on_disk: int, name: str) -> Problem | None:
+    """What is wrong with the size that a header claims, or None."""
+    size = f"{header.rows} x {header.columns} x {header.channels}"
+    if min(header.rows, header.columns, header.channels) < 1:
+        return error("image-absurd", name, "image without pixels", found=size)
+    claims = {
+        "image_side": max(header.rows, header.columns),
+        "image_pixels": header.rows * header.columns,
+        "image_bytes": max(header.decoded_bytes, header.stored_bytes),
+        "image_file_bytes": bytes_on_disk,
+        "memory_bytes": 2 * header.decoded_bytes + bytes_on_disk,
+    }
+    for limit, claimed in claims.items():
+        if claimed > bound(limit):
+            what, unit = "image header claims an absurd size", BOUNDS[limit].unit
+            expected, found = f"at most {bound(limit)} {unit}", f"{size}, {claimed} {unit}"
+            return error("image-absurd", name, what, expected=expected, found=found, remedy=remedy(limit))
+    if header.ratio and header.stored_bytes > header.ratio * bytes_on_disk:
+        found = f"{size} in {bytes_on_disk} bytes"
+        return error("image-absurd", name, "image cannot hold the size that its header claims", found=found)
+    return None
+
 
 Region = tuple[int, int, int, int]  # row, column, rows, columns
 
@@ -72,6 +129,22 @@ def expect_channels(header: ImageHeader, channels: tuple[str, ...], name: str) -
     found = f"{header.channels} ({', '.join(header.names)})" if header.names else f"{header.channels}"
     expected = f"{count} ({', '.join(channels)})"
     remedy = "Leave it out if the other photographs have these channels, else list its own under camera.channels"
-    raise CaptureError(
-        error("channels-differ", name, "number of channels", expected=expected, found=found, remedy=remedy)
-    )
+    refuse("channels-differ", name, "number of channels", expected=expected, found=found, remedy=remedy)
+
+
+def read_coarse(path: Path, side: int, encoding: str | None = None) -> np.ndarray:
+    """Read the mean of the channels over equal blocks, (rows, columns) float64 linear, 1 at full scale.
+
+    side : blocks along the longer side of the picture; encoding : `linear`, `srgb`, or None for what the file states.
+    CaptureError where the picture cannot be decoded.
+    """
+    import cv2
+
+    header = read_header(path)
+    names = header.names or tuple(f"c{i}" for i in range(header.channels - header.alpha))
+    codes = read_codes(path, names, header=header)
+    top = np.iinfo(codes.dtype).max if codes.dtype.kind == "u" else 1.0
+    scale = min(side / max(header.rows, header.columns), 1.0)
+    size = max(round(header.columns * scale), 1), max(round(header.rows * scale), 1)
+    small = cv2.resize(codes.astype(np.float32) / np.float32(top), size, interpolation=cv2.INTER_AREA)
+    return header.coding_used(encoding or "file").curve.decode(small.reshape(size[1], size[0], -1).mean(axis=2))

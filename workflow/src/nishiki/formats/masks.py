@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import Region, read_codes
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.images import Region, read_codes, read_header
+from nishiki.formats.problems import Problem, refuse, warning
 
 SMALL_LABELS = 16  # integers below it number the parts of the object; 16 is black in video range
 FEW_COLOURS = 32  # flat colours of a painted label picture; a photograph has more
@@ -104,14 +103,14 @@ def read_labels(path: Path, *, region: Region | None = None, name: str | None = 
     name = name or path.name
     if read_header(path, name=name).kind == "jpeg":
         what, remedy = "JPEG does not keep the numbers of labels", "Save the labels as PNG from the original picture"
-        raise CaptureError(error("regions-lossy", name, what, expected="PNG or TIFF", found="JPEG", remedy=remedy))
+        refuse("regions-lossy", name, what, expected="PNG or TIFF", found="JPEG", remedy=remedy)
     codes, count = _read_with_alpha(path, name)
     grey = codes[:, :, :1]
     if codes.dtype == np.float32 or (codes[:, :, 1:count] != grey).any():
         found, expected = f"{count} channels of {codes.dtype}", "one 8- or 16-bit channel"
         remedy = "Save the numbers of the labels as grey values"
         what = "label image"
-        raise CaptureError(error("regions-unreadable", name, what, expected=expected, found=found, remedy=remedy))
+        refuse("regions-unreadable", name, what, expected=expected, found=found, remedy=remedy)
     return _window(grey[:, :, 0], region).astype(np.uint16)
 
 
@@ -119,7 +118,7 @@ def expect_size(picture: np.ndarray, size: tuple[int, int], name: str, kind: str
     """Raise CaptureError (kind and '-size') unless a picture (rows, columns) has the size of the photographs."""
     if picture.shape != size:
         expected, found = f"{size[0]} x {size[1]} as the frames", f"{picture.shape[0]} x {picture.shape[1]}"
-        raise CaptureError(error(f"{kind}-size", name, f"size of the {kind}", expected=expected, found=found))
+        refuse(f"{kind}-size", name, f"size of the {kind}", expected=expected, found=found)
 
 
 def label_problems(labels: np.ndarray, name: str) -> list[Problem]:
@@ -191,8 +190,7 @@ def _select_values(colours: np.ndarray, alpha: np.ndarray, name: str) -> tuple[n
     ends = ((seen - seen.min() <= near) | (seen.max() - seen <= near)).mean()
     if ends >= EVEN:
         what = "both the colours and the alpha channel have a shape: transparent pixels are taken for the background"
-        remedy = "Flatten the picture if that is wrong"
-        problems.append(warning("mask-alpha", name, what, remedy=remedy))
+        problems.append(warning("mask-alpha", name, what, remedy="Flatten the picture if that is wrong"))
         return np.where(visible, values, values[visible].min()), problems
     what = "the colours are those of a photograph: the shape is taken from the alpha channel"
     return alpha, [warning("mask-alpha", name, what, remedy="Save the shape as black and white if that is wrong")]

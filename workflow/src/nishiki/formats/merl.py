@@ -1,15 +1,20 @@
-"""Tables of the MERL BRDF database, `.binary`: isotropic materials by half vector and difference.
+"""Tables of measured reflection: the databases MERL (`.binary`), UTIA (`.bin`) and that of Dupuy and Jakob (`.bsdf`).
 
-Three int32 (90, 90, 180), then doubles (colour, theta_h, theta_d, phi_d), lowest byte first, in steps of MERL_SCALE.
-theta_h, from the normal to the half vector, is spaced by squares: cell k begins at 90 (k / 90)^2 degrees. theta_d, from
-the half vector to the light, and phi_d, around it from the plane of the normal, are spaced by one degree; phi_d and
-phi_d + 180 are the same. Values below 0: light or view is below the surface.
-Reference: W. Matusik, H. Pfister, M. Brand and L. McMillan (2003), A data-driven reflectance model, ACM Transactions on
-Graphics 22 (3).
+MERL: three int32 (90, 90, 180), then doubles (colour, theta_h, theta_d, phi_d), lowest byte first, in steps of
+MERL_SCALE. theta_h, from the normal to the half vector, is spaced by squares: cell k begins at 90 (k / 90)^2 degrees.
+theta_d, from the half vector to the light, and phi_d, around it from the plane of the normal, are spaced by one degree;
+phi_d and phi_d + 180 are the same. Values below 0: light or view is below the surface (W. Matusik, H. Pfister, M. Brand
+and L. McMillan (2003), A data-driven reflectance model, ACM Transactions on Graphics 22 (3)).
+
+`.bsdf` (2018): `tensor_file`, a zero byte, version 1 0, number of arrays (uint32); of each array the length of its name
+(uint16), its name, number of axes (uint16), kind (uint8), place in the file (uint64) and sizes (uint64); then the
+arrays, lowest byte first. UTIA: doubles without a heading, (channel, theta_i, phi_i, theta_r, phi_r) (J. Filip and R.
+Vavra (2014), Template-based sampling of anisotropic BRDFs, Computer Graphics Forum 33 (7)).
 """
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -85,3 +90,53 @@ def merl_bytes(brdf: np.ndarray) -> bytes:
     """A file that holds BRDF values (90, 90, 180, 3) in 1/sr, at `merl_directions`."""
     scaled = np.where(brdf >= 0, brdf / MERL_SCALE, brdf)
     return np.array(MERL_SHAPE, "<i4").tobytes() + np.ascontiguousarray(np.moveaxis(scaled, -1, 0), "<f8").tobytes()
+
+
+KINDS = {np.dtype("u1"): 1, np.dtype("<f4"): 10}
+HEADING = b"tensor_file\0" + bytes([1, 0])
+
+
+def bsdf_bytes(arrays: dict[str, np.ndarray]) -> bytes:
+    """A file of arrays of uint8 or float32."""
+    headings = [
+        (
+            name.encode(),
+            struct.pack("<HB", array.ndim, KINDS[array.dtype]),
+            struct.pack(f"<{array.ndim}Q", *array.shape),
+        )
+        for name, array in arrays.items()
+    ]
+    place = len(HEADING) + 4 + sum(2 + len(name) + len(kind) + 8 + len(shape) for name, kind, shape in headings)
+    top, contents = [HEADING, struct.pack("<I", len(arrays))], []
+    for (name, kind, shape), array in zip(headings, arrays.values(), strict=True):
+        place += (gap := -place % 8)
+        top += [struct.pack("<H", len(name)), name, kind, struct.pack("<Q", place), shape]
+        contents += [bytes(gap), array.tobytes()]
+        place += array.nbytes
+    return b"".join(top + contents)
+
+
+UTIA_THETA_DEG, UTIA_PHI_DEG = np.arange(0, 90, 15.0), np.arange(0, 360, 7.5)
+UTIA_SHAPE = (3, len(UTIA_THETA_DEG), len(UTIA_PHI_DEG), len(UTIA_THETA_DEG), len(UTIA_PHI_DEG))
+UTIA_BYTES = 8 * int(np.prod(UTIA_SHAPE))
+
+
+def read_utia(path: Path, name: str) -> np.ndarray:
+    """Rows (58081, 7) float64 of theta_i, phi_i, theta_r, phi_r in degrees and red, green, blue as stored.
+
+    Values that differ only in the azimuth of a direction along the normal are averaged. Refused where the file is not
+    as long as such a table.
+    """
+    content = read_bytes(path, "reflectances_bytes", name=name)
+    if len(content) != UTIA_BYTES:
+        expected, found = f"{UTIA_BYTES} bytes, as a table of the UTIA database has", f"{len(content)}"
+        remedy = "Give a .bin file of the UTIA database, or the measurements as .csv"
+        raise Refused(name, "not such a table", expected=expected, found=found, remedy=remedy)
+    stored = np.moveaxis(np.frombuffer(content, "<f8").reshape(UTIA_SHAPE), 0, -1)
+    by_light = np.concatenate([stored[:1].mean(axis=1), stored[1:].reshape(-1, *stored.shape[2:])])
+    values = np.concatenate([by_light[:, :1].mean(axis=2), by_light[:, 1:].reshape(len(by_light), -1, 3)], axis=1)
+    directions = np.array([(0.0, 0.0), *((theta, phi) for theta in UTIA_THETA_DEG[1:] for phi in UTIA_PHI_DEG)])
+    count = len(directions)
+    return np.column_stack(
+        [np.repeat(directions, count, axis=0), np.tile(directions, (count, 1)), values.reshape(-1, 3)]
+    )

@@ -14,7 +14,7 @@ from typing import BinaryIO
 import numpy as np
 
 from nishiki.formats.files import Refused, expect_bound, open_regular
-from nishiki.formats.problems import CaptureError, error
+from nishiki.formats.problems import CaptureError, refuse
 from nishiki.formats.text_tables import refusal
 
 KINDS = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
@@ -50,18 +50,18 @@ def expect_mesh(path: Path, file: str, where: str, *, scan: bool) -> None:
     known = MESHES[:1] if scan else MESHES
     if path.suffix.lower() not in known:
         what, remedy = "mesh file", "Convert it, for example with MeshLab"
-        raise CaptureError(error("mesh-format", where, what, expected=" or ".join(known), found=file, remedy=remedy))
+        refuse("mesh-format", where, what, expected=" or ".join(known), found=file, remedy=remedy)
     with path.open("rb") as stream:
         start = stream.read(LONGEST)
     if path.suffix.lower() == ".obj" and not re.search(rb"^v\s", start, re.MULTILINE):
-        raise CaptureError(error("mesh-unreadable", where, "OBJ file without vertices", found=file))
+        refuse("mesh-unreadable", where, "OBJ file without vertices", found=file)
     if start.startswith(b"ply") and b"end_header" in start:
         counts = dict(re.findall(rb"element\s+(\w+)\s+0*(\d{0,18})", start[: start.find(b"end_header")]))
         for name in ("vertex",) if scan else ("vertex", "face"):
             if not counts.get(name.encode()):
                 remedy = "Give a surface of triangles under turntable.mesh, or points under turntable.scans"
                 what = f"PLY file without {name} elements"
-                raise CaptureError(error("mesh-empty", where, what, found=file, remedy=remedy))
+                refuse("mesh-empty", where, what, found=file, remedy=remedy)
     try:
         expect_mesh_file(path, file)
     except Refused as e:

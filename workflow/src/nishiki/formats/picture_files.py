@@ -10,15 +10,70 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import BinaryIO
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
-from nishiki.formats.coding import Coding, exif_coding, icc_coding, png_coding
-from nishiki.formats.exif import exif_of, jpeg_segments, png_chunks
-from nishiki.formats.icc import ROMM, RgbSpace, icc_profile
-from nishiki.formats.image_header import RAW_SUFFIXES, ImageHeader
-from nishiki.formats.problems import CaptureError, error
+from nishiki.formats.coding import (
+    ROMM,
+    Coding,
+    RgbSpace,
+    coding_from,
+    coding_used,
+    exif_coding,
+    icc_coding,
+    icc_profile,
+    png_coding,
+)
+from nishiki.formats.exif import NO_EXIF, Exif, exif_of, jpeg_segments, png_chunks
+from nishiki.formats.problems import CaptureError, error, refuse
+
+Kind = Literal["png", "jpeg", "tiff", "exr", "raw"]
+Sample = Literal["uint8", "uint16", "float32"]
+RAW_SUFFIXES = frozenset(
+    ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .kdc .mef .mos .mrw .nef .nrw .orf .pef .raf .raw .rw2 .rwl "
+    ".sr2 .srf .srw .x3f".split()
+)
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"}) | RAW_SUFFIXES
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What a photograph says of itself. channels: as decoded, alpha included; names: of channels without alpha, where
+    the file names them.
+
+    stored_bytes: of all samples before compression, 0 where not known; ratio: how many times smaller than these the
+    file can be at most, 0 where there is no bound; bits: of a code, where they are fewer than the sample has; coding:
+    None where the file states none; exif: facts of the camera.
+    """
+
+    kind: Kind
+    rows: int
+    columns: int
+    channels: int
+    sample: Sample
+    alpha: bool = False
+    names: tuple[str, ...] = ()
+    stored_bytes: int = 0
+    ratio: int = 0
+    bits: int | None = None
+    coding: Coding | None = None
+    exif: Exif = NO_EXIF
+
+    def coding_used(self, encoding: str) -> Coding:
+        """The coding by which its codes become light; see `nishiki.formats.coding.coding_used`."""
+        return coding_used(self.kind, self.coding, encoding)
+
+    @property
+    def decoded_bytes(self) -> int:
+        return self.rows * self.columns * self.channels * {"uint8": 1, "uint16": 2, "float32": 4}[self.sample]
+
+
+def header_from(values: dict[str, Any]) -> ImageHeader:
+    """Rebuild a header from its plain values (`dataclasses.asdict`, after JSON)."""
+    built = {"names": tuple(values["names"]), "coding": coding_from(values["coding"]), "exif": Exif(**values["exif"])}
+    return ImageHeader(**{**values, **built})
+
 
 Output = Callable[[tuple[int, ...], str], np.ndarray]  # makes an array of this shape and type, of any content
 DEFLATE_RATIO = 1040  # deflate cannot shrink more than 1032:1, so a larger claim is damage or a decompression bomb
@@ -89,7 +144,7 @@ def open_picture(file: BinaryIO, suffix: str, name: str) -> Picture:
     expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
     found = f"{start[:8]!r}" if start else "an empty file"
     remedy = "Copy the file again from the camera or the archive, or move it away"
-    raise CaptureError(error("image-unreadable", name, "not an image", expected=expected, found=found, remedy=remedy))
+    refuse("image-unreadable", name, "not an image", expected=expected, found=found, remedy=remedy)
 
 
 def open_png(file: BinaryIO) -> Picture:

@@ -27,7 +27,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from nishiki.formats.exif import NO_EXIF, Exif, exif_of
-from nishiki.formats.image_header import ImageHeader, header_from
+from nishiki.formats.picture_files import ImageHeader, header_from
 from nishiki.formats.problems import CaptureError, Problem, error
 
 LEAST_MEMORY = 512 << 20  # bytes of address space beyond the idle child's: libraries, a file's directory

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from nishiki.formats.bounds import bound
+from nishiki.formats.files import bound
 
 LONGEST_BITS = 1024
 SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NoReturn
 
 from nishiki.errors import UserError, printable
 
@@ -58,6 +58,11 @@ def warning(kind: str, file: str, what: str, *, expected: str = "", found: str =
     return Problem("warning", kind, file, what, expected, found, remedy)
 
 
+def refuse(kind: str, file: str, what: str, *, expected: str = "", found: str = "", remedy: str = "") -> NoReturn:
+    """Raise the CaptureError of one finding with which the capture cannot be used."""
+    raise CaptureError(error(kind, file, what, expected=expected, found=found, remedy=remedy))
+
+
 def raise_errors(problems: Iterable[Problem]) -> None:
     """Raise one CaptureError that holds every error among the problems; return where there is none."""
     errors = [p for p in problems if p.severity == "error"]
@@ -80,8 +85,7 @@ def left_out(names: Sequence[object], file: str, what: str) -> list[Problem]:
 def expect_one(files: Sequence[Path], place: Path, what: str, remedy: str) -> Path | None:
     """The only one of some files; None without. CaptureError (layout-unknown) where there are several."""
     if len(files) > 1:
-        found = name_some(path.name for path in files)
-        raise CaptureError(error("layout-unknown", str(place), what, found=found, remedy=remedy))
+        refuse("layout-unknown", str(place), what, found=name_some(path.name for path in files), remedy=remedy)
     return files[0] if files else None
 
 

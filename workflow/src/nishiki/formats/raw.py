@@ -9,8 +9,7 @@ import numpy as np
 
 from nishiki.formats.coding import Coding
 from nishiki.formats.exif import exif_of
-from nishiki.formats.image_header import ImageHeader
-from nishiki.formats.picture_files import Output, Picture, Wanted
+from nishiki.formats.picture_files import ImageHeader, Output, Picture, Wanted
 from nishiki.formats.problems import CaptureError, error
 from nishiki.packages import install_command
 

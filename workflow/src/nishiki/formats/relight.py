@@ -4,24 +4,27 @@ Three coefficients a picture: value = (code / 255 - bias) scale, for values 0 to
 green and blue of each term follow each other; in lrgb the first picture is a colour (code / 255), and the terms are
 those of a brightness that multiplies it; in mrgb the planes weigh principal components, whose values in each direction
 of a table are in info.json (in `materials.bin` in older folders); mycc is the same for brightness, R - B and
-G - (R + B) / 2, of which the planes are taken in turn as long as there are all three, then those of brightness. The
-terms and the weights of a table's directions: `relight_weights`.
+G - (R + B) / 2, of which the planes are taken in turn as long as there are all three, then those of brightness.
+
+Terms: polynomials (ptm; Malzbender and others, 2001), hemispherical harmonics (hsh; Gautron and others, 2004), real
+spherical harmonics (sh). Weights of tabulated directions: Gaussians between the captured lights (rbf), and bilinear
+interpolation on a grid over the hemisphere (Ponchio, Corsini and Scopigno, 2018).
 """
 
 from __future__ import annotations
 
-import json
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nishiki.formats.files import Refused, expect_bound, expect_memory, read_bytes, read_text
+from nishiki.formats.files import Refused, expect_bound, expect_memory, json_object, read_bytes, read_text
+from nishiki.formats.legacy_rti import LARGEST_ORDER, hemispherical_harmonics
 from nishiki.formats.relight_planes import REMEDY, has_planes, read_plane, within
-from nishiki.formats.relight_weights import FROM_YCOCG, bilinear_weights, gaussian_weights, terms_of
 
 INFO = "info.json"
 BASIS = "materials.bin"
@@ -159,10 +162,10 @@ def _triples(info: dict[str, Any], name: str) -> tuple[int, int]:
     planes = _numbers(info, "yccplanes", 3, name)
     brightness, first, second = planes.astype(int)
     if (planes != planes.astype(int)).any() or first != second or not 0 <= first <= brightness < 1 << 10:
-        expected, found = "brightness and two differences, as many of each", repr(info["yccplanes"])[:40]
-        raise Refused(name, "'yccplanes' cannot be used", expected=expected, found=found, remedy=REMEDY)
+        expected = "brightness and two differences, as many of each"
+        raise _unusable(name, "yccplanes", expected, repr(info["yccplanes"])[:40])
     if brightness == 0:
-        raise Refused(name, "'yccplanes' cannot be used", expected="planes", found="none", remedy=REMEDY)
+        raise _unusable(name, "yccplanes", "planes", "none")
     return int(planes.sum()), int(first)
 
 
@@ -170,7 +173,7 @@ def _resolution(info: dict[str, Any], name: str) -> int:
     """Nodes of the grid of bilinear, each way."""
     side = _whole(info, "resolution", name)
     if not 2 <= side <= 256:
-        raise Refused(name, "'resolution' cannot be used", expected="2 to 256", found=str(side), remedy=REMEDY)
+        raise _unusable(name, "resolution", "2 to 256", str(side))
     return side
 
 
@@ -202,24 +205,24 @@ def _expect_gaussians(lights: np.ndarray, width: float, name: str) -> None:
     lengths = np.linalg.norm(lights, axis=1)
     if len(lights) == 0 or np.abs(lengths - 1).max() > OFF_UNIT:
         found = f"length {lengths[np.abs(lengths - 1).argmax()]:.3g}" if len(lights) else "none"
-        raise Refused(name, "'lights' cannot be used", expected="vectors of length 1", found=found, remedy=REMEDY)
+        raise _unusable(name, "lights", "vectors of length 1", found)
     _expect_at_least(LEAST_WIDTH, "sigma", width, name)
 
 
 def _expect_at_least(least: float, key: str, value: float, name: str) -> None:
     if value < least:
-        expected, found = f"at least {least}", f"{value:.3g}"
-        raise Refused(name, f"'{key}' cannot be used", expected=expected, found=found, remedy=REMEDY)
+        raise _unusable(name, key, f"at least {least}", f"{value:.3g}")
+
+
+def _unusable(name: str, key: str, expected: str, found: str) -> Refused:
+    return Refused(name, f"'{key}' cannot be used", expected=expected, found=found, remedy=REMEDY)
 
 
 def _info(folder: Path, name: str) -> dict[str, Any]:
     try:
-        content = json.loads(read_text(within(folder, INFO), "table_bytes", name=name))
-    except (ValueError, RecursionError) as e:
+        return json_object(read_text(within(folder, INFO), "table_bytes", name=name))
+    except ValueError as e:
         raise Refused(name, "not JSON", found=str(e)[:80], remedy=REMEDY) from None
-    if not isinstance(content, dict):
-        raise Refused(name, "not a JSON object", found=type(content).__name__, remedy=REMEDY)
-    return content
 
 
 def _whole(info: dict[str, Any], key: str, name: str) -> int:
@@ -235,6 +238,71 @@ def _numbers(content: dict[str, Any], key: str, count: int | None, name: str) ->
     values = values if isinstance(values, list) else [values]
     sound = all(type(v) in (int, float) and abs(v) < 1e9 for v in values)  # neither NaN nor true
     if not sound or (len(values) % 3 if count is None else len(values) != count):
-        expected, found = f"{count or 'threes of'} numbers", f"{len(values)}, {repr(values)[:40]}"
-        raise Refused(name, f"'{key}' cannot be used", expected=expected, found=found, remedy=REMEDY)
+        raise _unusable(name, key, f"{count or 'threes of'} numbers", f"{len(values)}, {repr(values)[:40]}")
     return np.array(values, np.float64)
+
+
+LEAST_WEIGHT = 0.001  # of a captured light, below which viewers leave it out
+FROM_YCOCG = np.array([[1.0, 0.5, -0.5], [1.0, 0.0, 0.5], [1.0, -0.5, -0.5]])
+"""Red, green and blue of brightness, R - B, and G - (R + B) / 2."""
+
+
+def ptm_weights(lights: np.ndarray) -> np.ndarray:
+    """(n, 6) of unit vectors (n, 3): 1, x, y, x^2, x y, y^2."""
+    x, y = lights[:, 0], lights[:, 1]
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+
+
+def spherical_harmonics(lights: np.ndarray) -> np.ndarray:
+    """(n, 9) of unit vectors (n, 3), by degree and within it from order -l to l, without Condon's and Shortley's sign.
+
+    That is the order in which relight fits them. OpenLIME 1.2 shows them with x and y exchanged.
+    """
+    x, y, z = lights.T
+    first, second = 0.5 * math.sqrt(3 / math.pi), 0.5 * math.sqrt(15 / math.pi)
+    linear = [np.full_like(x, 0.5 / math.sqrt(math.pi)), first * y, first * z, first * x]
+    square = 0.25 * math.sqrt(5 / math.pi) * (3 * z * z - 1)
+    mixed = [second * x * y, second * y * z, square, second * x * z, 0.5 * second * (x * x - y * y)]
+    return np.stack([*linear, *mixed], axis=1)
+
+
+def terms_of(kind: str, count: int) -> Callable[[np.ndarray], np.ndarray] | None:
+    """The function of ptm, hsh or sh with this many terms, of unit vectors (n, 3); None where there is none."""
+    if kind == "hsh" and count in [order**2 for order in range(1, LARGEST_ORDER + 1)]:
+        return lambda lights: hemispherical_harmonics(lights, math.isqrt(count))
+    if kind == "ptm" and count in (3, 6):
+        return lambda lights: ptm_weights(lights)[:, :count]
+    return spherical_harmonics if (kind, count) == ("sh", 9) else None
+
+
+def gaussian_weights(lights: np.ndarray, light: np.ndarray, width: float) -> np.ndarray:
+    """(lights,) of captured unit vectors (lights, 3) for one light, sum 1."""
+    squares = np.sum((lights - light) ** 2, axis=1)
+    weights = np.exp(-(squares - squares.min()) / width**2)
+    weights /= weights.sum()
+    weights[weights <= LEAST_WEIGHT] = 0
+    return weights / weights.sum()
+
+
+def bilinear_weights(side: int, light: np.ndarray) -> np.ndarray:
+    """(side^2,) of a grid over the hemisphere for one unit vector with z >= 0, sum 1; at most four are not 0.
+
+    The octahedral map, turned by 45 degrees: s = |x| + |y| + |z|; columns from (x + y) / s = -1 to 1, rows from
+    (y - x) / s = -1 to 1, nodes at both ends.
+    """
+    x, y, _ = light
+    total = np.abs(light).sum()
+    across, down = ((np.array([x + y, y - x]) / total + 1) / 2 * (side - 1)).clip(0, side - 1)
+    column, row = min(int(across), side - 2), min(int(down), side - 2)
+    weights = np.zeros((side, side))
+    right, below = across - column, down - row
+    weights[row : row + 2, column : column + 2] = np.outer([1 - below, below], [1 - right, right])
+    return weights.ravel()
+
+
+def grid_directions(side: int) -> np.ndarray:
+    """(side^2, 3) unit vectors of the nodes, in the order of `bilinear_weights`; those of the outermost have z = 0."""
+    down, across = np.mgrid[:side, :side] * 2 / (side - 1) - 1
+    x, y = ((across - down) / 2).ravel(), ((across + down) / 2).ravel()
+    vectors = np.stack([x, y, np.maximum(1 - np.abs(x) - np.abs(y), 0)], axis=1)
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -10,9 +10,8 @@ from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 
-from nishiki.formats.bounds import bound, remedy
-from nishiki.formats.files import Refused, is_label, read_bytes
-from nishiki.formats.problems import CaptureError, Problem, error
+from nishiki.formats.files import Refused, bound, is_label, read_bytes, remedy
+from nishiki.formats.problems import CaptureError, Problem, error, refuse
 
 SEPARATOR = re.compile(r"\s*sep=.\s*", re.IGNORECASE)
 DECIMAL_COMMA = re.compile(r"[-+]?[0-9]*,[0-9]+([eE][-+]?[0-9]+)?")
@@ -63,7 +62,11 @@ def table_rows(path: Path, name: str, *, limit: str = "table_bytes") -> Iterator
     The heading tells: commas separate its cells, or semicolons or tabs where it has more of these. Numbers may then
     have decimal commas, which become points. A first line `sep=;`, which spreadsheets write, is passed over.
     """
-    lines = table_lines(path, name, limit=limit)
+    return cells_of(table_lines(path, name, limit=limit))
+
+
+def cells_of(lines: Iterator[tuple[int, str]]) -> Iterator[tuple[int, list[str]]]:
+    """Cells of numbered lines, see `table_rows`."""
     first = next(lines, None)
     if first is not None and SEPARATOR.fullmatch(first[1]):
         first = next(lines, None)
@@ -81,7 +84,7 @@ def expect_rows(count: int, limit: str, name: str, kind: str) -> None:
     if count > bound(limit):
         expected, found = f"at most {bound(limit)} {limit.rpartition('_')[2]}", f"{count} or more"
         what = "table is larger than is read"
-        raise CaptureError(error(f"{kind}-many", name, what, expected=expected, found=found, remedy=remedy(limit)))
+        refuse(f"{kind}-many", name, what, expected=expected, found=found, remedy=remedy(limit))
 
 
 def label_problems(name: str, what: str, where: str) -> list[Problem]:

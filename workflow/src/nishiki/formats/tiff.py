@@ -14,8 +14,7 @@ import tifffile
 
 from nishiki.formats.coding import Coding, transfer_function
 from nishiki.formats.exif import exif_of_page, quiet_tifffile
-from nishiki.formats.image_header import ImageHeader, Sample
-from nishiki.formats.picture_files import AS_RGB, Output, Picture, Wanted, unsupported
+from nishiki.formats.picture_files import AS_RGB, ImageHeader, Output, Picture, Sample, Wanted, unsupported
 
 MOST_PAGES = 256
 PACKED_RATIO = 4000  # LZW: codes of 12 bits for at most 4096 bytes, deflate 1032
@@ -25,29 +24,7 @@ OTHER_MODELS = {5: "CMYK", 8: "CIELab", 9: "ICCLab", 10: "ITULab", 32803: "a sen
                 32845: "LogLuv"}  # fmt: skip
 MODEL_REMEDY = {"CMYK": "Save it as RGB: CMYK is for printing", "YCbCr": AS_RGB}
 ASSOCIATED, UNASSOCIATED = 1, 2
-_PIXEL_FIELDS = {
-    254,
-    256,
-    257,
-    258,
-    259,
-    262,
-    266,
-    273,
-    277,
-    278,
-    279,
-    284,
-    317,
-    320,
-    322,
-    323,
-    324,
-    325,
-    338,
-    339,
-    347,
-}
+_PIXEL_FIELDS = {*range(254, 260), 262, 266, 273, 277, 278, 279, 284, 317, 320, *range(322, 326), 338, 339, 347}
 
 
 def open_tiff(file: BinaryIO, name: str) -> Picture:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from nishiki.capture.folder import Capture
 from nishiki.capture.seal import payload_files
-from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_header
 from nishiki.observations.choice import AnyCapture, chosen
 
 ROLES = {

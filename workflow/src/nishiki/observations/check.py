@@ -18,9 +18,8 @@ from nishiki.capture.taking import compare_exposures
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.coding import Coding
 from nishiki.formats.files import walk
-from nishiki.formats.image_header import ImageHeader
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import expect_channels
+from nishiki.formats.images import expect_channels, read_header
+from nishiki.formats.picture_files import ImageHeader
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.choice import AnyCapture

@@ -9,8 +9,7 @@ import numpy as np
 
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
-from nishiki.capture.goniometer import GoniometerCapture
-from nishiki.capture.goniometer_rules import NORMAL_DEG
+from nishiki.capture.goniometer import NORMAL_DEG, GoniometerCapture
 from nishiki.capture.turntable import TurntableCapture
 
 AnyCapture = Capture | TurntableCapture | GoniometerCapture

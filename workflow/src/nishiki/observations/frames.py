@@ -14,9 +14,8 @@ from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Band, Frame, inside
 from nishiki.capture.seal import expect_sealed, sealed_digests
 from nishiki.formats.coding import Coding
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import Region, read_codes
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.images import Region, read_codes, read_header
+from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
 from nishiki.observations.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code
 from nishiki.observations.plane_decode import to_luma
 from nishiki.observations.region import region_of
@@ -79,9 +78,7 @@ class FrameReader:
         stored = capture.settings.camera.channels
         if channels not in ("all", "luminance", "green", *stored):
             expected = f"auto, all, luminance, green, or a channel of the capture ({', '.join(stored)})"
-            raise CaptureError(
-                error("channel-unknown", "ingest.channels", "channels", expected=expected, found=channels)
-            )
+            refuse("channel-unknown", "ingest.channels", "channels", expected=expected, found=channels)
         digests = sealed_digests(capture.root) if prove else {}
         others = {name for f in capture.frames for name in f.names} | set(unopened)
         for name in sorted(digests.keys() - others):  # tables, spectra, mask: small
@@ -94,7 +91,7 @@ class FrameReader:
         if dtype.kind == "u" and camera.bits and camera.bits > 8 * dtype.itemsize:
             expected = f"at most {8 * dtype.itemsize} for these files"
             found = str(camera.bits)
-            raise CaptureError(error("bits-differ", "capture.yaml camera.bits", "bits", expected=expected, found=found))
+            refuse("bits-differ", "capture.yaml camera.bits", "bits", expected=expected, found=found)
         coding, bits = header.coding_used(camera.encoding), camera.bits or header.bits
         if coding.fault and camera.encoding == "file":
             raise CaptureError(unusable_coding(coding, first.file))
@@ -206,14 +203,14 @@ class FrameReader:
         header = read_header(part.path, name=file)
         if (header.rows, header.columns) != (self.rows, self.columns):
             expected, found = f"{self.rows} x {self.columns}", f"{header.rows} x {header.columns}"
-            raise CaptureError(error("image-size", file, "size differs", expected=expected, found=found))
+            refuse("image-size", file, "size differs", expected=expected, found=found)
         if np.dtype(header.sample) != self.dtype:
             expected, found = str(self.dtype), header.sample
-            raise CaptureError(error("image-depth", file, "depth differs", expected=expected, found=found))
+            refuse("image-depth", file, "depth differs", expected=expected, found=found)
         coding = header.coding_used(self.capture.settings.camera.encoding)
         if coding != self.coding and coding.differs_from(self.coding):
             expected, found = self.coding.name, coding.name
-            raise CaptureError(error("coding-differs", file, "coding differs", expected=expected, found=found))
+            refuse("coding-differs", file, "coding differs", expected=expected, found=found)
         return read_codes(part.path, channels, header=header, luma=luma, region=self.region, name=file)
 
     def read_ahead(self, frames: Sequence[Frame]) -> Iterator[tuple[Frame, Callable[[], np.ndarray]]]:
@@ -237,9 +234,7 @@ class FrameReader:
         if self.dtype.kind == "u" and highest > self.full:
             expected, found = f"codes up to {self.full:.0f} as camera.bits says", f"{highest:.0f}"
             remedy = "Correct camera.bits"
-            raise CaptureError(
-                error("bits-exceeded", frame.file, "code", expected=expected, found=found, remedy=remedy)
-            )
+            refuse("bits-exceeded", frame.file, "code", expected=expected, found=found, remedy=remedy)
 
     def warnings(self) -> list[Problem]:
         """What the user should know about these files as measurements, once the frames have been seen."""

@@ -11,7 +11,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.formats.files import read_json
 from nishiki.formats.stored import load_arrays, open_group, understood
-from nishiki.formats.zarr_chunks import chunk_path, read_chunk
+from nishiki.formats.zarr_store import chunk_path, read_chunk
 from nishiki.observations.blocks import block_edges, positions
 from nishiki.observations.goniometer_store import FORMAT, NAMES, STORE, TABLE
 

@@ -10,7 +10,7 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.formats.images import Region
 from nishiki.formats.masks import read_labels
-from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning
+from nishiki.formats.problems import Problem, name_some, refuse, warning
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField
 
@@ -39,15 +39,15 @@ def region_labels(capture: GoniometerCapture, size: tuple[int, int]) -> np.ndarr
         expected, found = f"{size[0]} x {size[1]} as the frames", f"{labels.shape[0]} x {labels.shape[1]}"
         remedy = "Make it from a photograph along the normal, or give regions_pitch_mm and pixel_pitch_mm"
         what = "size of the regions"
-        raise CaptureError(error("regions-size", block.regions, what, expected=expected, found=found, remedy=remedy))
+        refuse("regions-size", block.regions, what, expected=expected, found=found, remedy=remedy)
     present = set(np.unique(labels).tolist()) - {0}
     if not present:
-        raise CaptureError(error("regions-empty", block.regions, "no pixel has a label", remedy="Labels count from 1"))
+        refuse("regions-empty", block.regions, "no pixel has a label", remedy="Labels count from 1")
     lost = [f"{label} ({name})" for name, label in block.region_names.items() if label not in present]
     if lost:
         found = ", ".join(lost)
         what, remedy = "a region that is named has no pixel", "Correct the label picture or goniometer.region_names"
-        raise CaptureError(error("regions-name", block.regions, what, found=found, remedy=remedy))
+        refuse("regions-name", block.regions, what, found=found, remedy=remedy)
     return labels
 
 
@@ -58,7 +58,7 @@ def code_problems(frame: Frame, codes: np.ndarray, reader: FrameReader) -> list[
         return []
     broken = int((~np.isfinite(codes)).any(axis=2).sum())
     if broken == codes.shape[0] * codes.shape[1]:
-        raise CaptureError(error("not-finite", frame.file, "no sample is finite", remedy="Write the file again"))
+        refuse("not-finite", frame.file, "no sample is finite", remedy="Write the file again")
     what = "NaN or infinite samples are not used"
     return [warning("not-finite", frame.file, what, found=f"{broken} pixels")] if broken else []
 
@@ -79,12 +79,10 @@ def white_level(frame: Frame, codes: np.ndarray, reader: FrameReader, darks: Dar
     middle = codes[row : row + rows, column : column + columns]
     hot = float((middle >= reader.saturated).any(axis=2).mean())
     if hot > 0.01:
-        what, found, remedy = (
-            "the white board is saturated",
-            f"{100 * hot:.1f} % of the window",
-            "Expose the board less",
-        )
-        raise CaptureError(error("white-saturated", frame.file, what, found=found, remedy=remedy))
+        what = "the white board is saturated"
+        found = f"{100 * hot:.1f} % of the window"
+        remedy = "Expose the board less"
+        refuse("white-saturated", frame.file, what, found=found, remedy=remedy)
     linear = (reader.table[middle] if reader.dtype.kind == "u" else middle).astype(np.float64)
     level = np.nanmean(np.where(np.isfinite(linear), linear, np.nan), axis=(0, 1))
     level = level - darks.at(frame.exposure_s).mean(axis=(0, 1))
@@ -92,5 +90,5 @@ def white_level(frame: Frame, codes: np.ndarray, reader: FrameReader, darks: Dar
     if not least > (DARK_WHITE if reader.dtype.kind == "u" else 0.0):
         what, found = "the white board is too dark", f"{100 * least:.2f} % of full scale"
         expected, remedy = f"above {100 * DARK_WHITE:g} %", "Expose the board longer, or check the dark frames"
-        raise CaptureError(error("white-dark", frame.file, what, expected=expected, found=found, remedy=remedy))
+        refuse("white-dark", frame.file, what, expected=expected, found=found, remedy=remedy)
     return least

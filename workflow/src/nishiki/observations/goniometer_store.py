@@ -14,8 +14,7 @@ from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import expect_sealed, sealed_digests
 from nishiki.formats.masks import label_problems
 from nishiki.formats.problems import Problem, group_problems
-from nishiki.formats.zarr_chunks import chunk_path, write_chunk
-from nishiki.formats.zarr_store import BandedGroup
+from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.choice import chosen
 from nishiki.observations.frames import FrameReader

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nishiki.capture.turntable import TurntableCapture
-from nishiki.capture.turntable_schema import Turntable
+from nishiki.capture.turntable_rules import Turntable
 from nishiki.errors import UserError
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.geometry.camera import Camera

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from nishiki.formats.stored import open_bands, open_made_by, understood
-from nishiki.formats.zarr_chunks import chunk_path, read_chunk, read_chunk_into
+from nishiki.formats.zarr_store import chunk_path, read_chunk, read_chunk_into
 from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid, positions
 from nishiki.observations.linearise import straight_scale
 from nishiki.threads import over_rows

@@ -11,8 +11,7 @@ import numpy as np
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
 from nishiki.formats.problems import Problem, group_problems
-from nishiki.formats.zarr_chunks import chunk_path, write_chunk
-from nishiki.formats.zarr_store import BandedGroup
+from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.choice import chosen
 from nishiki.observations.corrections import find_corrections
 from nishiki.observations.frames import FrameReader

@@ -7,7 +7,7 @@ import numpy as np
 from nishiki.capture.folder import Capture
 from nishiki.formats.images import Region
 from nishiki.formats.masks import Mask, examine_mask, expect_size, label_problems, read_labels
-from nishiki.formats.problems import CaptureError, Problem, error
+from nishiki.formats.problems import Problem, refuse
 from nishiki.observations.blocks import Edges, blocks_around, edges_between
 
 MANY_REGIONS = 256
@@ -22,9 +22,7 @@ def region_of(capture: Capture, rows: int, columns: int) -> Region:
     if height < 1 or width < 1 or row + height > rows or column + width > columns:
         what = "region_of_interest leaves the picture or is empty"
         expected = f"within {rows} rows and {columns} columns"
-        raise CaptureError(
-            error("region-outside", "capture.yaml", what, expected=expected, found=", ".join(map(str, region)))
-        )
+        refuse("region-outside", "capture.yaml", what, expected=expected, found=", ".join(map(str, region)))
     return region
 
 
@@ -42,7 +40,7 @@ def object_mask(capture: Capture, size: tuple[int, int], region: Region) -> Mask
     inside = mask.inside[row : row + rows, column : column + columns]
     if not inside.any():
         remedy = "Light pixels mark the object; check the mask and the region of interest"
-        raise CaptureError(error("mask-empty", name, "mask has no pixels", remedy=remedy))
+        refuse("mask-empty", name, "mask has no pixels", remedy=remedy)
     return Mask(inside, mask.problems)
 
 
@@ -63,7 +61,7 @@ def region_numbers(
     if len(labels) > MANY_REGIONS:
         remedy = "Join regions of the same material: each gets its own reflection parameters"
         found, expected = f"{len(labels)} labels", f"at most {MANY_REGIONS}"
-        raise CaptureError(error("regions-many", name, "regions", expected=expected, found=found, remedy=remedy))
+        refuse("regions-many", name, "regions", expected=expected, found=found, remedy=remedy)
     return index.reshape(rows, columns).astype(np.uint8), tuple(label_problems(full_labels, name))
 
 

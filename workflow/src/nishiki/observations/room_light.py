@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.formats.zarr_chunks import chunk_path, write_chunk
+from nishiki.formats.zarr_store import chunk_path, write_chunk
 from nishiki.observations.blocks import field_rows
 from nishiki.observations.plane import Observations
 from nishiki.observations.resampling import subtract_light

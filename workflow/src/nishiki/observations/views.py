@@ -11,7 +11,7 @@ import numpy as np
 from nishiki.colour.colour import decode, encode
 from nishiki.errors import UserError
 from nishiki.formats.stored import open_group, open_made_by, understood
-from nishiki.formats.zarr_chunks import chunk_path, read_chunk
+from nishiki.formats.zarr_store import chunk_path, read_chunk
 from nishiki.observations.blocks import grid_of, on_one_grid, picture_edges
 from nishiki.observations.linearise import straight_scale
 

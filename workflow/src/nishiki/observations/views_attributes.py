@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.turntable import TurntableCapture
-from nishiki.capture.turntable_schema import UNITS_MM
+from nishiki.capture.turntable_rules import UNITS_MM
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.views_white import Whites
 

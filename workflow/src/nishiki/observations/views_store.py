@@ -12,9 +12,8 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.colour.colour import encode
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
-from nishiki.formats.problems import CaptureError, Problem, error, group_problems
-from nishiki.formats.zarr_chunks import chunk_path, write_chunk
-from nishiki.formats.zarr_store import BandedGroup
+from nishiki.formats.problems import Problem, group_problems, refuse
+from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.choice import chosen
 from nishiki.observations.frames import FrameReader
@@ -120,7 +119,7 @@ def read_silhouette(frame: Frame, size: tuple[int, int]) -> Mask:
     expect_size(outline.inside, size, frame.silhouette, "silhouette")
     if not outline.inside.any():
         remedy = "Light pixels mark the object"
-        raise CaptureError(error("silhouette-empty", frame.silhouette, "silhouette has no pixels", remedy=remedy))
+        refuse("silhouette-empty", frame.silhouette, "silhouette has no pixels", remedy=remedy)
     return outline
 
 

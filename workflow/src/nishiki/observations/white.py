@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
 from nishiki.observations.block_kernels import block_levels
 
 TOO_DARK = 0.02  # of full scale: below it noise and rounding are several percent of the board
@@ -55,7 +55,7 @@ def white_field(
     """
     if np.min(cos_theta) <= 0.05:
         found = f"cosine {np.min(cos_theta):.3f}"
-        raise CaptureError(error("white-grazing", name, "lamp grazes or lies behind the white board", found=found))
+        refuse("white-grazing", name, "lamp grazes or lies behind the white board", found=found)
     levels, unusable = block_levels(codes, table, row_edges, column_edges, float(saturated), float(clip))
     board = levels - dark
     bright_share = float((codes >= saturated).any(axis=2).mean())

@@ -15,8 +15,7 @@ from numba import njit
 
 from nishiki.errors import UserError
 from nishiki.formats.stored import open_made_by
-from nishiki.formats.zarr_chunks import chunk_path, read_chunk, write_chunk
-from nishiki.formats.zarr_store import BandedGroup
+from nishiki.formats.zarr_store import BandedGroup, chunk_path, read_chunk, write_chunk
 from nishiki.polarisation.polariser_states import StateSums
 from nishiki.threads import over_rows
 

@@ -18,8 +18,7 @@ import numpy as np
 from nishiki.capture.schema_base import Camera
 from nishiki.capture.taking import channel_names
 from nishiki.colour.colour import decode
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes
+from nishiki.formats.images import read_codes, read_header
 from nishiki.observations.linearise import full_scale, saturation_code
 from nishiki.rig.frames_table import PlannedFrame
 from nishiki.rig.plan import Checks, ReadPlan, frame_distance, incidence_cosines

@@ -16,7 +16,7 @@ from nishiki.artifacts.closed import Closed, parse
 from nishiki.capture.lights import Lights, read_lights
 from nishiki.capture.schema_base import Positive
 from nishiki.errors import UserError
-from nishiki.formats.image_header import IMAGE_SUFFIXES
+from nishiki.formats.picture_files import IMAGE_SUFFIXES
 from nishiki.goniometry.directions import between, unit
 from nishiki.rig.described import States
 from nishiki.rig.description import read_yaml

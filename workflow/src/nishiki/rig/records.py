@@ -20,7 +20,7 @@ from nishiki.capture.schema_base import FORMAT, Camera
 from nishiki.capture.taking import channel_names, choose_encoding, lights_text, settings_text, table_text
 from nishiki.errors import UserError
 from nishiki.formats.files import flush_folder, name_fault, put_file
-from nishiki.formats.image_header import ImageHeader
+from nishiki.formats.picture_files import ImageHeader
 from nishiki.formats.problems import CaptureError
 from nishiki.rig.frame_check import Measures
 from nishiki.rig.frames_table import ANGLES, PlannedFrame

@@ -29,7 +29,7 @@ from nishiki.capture.seal import MANIFEST, capture_digest, read_manifest, seal, 
 from nishiki.errors import UserError
 from nishiki.formats.exif import read_exif
 from nishiki.formats.files import flush_folder, put_file
-from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_header
 from nishiki.formats.problems import CaptureError, group_problems
 from nishiki.rig.description import OpenedRig, expect_devices, open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Rig, ask_operator

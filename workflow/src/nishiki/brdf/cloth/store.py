@@ -17,8 +17,8 @@ import numpy as np
 
 from nishiki.brdf.cloth.interface import ArrayFields, halves, only_above
 from nishiki.errors import UserError
+from nishiki.formats.merl import UTIA_PHI_DEG, UTIA_THETA_DEG
 from nishiki.formats.stored import load_arrays
-from nishiki.formats.utia import UTIA_PHI_DEG, UTIA_THETA_DEG
 from nishiki.goniometry.directions import unit
 
 _HALF_PI = np.pi / 2

@@ -13,8 +13,7 @@ from nishiki.capture.spheres.optics import Highlight, SphereCamera
 from nishiki.capture.spheres.outline import Circle, Outline
 from nishiki.capture.taking import channel_names, full_scale_of, read_grey
 from nishiki.errors import UserError
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes
+from nishiki.formats.images import read_codes, read_header
 
 MARGIN = 1.65  # of the radius: half the side of the crop around a sphere
 LEAST_LAMPS = 4  # that must be measured

@@ -33,7 +33,7 @@ from nishiki.capture.spheres.scene import SceneFit, bright_blocks, fit_scene
 from nishiki.capture.spheres.search import read_overview, subtract_surroundings
 from nishiki.capture.taking import full_scale_of, read_grey
 from nishiki.errors import UserError
-from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_header
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import name_some
 

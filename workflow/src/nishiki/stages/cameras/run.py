@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.capture.cameras import read_points
+from nishiki.capture.tables import read_points
 from nishiki.errors import UserError
 from nishiki.geometry.board import BoardShape, Calibration, Detection, calibrate, detect_boards
 from nishiki.geometry.camera import NO_DISTORTION, Camera, cameras_of_matrices, save_cameras

@@ -14,9 +14,9 @@ from nishiki.artifacts.closed import parse
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.half_vector_table import HalfVectorTable
 from nishiki.colour.colour import decode, delta_e_2000, srgb_encode, srgb_matrix, xyz_to_lab
-from nishiki.formats.bsdf import bsdf_bytes
-from nishiki.formats.glb import Glb
+from nishiki.formats.merl import bsdf_bytes
 from nishiki.formats.picture_tiles import png_bytes
+from nishiki.formats.textured_surface import Glb
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import write_ply
 from nishiki.render.cloth.frame import RenderVariant, render

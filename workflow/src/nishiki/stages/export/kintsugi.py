@@ -21,8 +21,8 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import decode, srgb_encode
-from nishiki.formats.glb import Glb
 from nishiki.formats.picture_tiles import png_bytes
+from nishiki.formats.textured_surface import Glb
 from nishiki.stages.export.object_look import INDEX, NORMAL_REFLECTANCE, ObjectLook, coded, sample
 from nishiki.stages.export.object_mitsuba import model_textures
 from nishiki.stages.export.object_surface import ObjectSurface, SeenPoints, Shown, against_photographs

@@ -15,8 +15,8 @@ from typing import Protocol
 
 import numpy as np
 
-from nishiki.formats.hsh import hemispherical_harmonics
-from nishiki.formats.relight_weights import bilinear_weights, gaussian_weights, ptm_weights
+from nishiki.formats.legacy_rti import hemispherical_harmonics
+from nishiki.formats.relight import bilinear_weights, gaussian_weights, ptm_weights
 from nishiki.photometric.light_selection import distinct_sets
 
 RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)

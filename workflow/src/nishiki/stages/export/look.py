@@ -9,9 +9,8 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import decode, encode, srgb_encode
-from nishiki.formats.glb import Glb
 from nishiki.formats.picture_tiles import png_bytes
-from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
+from nishiki.formats.textured_surface import Glb, SurfaceLook, TexturedMesh
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.gloss import PaintingGloss, RegionGloss, painting_gloss, slopes_widen
 from nishiki.stages.export.photographs import CodedErrors, Photographs

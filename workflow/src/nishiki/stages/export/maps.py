@@ -8,10 +8,8 @@ from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import srgb_encode
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
-from nishiki.formats.envi import EnviWriter
-from nishiki.formats.exr_bands import ExrWriter
-from nishiki.formats.icc import ROMM, icc_profile
-from nishiki.formats.tiff_bands import strips, write_tiff
+from nishiki.formats.banded_pictures import EnviWriter, ExrWriter, strips, write_tiff
+from nishiki.formats.coding import ROMM, icc_profile
 from nishiki.render.display import normals_as_colours
 from nishiki.stages.export.registry import software
 from nishiki.stages.export.scene import ExportedScene, Relief, reliefs

@@ -12,11 +12,10 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.texels.model import DISTANT, POINT, Lamp, predict
 from nishiki.colour.colour import decode
-from nishiki.formats.exr_bands import ExrWriter
+from nishiki.formats.banded_pictures import ExrWriter
 from nishiki.formats.mitsuba_xml import Parameter, write_scene
 from nishiki.formats.picture_tiles import png_bytes
-from nishiki.formats.textured_ply import faces, heading, vertices
-from nishiki.formats.textured_surface import TexturedMesh
+from nishiki.formats.textured_surface import TexturedMesh, faces, heading, vertices
 from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from nishiki.colour.colour import encode, xyz_to_srgb_linear
-from nishiki.formats.relight_weights import gaussian_weights, grid_directions
+from nishiki.formats.relight import gaussian_weights, grid_directions
 from nishiki.observations.plane import Observations
 from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shade import predict_observations

@@ -4,8 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from nishiki.artifacts.stage import Context
-from nishiki.formats.materialx import write_materialx
-from nishiki.formats.usd import write_usdz
+from nishiki.formats.usd import write_materialx, write_usdz
 
 
 def write_formats(context: Context, writers: Mapping[str, Callable[[], dict[str, Any]]]) -> dict[str, Any]:

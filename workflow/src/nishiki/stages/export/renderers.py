@@ -23,11 +23,10 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import isotropic_lobe
 from nishiki.brdf.torrance_sparrow import body_factor, specular, transmittance
-from nishiki.formats.exr_bands import ExrWriter
+from nishiki.formats.banded_pictures import ExrWriter
 from nishiki.formats.merl import MERL_HIDDEN, merl_bytes, merl_directions
 from nishiki.formats.mitsuba_xml import Parameter
-from nishiki.formats.textured_ply import faces, heading, vertices
-from nishiki.formats.textured_surface import index_of
+from nishiki.formats.textured_surface import faces, heading, index_of, vertices
 from nishiki.observations.plane import Observations
 from nishiki.report.page import read_json
 from nishiki.stages.export import mitsuba_paint

@@ -13,8 +13,8 @@ from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, wh
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import CameraColour, read_camera_colour
 from nishiki.evaluate.prediction import FittedModel
-from nishiki.formats.icc import D50
-from nishiki.formats.tiff_bands import strips
+from nishiki.formats.banded_pictures import strips
+from nishiki.formats.coding import D50
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.plane.scene import Gloss

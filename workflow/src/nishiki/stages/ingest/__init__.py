@@ -7,7 +7,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at
-from nishiki.formats.image_header import RAW_SUFFIXES
+from nishiki.formats.picture_files import RAW_SUFFIXES
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, SceneFacts, Stage, only_files
 
 LIMITS = (

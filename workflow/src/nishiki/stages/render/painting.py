@@ -13,7 +13,7 @@ from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.scene import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
-from nishiki.capture.spectra_tables import read_curves
+from nishiki.capture.tables import read_curves
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample
 from nishiki.evaluate.camera_colour import display_map, displayed_colours

@@ -7,7 +7,7 @@ import numpy as np
 
 from nishiki.artifacts.maps import Maps, MapWriter, TiledStage
 from nishiki.artifacts.stage import Context
-from nishiki.capture.spectra_tables import read_curves
+from nishiki.capture.tables import read_curves
 from nishiki.colour.estimate import (
     SpectralEstimator,
     estimate_spectra,

@@ -1,4 +1,4 @@
-"""Tables of a turntable's geometry: projection matrices, and points of the object found in pictures."""
+"""Tables of a capture beside frames.csv: projection matrices, points found in pictures, spectra."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse
 from nishiki.formats.text_tables import expect_rows, label_problems, reading, table_rows
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.turn import scale_turn
@@ -45,7 +45,7 @@ def read_cameras(path: Path, name: str) -> CameraTable:
     wide = [["view", *MATRIX_COLUMNS], ["view", *MATRIX_COLUMNS, *LENS_COLUMNS]]
     if heading not in wide:
         found = ",".join(rows[0][1])[:90] if rows else "no heading"
-        raise CaptureError(error("cameras-columns", name, "columns", expected=expected, found=found))
+        refuse("cameras-columns", name, "columns", expected=expected, found=found)
     count = len(heading) - 1
     for number, cells in rows[1:]:
         where = f"{name} row {number}"
@@ -85,7 +85,7 @@ def arrange_cameras(
         turned = scale_turn(arranged, np.array([camera_centre(matrix) for matrix in arranged]), -1.0)
         if turned is None:
             what, remedy = "the cameras lie on no circle", "Leave turn out, and correct the cameras"
-            raise CaptureError(error("turn-unknown", "capture.yaml turntable.turn", what, remedy=remedy))
+            refuse("turn-unknown", "capture.yaml turntable.turn", what, remedy=remedy)
         arranged = turned
     lenses = {view: table.distortions[camera_of.get(view, view)] for view in views} if table.distortions else {}
     return CameraTable(dict(zip(views, arranged, strict=True)), lenses)
@@ -114,7 +114,7 @@ def read_points(path: Path, name: str, views: tuple[str, ...]) -> dict[str, np.n
         rows = list(table_rows(path, name))
     if not rows or tuple(c.casefold() for c in rows[0][1]) != POINT_COLUMNS:
         found = ",".join(rows[0][1])[:90] if rows else "no heading"
-        raise CaptureError(error("points-columns", name, "columns", expected=",".join(POINT_COLUMNS), found=found))
+        refuse("points-columns", name, "columns", expected=",".join(POINT_COLUMNS), found=found)
     rows_by_view: dict[str, list] = {}
     problems: list[Problem] = []
     for number, cells in rows[1:]:
@@ -148,3 +148,77 @@ def _numbers(cells: list[str]) -> list[float] | None:
         return [float(cell) for cell in cells]
     except ValueError:
         return None
+
+
+FIRST_NM, LAST_NM = 400.0, 700.0
+
+
+@dataclass(frozen=True)
+class Curves:
+    """wavelengths_nm (n,) float64 increasing; values (n, curves) float64, >= 0; names: one a curve."""
+
+    names: tuple[str, ...]
+    wavelengths_nm: np.ndarray
+    values: np.ndarray
+
+
+def read_curves(path: Path, *, names: tuple[str, ...] | None = None, label: str | None = None) -> Curves:
+    """Read wavelength_nm and one column a curve, covering 400-700 nm.
+
+    names: the columns wanted, in this order (None: all). Raises CaptureError with all mistakes: spectra-missing,
+    spectra-unreadable, spectra-many, spectra-columns, spectra-not-finite, spectra-negative, spectra-order,
+    spectra-range, spectra-zero.
+    """
+    label = label or path.name
+    header, rows = _table(path, label)
+    if header[:1] != ["wavelength_nm"] or len(header) < 2:
+        expected = "wavelength_nm, then one column a curve"
+        refuse("spectra-columns", label, "columns", expected=expected, found=",".join(header)[:80])
+    selected = list(names) if names else header[1:]
+    missing = [n for n in selected if n not in header[1:]]
+    if missing or len(set(header)) != len(header):
+        what = f"no column for {', '.join(missing)}" if missing else "a column appears twice"
+        remedy = "Name the columns as camera.channels does"
+        refuse("spectra-columns", label, what, found=",".join(header)[:80], remedy=remedy)
+    try:
+        numbers = np.array([[float(v) for v in row] for row in rows], dtype=np.float64).reshape(-1, len(header))
+    except ValueError as e:
+        raise CaptureError(error("spectra-unreadable", label, "a value is not a number", found=str(e))) from e
+    wavelengths, values = numbers[:, 0], numbers[:, [header.index(n) for n in selected]]
+    raise_errors(_mistakes(wavelengths, values, label))
+    return Curves(tuple(selected), wavelengths, values)
+
+
+def _table(path: Path, label: str) -> tuple[list[str], list[list[str]]]:
+    with reading(label, "spectra"):
+        rows = [cells for _, cells in table_rows(path, label)]
+    if not rows:
+        refuse("spectra-unreadable", label, "empty file")
+    expect_rows(len(rows[0]), "table_columns", label, "spectra")
+    uneven = [i for i, row in enumerate(rows, start=1) if len(row) != len(rows[0])]
+    if uneven:
+        what = f"row {uneven[0]} has another number of values than the heading"
+        refuse("spectra-unreadable", label, what, expected=f"{len(rows[0])} values")
+    return rows[0], rows[1:]
+
+
+def _mistakes(wavelengths: np.ndarray, values: np.ndarray, label: str) -> list:
+    if not (np.isfinite(wavelengths).all() and np.isfinite(values).all()):
+        bad = int((~np.isfinite(values)).sum() + (~np.isfinite(wavelengths)).sum())
+        return [error("spectra-not-finite", label, f"{bad} values are not finite")]
+    problems = []
+    if len(wavelengths) > 1 and not (np.diff(wavelengths) > 0).all():
+        at = wavelengths[1:][np.diff(wavelengths) <= 0][0]
+        problems.append(error("spectra-order", label, "wavelengths do not increase", found=f"at {at:g} nm"))
+    if len(wavelengths) < 2 or wavelengths.min() > FIRST_NM or wavelengths.max() < LAST_NM:
+        found = f"{wavelengths.min():g}-{wavelengths.max():g} nm" if len(wavelengths) else "no rows"
+        expected = f"at least {FIRST_NM:g}-{LAST_NM:g} nm"
+        remedy = "Measure or extend the curve; it is not extrapolated"
+        what = "wavelength range is too short"
+        problems.append(error("spectra-range", label, what, expected=expected, found=found, remedy=remedy))
+    if (values < 0).any():
+        found = f"{values.min():g}"
+        problems.append(error("spectra-negative", label, f"{int((values < 0).sum())} negative values", found=found))
+    elif values.size and not (values > 0).any(axis=0).all():
+        problems.append(error("spectra-zero", label, "a curve is zero everywhere"))
+    return problems

@@ -1,19 +1,181 @@
-"""OpenEXR by bands of rows, so that neither a writer nor a checker holds a whole picture: scan lines, ZIP blocks of 16.
+"""Pictures written by bands of rows, so that no writer holds a whole one: TIFF, OpenEXR, and ENVI of many bands.
 
-The library in use takes and gives whole pictures only. Layout of the file: OpenEXR File Layout (Academy Software
-Foundation); a block is split into even and odd bytes, differenced, and packed by zlib.
+TIFF: a strip a band, deflate, with unit, scale (33550 and 33922: GeoTIFF, OGC 19-008r4), profile and a value for no
+data (42113: GDAL). OpenEXR (File Layout, Academy Software Foundation): scan lines in ZIP blocks of 16, each split into
+even and odd bytes, differenced, and packed by zlib; the library in use takes and gives whole pictures only. ENVI: a
+header in text, and float32 samples by rows, in each row by bands (BIL).
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
+
+
+class EnviWriter:
+    """Writes `NAME.img` row by row, and `NAME.hdr` beside it.
+
+    Parameters
+    ----------
+    path : Path
+        Of the samples.
+    shape : (int, int)
+        Rows and columns.
+    wavelengths_nm : sequence of float
+        Of the bands.
+    description : str
+        What the values mean.
+    pitch_mm : float or None
+        Distance of two pixels.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        shape: tuple[int, int],
+        wavelengths_nm: Sequence[float] | np.ndarray,
+        *,
+        description: str,
+        pitch_mm: float | None = None,
+    ) -> None:
+        self._shape = (*shape, len(wavelengths_nm))
+        self._row = 0
+        path.with_suffix(".hdr").write_text(
+            envi_header(self._shape, wavelengths_nm, description, pitch_mm), encoding="ascii", errors="replace"
+        )
+        self._file = open(path, "wb")
+
+    def __enter__(self) -> EnviWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+        if kind is None and self._row != self._shape[0]:
+            raise ValueError(f"expected {self._shape[0]} rows, found {self._row}")
+
+    def write(self, rows: np.ndarray) -> None:
+        """The next rows (r, columns, bands)."""
+        self._file.write(np.ascontiguousarray(rows.transpose(0, 2, 1), "<f4").tobytes())
+        self._row += len(rows)
+
+
+def envi_header(
+    shape: tuple[int, int, int], wavelengths_nm: Sequence[float] | np.ndarray, description: str, pitch_mm: float | None
+) -> str:
+    """The text of a header."""
+    rows, columns, bands = shape
+    lines = [
+        "ENVI",
+        f"description = {{{description.translate(str.maketrans('{}', '()'))}}}",
+        f"samples = {columns}",
+        f"lines = {rows}",
+        f"bands = {bands}",
+        "header offset = 0",
+        "file type = ENVI Standard",
+        "data type = 4",
+        "interleave = bil",
+        "byte order = 0",
+        "wavelength units = Nanometers",
+        f"wavelength = {{{', '.join(f'{float(value):g}' for value in wavelengths_nm)}}}",
+        "data ignore value = 0",
+    ]
+    if pitch_mm:
+        size = f"{pitch_mm:.9g}, {pitch_mm:.9g}"
+        left, top = -columns * pitch_mm / 2, rows * pitch_mm / 2  # of pixel (1, 1), as in our TIFF files
+        lines.append(f"pixel size = {{{size}, units=mm}}")
+        lines.append(f"map info = {{Arbitrary, 1, 1, {left:.9g}, {top:.9g}, {size}, units=mm}}")
+    return "\n".join(lines) + "\n"
+
+
+CLASSIC_LIMIT = 3 << 30
+"""Bytes of samples up to which offsets of 32 bits do, with room for data that deflate makes larger."""
+
+
+def write_tiff(
+    path: Path,
+    bands: Iterable[np.ndarray],
+    shape: tuple[int, int, int],
+    *,
+    description: str,
+    software: str,
+    pitch_mm: float | None = None,
+    icc: bytes = b"",
+    nodata: str = "",
+) -> None:
+    """Write one picture, rows from top to bottom; BigTIFF where the samples could pass 4 GiB.
+
+    Parameters
+    ----------
+    path : Path
+        File to make.
+    bands : iterable of (r, columns, samples) or (r, columns) uint8, uint16 or float32
+        All as high as the first but the last. ValueError where they are not `shape` together.
+    shape : (int, int, int)
+        Rows, columns, samples a pixel (1 or 3).
+    description : str
+        What the values mean.
+    software : str
+        Program and version.
+    pitch_mm : float or None
+        Distance of two pixels; None where the capture states no scale.
+    icc : bytes
+        Colour profile; empty: none.
+    nodata : str
+        Value that stands for no data; empty: every value is data.
+    """
+    import tifffile
+
+    bands = iter(bands)
+    first = next(bands)
+    rows, columns, samples = shape
+    dtype = first.dtype.newbyteorder("<")
+    scale: dict[str, Any] = {}
+    extra: list[tuple[int, int, int, Any, bool]] = [(42113, 2, 0, nodata, True)] if nodata else []
+    if pitch_mm:
+        scale = {"resolution": (10 / pitch_mm, 10 / pitch_mm), "resolutionunit": "CENTIMETER"}
+        # The middle of the picture is the origin, y points up: a map for programs that read maps.
+        left, top = -columns * pitch_mm / 2, rows * pitch_mm / 2
+        extra += [
+            (33550, 12, 3, (pitch_mm, pitch_mm, 0.0), True),
+            (33922, 12, 6, (0.0, 0.0, 0.0, left, top, 0.0), True),
+        ]
+
+    def packed() -> Iterator[bytes]:
+        row = 0
+        for band in chain([first], bands):
+            values = np.ascontiguousarray(band, dtype).reshape(-1, columns, samples)
+            if len(values) != min(len(first), rows - row):
+                raise ValueError(f"expected {min(len(first), rows - row)} rows, found {len(values)}")
+            row += len(values)
+            if dtype.kind == "u":  # whole numbers as differences along a row
+                values = np.concatenate([values[:, :1], np.diff(values, axis=1)], axis=1)
+            yield zlib.compress(values.tobytes(), 4)
+        if row != rows:
+            raise ValueError(f"expected {rows} rows, found {row}")
+
+    size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+    with tifffile.TiffWriter(path, bigtiff=size > CLASSIC_LIMIT, byteorder="<") as tiff:
+        tiff.write(
+            packed(), shape=shape if samples > 1 else shape[:2], dtype=dtype, rowsperstrip=len(first),
+            photometric="rgb" if samples == 3 else "minisblack", compression="zlib", predictor=dtype.kind == "u",
+            description=description.encode(), software=software.encode(), iccprofile=icc or None, extratags=extra,
+            metadata=None, **scale,
+        )  # fmt: skip
+
+
+def strips(rows: int, band_rows: int) -> Iterator[slice]:
+    """Bands of rows from top to bottom, all as high but the last."""
+    return (slice(start, min(start + band_rows, rows)) for start in range(0, rows, band_rows))
+
 
 MAGIC, VERSION, LONG_NAMES = 20000630, 2, 0x400
 BLOCK_ROWS = 16

@@ -1,20 +1,25 @@
-"""Lamps from the files that the programs Relight and RelightLab write: projects (`.relight`), `.dome`, `info.json`.
+"""Projects of other programs for relightable images: Relight and RelightLab, and RTIBuilder.
 
-A project lists its photographs, each with its file name; one with `skip` is not used, nor one with `visible` false.
-They lie in its `folder`. Directions stand with the photographs (`direction`) in old projects, else in
-`dome.directions`: one for each photograph that is not skipped. A dome, in a project or in a file of its own, has in
-millimetres `positionsSphere` where its `lightConfiguration` is `spherical` (else `domeDiameter` and `verticalOffset`
-give them), `positions3d` where it is `lights3d`, the width of the pictures in `imageWidth`, and in `ledAdjust` factors
-that even the lamps out. `crop` is in pixels, turned about the middle of the picture; `aligns` hold in `offsets` the
-place (column, row) in each photograph of what the first one shows at 0, 0; their mean counts.
-`info.json` of a relightable image holds `lights`, three numbers a photograph, without file names, and perhaps
-`pixelSizeInMM`. Axes as in `.lp`.
+Relight: projects (`.relight`), `.dome` and `info.json`. A project lists its photographs, each with its file name; one
+with `skip` is not used, nor one with `visible` false. They lie in its `folder`. Directions stand with the photographs
+(`direction`) in old projects, else in `dome.directions`: one for each photograph that is not skipped. A dome, in a
+project or in a file of its own, has in millimetres `positionsSphere` where its `lightConfiguration` is `spherical`
+(else `domeDiameter` and `verticalOffset` give them), `positions3d` where it is `lights3d`, the width of the pictures in
+`imageWidth`, and in `ledAdjust` factors that even the lamps out. `crop` is in pixels, turned about the middle of the
+picture; `aligns` hold in `offsets` the place (column, row) in each photograph of what the first one shows at 0, 0;
+their mean counts. `info.json` of a relightable image holds `lights`, three numbers a photograph, without file names,
+and perhaps `pixelSizeInMM`. Axes as in `.lp`.
+
+RTIBuilder: a project has `assembly-files` (the `.lp` that was made from mirror spheres or a dome, and pictures of the
+spheres), `jpeg-exports` (the photographs that it worked on), and perhaps `cropped-files`, `edited-captures`,
+`original-captures` (raw or TIFF) and `finished-files` (`.ptm`, `.rti`).
 """
 
 from __future__ import annotations
 
-import json
 import math
+import re
+import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,8 +28,9 @@ import numpy as np
 
 from nishiki.capture.lights import Lights, lights_from_vectors
 from nishiki.capture.stated_lights import StatedLights
-from nishiki.formats.files import files_with, read_text
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.files import files_with, json_object, leads_out, read_text, same_name
+from nishiki.formats.picture_files import IMAGE_SUFFIXES
+from nishiki.formats.problems import CaptureError, Problem, error, expect_one, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading
 
 REMEDY = "Save the project again in Relight with its directions, or export a .lp file"
@@ -46,12 +52,8 @@ def find_relight(source: Path) -> Path | None:
     for suffix in (".relight", ".dome"):
         hidden = source / suffix  # a project that was saved without a name
         files = [*files_with(source, (suffix,)), *([hidden] if hidden.is_file() else [])]
-        if len(files) > 1:
-            found = ", ".join(p.name for p in files[:5])
-            what, remedy = f"several {suffix} files", "Name one: --lights FILE"
-            raise CaptureError(error("layout-unknown", str(source), what, found=found, remedy=remedy))
-        if files:
-            return files[0]
+        if one := expect_one(files, source, f"several {suffix} files", "Name one: --lights FILE"):
+            return one
     info = source / "info.json"
     try:
         return info if info.is_file() and "lights" in _read(info) else None
@@ -90,12 +92,12 @@ def _of_project(content: dict, images: list, path: Path, kind: str | None, width
     dome = content.get("dome") if isinstance(content.get("dome"), dict) else {}
     taken = [i for i, image in enumerate(images) if image.get("skip") is not True]
     own = [images[i].get("direction") for i in taken]
-    if own and all(isinstance(each, dict) for each in own) and any(map(_any, own)):
+    if own and all(isinstance(each, dict) for each in own) and any(each.get(axis) for each in own for axis in "xyz"):
         dome = {"imageWidth": dome.get("imageWidth"), "directions": own}
     if not _vectors(dome.get("directions"), path.name).size and not _vectors(dome.get("positions3d"), path.name).size:
         what, found = "a project without directions of its lamps", f"{len(taken)} photographs"
         remedy = "Find the lights in Relight and save it again, or give the directions with --lights FILE"
-        raise CaptureError(error("lights-unreadable", path.name, what, found=found, remedy=remedy))
+        refuse("lights-unreadable", path.name, what, found=found, remedy=remedy)
     lamps = _of_dome(dome, path, kind, width_mm)
     strengths = _strengths(dome, len(lamps.vectors), path.name)
     stated = taken if len(lamps.vectors) == len(taken) else list(range(len(images)))
@@ -187,8 +189,7 @@ def _strengths(dome: dict, count: int, file: str) -> np.ndarray | None:
     values = [[each.get(c) if isinstance(each, dict) else None for c in "rgb"] for each in factors]
     numbers = np.array([_vector(row, file) for row in values])
     if len(numbers) != count or not (numbers > 0).all():
-        expected, found = f"{count} factors above 0 in 'ledAdjust'", f"{len(numbers)}"
-        raise _unreadable(file, expected, found)
+        raise _unreadable(file, f"{count} factors above 0 in 'ledAdjust'", f"{len(numbers)}")
     return 1 / numbers if np.ptp(numbers) > 0 else None
 
 
@@ -212,8 +213,7 @@ def _crop(content: dict, file: str) -> tuple[tuple[int, int, int, int] | None, l
     region = int(first[1]), int(first[0]), int(last[1] - first[1]), int(last[0] - first[0])
     turned = f", around the rectangle that it turns by {angle:g} degrees" if angle else ""
     what = f"the crop of the project is the region of interest{turned}"
-    found = "row {}, column {}, {} rows, {} columns".format(*region)
-    return region, [warning(CROPPED, file, what, found=found)]
+    return region, [warning(CROPPED, file, what, found="row {}, column {}, {} rows, {} columns".format(*region))]
 
 
 def _shifts(content: dict, used: list[int], file: str) -> tuple[np.ndarray | None, list[Problem]]:
@@ -233,13 +233,9 @@ def _read(path: Path) -> dict:
     with reading(path.name, "lights"):
         text = read_text(path, "table_bytes")
     try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as e:
-        found = "nested too deeply" if isinstance(e, RecursionError) else str(e)[:80]
-        raise _unreadable(path.name, "JSON", found) from e
-    if not isinstance(content, dict):
-        raise _unreadable(path.name, "a JSON object", type(content).__name__)
-    return content
+        return json_object(text)
+    except ValueError as e:
+        raise _unreadable(path.name, "a JSON object", str(e)[:80]) from e
 
 
 def _name(image: object, file: str) -> str:
@@ -259,10 +255,6 @@ def _vectors(listed: object, file: str) -> np.ndarray:
     return np.array(rows, np.float64).reshape(-1, 3)
 
 
-def _any(vector: dict) -> bool:
-    return any(vector.get(axis) for axis in "xyz")
-
-
 def _vector(values: list, file: str) -> list[float]:
     if not all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e9 for v in values):
         raise _unreadable(file, "directions of three numbers", repr(values)[:80])
@@ -278,3 +270,91 @@ def _positive(content: dict, key: str) -> float:
 def _unreadable(file: str, expected: str, found: str) -> CaptureError:
     what = "not a file of lights by Relight"
     return CaptureError(error("lights-unreadable", file, what, expected=expected, found=found, remedy=REMEDY))
+
+
+ASSEMBLY, FINISHED = "assembly-files", "finished-files"
+PHOTOGRAPHS = ("jpeg-exports", "cropped-files", "edited-captures", "original-captures")
+"""Folders that may hold the photographs, in the order in which they are looked through."""
+
+
+@dataclass(frozen=True)
+class RtiProject:
+    """A project's folders by name, as far as they are there."""
+
+    root: Path
+    folders: dict[str, Path]
+
+    @classmethod
+    def of(cls, source: Path) -> RtiProject | None:
+        """The project in a folder, known by `assembly-files` or `jpeg-exports`; None where there is neither.
+
+        None, too, where only the folder itself holds pictures: those of the project may be lost, or never were.
+        """
+        known = (*PHOTOGRAPHS, ASSEMBLY, FINISHED)
+        present = {path.name.casefold(): path for path in source.iterdir() if path.is_dir()}
+        folders = {name: present[name] for name in known if name in present and not leads_out(present[name], source)}
+        if not {ASSEMBLY, PHOTOGRAPHS[0]} & set(folders):
+            return None
+        filled = any(_stems_in(folders[name]) for name in PHOTOGRAPHS if name in folders)
+        return cls(source, folders) if filled or not _stems_in(source) else None
+
+    def lights_file(self) -> Path:
+        """The only `.lp` in `assembly-files`, or in the project's own folder. CaptureError (layout-unknown)."""
+        places = [self.folders[ASSEMBLY]] if ASSEMBLY in self.folders else []
+        for place in (*places, self.root):
+            files = files_with(place, (".lp",))
+            remedy = f"Name one: --lights {next(iter(files), '')}"
+            if one := expect_one(files, place, "several .lp files", remedy):
+                return one
+        finished = self._finished()
+        remedy = f"Convert {finished}, from which pictures are rendered" if finished else "Name one with --lights"
+        what = "an RTIBuilder project without a .lp file"
+        refuse("layout-unknown", str(self.root), what, expected=f"one in {ASSEMBLY}", remedy=remedy)
+
+    def photographs(self, lights: Lights) -> Path:
+        """The folder that the lights file names, if it holds these photographs; else the first that does.
+
+        CaptureError (photograph-missing) where none does.
+        """
+        counts = {}
+        for name in self._order(lights):
+            stems = _stems_in(self.folders[name])
+            counts[name] = sum(same_name(light) in stems for light in lights.names)
+            if counts[name] == len(lights.names):
+                return self.folders[name]
+        found = ", ".join(f"{count} in {name}" for name, count in counts.items()) or "no folder of photographs"
+        finished = self._finished()
+        remedy = f"Copy the photographs back, or convert {finished}" if finished else "Copy the photographs back"
+        what, expected = "an RTIBuilder project without its photographs", f"{len(lights.names)} that the .lp names"
+        refuse("photograph-missing", str(self.root), what, expected=expected, found=found, remedy=remedy)
+
+    def note(self, lights_file: Path, lights: Lights, chosen: Path) -> Problem:
+        """What was taken to belong together, and what else there is."""
+        others = [
+            name
+            for name in reversed(PHOTOGRAPHS)
+            if name in self.folders
+            and self.folders[name] != chosen
+            and {same_name(light) for light in lights.names} <= _stems_in(self.folders[name])
+        ]
+        what = f"an RTIBuilder project: the lights of {lights_file.name} and the photographs of {chosen.name}"
+        found = f"the same photographs in {', '.join(others)}, not used" if others else ""
+        words = [str(self.folders[others[0]]), "--lights", str(lights_file)] if others else []
+        remedy = f"For those: ./nishiki convert {shlex.join(words)}" if words else ""
+        return warning("project-folders", str(self.root), what, found=found, remedy=remedy)
+
+    def _order(self, lights: Lights) -> list[str]:
+        """Folders of photographs: first the one that the lights file names most."""
+        named = [re.split(r"[\\/]", file)[-2:-1] for file in lights.files if file]
+        asked = [part[0].casefold() for part in named if part]
+        present = [name for name in PHOTOGRAPHS if name in self.folders]
+        return sorted(present, key=lambda name: -asked.count(name))
+
+    def _finished(self) -> Path | None:
+        place = self.folders.get(FINISHED)
+        return next(iter(files_with(place, (".rti", ".ptm"))), None) if place else None
+
+
+def _stems_in(folder: Path) -> set[str]:
+    """Names of the pictures in a folder, without suffix."""
+    return {same_name(path.stem) for path in files_with(folder, IMAGE_SUFFIXES)}

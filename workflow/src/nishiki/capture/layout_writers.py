@@ -1,0 +1,377 @@
+"""Recognised layouts of planes, turntables and tables of reflectances written as capture folders."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.frames import SHIFT_COLUMNS
+from nishiki.capture.goniometer_tables import ReflectanceTable, is_table, read_table
+from nishiki.capture.layouts import MASK_SUFFIXES, Layout, masks_in, natural_key, photographs_in, source_problems
+from nishiki.capture.lights import Lights, rearrange
+from nishiki.capture.options import NO_PHOTOGRAPHS, ConvertOptions, file_problems, folder_problems
+from nishiki.capture.pairing import complete_bands, names_apart, pair_by_name, sort_bands
+from nishiki.capture.polariser import parse_state
+from nishiki.capture.registered import Pictures
+from nishiki.capture.schema_base import FORMAT
+from nishiki.capture.tables import LENS_COLUMNS, MATRIX_COLUMNS
+from nishiki.capture.taking import (
+    channel_names,
+    choose_encoding,
+    file_names,
+    lights_text,
+    read_exposures,
+    settings_text,
+    table_text,
+    take,
+    take_mask,
+    usual_header,
+)
+from nishiki.capture.turntable_layouts import STATES, RoundLayout
+from nishiki.formats.files import files_with
+from nishiki.formats.masks import alpha_problems
+from nishiki.formats.problems import CaptureError, Problem, expect_one, raise_errors, refuse, warning
+
+
+def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOptions) -> list[Problem]:
+    """Write the capture into a new folder; returns what the user should know.
+
+    Raises CaptureError: file-missing, light-unknown, and those of `pair_by_name` and of reading headers.
+    """
+    raise_errors(file_problems(mask=options.mask))
+    unknown = [name for name in options.checks if layout.lights.index(name) is None]
+    if unknown:
+        expected, found = f"one of {', '.join(layout.lights.names)}", ", ".join(unknown)
+        what = "no such light to keep for evaluation"
+        remedy = "The names of the lamps are those of their photographs, without the suffix"
+        refuse("light-unknown", str(source), what, expected=expected, found=found, remedy=remedy)
+    lights, places = rearrange(layout.lights, options.lights_order, options.lights_axes)
+    strengths = None if layout.intensities is None else layout.intensities[places]
+    layout = replace(layout, lights=lights, intensities=strengths)
+    link, region = options.link, options.region or layout.region
+    folder.mkdir(parents=True)
+    header = usual_header(layout.photographs)
+    channels = layout.bands or channel_names(header)
+    names, held = layout.lights.names, {layout.lights.index(name) for name in options.checks}
+    rows: list[tuple[str, ...]] = []
+    notes: list[Problem] = []
+    if layout.bands:
+        rows = _take_bands(folder, layout, held, options)
+    else:
+        for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
+            name = take(photograph, folder / "frames" / file, link)
+            rows.append((name, "check" if i in held else "sample", names[i]))
+    if options.white and not layout.bands:
+        boards = photographs_in(options.white)
+        pairing = pair_by_name(layout.photographs, boards, what="white boards", folder=str(options.white))
+        notes += pairing.warnings
+        for board, light in zip(pairing.partners, names, strict=True):
+            rows.append((take(board, folder / "white" / board.name, link), "white", light))
+    for role, given in (("dark", options.dark), ("ambient", options.ambient)):
+        if given is not None and not layout.bands:
+            for photograph in photographs_in(given) if given.is_dir() else [given]:
+                rows.append((take(photograph, folder / role / photograph.name, link), role, ""))
+    settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "plane"}
+    coding, doubts = choose_encoding(header, options.encoding, source.name)
+    notes += doubts
+    settings["camera"] = {"channels": list(channels), "encoding": coding}
+    settings["lights"] = {"file": "lights.lp", "kind": layout.kind}
+    if pitch := options.width_mm / header.columns if options.width_mm else layout.pitch_mm:
+        settings["pixel_pitch_mm"] = float(f"{pitch:.9g}")
+    if layout.intensities is not None:
+        settings["lights"]["intensities"] = "intensities.csv"
+        _write_intensities(folder / "intensities.csv", layout, channels)
+    if layout.mask is not None:
+        settings["mask"], doubts = take_mask(layout.mask, folder / f"mask{layout.mask.suffix.lower()}", link)
+        notes += doubts
+    elif not layout.files:
+        notes += alpha_problems(layout.photographs[0])
+        if several := masks_in(layout.photographs[0].parent):
+            what, found = "several masks: none of them is used", ", ".join(path.name for path in several[:5])
+            notes.append(
+                warning("mask-several", source.name, what, found=found, remedy="Give the right one with --mask")
+            )
+    for name, content in layout.files.items():
+        (folder / name).write_bytes(content)
+        if name == "mask.png":
+            settings["mask"] = name
+    if layout.notes:
+        settings["notes"] = layout.notes
+    if region is not None:
+        settings["region_of_interest"] = list(region)
+    exposures, remarks = ({}, []) if layout.bands else read_exposures(folder, rows)
+    further = dict(exposures)
+    if layout.shifts is not None and not layout.bands:
+        shifts = np.zeros((len(rows), 2))
+        shifts[: len(layout.shifts)] = layout.shifts
+        further |= {c: [f"{v:.9g}" for v in values] for c, values in zip(SHIFT_COLUMNS, shifts.T, strict=True)}
+    write_tables(folder, settings, rows, layout.lights, further)
+    return [*notes, *remarks]
+
+
+def _take_bands(folder: Path, layout: Layout, held: set[int | None], options: ConvertOptions) -> list[tuple[str, ...]]:
+    """Take photographs of a file a band, their boards, dark and ambient frames; returns rows (file, role, light, band).
+
+    Dark frames without bands are those of every band. CaptureError: band-missing, those of `pair_by_name`.
+    """
+    names, bands = layout.lights.names, layout.bands
+    chosen = [
+        (path, "check" if i in held else "sample", names[i], band)
+        for i, files in enumerate(layout.band_files)
+        for band, path in zip(bands, files, strict=True)
+    ]
+    if options.white:
+        boards = _sorted_bands(options.white, bands)
+        if boards is None:
+            what, expected = "white boards have other bands than the photographs", ", ".join(bands)
+            refuse("band-missing", str(options.white), what, expected=expected)
+        lamps, pictures = ([Path(f"{name}.tif") for name in some] for some in (names, boards))
+        partners = pair_by_name(lamps, pictures, what="white boards", folder=str(options.white)).partners
+        files = complete_bands(bands, {path.stem: boards[path.stem] for path in partners}, str(options.white))
+        for light, board in zip(names, files, strict=True):
+            chosen += [(path, "white", light, band) for band, path in zip(bands, board, strict=True)]
+    for role, given in (("dark", options.dark), ("ambient", options.ambient)):
+        if given is None:
+            continue
+        found = _sorted_bands(given, bands)
+        for files in complete_bands(bands, found, str(given)) if found else ():
+            chosen += [(path, role, "", band) for band, path in zip(bands, files, strict=True)]
+        chosen += [(path, role, "", "") for path in (() if found else photographs_in(given))]
+    same = Counter((role, path.name) for path, role, _, _ in chosen)
+    rows = []
+    for path, role, light, band in chosen:
+        name = path.name if same[role, path.name] == 1 else f"{path.parent.name}_{path.name}"
+        place = folder / ("frames" if role in ("sample", "check") else role) / name
+        rows.append((take(path, place, options.link), role, light, band))
+    return rows
+
+
+def _sorted_bands(folder: Path, bands: tuple[str, ...]) -> dict[str, dict[str, Path]] | None:
+    """The pictures of a folder by name and band; None where they do not have these bands."""
+    return next(
+        (found.files for found in sort_bands(folder, photographs_in) if set(found.channels) == set(bands)), None
+    )
+
+
+def write_tables(
+    folder: Path,
+    settings: dict,
+    rows: list[tuple[str, ...]],
+    lights: Lights,
+    further: dict[str, list[str]] | None = None,
+) -> None:
+    """Write capture.yaml, lights.lp and frames.csv.
+
+    rows: file, role, light and, where each has a file, band; further: cells of further columns.
+    """
+    (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
+    further = further or {}
+    columns = ("file", "role", "light", "band")[: len(rows[0])]
+    lines = [(*columns, *further), *zip(*zip(*rows, strict=True), *further.values(), strict=True)]
+    (folder / "frames.csv").write_text(table_text(lines), encoding="utf-8")
+    (folder / "lights.lp").write_text(lights_text(lights), encoding="utf-8")
+
+
+def _write_intensities(path: Path, layout: Layout, channels: tuple[str, ...]) -> None:
+    values = layout.intensities
+    if len(channels) == 1:
+        values = values.mean(axis=1, keepdims=True)
+    if values.shape[1] == 1:
+        values = np.repeat(values, len(channels), axis=1)
+    if values.shape[1] != len(channels):
+        expected, found = f"{len(channels)} columns", f"{values.shape[1]}"
+        refuse("intensities-invalid", "light intensities", "table", expected=expected, found=found)
+    rows = ([n, *(f"{v:.9g}" for v in row)] for n, row in zip(layout.lights.names, values, strict=True))
+    path.write_text(table_text([("light", *channels), *rows]), encoding="utf-8")
+
+
+def write_round(folder: Path, layout: RoundLayout, source: Path, options: ConvertOptions) -> list[Problem]:
+    """Write the capture into a new folder; returns what the user should know.
+
+    The folder of silhouettes (`mask`) holds pictures named as the photographs; that of white boards, called by their
+    polariser state (off, on, 45, 0_90) where there are states. Raises CaptureError (option-unusable, folder-missing,
+    white-unnamed, those of `pair_by_name` and of reading headers).
+    """
+    options.refuse("Views of a turntable are held out by the setting hold_out when results are made", "checks")
+    options.refuse("Camera matrices count from the corner of the whole photograph, so that it is used whole", "region")
+    lamps = ("lights_kind", "lights_order", "lights_axes", "width_mm")
+    options.refuse("What is converted has cameras and no lights file", *lamps)
+    options.refuse("Light of the room is subtracted from flat objects only", "ambient")
+    raise_errors(folder_problems(mask=options.mask))
+    white, dark, link = options.white, options.dark, options.link
+    folder.mkdir(parents=True)
+    header = usual_header(layout.photographs)
+    outlines, notes = _match_silhouettes(layout, options.mask) if options.mask else ({}, ())
+    notes = notes if options.mask else alpha_problems(layout.photographs[0])
+    copies, masks = {}, tuple(dict.fromkeys(outlines.values()))
+    for path, file in zip(masks, file_names(masks), strict=True):
+        copies[path], doubts = take_mask(path, folder / "silhouettes" / file, link)
+        notes = (*notes, *doubts)
+    rows = []
+    for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
+        outline = copies.get(outlines.get(photograph), "")
+        name = take(photograph, folder / "frames" / file, link)
+        rows.append((name, "sample", layout.views[i], layout.states[i], outline))
+    for board, state in _states_of(photographs_in(white), layout, str(white)) if white else ():
+        rows.append((take(board, folder / "white" / board.name, link), "white", "", state, ""))
+    for photograph in photographs_in(dark) if dark else ():
+        rows.append((take(photograph, folder / "dark" / photograph.name, link), "dark", "", "", ""))
+    coding, doubts = choose_encoding(header, options.encoding, source.name, display=not any(layout.states))
+    notes = (*notes, *doubts)
+    block: dict = {"full_turn": layout.full_turn, "unit": "arbitrary"} if layout.matrices is not None else {}
+    if layout.matrices is not None:
+        block["cameras"] = "cameras.csv"
+        block |= {"turn": options.turn} if options.turn else {}
+        block |= {"camera_of": options.camera_of} if options.camera_of else {}
+        _write_cameras(folder / "cameras.csv", layout)
+    if layout.calibration is not None:
+        block["calibration"] = take(layout.calibration, folder / layout.calibration.name, link)
+    camera = {"channels": list(channel_names(header)), "encoding": coding}
+    settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "turntable", "camera": camera}
+    settings |= {"turntable": block} if block else {}
+    (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
+    exposures, doubts = read_exposures(folder, rows)
+    _write_frames(folder / "frames.csv", rows, exposures)
+    return [*notes, *doubts]
+
+
+def _match_silhouettes(layout: RoundLayout, folder: Path) -> tuple[dict[Path, Path], tuple[Problem, ...]]:
+    """Silhouette of each photograph, see `pair_by_name`; of one view in many states, the only picture; where the folder
+    has folders like those of the photographs, that of the same path, as COLMAP's `cam0/0000.png.png`."""
+    present = sorted(files_with(folder, MASK_SUFFIXES), key=natural_key)
+    below = Pictures(folder)
+    nested = [] if present else [below.find(f"{p}.png") or below.find(str(p)) for p in layout.photographs]
+    if nested and None not in nested and len(set(nested)) == len(nested):
+        raise_errors(problem for path in nested for problem in source_problems(path, folder))
+        return dict(zip(layout.photographs, nested, strict=True)), ()
+    raise_errors(problem for path in present for problem in source_problems(path, folder))
+    if len(present) == 1 and len(set(layout.views)) == 1:
+        return {layout.photographs[0]: present[0]}, ()
+    pairing = pair_by_name(layout.photographs, present, what="silhouettes", folder=str(folder))
+    return dict(zip(layout.photographs, pairing.partners, strict=True)), pairing.warnings
+
+
+def _states_of(boards: list[Path], layout: RoundLayout, folder: str) -> list[tuple[Path, str]]:
+    """White boards with their polariser states: told by the whole name, by its end (`board_off`), or by the part of
+    the names that varies. One whose name tells none is the board without polarisers.
+
+    CaptureError (white-unnamed) unless there is a board for every state, and at most one without.
+    """
+    known = set(layout.states) - {""}
+    readings = (
+        [p.stem for p in boards],
+        [_ending(p.stem, known) for p in boards],
+        ["".join(map(str, part)) for part in names_apart(boards, folder)],
+    )
+    for names in readings:
+        states = [state if state in known else "" for state in map(_state, names)]
+        if len(set(states)) == len(states) and set(states) - {""} in (known, set()):
+            return list(zip(boards, states, strict=True))
+    expected = f"one for each of the polariser states {', '.join(sorted(known))}" if known else "one"
+    found = ", ".join(p.name for p in boards[:5])
+    remedy = "Name each board by its state (off, on, 45, 0_90); keep one board where there are no states"
+    what = "white boards cannot be assigned to polariser states"
+    refuse("white-unnamed", folder, what, expected=expected, found=found, remedy=remedy)
+
+
+def _state(name: str) -> str | None:
+    """Polariser state that a name tells, 'G_A' being two angles; None where it tells none."""
+    match = STATES.fullmatch(name)
+    try:
+        return parse_state(f"{match[1]}/{match[2]}" if match else name.casefold()).name
+    except CaptureError:
+        return None
+
+
+def _ending(stem: str, known: set[str]) -> str:
+    """The longest end of a name, after a separator, that is a known state."""
+    places = [0, *(match.end() for match in re.finditer(r"[^0-9A-Za-z.]+|(?<=[A-Za-z])(?=[0-9])", stem))]
+    return next((stem[at:] for at in places if _state(stem[at:]) in known), stem)
+
+
+def _write_cameras(path: Path, layout: RoundLayout) -> None:
+    """Every digit that float64 has, so that reading gives the same matrices."""
+    columns, numbers = MATRIX_COLUMNS, layout.matrices.reshape(-1, 12)
+    if layout.distortions is not None:
+        columns, numbers = columns + LENS_COLUMNS, np.hstack([numbers, layout.distortions])
+    rows = [["view", *columns], *([v, *map(repr, n)] for v, n in zip(layout.views, numbers.tolist(), strict=True))]
+    path.write_text(table_text(rows), encoding="utf-8")
+
+
+def _write_frames(path: Path, rows: list[tuple[str, ...]], exposures: dict[str, list[str]]) -> None:
+    """Write the table without the columns that are empty throughout."""
+    names = ("file", "role", "view", "polariser", "silhouette")
+    columns = dict(zip(names, zip(*rows, strict=True), strict=True)) | exposures
+    kept = {name: cells for name, cells in columns.items() if name in names[:2] or any(cells)}
+    path.write_text(table_text([list(kept), *zip(*kept.values(), strict=True)]), encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class MeasuredTable:
+    """A table of reflectances in its file."""
+
+    file: Path
+    content: ReflectanceTable
+    name = "table of reflectances"
+    geometry = "goniometer"
+
+    @property
+    def warnings(self) -> tuple[Problem, ...]:
+        """What reading tolerated."""
+        return self.content.warnings
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels, in 1/sr."""
+        return self.content.channels
+
+    @property
+    def count(self) -> int:
+        """Number of the measurements."""
+        return len(self.content.values)
+
+    @property
+    def parts(self) -> str:
+        """Measurements and channels in words."""
+        return f"{self.count} measurements, {len(self.channels)} channels"
+
+
+def recognise_table(source: Path, options: ConvertOptions) -> Path | None:
+    """Find the table of reflectances that the source is, or that lies in this folder without photographs.
+
+    Raises CaptureError (layout-unknown) where a folder holds several.
+    """
+    if source.is_file():
+        return source if is_table(source, named=True) else None
+    if photographs_in(source):
+        return None
+    visible = (path for path in source.iterdir() if not path.name.startswith(".") and path.is_file())
+    tables = sorted(path for path in visible if is_table(path))
+    return expect_one(tables, source, "several tables of reflectances", f"Convert one: {next(iter(tables), '')}")
+
+
+def read_measurements(source: Path, table: Path, options: ConvertOptions) -> MeasuredTable:
+    """Read the table. Raises the CaptureErrors of `read_table`, and option-unusable."""
+    options.refuse(NO_PHOTOGRAPHS, "lights_file", "lights_kind", "width_mm", "mask", "white", "dark", "ambient")
+    options.refuse(NO_PHOTOGRAPHS, "checks", "encoding", "region")
+    values, azimuths = options.values or "brdf", options.azimuths or "cloth"
+    return MeasuredTable(table, read_table(table, table.name, values=values, azimuths=azimuths))
+
+
+def write_table_capture(folder: Path, layout: MeasuredTable, source: Path, options: ConvertOptions) -> list[Problem]:
+    """Take the table over unchanged into a new folder; returns what the user should know."""
+    table = layout.file
+    folder.mkdir(parents=True)
+    name = take(table, folder / table.name, options.link)
+    stated = {"values": options.values, "azimuths": options.azimuths}
+    block = {"table": name} | {key: value for key, value in stated.items() if value}
+    block |= {"symmetry": "quarter", "weave": "unknown"}
+    settings = {"format": FORMAT, "title": options.title or table.stem, "geometry": "goniometer", "goniometer": block}
+    (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
+    what = "two mirror planes, through weft and warp, are taken for granted"
+    remedy = "Use --open and set goniometer.symmetry (quarter, half, none) and goniometer.weave if it is otherwise"
+    return [warning("symmetry-assumed", table.name, what, remedy=remedy)]

@@ -1,0 +1,376 @@
+"""Cameras that photogrammetry programs export: Bundler, Meshroom (AliceVision) and Agisoft Metashape.
+
+Bundler: a point X is seen at p = R X + t; x, y = -p_x / p_z, -p_y / p_z (x right, y up, looking along -z). Distorted by
+1 + k1 r^2 + k2 r^4 it falls on f x, f y: pixels from the middle of the picture, y upwards.
+
+Meshroom: a point X of the world is seen at R (X - C): `rotation` holds R column by column, `center` C; x right, y down,
+z into the scene. The point x, y on the plane at depth 1 is moved by the lens' distortion and falls on the pixel
+(fx x + w/2 + cx, fy y + h/2 + cy), which counts from the centre of the top left one: AliceVision reads the pixel (i, j)
+of a picture at (i, j). fx is `focalLength` w / `sensorWidth`. Older versions of the file state pixels: see `_lens`.
+
+Metashape (File, Export, Export Cameras) and PhotoScan: `transform` of a camera takes its points to the chunk's own
+world: x right, y down, z into the scene. The transform of the camera's component, else of the chunk, takes these to the
+world that meshes are exported in: s R x + t. A point x, y on the plane at depth 1 falls, distorted, on
+u = w/2 + cx + x (f + b1) + y b2, v = h/2 + cy + y f, pixels from the corner of the first one. p1 and p2 are exchanged
+against OpenCV's. Files of PhotoScan before 1.2 state fx, fy, skew and a principal point from the corner, with p1 and p2
+in OpenCV's order.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from nishiki.capture.options import ConvertOptions
+from nishiki.capture.registered import (
+    CORNER,
+    GL,
+    Pictures,
+    RegisteredView,
+    Registration,
+    finite,
+    positive,
+    reading_cameras,
+    rigid,
+    whole,
+)
+from nishiki.capture.turntable_rules import Intrinsics
+from nishiki.formats.files import files_with, read_bytes, read_text
+from nishiki.formats.problems import Problem, error, expect_one, left_out, raise_errors, refuse, warning
+from nishiki.formats.text_tables import expect_rows, reading
+
+HEADING = b"# Bundle file"
+LINES = 5  # of a camera
+POINTS = 1000  # that are compared with the sizes of the photographs
+OUTSIDE = 1.0  # pixels by which a point may lie outside of its photograph
+
+
+def _with_marks(folder: Path, suffix: str, marks: tuple[bytes, ...], *, first: bool = False) -> list[Path]:
+    """Files of a folder with a suffix that hold all marks in their head; first: begin with the first of them."""
+    found = []
+    for path in files_with(folder, (suffix,)) if folder.is_dir() else ():
+        with path.open("rb") as stream:
+            head = stream.read(HEAD)
+        if all(mark in head for mark in marks) and (not first or head.startswith(marks[0])):
+            found.append(path)
+    return found
+
+
+def bundler_file(source: Path, options: ConvertOptions) -> Path | None:
+    """Find the only file of Bundler's in a folder or in `bundle`. CaptureError (layout-unknown) where several are."""
+    for folder in (source, source / "bundle"):
+        found = _with_marks(folder, ".out", (HEADING,), first=True)
+        named = [path for path in found if path.name == "bundle.out"] or found
+        what, remedy = "several files of Bundler", "Keep the last one that it wrote, or call it bundle.out"
+        if one := expect_one(named, source, what, remedy):
+            return one
+    return None
+
+
+def read_bundler(path: Path, pictures: Pictures) -> Registration:
+    """The photographs that have a camera; notes name the others.
+
+    Raises CaptureError: cameras-unreadable, cameras-many, photograph-missing; photographs-count where the list is not
+    as long as the cameras; camera-values where points lie outside of their photographs, which are then of another size.
+    """
+    names = _names(path, pictures.folder)
+    with reading_cameras(path.name, "Bundler", "Export them again, as Bundler version 0.3"):
+        content = read_bytes(path, "json_bytes")
+        lines = content.split(b"\n", 2 + LINES * (len(names) + 1) + 3 * POINTS)
+        count = int(lines[1].split()[0])
+        expect_rows(count, "views", path.name, "cameras")
+        if count != len(names):
+            expected, found = f"{count}, one a camera of {path.name}", f"{len(names)}"
+            remedy = "Put the list of photographs that Bundler was given beside it (list.txt)"
+            what = "names of photographs"
+            refuse("photographs-count", path.name, what, expected=expected, found=found, remedy=remedy)
+        cameras = [_numbers(lines[2 + LINES * i : 2 + LINES * (i + 1)], 15) for i in range(count)]
+        seen = _furthest(lines[2 + LINES * count :], count)
+        views, unplaced, problems = [], [], []
+        for name, camera, (x, y) in zip(names, cameras, seen, strict=True):
+            if not camera[0] > 0:
+                unplaced.append(name)
+                continue
+            rows, columns = pictures.size(name, path.name)
+            if 2 * x > columns + OUTSIDE or 2 * y > rows + OUTSIDE:
+                what, remedy = "points lie outside of the photograph", "Give the photographs that Bundler was given"
+                expected, found = f"at least {2 * x:.0f} x {2 * y:.0f} pixels", f"{columns} x {rows}"
+                problems.append(error("camera-values", name, what, expected=expected, found=found, remedy=remedy))
+            pose = GL @ np.column_stack([rigid(camera[3:12].reshape(3, 3)), camera[12:]])
+            f, k1, k2 = camera[:3]
+            lens = Intrinsics(fx=f, fy=f, cx=(columns - 1) / 2, cy=(rows - 1) / 2, distortion=(k1, k2, 0, 0, 0))
+            views.append(RegisteredView.of(name, (rows, columns), lens, pose))
+        if not views:
+            raise ValueError("no photograph has a camera")
+    raise_errors(problems)
+    return Registration(tuple(views), tuple(left_out(unplaced, path.name, "photographs without a camera")))
+
+
+def _names(path: Path, folder: Path) -> list[str]:
+    """Photographs by camera, from the list beside the file or in the folder of the photographs.
+
+    CaptureError (photographs-count) without a list: nothing else tells which camera took which.
+    """
+    places = [path.with_name(f"{path.name}.list.txt"), path.with_name("list.txt"), folder / "list.txt"]
+    places += [p for p in files_with(path.parent, (".txt",)) if "list" in p.name.lower()]
+    found = next((place for place in places if place.is_file()), None)
+    if found is None:
+        what = "no list of the photographs"
+        remedy = "Put list.txt beside it: the photographs in the order of the cameras"
+        refuse("photographs-count", path.name, what, remedy=remedy)
+    with reading(found.name, "cameras"):
+        text = read_bytes(found, "table_bytes").decode("utf-8-sig")
+    # a name is followed by 0 and a focal length where that was known
+    return [
+        " ".join(words[:-2] if len(words) > 2 and words[-2] == "0" else words)
+        for words in map(str.split, text.splitlines())
+        if words
+    ]
+
+
+def _numbers(lines: list[bytes], count: int) -> np.ndarray:
+    words = b" ".join(lines).split()
+    if len(words) != count:
+        raise ValueError(f"{len(words)} numbers where {count} are expected: {b' '.join(words)[:60].decode('latin-1')}")
+    return np.array([finite(word.decode("latin-1")) for word in words])
+
+
+def _furthest(lines: list[bytes], count: int) -> np.ndarray:
+    """(cameras, 2): largest distance of points from the middle of each photograph, across and up, of the first ones."""
+    seen = np.zeros((count, 2))
+    for line in lines[2 : 3 * POINTS : 3]:
+        words = line.split()
+        views = np.array(words[1:], np.float64).reshape(-1, 4)
+        if int(words[0]) != len(views) or not (0 <= views[:, 0]).all() or not (views[:, 0] < count).all():
+            raise ValueError(f"a point's list of photographs: {line[:60].decode('latin-1')}")
+        np.maximum.at(seen, views[:, 0].astype(int), np.abs(views[:, 2:]))
+    return seen
+
+
+REMEDY = "Take the file that the node StructureFromMotion wrote; ConvertSfMFormat saves it as .sfm (JSON)"
+# Names of the distortions that are read, and where Brown's k1, k2, p1, p2, k3 stand among their parameters.
+NONE, RADIAL1, RADIAL3, BROWN = (), (0, None, None, None, None), (0, 1, None, None, 2), (0, 1, 3, 4, 2)
+DISTORTIONS = {
+    **{name: NONE for name in ("pinhole", "none")},
+    **{name: RADIAL1 for name in ("radial1", "radialk1")},
+    **{name: RADIAL3 for name in ("radial3", "radialk3")},
+    "brown": BROWN,
+}
+
+
+def meshroom_file(source: Path, options: ConvertOptions) -> Path | None:
+    """`cameras.sfm` in a folder of photographs, else the only `.sfm` there; None without.
+
+    CaptureError (layout-unknown) where there are several and none of this name.
+    """
+    files = files_with(source, (".sfm",))
+    named = [path for path in files if path.name == "cameras.sfm"] or files
+    remedy = "Keep the one that StructureFromMotion wrote, or call it cameras.sfm"
+    return expect_one(named, source, "several .sfm files", remedy)
+
+
+def read_meshroom(path: Path, pictures: Pictures | None = None) -> Registration:
+    """The photographs that have a pose.
+
+    Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
+    numbers.
+    """
+    with reading_cameras(path.name, "Meshroom", REMEDY):
+        content = json.loads(read_text(path, "json_bytes"))
+        version = tuple(whole(each) for each in content["version"])
+        lenses = {str(each["intrinsicId"]): _lens(each, version, path.name) for each in content["intrinsics"]}
+        poses = {str(each["poseId"]): _pose(each["pose"]["transform"]) for each in content.get("poses", [])}
+        expect_rows(len(content["views"]), "views", path.name, "cameras")
+        views = [
+            _view(view, lenses, poses[str(view["poseId"])])
+            for view in content["views"]
+            if str(view.get("poseId")) in poses
+        ]
+        if not views:
+            raise ValueError("no photograph has a pose")
+    return Registration(tuple(views))
+
+
+def _view(view: dict, lenses: dict, pose: np.ndarray) -> RegisteredView:
+    name = view["path"]
+    if "rigId" in view or view.get("isPoseIndependant") in (False, "false", "0"):
+        raise ValueError(f"'{name}' belongs to a rig of cameras, whose poses are not read")
+    rows, columns, lens = lenses[str(view["intrinsicId"])]
+    return RegisteredView.of(name, (rows, columns), lens, pose)
+
+
+def _pose(transform: dict) -> np.ndarray:
+    """(3, 4): R and -R C."""
+    rotation = np.array([finite(each) for each in transform["rotation"]]).reshape(3, 3).T
+    centre = np.array([finite(each) for each in transform["center"]]).reshape(3)
+    return np.column_stack([rigid(rotation), -rotation @ centre])
+
+
+def _lens(intrinsic: dict, version: tuple[int, ...], file: str) -> tuple[int, int, Intrinsics]:
+    """Rows, columns, and the lens in pixels, by the version of the file.
+
+    Before 1.2 there is one focal length in pixels, in 1.2.0 and 1.2.1 two; from 1.2.2 on one in millimetres and
+    `pixelRatio`, which is fx / fy before 1.2.5 and fy / fx from then on. The principal point counts from the corner
+    before 1.2.1, from the middle from then on.
+    """
+    columns, rows = whole(intrinsic["width"]), whole(intrinsic["height"])
+    if version < (1, 2):
+        fx = fy = finite(intrinsic["pxFocalLength"])
+    elif version < (1, 2, 2):
+        fx, fy = map(finite, intrinsic["pxFocalLength"])
+    else:
+        fx = finite(intrinsic["focalLength"]) / positive(intrinsic["sensorWidth"], "sensorWidth") * columns
+        ratio = positive(intrinsic.get("pixelRatio", 1), "pixelRatio")
+        fy = fx / ratio if version < (1, 2, 5) else fx * ratio
+    cx, cy = map(finite, intrinsic["principalPoint"])
+    if version >= (1, 2, 1):
+        cx, cy = cx + columns / 2, cy + rows / 2
+    if min(rows, columns, fx, fy) <= 0:
+        raise ValueError(f"a camera of {columns} x {rows} pixels with focal lengths {fx:g} and {fy:g}")
+    return rows, columns, Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, distortion=_distortion(intrinsic, file))
+
+
+def _distortion(intrinsic: dict, file: str) -> tuple[float, ...]:
+    """Brown's k1, k2, p1, p2, k3. CaptureError (cameras-distorted) where the lens has another kind of distortion."""
+    model = intrinsic["type"]
+    kind = intrinsic.get("distortionType", model) if model == "pinhole" else model
+    undone = intrinsic.get("undistortionType", "none") not in ("none", "")
+    parameters = [finite(each) for each in intrinsic.get("distortionParams") or []]
+    if kind not in DISTORTIONS or undone:
+        what, expected = f"a lens of the model '{model}', distortion '{kind}'", "none, radial (1 or 3 terms) or Brown's"
+        remedy = "Let Meshroom find the cameras again with one of these models (CameraInit: allowed models)"
+        refuse("cameras-distorted", file, what, expected=expected, remedy=remedy)
+    places = DISTORTIONS[kind]
+    if not any(parameters):
+        return (0.0,) * 5
+    needed = 1 + max((place for place in places if place is not None), default=-1)
+    if len(parameters) != needed:
+        raise ValueError(f"distortion '{kind}' with {len(parameters)} parameters")
+    return tuple(0.0 if place is None else parameters[place] for place in places)
+
+
+HEAD = 1 << 16  # bytes in which a file of cameras tells what it is
+OTHERS = ("k4", "p3", "p4")  # of the distortion, beyond Brown's five numbers
+TERMS = ("f", "fx", "fy", "cx", "cy", "b1", "b2", "skew", "k1", "k2", "k3", "p1", "p2", *OTHERS)
+FAR = 1e4  # distance from the world's origin, in extents of the cameras: geocentric coordinates
+METASHAPE_REMEDY = "Export the cameras again (File, Export, Export Cameras, Agisoft XML)"
+
+
+def metashape_file(source: Path, options: ConvertOptions) -> Path | None:
+    """Find the only XML file with a chunk's sensors and cameras. CaptureError (layout-unknown) where several are."""
+    what, remedy = "several files of Metashape's cameras", "Keep the one that belongs to these photographs"
+    return expect_one(_with_marks(source, ".xml", (b"<chunk", b"<sensors")), source, what, remedy)
+
+
+def read_metashape(path: Path, pictures: Pictures | None = None) -> Registration:
+    """The photographs that are enabled and aligned; notes name the others.
+
+    Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
+    numbers.
+    """
+    with reading_cameras(path.name, "Metashape", METASHAPE_REMEDY):
+        content = read_bytes(path, "json_bytes")
+        if b"<!DOCTYPE" in content[:HEAD] or b"<!ENTITY" in content[:HEAD]:
+            raise ValueError("a declaration of a document type")
+        chunks = list(ElementTree.fromstring(content).iter("chunk"))
+        chunks = [chunk for chunk in chunks if chunk.find("cameras") is not None]
+        if len(chunks) != 1:
+            raise ValueError(f"{len(chunks)} chunks with cameras, where one is expected")
+        return _chunk(chunks[0], path.name)
+
+
+def _chunk(chunk: ElementTree.Element, file: str) -> Registration:
+    sensors = {sensor.get("id"): sensor for sensor in chunk.iter("sensor")}
+    worlds = {part.get("id"): _transform(part.find("transform")) for part in chunk.iter("component")}
+    own = _transform(chunk.find("transform"))
+    enabled, off, unaligned, placed = [], [], [], []
+    for camera in chunk.find("cameras").iter("camera"):
+        if camera.get("enabled", "true").lower() in ("false", "0"):
+            off.append(camera.get("label"))
+        elif camera.find("transform") is None:
+            unaligned.append(camera.get("label"))
+        else:
+            enabled.append(camera)
+            numbers = np.array([finite(word) for word in camera.find("transform").text.split()])
+            placed.append(numbers.reshape(4, 4)[:3])
+    if not enabled:
+        raise ValueError(f"no camera is aligned, of {len(off) + len(unaligned)}")
+    expect_rows(len(enabled), "views", file, "cameras")
+    notes = left_out(off, file, "photographs that are switched off in Metashape")
+    notes += left_out(unaligned, file, "photographs that have no place in Metashape")
+    components = [camera.get("component_id") for camera in enabled]
+    placed, more = _in_world(placed, components, worlds, own, file)
+    lenses = {
+        number: _sensor_lens(sensors[number], file) for number in dict.fromkeys(c.get("sensor_id") for c in enabled)
+    }
+    views = []
+    for camera, matrix in zip(enabled, placed, strict=True):
+        rotation = rigid(matrix[:, :3]).T
+        size, lens = lenses[camera.get("sensor_id")]
+        pose = np.column_stack([rotation, -rotation @ matrix[:, 3]])
+        views.append(RegisteredView.of(str(camera.get("label")), size, lens, pose))
+    return Registration(tuple(views), (*notes, *more))
+
+
+def _in_world(
+    placed: list[np.ndarray], components: list, worlds: dict, own: tuple | None, file: str
+) -> tuple[list[np.ndarray], list[Problem]]:
+    """Cameras (3, 4) in the world of the component's transform, else of the chunk's, else in their own."""
+    transforms = [worlds.get(component) or own for component in components]
+    if None in transforms and len(set(components)) > 1:
+        raise ValueError("cameras of several components, not all with a transform: their places are not of one world")
+    moved = [
+        camera if t is None else np.column_stack([t[1] @ camera[:, :3], t[0] * t[1] @ camera[:, 3] + t[2]])
+        for camera, t in zip(placed, transforms, strict=True)
+    ]
+    centres = np.array([camera[:, 3] for camera in moved])
+    middle = centres.mean(axis=0)
+    if np.linalg.norm(middle) <= FAR * max(np.ptp(centres, axis=0).max(), 1e-300) or len(centres) < 2:
+        return moved, []
+    what = "geocentric coordinates, in which a small object has no digits left: the cameras were brought to the origin"
+    found = " ".join(f"{value:.3f}" for value in middle)
+    note = warning("cameras-far", file, what, found=f"moved by {found}", remedy="Move a mesh of Metashape likewise")
+    return [np.column_stack([camera[:, :3], camera[:, 3] - middle]) for camera in moved], [note]
+
+
+def _transform(element: ElementTree.Element | None) -> tuple[float, np.ndarray, np.ndarray] | None:
+    """Scale, rotation (3, 3) and translation (3,); None where the file has none."""
+    if element is None or element.find("rotation") is None:
+        return None
+    rotation, translation = (
+        np.array([finite(word) for word in element.findtext(name).split()]) for name in ("rotation", "translation")
+    )
+    scale = positive(element.findtext("scale") or 1, "scale")
+    return scale, rigid(rotation.reshape(3, 3)), translation.reshape(3)
+
+
+def _sensor_lens(sensor: ElementTree.Element, file: str) -> tuple[tuple[int, int], Intrinsics]:
+    """Rows and columns, and the lens in pixels from the centre of the first one, as adjusted if it was."""
+    label, kind = sensor.get("label"), sensor.get("type", "frame")
+    lenses = sensor.findall("calibration")
+    lens = next((each for each in lenses if each.get("class") == "adjusted"), lenses[-1] if lenses else None)
+    if lens is None:
+        raise ValueError(f"the sensor '{label}' has no calibration")
+    values = {name: finite(lens.findtext(name)) for name in TERMS if lens.find(name) is not None}
+    if kind != "frame" or lens.get("type", "frame") != "frame" or any(values.get(name, 0.0) for name in OTHERS):
+        what = f"the sensor '{label}' is of type {kind}, with the terms {', '.join(sorted(values))}"
+        remedy = "Optimise the cameras without k4, p3 and p4, or export undistorted photographs with their cameras"
+        refuse("cameras-distorted", file, what, expected="frame, with k1, k2, k3, p1 and p2", remedy=remedy)
+    resolution = lens.find("resolution")
+    resolution = sensor.find("resolution") if resolution is None else resolution
+    rows, columns = whole(resolution.get("height")), whole(resolution.get("width"))
+    k1, k2, k3, p1, p2 = (values.get(name, 0.0) for name in ("k1", "k2", "k3", "p1", "p2"))
+    if "f" in values:
+        fx, fy, skew = values["f"] + values.get("b1", 0.0), values["f"], values.get("b2", 0.0)
+        cx, cy = columns / 2 + values.get("cx", 0.0), rows / 2 + values.get("cy", 0.0)
+        p1, p2 = p2, p1
+    else:
+        fx, fy, skew = values.get("fx", 0.0), values.get("fy", 0.0), values.get("skew", 0.0)
+        cx, cy = values.get("cx", columns / 2), values.get("cy", rows / 2)
+    if min(rows, columns, fx, fy) <= 0:
+        raise ValueError(f"the sensor '{label}' of {columns} x {rows} pixels with focal lengths {fx:g} and {fy:g}")
+    found = Intrinsics(fx=fx, fy=fy, cx=cx - CORNER, cy=cy - CORNER, skew=skew, distortion=(k1, k2, p1, p2, k3))
+    return (rows, columns), found
