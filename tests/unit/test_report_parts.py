@@ -30,10 +30,9 @@ from nishiki.report.pictures import (
 from nishiki.report.scene_page import conditions, flat, settings_rows, text
 from nishiki.report.svg import Axis, Curve, bars, chart, legend_places, lights_plot, ticks
 from nishiki.stages.render import RenderSettings
-from nishiki.stages.report.painting import describe, exposed, gloss_section
+from nishiki.stages.report.painting import choices, describe, exposed, gloss_section, verdict
 from nishiki.stages.report.painting_prediction import chosen, signed_difference, signed_end
 from nishiki.stages.report.painting_surface import _of_places, _widest_place, spread_out
-from nishiki.stages.report.summary import choices, verdict
 from nishiki.stages.separate import SeparateSettings
 
 
