@@ -55,10 +55,10 @@ def block_levels(codes, table, row_edges, column_edges, saturated, clip):
                     levels[i, j, k] = np.nan
                     unusable[i, j, k] = 1.0
                     continue
-                median = middle(picked, count)
+                median = middle(picked, np.int64(count))
                 for s in range(count):
                     picked[s] = abs(picked[s] - median)
-                sigma = 1.4826 * middle(picked, count)
+                sigma = 1.4826 * middle(picked, np.int64(count))
                 # at least the rounding of the codes (table[1]), and 1 percent of the level
                 bound = CLIP_SIGMAS * max(sigma, 0.01 * abs(median), table[1])
                 total, used = 0.0, 0

@@ -196,15 +196,13 @@ def count_unusable(codes, usable, saturated, clip):
     brightest = np.empty(columns, codes.dtype)
     for y in range(rows):
         row, within = codes[y], usable[y]
-        if channels == 1:
-            brightest = np.ascontiguousarray(row).reshape(-1)
-        elif channels == 3:
+        if channels == 3:  # a distance between neighbours that the compiler knows: SIMD code
             for x in range(columns):
                 brightest[x] = max(row[x, 0], row[x, 1], row[x, 2])
         else:
-            brightest[:] = row[:, 0]
-            for k in range(1, channels):
-                for x in range(columns):
+            for x in range(columns):
+                brightest[x] = row[x, 0]
+                for k in range(1, channels):
                     brightest[x] = max(brightest[x], row[x, k])
         for start in range(0, columns, RUN):
             run = slice(start, min(start + RUN, columns))

@@ -56,7 +56,7 @@ def body_intensity(observations: np.ndarray, valid: np.ndarray) -> np.ndarray:
         out[...] = observations[..., 0]
         return out
     stack = np.ascontiguousarray(observations).reshape(lights, rows * columns, channels)
-    known = np.ascontiguousarray(np.broadcast_to(valid, out.shape)).reshape(lights, rows * columns)
+    known = np.require(np.broadcast_to(valid, out.shape), bool, "CW").reshape(lights, rows * columns)
     if rows * columns >= LANES:
         over_rows(_weigh, -(-rows * columns // LANES), stack, known, out.reshape(lights, rows * columns))
     elif out.size:
@@ -69,7 +69,7 @@ def body_intensity(observations: np.ndarray, valid: np.ndarray) -> np.ndarray:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _weigh(begin, end, observations, valid, out):
     lights, pixels, channels = observations.shape
-    memory, row = planes(lights * channels + channels + 3 * lights, LANES), lights * channels + channels
+    memory, row = planes(lights * channels + channels + 3 * lights, np.int64(LANES)), lights * channels + channels
     samples, colour = memory[: lights * channels], memory[lights * channels : row]
     mean, across, lit = memory[row : row + lights], memory[row + lights : row + 2 * lights], memory[row + 2 * lights :]
     for block in range(begin, end):

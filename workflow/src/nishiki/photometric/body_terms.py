@@ -158,7 +158,7 @@ def fit_body_terms(begin, end, intensity, mean, usable, known, vectors, settings
     """
     lights, pixels = mean.shape
     prior, noise, at_least, least_change = settings[0], settings[1], settings[2], settings[3]
-    memory = planes(3 * lights + 5, BLOCK)
+    memory = planes(3 * lights + 5, np.int64(BLOCK))
     values, may, weights = memory[:lights], memory[lights : 2 * lights], memory[2 * lights : 3 * lights]
     change, limit, surface = memory[3 * lights], memory[3 * lights + 1], memory[3 * lights + 2 :].ravel()
     sums, terms, going, rounded = np.zeros(TERMS * BLOCK), np.zeros(4 * BLOCK), np.zeros(BLOCK), surface.copy()

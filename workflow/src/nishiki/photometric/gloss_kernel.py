@@ -174,7 +174,8 @@ def descend(y, known, lights, table, settings, floor, n, rho, rows, work):
     """
     t, trial, equations, gradient = work[0:6], work[6:9], work[9:14], work[14:18]
     root, tolerance = np.sqrt(np.float64(rho.size)), settings[TOLERANCE]
-    trial[:] = n
+    for i in range(3):
+        trial[i] = n[i]
     damping, before, length, refused, accepted = 1e-3, 0.0, np.inf, 0, 0
     while True:
         predict(trial, known, lights, table, settings, floor, root, rows, t, gradient)
@@ -184,7 +185,8 @@ def descend(y, known, lights, table, settings, floor, n, rho, rows, work):
                 rows[W_COLOUR, j] = rows[LIT, j] / rows[VAR_COLOUR, j]
         strengths(y, rows, rho)
         if accepted == 0 or refused == DAMPINGS or not squares(y, rows, rho) > before * (1.0 + 1e-9):
-            n[:] = trial
+            for i in range(3):
+                n[i] = trial[i]
             damping = max(0.2 * damping, 1e-6) if accepted else damping
             for _ in range(1 if accepted else 2):
                 weigh(y, rows, rho, tolerance)
@@ -324,10 +326,11 @@ def refine_pixels(
                 break
             if attempt == 0:
                 value = cost_here
-                best_n[:] = n
-                n[:] = lights[top, 3:6]
+                for i in range(3):
+                    best_n[i], n[i] = n[i], lights[top, 3 + i]
             else:
-                n[:] = best_n
+                for i in range(3):
+                    n[i] = best_n[i]
         lit = 0
         for j in range(count):
             lit += rows[LIT, j] > 0.0

@@ -320,10 +320,10 @@ def descend(values, weights, vectors, prior, rounds, active, fit, surface, sums,
 @njit(cache=True, error_model="numpy")
 def descent_work(lights):
     """Arrays for `descend`."""
-    memory, wide = planes(SURFACE + SUMS + 1, BLOCK), np.zeros((FIT + 3) * BLOCK)
+    memory, wide = planes(np.int64(SURFACE + SUMS + 1), np.int64(BLOCK)), np.zeros((FIT + 3) * BLOCK)
     moved, damping, turn = wide[: FIT * BLOCK], wide[FIT * BLOCK :], wide[(FIT + 1) * BLOCK :]
     surface, sums = memory[:SURFACE].ravel(), memory[SURFACE : SURFACE + SUMS].ravel()
-    going, better, slopes = wide[(FIT + 2) * BLOCK :], memory[SURFACE + SUMS], planes(SLOPES * lights, LANES)
+    going, better, slopes = wide[(FIT + 2) * BLOCK :], memory[SURFACE + SUMS], planes(SLOPES * lights, np.int64(LANES))
     return moved, surface, sums, damping, turn, better, going, slopes
 
 

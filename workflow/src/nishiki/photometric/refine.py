@@ -31,7 +31,7 @@ def load_block(observations, usable, known, index, width, scalars, normals, valu
     start (FIT * BLOCK): Lambert's fits. Samples of what is no real pixel are unknown.
     """
     shared_usable, shared_known = usable.shape[1] == 1, known.shape[1] == 1
-    memory = planes(2, BLOCK)
+    memory = planes(np.int64(2), np.int64(BLOCK))  # constants would have it compiled for them alone
     albedo, row = memory[0], memory[1:]
     for p in range(BLOCK):
         q = index[p if p < width else 0]
@@ -51,7 +51,7 @@ def load_block(observations, usable, known, index, width, scalars, normals, valu
             row[0, p] = observations[j, q]
             there[0, p] = (known[j, 0] if shared_known else known[j, q]) if p < width else 0
             is_usable[0, p] = usable[j, 0] if shared_usable else usable[j, q]
-        load_light(row, there, is_usable, (0, 0), albedo, values, may, use, j)
+        load_light(row, there, is_usable, (np.int64(0), np.int64(0)), albedo, values, may, use, j)
 
 
 @njit(cache=True, error_model="numpy")
@@ -122,7 +122,7 @@ def refine(
     """
     lights = observations.shape[0]
     prior, noise, reselections, at_least = settings[0], settings[1], int(settings[2]), settings[3]
-    memory = planes(5 * lights + 3 + SURFACE + SUMS, BLOCK)
+    memory = planes(5 * lights + 3 + SURFACE + SUMS, np.int64(BLOCK))
     values, known_here = memory[:lights], memory[lights : 2 * lights]
     use, spare, row = memory[2 * lights : 3 * lights], memory[3 * lights : 4 * lights], 5 * lights
     start, held, active, variance = np.zeros(FIT * BLOCK), np.zeros(BLOCK), np.zeros(BLOCK), np.zeros(BLOCK)

@@ -148,7 +148,7 @@ def refit_selection(
     starts, steps, rounds = int(settings[0]), int(settings[1]), int(settings[9])
     window, coverage, above = settings[2], settings[3], settings[4]
     brighter, darker, floor, at_least = settings[5], settings[6], settings[7], settings[8]
-    memory, row = planes(6 * lights + TERMS + 17, BLOCK), 6 * lights
+    memory, row = planes(6 * lights + TERMS + 17, np.int64(BLOCK)), 6 * lights
     values, known, weights = memory[:lights], memory[lights : 2 * lights], memory[2 * lights : 3 * lights]
     distance, ordered = memory[3 * lights : 4 * lights], memory[4 * lights : 5 * lights]
     ranked, sums = memory[5 * lights : row], memory[row : row + TERMS].ravel()
@@ -205,7 +205,7 @@ def far_unless(known, values, out):
 def write_block(values, known, directions, scaled, weights, at_least, start, usable, highlights, shadows):
     """Samples kept and the reasons for the others; a pixel without a trustworthy fit keeps every known sample."""
     zero, one = np.float32(0.0), np.float32(1.0)
-    rejected = planes(2, BLOCK)
+    rejected = planes(np.int64(2), np.int64(BLOCK))
     for p in range(0, BLOCK, LANES):
         nx, ny, nz = load(scaled, p), load(scaled, p + BLOCK), load(scaled, p + 2 * BLOCK)
         kept = bright = dark = splat(zero)

@@ -230,7 +230,7 @@ def _fit(begin, end, observations, valid, directions, halves, scatter, known, no
         held[2] *= ALONG
         solved = True
         if plain or lights <= FEW_LIGHTS:
-            solved = _robust_fit(level, allowed, directions, first, held, ROUNDS_NORMAL, work, g, weight)
+            solved = _robust_fit(level, allowed, directions, first, held, np.int64(ROUNDS_NORMAL), work, g, weight)
         else:
             for k in range(3):
                 g[k] = first[k]
@@ -242,7 +242,7 @@ def _fit(begin, end, observations, valid, directions, halves, scatter, known, no
             before[k], prior[k] = 0.0, least + (scatter[p] / WIDTH_TERMS) ** 2 if plain else least
         before[0], prior[0] = length, 0.0
         if plain:
-            solved = _robust_fit(level, allowed, basis, before, prior, ROUNDS_TERMS, work, terms, weight)
+            solved = _robust_fit(level, allowed, basis, before, prior, np.int64(ROUNDS_TERMS), work, terms, weight)
         else:
             for j in range(lights):
                 weight[j] = 1.0 if allowed[j] else 0.0

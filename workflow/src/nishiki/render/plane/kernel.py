@@ -467,24 +467,23 @@ def shade(first, last, normals, coefficients, shading, slopes, labels, gloss, in
     labels (R, C) uint8 or (0, 0): all pixels row 0; gloss (regions, 2 lobes): beta, 1 / gamma^2 of each lobe; index
     (regions,); transmission: share of the surface's loss that the body's light suffers, entering (regions,): what is
     left of ambient light on its way in; lights (L, 6): x, y, z, w, intensity, squared reference distance; group (L,)
-    row of matrices (G, channels, K), offsets and whites (G, channels), in rising order; visibility (L, R, C) float32 or
-    (0, 0, 0): all 1; plane (3, 3) maps (column, row, 1) to the plane; eye (4,) homogeneous; ambient: irradiance of
-    group 0's uniform half space; widest: largest sin^2 phi at which a lobe counts, negative for a matte scene; out (R,
-    C, channels) float32, flags (R, C) uint8.
+    row of matrices (G, channels, K, padded with zeros to fours), offsets and whites (G, channels), in rising order;
+    visibility (L, R, C) float32 or (0, 0, 0): all 1; plane (3, 3) maps (column, row, 1) to the plane; eye (4,)
+    homogeneous; ambient: irradiance of group 0's uniform half space; widest: largest sin^2 phi at which a lobe counts,
+    negative for a matte scene; out (R, C, channels) float32, flags (R, C) uint8.
     """
-    columns, bands = coefficients.shape[1:]
+    columns = coefficients.shape[1]
     no_labels, no_visibility = np.empty(0, np.uint8), np.empty(0, np.float32)
     buf = np.zeros((_LOBES + gloss.shape[1]) * BLOCK)
-    sigma = np.zeros(((bands + 3) // 4 * 4, BLOCK))
-    padded = np.zeros((matrices.shape[0], matrices.shape[1], sigma.shape[0]))
-    padded[:, :, :bands] = matrices
+    sigma = np.zeros((matrices.shape[2], BLOCK))
+    whole = np.int64(BLOCK)  # a constant as an argument would have functions compiled for it alone
     total = np.empty((out.shape[2], BLOCK))
     positions = eye[3] != 0.0
     for j in range(lights.shape[0]):
         positions = positions or lights[j, 3] != 0.0
     # what is the same for all pixels is written to its lanes once
-    _load_gloss(buf, no_labels, gloss, index, entering, BLOCK)
-    _view_directions(buf, eye, BLOCK)
+    _load_gloss(buf, no_labels, gloss, index, entering, whole)
+    _view_directions(buf, eye, whole)
     for row in range(first, last):
         for start in range(0, columns, BLOCK):
             n = min(BLOCK, columns - start)
@@ -521,9 +520,9 @@ def shade(first, last, normals, coefficients, shading, slopes, labels, gloss, in
             current = 0
             for j in range(lights.shape[0]):
                 if group[j] != current:
-                    _flush(buf, total, sigma, padded[current], offsets[current], whites[current], n)
+                    _flush(buf, total, sigma, matrices[current], offsets[current], whites[current], n)
                     current = group[j]
                 visible = visibility[j, row, start:end] if visibility.shape[0] > 0 else no_visibility
                 _add_light(buf, lights[j], visible, reach, shading.shape[0] > 0, slopes.shape[0] > 0, transmission, n)
-            _flush(buf, total, sigma, padded[current], offsets[current], whites[current], n)
+            _flush(buf, total, sigma, matrices[current], offsets[current], whites[current], n)
             _store(buf, out[row, start:end], mark, total, sigma, n)

@@ -148,7 +148,7 @@ def shade_channels(
         _entering(gloss) if ambient_level else np.ones(len(gloss.refractive_index)),
         lamps[sequence],
         rank[sequence],
-        groups.matrices[order],
+        np.pad(groups.matrices[order], ((0, 0), (0, 0), (0, -groups.matrices.shape[2] % 4))),
         groups.offsets[order],
         groups.whites[order],
         visible,
