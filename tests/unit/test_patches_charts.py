@@ -6,9 +6,8 @@ import trimesh
 
 from nishiki.atlas.adjacency import across_edges, borders, components, smoothed, smoothed_vertices, spread
 from nishiki.atlas.atlas import build_atlas
-from nishiki.atlas.charts import frame_along, make_charts, overlapping, probe_spacing, turning
+from nishiki.atlas.charts import frame_along, make_charts, overlapping, probe_spacing, rebuild_atlas, turning
 from nishiki.atlas.quality import sampling_density, stretch_percentiles, texels_per_unit, weighted_percentiles
-from nishiki.atlas.rebuild import rebuild_atlas
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 

@@ -72,7 +72,7 @@ class FolderTree:
     def digest(self, name: str) -> str:
         """SHA-256 of a file, read in blocks. Raises OSError."""
         with _open(os.path.join(self.root, name)) as handle:
-            return _digest(handle)
+            return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def _sort_in(listing: Listing, name: str, entry: os.DirEntry) -> bool:
@@ -106,13 +106,6 @@ def _read(handle: BinaryIO, size: int) -> bytes:
         if len(data) > LARGEST_TEXT:
             raise ValueError("larger than any manifest")
     return bytes(data)
-
-
-def _digest(handle: BinaryIO) -> str:
-    digest = hashlib.sha256()
-    while block := handle.read(BLOCK):
-        digest.update(block)
-    return digest.hexdigest()
 
 
 @contextmanager
@@ -162,7 +155,7 @@ class ZipTree:
     def digest(self, name: str) -> str:
         """SHA-256 of a file, read in blocks. Raises OSError."""
         with _broken_as_oserror(name), self.archive.open(self._member(name)) as handle:
-            return _digest(handle)
+            return hashlib.file_digest(handle, "sha256").hexdigest()
 
     def _member(self, name: str) -> zipfile.ZipInfo:
         member = self.members.get(name)

@@ -1,9 +1,9 @@
 """Compute stage keys and code digests, which decide whether a stage has to run.
 
-Parsing all modules of the project takes seconds, at every start and in every job of a cluster. Both answers depend on
-the file's bytes alone (and on the version of Python, whose trees differ), so they are kept under the SHA-256 of these
-bytes in `.kernels` (of an installation: in the user's cache), beside the compiled kernels. Where nothing may be
-written, files are parsed each time.
+Parsing all modules of the project takes seconds, at every start and in every job of a cluster. The syntax and imports
+of a file depend on its bytes alone (and on the version of Python, whose trees differ), so they are kept under the
+SHA-256 of these bytes in `.kernels` (of an installation: in the user's cache), beside the compiled kernels. Where
+nothing may be written, files are parsed each time.
 
 The key of a stage is the start of the SHA-256 of a canonical text of everything that decides its result, apart from the
 code: stage name and format version, exactly the settings that it reads, and the keys of its upstream artifacts.

@@ -1,8 +1,8 @@
 """Fit Lambert and one Torrance-Sparrow lobe to the observations of each point.
 
-It needs a start, and parameters of like size: here it works on the strengths and on log gamma, from a start that the
-caller may choose.  scipy's `least_squares(method="lm")` is MINPACK's lmder (More, The Levenberg-Marquardt algorithm:
-implementation and theory, 1978).
+Levenberg-Marquardt needs a start, and parameters of like size: here it works on the strengths and on log gamma, from a
+start that the caller may choose.  scipy's `least_squares(method="lm")` is MINPACK's lmder (More, The
+Levenberg-Marquardt algorithm: implementation and theory, 1978).
 
 The strengths (K_s, K_d, or beta) enter linearly and the half width gamma does not.  The default eliminates the
 strengths and searches log gamma globally (variable projection): there is no start value to choose, and beta = 164

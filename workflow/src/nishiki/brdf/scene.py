@@ -1,8 +1,9 @@
 """Fit one set of Torrance-Sparrow parameters to a scene or a region, and read and write `parameters.json`.
 
-The profile z(phi) = beta D(phi; gamma) gathers all lights of all usable pixels (`specular_histogram`).  Normals that
-are uncertain by sigma in each tangent direction blur the lobe: seen over the estimated phi it is the convolution of two
-round Gaussians, of standard deviations s = gamma / sqrt(2 ln 2) and sigma,
+The method is that of Tominaga and Tanaka (2004, eq. 14-18), improved.  The profile z(phi) = beta D(phi; gamma) gathers
+all lights of all usable pixels (`specular_histogram`).  Normals that are uncertain by sigma in each tangent direction
+blur the lobe: seen over the estimated phi it is the convolution of two round Gaussians, of standard deviations s =
+gamma / sqrt(2 ln 2) and sigma,
 
     z(phi) = beta s^2 / (s^2 + sigma^2) exp(-phi^2 / (2 (s^2 + sigma^2))),
 

@@ -11,11 +11,11 @@ and G:
     I_s = K_s / cos(theta_r) exp(-phi^2 / (2 sigma^2)),      gamma = sigma sqrt(2 ln 2).
 
 Everything here is relative to the white reference: a perfect white diffuser that faces the lamp has the value 1.  The
-array functions are the readable form and the reference of the compiled ones in `nishiki.brdf.torrance_sparrow`.
+array functions are the readable form and the reference of the compiled scalar ones.  Those compute in float64 whatever
+they are given, allocate nothing, call no library function, and are inlined by the compiler into the loop that calls
+them; they check no bounds: gamma > 0 and refractive_index >= 1 are the caller's to ensure.
 
-They compute in float64 whatever they are given, allocate nothing, call no library function, and are inlined by
-the compiler into the loop that calls them.  `nishiki.brdf.torrance_sparrow` holds the array forms that they are proven
-against.  Bounds are not checked here: gamma > 0 and refractive_index >= 1 are the caller's to ensure.
+The body shading of a pixel is Lambert's cosine with the fall-off and the gloss skirt that the solver `lobe` fitted:
 
     E_k = rho_k c f,    f = max(a + b c + d x^8, 0),    c = max(n . l, 0),    x = max(n . h, 0)
 

@@ -1,10 +1,8 @@
 """Pack what a renderer needs beside the residual in few bytes: mesh, cameras, charts, lamps; and count all bytes.
 
-What a renderer needs beside the residual.  Draco (https://google.github.io/draco; glTF's KHR_draco_mesh_compression)
+Draco (https://google.github.io/draco; glTF's KHR_draco_mesh_compression)
 walks over the surface from edge to edge and predicts each position from its neighbours, so that vertices and triangles
 come back in the order of that walk.
-
-What a renderer needs beside mesh and residual, in few bytes: cameras, charts, lamps.
 """
 
 from __future__ import annotations

@@ -7,6 +7,8 @@ them. CIE data are facts published by the Commission Internationale de l'Eclaira
 Small own forms, because importing a colour library costs seconds in every process; the tests compare each of them with
 colour-science.
 
+The transfer curve of sRGB (IEC 61966-2-1):
+
     code = 12.92 L                      L <= 0.0031308
     code = 1.055 L^(1 / 2.4) - 0.055    above
 

@@ -1,7 +1,7 @@
 """Plan a scene: which stages run under which keys, and what is omitted and why.
 
-What is not named here (the photographs that a fit needs, their white boards and dark frames, tables, spectra, masks) is
-always read.
+What `PARTS` does not name (the photographs that a fit needs, their white boards and dark frames, tables, spectra,
+masks) is always read.
 """
 
 from collections.abc import Callable, Hashable, Mapping

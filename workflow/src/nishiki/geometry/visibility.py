@@ -4,8 +4,8 @@ The vertices go through the whole camera, lens distortion included; between them
 which for triangles of a few pixels is the same thing. Edge functions as in J. Pineda, A parallel algorithm for polygon
 rasterization, SIGGRAPH 1988.
 
-Each node's triangles are halved at the median of their centres, so that the tree is a complete binary one and needs
-no links: node k has the children 2 k + 1 and 2 k + 2.
+In the tree of boxes each node's triangles are halved at the median of their centres, so that the tree is a complete
+binary one and needs no links: node k has the children 2 k + 1 and 2 k + 2.
 """
 
 from __future__ import annotations

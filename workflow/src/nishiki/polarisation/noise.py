@@ -1,7 +1,7 @@
 """Measure the noise of a polariser series, and the differences that separate specular from diffuse light.
 
-They are sums of planes, q_j = sum_p Q_jp plane_p (circular: I_off - I_on / beta); that of the photographs is var(I) =
-slope I + floor in each channel (shot noise; read noise and rounding).
+The differences are sums of planes, q_j = sum_p Q_jp plane_p (circular: I_off - I_on / beta); that of the photographs is
+var(I) = slope I + floor in each channel (shot noise; read noise and rounding).
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 """Turn the axes of a rig: turntables and goniometer arms behind GRBL 1.1, and turntables of ComXim.
 
-The controller counts in its own units, which $100 to $102 tie to motor steps; a description says how many make a
+GRBL counts in its own units, which $100 to $102 tie to motor steps; a description says how many make a
 degree. Positions are machine coordinates, relative to where homing ended: they need no work offset, and none that
 another program has left behind can shift them. A controller that has restarted or raised an alarm has lost its
 position, and no axis moves before it is homed again.
 
-A command is `CT+NAME(values);`, an answer `CR+OK;` or `CR+ERR=N;`, and a turn ends with `CR+EVENT=TB_END;`. Between
-them the table may send the heartbeat `#`. It turns by angles, not to them, and has no switch at zero: its zero is where
-it stood when it was switched on. So the angle is counted here, and lost with the connection.
+ComXim: a command is `CT+NAME(values);`, an answer `CR+OK;` or `CR+ERR=N;`, and a turn ends with `CR+EVENT=TB_END;`.
+Between them the table may send the heartbeat `#`. It turns by angles, not to them, and has no switch at zero: its zero
+is where it stood when it was switched on. So the angle is counted here, and lost with the connection.
 """
 
 from __future__ import annotations

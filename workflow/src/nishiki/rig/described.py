@@ -1,8 +1,8 @@
 """Drive home-made devices on a serial line: those described in YAML, and domes of light-emitting diodes.
 
-`<3,n>` lights one diode alone, `<0>` none, `<6>` releases a camera on the dome's shutter cable. `<5,ms>` runs through
-all diodes and releases at each: it is not used, since such a run can neither be checked frame by frame nor continued.
-The dome's computer answers in words, and lights all diodes when it starts.
+Of a dome `<3,n>` lights one diode alone, `<0>` none, `<6>` releases a camera on the dome's shutter cable. `<5,ms>` runs
+through all diodes and releases at each: it is not used, since such a run can neither be checked frame by frame nor
+continued. The dome's computer answers in words, and lights all diodes when it starts.
 """
 
 from __future__ import annotations

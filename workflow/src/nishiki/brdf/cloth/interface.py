@@ -5,9 +5,10 @@ surface.  `evaluate` gives 1 / sr, broadcasts, is finite everywhere and 0 where 
 `as_arrays` and `from_arrays` are inverse to each other and hold numbers only, so that a model is stored without pickle
 (`nishiki.brdf.cloth.store`).
 
-Light that a fibre's surface reflects has the lamp's colour; light that comes from within has the dye's.  A black cloth
-shows the first alone (Takeda et al., section 2).  For another dye the light from within is added: that of a diffuser
-under the gloss, which gets only what the gloss lets through on the way in and out,
+`Dyed` puts any dye on a measured gloss by the dichromatic model (Shafer, Using color to separate reflection components,
+1985).  Light that a fibre's surface reflects has the lamp's colour; light that comes from within has the dye's.  A
+black cloth shows the first alone (Takeda et al., section 2).  For another dye the light from within is added: that of a
+diffuser under the gloss, which gets only what the gloss lets through on the way in and out,
 
     f = f_gloss + albedo / pi (1 - a(i)) (1 - a(o)) / (1 - a_mean),
 

@@ -1,7 +1,7 @@
 """Predict oblique reflectance from normal incidence: the published shift of the pattern, and a facet distribution.
 
-Light from theta_i moves every point of the pattern in the plane of the view V and of R_xy, the mirror direction
-projected on the cloth: with beta the angle from R_xy to V,
+The paper's law (Takeda et al., eq. 5-9), the baseline: light from theta_i moves every point of the pattern in the plane
+of the view V and of R_xy, the mirror direction projected on the cloth: with beta the angle from R_xy to V,
 
     beta0 = (pi/2) / (pi/2 - theta_i) beta                             for beta <= pi/2 - theta_i,
     beta0 = ((pi/2) beta + pi theta_i) / (pi/2 + theta_i)              otherwise,
@@ -10,7 +10,8 @@ projected on the cloth: with beta the angle from R_xy to V,
 V0 at the angle beta0 on the great circle from R_xy through V (exact), or by Takeda et al., eq. 8-9, which turns both
 spherical coordinates in the same ratio (the paper's linear approximation).  Neither is reciprocal nor keeps energy.
 
-Light along the normal is mirrored into the view o by facets of normal h = (z + o) / |z + o|, at theta_r / 2:
+The facet reading: light along the normal is mirrored into the view o by facets of normal h = (z + o) / |z + o|, at
+theta_r / 2:
 
     rho(o) - rho_d = F(h.o) D(h) G1(o) / (4 cos theta_r),
 

@@ -1,10 +1,10 @@
 """Evaluate facets on yarns: the facets of fibres about the slopes of two families of yarns.
 
-The logarithm of measured over modelled value is taken for a Gaussian process over pairs of directions (light, view):
-mean 0, standard deviation SPREAD, correlation Wendland's function of the pairs' distance, summed over the mirror images
-in the planes of weft and warp and over the exchange of light and view, so that the result has these symmetries exactly
-(Wendland, Scattered Data Approximation, 2005; Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006).
-Farther than REACH from all images the model stands alone.
+Local ratio: the logarithm of measured over modelled value is taken for a Gaussian process over pairs of directions
+(light, view): mean 0, standard deviation MODEL_ERROR, correlation Wendland's function of the pairs' distance, summed
+over the mirror images in the planes of weft and warp and over the exchange of light and view, so that the result has
+these symmetries exactly (Wendland, Scattered Data Approximation, 2005; Rasmussen and Williams, Gaussian Processes for
+Machine Learning, 2006). Farther than REACH from all images the model stands alone.
 
 A cloth's surface is that of warp and weft yarns.  A yarn's surface tilts across the yarn (its section) and along it
 (its way over and under the others), and on it the fibres' facets scatter about that tilt.  With w(p) the share of the

@@ -5,18 +5,18 @@ any x the c are a small non-negative least-squares problem, so only x is searche
 nonlinear least squares, 2003), by a trust-region Levenberg-Marquardt on the projected residual.  Priors are Gaussian
 in x: they decide what the measurements leave open, and shift what these tell by less than its uncertainty.
 
-First the shape is fitted to normal incidence (its prior says what that leaves open), then to both.  What the shape's
-facets still miss at normal incidence is read off them as the facet reading does, at the half vector's tilt theta_r / 2:
-a factor c(h) of the mirror reflection at every incidence (h alone, so it stays reciprocal), held to 1 where the body
-outshines the mirror reflection. What the model then misses at the oblique images is carried over to the directions
-around them (`local_ratio`).
+Yarn facets: first the shape is fitted to normal incidence (its prior says what that leaves open), then to both.  What
+the shape's facets still miss at normal incidence is read off them as the facet reading does, at the half vector's tilt
+theta_r / 2: a factor c(h) of the mirror reflection at every incidence (h alone, so it stays reciprocal), held to 1
+where the body outshines the mirror reflection. What the model then misses at the oblique images is carried over to the
+directions around them (`fit_ratio`).
 
-The fit to normal incidence leaves an uncertainty of the parameters (its information matrix), which makes errors of
-predictions that go together; beside it a model has errors of its own, alike in directions close to each other
-(DISCREPANCY, REACH). Each step takes the image after which the expected squared error, summed over all candidates with
-the cosine of the view and relative to each incidence's level, is least (I-optimal design; Fedorov, Theory of optimal
-experiments, 1972), and conditions both on it. No measured value enters, so the choice can be made before the images
-are taken.
+Choice of oblique images: the fit to normal incidence leaves an uncertainty of the parameters (its information matrix),
+which makes errors of predictions that go together; beside it a model has errors of its own, alike in directions close
+to each other (DISCREPANCY, ERROR_REACH). Each step takes the image after which the expected squared error, summed over
+all candidates with the cosine of the view and relative to each incidence's level, is least (I-optimal design; Fedorov,
+Theory of optimal experiments, 1972), and conditions both on it. No measured value enters, so the choice can be made
+before the images are taken.
 """
 
 from collections.abc import Callable
