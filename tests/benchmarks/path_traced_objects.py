@@ -257,7 +257,7 @@ def main():
     parser.add_argument("--objects", nargs="+", choices=list(OBJECTS), default=list(OBJECTS))
     parser.add_argument("--samples", type=int, default=64, help="paths a pixel, where an object is rendered")
     arguments = parser.parse_args()
-    from nishiki.photometric.gloss_scene import FEW_LIGHTS
+    from nishiki.photometric.flags import FEW_LIGHTS
 
     arguments.folder.mkdir(parents=True, exist_ok=True)
     for name in arguments.objects:

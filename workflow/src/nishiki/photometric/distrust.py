@@ -17,7 +17,6 @@ from nishiki.photometric.light_selection import distinct_sets, half_vectors
 
 SUSPECT = 40.0
 WORSE, SOMEWHAT = 16.0, 1.3
-COPLANAR = 1e12  # condition above which double precision cannot tell the normal matrix from a singular one
 PIXELS = 1 << 14  # at a time
 
 
@@ -60,7 +59,7 @@ def condition_of(chosen, directions):
     outer = (directions[:, :, None] * directions[:, None, :]).reshape(len(directions), -1)
     values = np.linalg.eigvalsh((chosen.T.astype(np.float64) @ outer).reshape(-1, 3, 3))
     least, largest = values[:, 0], values[:, 2]
-    sound = (chosen.sum(axis=0) >= 3) & (least > largest / COPLANAR)
+    sound = (chosen.sum(axis=0) >= 3) & (least > largest / bits.COPLANAR)
     return np.where(sound, largest / np.where(sound, least, 1.0), np.inf)
 
 

@@ -19,3 +19,7 @@ NAMES = {
     NO_REDUNDANCY: "no_redundancy",
     FALLBACK: "fallback",
 }
+
+COPLANAR = 1e12  # condition above which double precision cannot tell the normal matrix from a singular one
+FEW_LIGHTS = 24
+"""Up to here the joint fit with gloss and the fit for relighting pay; with more, the selection has samples enough."""

@@ -20,7 +20,6 @@ FIRST_LOOK = 4000  # pixels of a thinner sample; of fewer than 1500 the profile 
 WORTHWHILE = 0.03  # gain of robust cost a value, from which gloss counts as shown
 TRANSMISSIONS = (0.0, 0.5, 1.0)  # tried; the least of the parabola through their costs is taken
 MEASURED = 0.01  # fall of the robust cost, relative, from which the lamps tell the transmission from a tilt
-FEW_LIGHTS = 24  # up to here the joint fit pays its time; with more the selection has diffuse samples enough
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from nishiki.photometric import flags as bits
 from nishiki.photometric.lanes import LANES, choose, load, root, splat, store, widen
 
 BLOCK = 64
-COPLANAR = 1e12  # condition above which double precision cannot tell the normal matrix from a singular one
 LEAST_ALBEDO, LARGEST = 1e-45, 3.4028234e38  # of float32, subnormal numbers included
 TERMS = 10  # six products of the direction, three of the right-hand side, the sum of squares
 
@@ -135,7 +134,7 @@ def condition_block(matrices, count, conditions, inverses):
         d, e, f = load(matrices, (3, p)), load(matrices, (4, p)), load(matrices, (5, p))
         least, largest = eigenvalues(a, b, c, d, e, f)
         m0, m1, m2, m3, m4, m5 = inverse(a, b, c, d, e, f)
-        sound = (load(count, p) >= 3.0) & (least > largest / COPLANAR) & (m0 > 0.0) & (m3 > 0.0) & (m5 > 0.0)
+        sound = (load(count, p) >= 3.0) & (least > largest / bits.COPLANAR) & (m0 > 0.0) & (m3 > 0.0) & (m5 > 0.0)
         store(conditions, p, choose(sound, largest / least, np.inf))
         store(inverses, (0, p), choose(sound, m0, 0.0))
         store(inverses, (1, p), choose(sound, m1, 0.0))
@@ -153,7 +152,7 @@ def write_block(solved, condition, count, max_condition, start, width, normals, 
     """
     for i in range(width):
         p, flag, length, z = start + i, 0, solved[3, i], solved[2, i]
-        surface = count[i] >= 3 and condition[i] < COPLANAR and LEAST_ALBEDO <= length <= LARGEST
+        surface = count[i] >= 3 and condition[i] < bits.COPLANAR and LEAST_ALBEDO <= length <= LARGEST
         scalars[2, p] = min(condition[i], 3e38)
         lights_used[p] = int(count[i])
         if surface:
@@ -167,7 +166,7 @@ def write_block(solved, condition, count, max_condition, start, width, normals, 
         else:
             if count[i] < 3:
                 flag |= bits.TOO_FEW_LIGHTS
-            elif condition[i] >= COPLANAR:
+            elif condition[i] >= bits.COPLANAR:
                 flag |= bits.COPLANAR_LIGHTS
             else:
                 flag |= bits.NO_SIGNAL

@@ -21,10 +21,10 @@ import numba
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import half_vectors
 from nishiki.threads import over_rows
 
-FEW_LIGHTS = 24  # with more, shading and normals of the solver `lobe` predict as well, and this fit is not made
 MODELS = ("plain", "directional")
 ROUNDS_NORMAL, ROUNDS_TERMS = 6, 3
 TUNING = 2.4  # of Cauchy's weight, in standard deviations: 95 % efficiency for normal errors

@@ -6,6 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, flagged, share
+from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.stages.base import ARRAYS, Cost, Lights, SceneFacts, Stage
 
 LIMITS = (
@@ -74,9 +75,6 @@ class NormalsSettings(Guarded, stage="normals", version=3, limits=LIMITS):
     )
     max_condition: float = Field(1e4, gt=1, description="pixels with a worse conditioned light matrix are flagged")
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
-
-
-FEW_LIGHTS = 24  # as in nishiki.photometric.gloss_scene, which is not loaded for planning
 
 
 def _normals_cost(facts: SceneFacts) -> Cost:

@@ -18,9 +18,9 @@ from nishiki.observations.parcels import Parcel, parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric import flags as bits
 from nishiki.photometric.body_colour import body_intensity
+from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channels
-from nishiki.photometric.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
 from nishiki.photometric.relighting import MODELS, fit_relighting
 from nishiki.photometric.solve import estimate_normals, shading_of_mean
 from nishiki.stages.normals import NormalsSettings
@@ -130,7 +130,7 @@ def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable,
 
 def relit(observations: np.ndarray, valid: np.ndarray, parcel: Parcel, maps: dict, model: str) -> dict:
     """The maps that predict lamps, fitted again to the samples of a parcel; with many lights `plain` keeps its own."""
-    if model == "plain" and len(parcel.directions) > RELIGHT_LIGHTS:
+    if model == "plain" and len(parcel.directions) > FEW_LIGHTS:
         return {}
     return fit_relighting(
         scaled(observations, parcel),
@@ -224,7 +224,7 @@ def scene_gloss(
     if settings.refine == "none":
         return None
     from nishiki.model_selection.relighting import clearly_matt
-    from nishiki.photometric.gloss_scene import FEW_LIGHTS, fit_scene_gloss, thinned
+    from nishiki.photometric.gloss_scene import fit_scene_gloss, thinned
 
     if settings.refine == "auto" and len(lights) > FEW_LIGHTS:
         return None

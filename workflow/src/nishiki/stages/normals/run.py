@@ -14,8 +14,8 @@ from nishiki.model_selection.lights import choose_lights
 from nishiki.observations.parcels import parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric import flags as bits
+from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import unpack_lights
-from nishiki.photometric.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
 from nishiki.photometric.relighting import TERMS
 from nishiki.stages.normals import NormalsSettings
 from nishiki.stages.normals.parcel import MAPS, choose_fit, relit, scene_gloss, solve
@@ -34,7 +34,7 @@ def map_tiles(context: Context) -> dict:
     lights, decision = fit_lights(frames, selection, context.settings)
     gloss = scene_gloss(frames, selection, lights, context.settings)
     profile, model, decisions = choose_fit(frames, selection, lights, gloss, context.settings)
-    relight = model is not None and len(lights) <= RELIGHT_LIGHTS
+    relight = model is not None and len(lights) <= FEW_LIGHTS
     for made in decisions:
         if made:
             context.progress.tell(str(made))
