@@ -11,11 +11,14 @@ import numpy as np
 import pytest
 from captures import make_capture
 from examples import run_examples
+from unit.test_convert_command import listed, photographs
 
 import nishiki
 from nishiki.artifacts.provenance import PACKAGE, SOURCE, code_files, program_of
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.brdf.cloth.yarn_facets import CENTRE, shape_of, uncorrected
+from nishiki.errors import UserError
+from nishiki.formats.images import read_codes
 from nishiki.stages.table import NAMES
 
 INIT = SOURCE / PACKAGE / "__init__.py"
@@ -28,6 +31,9 @@ def folder(tmp_path_factory):
     """What the examples read: a capture of five lights, and a fitted cloth."""
     folder = tmp_path_factory.mktemp("examples")
     make_capture(folder / "captures/painting")
+    names = [f"a{i}.png" for i in range(4)]
+    photographs(folder / "photographs", names)
+    (folder / "photographs" / "a.lp").write_text(listed(names))
     (folder / "results/satin/current").mkdir(parents=True)
     save_brdf(folder / "results/satin/current/brdf.npz", uncorrected(shape_of(CENTRE), [0.05, 0.1], [0.0, 0.01]))
     return folder
@@ -43,7 +49,7 @@ def sections(name: str) -> dict[str, str]:
 def test_public_names_are_documented_in_full(name):
     thing, found = getattr(nishiki, name), sections(name)
     assert {"Parameters", "Examples"} <= set(found)
-    entries = re.findall(r"^([a-z_]+(?:, [a-z_]+)*)(?: : .+)?$", found["Parameters"], re.M)
+    entries = re.findall(r"^\*{0,2}([a-z_0-9]+(?:, [a-z_0-9]+)*)(?: : .+)?$", found["Parameters"], re.M)
     described = {single for entry in entries for single in entry.split(", ")}
     assert described == set(inspect.signature(thing).parameters)
     if not inspect.isclass(thing):
@@ -112,3 +118,22 @@ def test_a_geometry_of_many_views_is_refused_in_one_sentence(tmp_path, monkeypat
 def test_a_folder_without_an_object_is_reported(tmp_path):
     with pytest.raises(nishiki.errors.UserError, match="found no cameras"):
         nishiki.read_object(tmp_path)
+
+
+@pytest.mark.parametrize("codes", [np.full((4, 2, 3), 200, np.uint8), np.full((4, 2, 3), 20000.0)])
+def test_codes_of_a_file_are_not_taken_for_light(codes):
+    lights = np.array([[0.6, 0, 0.8], [-0.6, 0, 0.8], [0, 0.6, 0.8], [0, -0.6, 0.8]])
+    with pytest.raises(UserError):
+        nishiki.estimate_normals(codes, lights)
+    field = nishiki.estimate_normals(codes / 70000, lights, solver="least_squares")
+    assert len(repr(field)) < 600
+    assert "<table>" in field._repr_html_()
+
+
+def test_a_picture_is_saved_as_it_was_given(tmp_path):
+    linear = np.linspace(0, 1, 12, dtype=np.float32).reshape(2, 2, 3)
+    nishiki.save_picture(tmp_path / "a.exr", linear)
+    assert np.allclose(read_codes(tmp_path / "a.exr", ("R", "G", "B")), linear)
+    for path, values in ((tmp_path / "a.bmp", linear), (tmp_path / "a.png", linear[..., 0, :, None])):
+        with pytest.raises(UserError):
+            nishiki.save_picture(path, values)

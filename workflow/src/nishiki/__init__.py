@@ -8,7 +8,16 @@ Each function is imported when it is first used, so `import nishiki` costs nothi
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from nishiki.api import Observed, fit_cloth, read_object, read_observations, render_view
+    from nishiki.api import (
+        Observed,
+        find_lights,
+        fit_cloth,
+        read_object,
+        read_observations,
+        read_photographs,
+        render_view,
+        save_picture,
+    )
     from nishiki.brdf.cloth.store import load_brdf as read_cloth
     from nishiki.brdf.cloth.store import save_brdf as write_cloth
     from nishiki.brdf.torrance_sparrow import fresnel
@@ -16,20 +25,27 @@ if TYPE_CHECKING:
     from nishiki.capture.folder import load_capture as read_capture
     from nishiki.colour.estimate import estimate_spectra, fit_estimator
     from nishiki.colour.training import synthetic_reflectances
+    from nishiki.photometric.height import integrate_normals as integrate_height
+    from nishiki.photometric.light_selection import select_diffuse as select_lights
     from nishiki.photometric.solve import estimate_normals
 
 __all__ = [
     "Observed",
     "estimate_normals",
     "estimate_spectra",
+    "find_lights",
     "fit_cloth",
     "fit_estimator",
     "fresnel",
+    "integrate_height",
     "read_capture",
     "read_cloth",
     "read_object",
     "read_observations",
+    "read_photographs",
     "render_view",
+    "save_picture",
+    "select_lights",
     "synthetic_reflectances",
     "torrance_sparrow",
     "write_cloth",
@@ -39,14 +55,19 @@ _PLACES = {
     "Observed": "api:Observed",
     "estimate_normals": "photometric.solve:estimate_normals",
     "estimate_spectra": "colour.estimate:estimate_spectra",
+    "find_lights": "api:find_lights",
     "fit_cloth": "api:fit_cloth",
     "fit_estimator": "colour.estimate:fit_estimator",
     "fresnel": "brdf.torrance_sparrow:fresnel",
+    "integrate_height": "photometric.height:integrate_normals",
     "read_capture": "capture.folder:load_capture",
     "read_cloth": "brdf.cloth.store:load_brdf",
     "read_object": "api:read_object",
     "read_observations": "api:read_observations",
+    "read_photographs": "api:read_photographs",
     "render_view": "api:render_view",
+    "save_picture": "api:save_picture",
+    "select_lights": "photometric.light_selection:select_diffuse",
     "synthetic_reflectances": "colour.training:synthetic_reflectances",
     "torrance_sparrow": "brdf.torrance_sparrow:specular",
     "write_cloth": "brdf.cloth.store:save_brdf",

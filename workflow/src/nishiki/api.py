@@ -60,6 +60,10 @@ class Observed(NamedTuple):
     check: np.ndarray
     channels: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        lights, rows, columns, channels = self.values.shape
+        return f"Observed({lights} lights, {rows} x {columns} pixels, {channels} channels)"
+
 
 def read_observations(capture: str | Path, *, white_block: int = 16) -> Observed:
     """Read the photographs of a flat object under many lamps, relative to the white board.
@@ -131,6 +135,126 @@ def read_observations(capture: str | Path, *, white_block: int = 16) -> Observed
                     values[i] *= (distance / np.linalg.norm(near)) ** 2
         check = np.array([role == "check" for role in stored.roles])
         return Observed(values, valid, directions, stored.lights, check, stored.channels)
+
+
+def read_photographs(folder: str | Path, **options) -> Observed:
+    """Read a folder of photographs of a flat object, with the lamps that are found in it.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of photographs with a lights file, or with mirror balls in the frame; anything that `nishiki convert`
+        takes for a flat object.
+    **options
+        Fields of `nishiki.capture.options.ConvertOptions`, which are the options of `nishiki convert`: `lights_file`,
+        `white`, `mask`, `encoding` and others.
+
+    Returns
+    -------
+    Observed
+        Values, what of them is valid, and the directions of the lamps.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        Where no lamps are found, and where a photograph cannot be used; the message names the remedy.
+
+    See Also
+    --------
+    read_observations : Reads a capture folder.
+
+    Examples
+    --------
+    >>> import nishiki
+    >>> observed = nishiki.read_photographs("photographs", encoding="linear")
+    >>> observed.values.shape[0] == len(observed.lights)
+    True
+    """
+    from nishiki.capture.convert import convert
+
+    with tempfile.TemporaryDirectory() as parent:
+        return read_observations(convert(folder, Path(parent, "capture"), **options).folder)
+
+
+def find_lights(folder: str | Path, **options) -> dict[str, np.ndarray]:
+    """Find the lamps of a folder of photographs: in its lights file, or on mirror balls in the frame.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of photographs of a flat object.
+    **options
+        As of `read_photographs`.
+
+    Returns
+    -------
+    dict of str to (3,) float64 ndarray
+        Unit vector to each lamp by its name; x right, y up, z towards the camera.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        Where no lamps are found.
+
+    Examples
+    --------
+    >>> import nishiki
+    >>> for name, direction in nishiki.find_lights("photographs").items():
+    ...     print(name, direction.shape)
+    a0 (3,)
+    a1 (3,)
+    a2 (3,)
+    a3 (3,)
+    """
+    from nishiki.capture.options import ConvertOptions
+    from nishiki.capture.registry import read_source
+
+    layout = read_source(Path(folder), ConvertOptions(**options))
+    if layout.geometry != "plane":
+        raise UserError(f"{folder}: expected photographs of a flat object, found {layout.name}")
+    return dict(zip(layout.lights.names, layout.lights.directions, strict=True))
+
+
+def save_picture(path: str | Path, linear: np.ndarray, *, exposure: float = 1.0) -> None:
+    """Save a picture: 8 bits of sRGB as .png, or the linear values as .exr.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to write, .png or .exr.
+    linear : (rows, columns, 3) or (rows, columns) array_like of float
+        Linear sRGB, or linear grey; 1 is white.
+    exposure : float, optional
+        Factor of a .png.
+
+    Returns
+    -------
+    None
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        For another ending and another shape.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import nishiki
+    >>> nishiki.save_picture("ramp.png", np.linspace(0, 1, 256).reshape(1, 256).repeat(16, axis=0))
+    """
+    from nishiki.render.display import encoded
+    from nishiki.render.output import write_exr, write_png
+
+    path, values = Path(path), np.asarray(linear, np.float32)
+    values = np.repeat(values[..., None], 3, axis=-1) if values.ndim == 2 else values
+    if values.ndim != 3 or values.shape[2] != 3:
+        raise UserError(f"picture: expected shape (rows, columns, 3) or (rows, columns), found {np.shape(linear)}")
+    if path.suffix == ".png":
+        write_png(path, encoded(values * np.float32(exposure)).pixels, stamp={})
+    elif path.suffix == ".exr":
+        write_exr(path, values, stamp={}, colours="srgb")
+    else:
+        raise UserError(f"{path}: expected a name that ends in .png or .exr")
 
 
 def read_object(folder: str | Path) -> DecodedObject:

@@ -1,8 +1,13 @@
 """Which words of a command line are options of Snakemake, and which are its targets."""
 
 from collections.abc import Sequence
+from difflib import get_close_matches
 
 from nishiki.errors import UserError
+from nishiki.stages.table import NAMES
+
+BESIDE_STAGES = ("all", "publish", "part", "repeat", "sweep")
+"""Rules that are no stages."""
 
 
 def parse_words(words: Sequence[str]) -> list[str]:
@@ -13,7 +18,7 @@ def parse_words(words: Sequence[str]) -> list[str]:
     LookupError
         For an option that Snakemake does not know; its arguments are the option and the options that it knows.
     UserError
-        Where Snakemake cannot read the value of an option.
+        Where Snakemake cannot read the value of an option, or an option names a stage that does not exist.
     """
     from snakemake.cli import get_argument_parser
 
@@ -26,4 +31,9 @@ def parse_words(words: Sequence[str]) -> list[str]:
     for word in unknown:
         if word.startswith("-"):
             raise LookupError(word.split("=")[0], [name for name in parser._option_string_actions if name[:2] == "--"])
+    rules = [*NAMES, *BESIDE_STAGES]
+    named = [*options.until, *options.omit_from, *options.forcerun]
+    for word in (word for word in named if "/" not in word and word not in rules):
+        alike = get_close_matches(word, rules) or NAMES
+        refuse(f"no stage {word!r}; expected one of {', '.join(alike)}")
     return [*options.targets, *unknown]

@@ -6,6 +6,7 @@ evidence is read, so that lamps come before cameras, and photographs before what
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -172,13 +173,18 @@ def read_source(source: Path, options: ConvertOptions, *, search: bool = True) -
             if e.problems[0].kind != "layout-unknown":
                 raise
             found = e.problems[0].what
-    expected = f"one of: {'; '.join(entry.signs for entry in (*LAYOUTS, LAST_RESORT))}"
     remedy = (
         "Name the lights file with --lights. Without one, photograph mirror balls under the same lamps and measure "
         "these: ./nishiki calibrate spheres BALLS CALIBRATION, then --lights CALIBRATION/lamps.dome. Or write "
-        "capture.yaml and frames.csv by hand (docs/capture-folder.md)"
+        "capture.yaml and frames.csv by hand (docs/capture-folder.md). Recognised by themselves are "
+        + "; ".join(entry.signs for entry in (*LAYOUTS, LAST_RESORT))
     )
-    refuse("layout-unknown", str(source), UNKNOWN, expected=expected, found=found, remedy=remedy)
+    if not files_with(source, IMAGE_SUFFIXES):
+        found = "no photograph in this folder"
+        remedy = f"Name the folder that holds the photographs; ./nishiki convert {shlex.quote(str(source))} --list"
+    elif found:
+        found = found.removesuffix(".")
+    refuse("layout-unknown", str(source), UNKNOWN, found=found or "", remedy=remedy)
 
 
 NOTHING = ConvertOptions()

@@ -149,7 +149,7 @@ def convert(source: str, capture: str | None, list_only: bool, unsealed: bool, *
         _list(Path(source))
         return
     if capture is None:
-        raise UserError("convert: expected the capture folder to make, CAPTURE, or --list. Remedy: name it")
+        raise UserError("expected the capture folder to make, CAPTURE, or --list. Remedy: name it")
     made = convert_source(Path(source), Path(capture), given, checked=not unsealed)
     things = "measurements" if made.geometry == "goniometer" else "photographs"
     if made.channels:

@@ -92,6 +92,9 @@ def find_scenes(words: Sequence[str], configfile: str, *, name: str | None, give
     folders = [word for word in words if Path(word).exists()]
     if name and len(words) != 1:
         raise UserError(f"--name {name}: expected one folder to name, found {len(words)}. Remedy: name one folder")
+    for word in words:
+        if "/" in word and not Path(word).exists():
+            raise UserError(f"{word}: no such folder. Remedy: correct the path; scenes are named without /")
     assumed = []
     if folders and configfile == CONFIGURATION and make_project(Path()):
         assumed.append(("project", f"this folder; {CONFIGURATION} was made", "init FOLDER"))
@@ -102,8 +105,7 @@ def find_scenes(words: Sequence[str], configfile: str, *, name: str | None, give
         if word in scenes and not name:
             found.append(word)
         elif not path.exists():
-            kind = "no such folder. " if "/" in word else ""
-            raise UserError(f"{word}: {kind}{unknown_scene(word, scenes)}")
+            raise UserError(f"no such folder, and {unknown_scene(word, scenes)}")
         elif _is_capture(path):
             if examine(word):
                 raise UserError(f"{word}: cannot be used, for the errors above. Remedy: mend them and run again")
@@ -174,7 +176,7 @@ def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
     other = "linear" if described.camera.encoding != "linear" else "srgb"
     coding = "as each file states" if described.camera.encoding == "file" else f"{described.camera.encoding} ({stated})"
     rows.append(("coding", coding, f"--encoding {other}"))
-    order = "given to the photographs in the order of their names" if kinds & set(IN_THE_LIST[1:]) else "by file name"
+    order = "in the order of the photographs' names" if kinds & set(IN_THE_LIST[1:]) else "by file name"
     if made.geometry == "turntable":
         mask = "none: outlines are taken from the photographs"
         rows += [("cameras", order, "--turn, --camera-of"), ("outlines", given["mask"] or mask, "--mask FOLDER")]
@@ -183,7 +185,7 @@ def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
     width = getattr(described, "pixel_pitch_mm", None)
     region = getattr(described, "region_of_interest", None)
     rows += [
-        ("lamps", f"{kind}, {order}"[:51], "--lights, --lights-order, --lights-axes"),
+        ("lamps", f"{kind}, {order}", "--lights, --lights-order, --lights-axes"),
         ("scale", f"{width:g} mm a pixel" if width else "none: lengths are in pixels", "--width-mm MM"),
         ("object", getattr(described, "mask", None) or "the whole picture: no mask", "--mask FILE"),
         ("part", " ".join(map(str, region)) if region else "the whole picture", "--roi"),

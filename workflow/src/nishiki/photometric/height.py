@@ -13,6 +13,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.photometric.poisson import conjugate_gradients, divergence, edge_gradients, poisson_symbol, solve_rectangle
+from nishiki.summary import Summarised
 
 METHODS = ("auto", "dct", "weighted")
 LEAST_NZ = 0.05  # normals that are steeper (87 degrees) count as this steep: slopes stay finite
@@ -23,8 +24,8 @@ BOW_PIXELS = 100_000  # at most, to which the quadratic surface of `bow` is fitt
 SINGLE_ABOVE = 4_000_000  # pixels above which the work arrays are float32: half the memory, heights to about 1e-5
 
 
-@dataclass(frozen=True)
-class HeightField:
+@dataclass(frozen=True, repr=False)
+class HeightField(Summarised):
     """A relief with what the integration left over.
 
     height (rows, columns) float32 in the unit of the pixel pitch, towards the camera, mean 0 over each connected part;
@@ -55,16 +56,45 @@ class HeightField:
 
 
 def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", tolerance=1e-5, max_iterations=400):
-    """Integrate unit normals (rows, columns, 3) into a HeightField.
+    """Integrate unit normals into a relief.
 
-    valid (rows, columns) bool, None for all; pixel_pitch: distance of neighbouring pixels, whose unit the height takes.
+    Parameters
+    ----------
+    normals : (rows, columns, 3) array_like of float
+        Unit vectors; x right, y up, z towards the camera.
+    valid : (rows, columns) array_like of bool, optional
+        Pixels with a normal. Default: all.
+    pixel_pitch : float, optional
+        Distance of neighbouring pixels, whose unit the height takes.
+    method : {'auto', 'dct', 'weighted'}, optional
+        `dct`: one direct solution with equal weights, where pixels that are not valid count as flat; for full
+        rectangles. `weighted`: only valid pixels, weighted by nz^4, the inverse variance of a slope for equal angular
+        errors. `auto`: `dct` where every pixel is valid and none is steeper than 80 degrees, else `weighted`.
+    tolerance : float, optional
+        Relative residual at which the iterations of `weighted` end.
+    max_iterations : int, optional
+        Largest number of these iterations.
 
-    method
-        "dct": one direct solution with equal weights; pixels that are not valid count as flat. For full rectangles.
-        "weighted": only valid pixels, weighted by nz^4, the inverse variance of a slope for equal angular errors.
-        "auto": "dct" where every pixel is valid and none is steeper than 80 degrees, else "weighted".
+    Returns
+    -------
+    HeightField
+        `height` (rows, columns) float32, mean 0 over each connected part, NaN where it is not `valid`.
 
-    Raises UserError on shapes that do not fit, a pitch out of 1e-12 .. 1e12, no valid pixel, and unknown methods.
+    Raises
+    ------
+    nishiki.errors.UserError
+        For shapes that do not fit, a pitch out of 1e-12 .. 1e12, no valid pixel, and unknown methods.
+
+    Examples
+    --------
+    A plane that rises to the right by a tenth of a pixel for each pixel:
+
+    >>> import numpy as np
+    >>> import nishiki
+    >>> normals = np.broadcast_to(np.array([-0.1, 0, 1]) / np.sqrt(1.01), (16, 16, 3))
+    >>> relief = nishiki.integrate_height(normals)
+    >>> bool(np.allclose(np.diff(relief.height, axis=1), 0.1, atol=1e-3))
+    True
     """
     normals, valid = checked_normals(normals, valid, pixel_pitch)
     if method not in METHODS:

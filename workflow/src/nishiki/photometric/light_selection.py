@@ -7,6 +7,7 @@ from math import ceil
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.summary import Summarised
 from nishiki.threads import over_rows
 
 METHODS = ("refit", "trimmed", "threshold", "none")
@@ -21,8 +22,8 @@ BRIGHTER, DARKER = 2.0, 4.0  # limits of acceptance after the concentration
 ROUNDS = 2  # times that accepted samples are fitted again
 
 
-@dataclass(frozen=True)
-class LightSelection:
+@dataclass(frozen=True, repr=False)
+class LightSelection(Summarised):
     """Which samples are taken as diffuse, and why the others are not.
 
     usable (lights, rows, columns) bool; the counts (rows, columns) uint16 are lights per pixel. `invalid` counts the
@@ -67,21 +68,53 @@ def select_diffuse(
 ):
     """Select per pixel the lights under which it shows diffuse reflection only.
 
-    observations (lights, rows, columns) intensity relative to the white reference (linear, one channel or the mean of
-    the channels); directions (lights, 3) unit vectors to the lights; valid (lights, rows, columns) bool or None, False
-    where a sample is saturated, dark-clipped or otherwise unusable. Samples that are not finite count as invalid.
+    Parameters
+    ----------
+    observations : (lights, rows, columns) array_like of float
+        Linear intensity relative to the white reference, one channel or the mean of the channels.
+    directions : (lights, 3) array_like of float
+        Unit vectors to the lights; x right, y up, z towards the camera.
+    method : {'refit', 'none', 'threshold', 'trimmed'}, optional
+        `refit`: least trimmed squares against Lambert's law, then every sample that agrees with the fit. `none`: every
+        valid sample. `threshold`: those between w2 and w1 times the pixel's mean over the lights. `trimmed`: a share of
+        the samples in order of brightness.
+    valid : (lights, rows, columns) array_like of bool, optional
+        False where a sample is saturated, dark-clipped or otherwise unusable. Samples that are not finite never count.
+    w1, w2 : float, optional
+        Of `threshold`: highlights are brighter than w1 means, shadows darker than w2.
+    keep : tuple of float, optional
+        Of `trimmed`: least and largest rank that is kept, as shares.
+    min_lights : int, optional
+        Least number of samples that `refit` and `trimmed` keep where there are so many.
+    noise : float, optional
+        Of `refit`: noise relative to the albedo, below which no disagreement is taken seriously.
+    starts : int, optional
+        Of `refit`: number of windows of ranks that are tried.
 
-    method
-        "refit": least trimmed squares against Lambert's law, then every sample that agrees with the fit; noise: the
-        observations' noise relative to the albedo, below which no disagreement is taken seriously; starts: number of
-        windows of ranks tried.
-        "none": every valid sample.
-        "threshold": reject above w1 and below w2 times the pixel's mean over the lights (Tominaga and Tanaka 2004,
-        section 3.2).
-        "trimmed": keep = (low, high): the share of the valid samples, in order of brightness, that is kept; at least
-        min_lights of them where there are so many.
+    Returns
+    -------
+    LightSelection
+        `usable` (lights, rows, columns) bool; numbers of highlights, shadows and invalid samples of each pixel.
 
-    Raises UserError on shapes that do not fit together and on settings out of range. Returns a LightSelection.
+    Raises
+    ------
+    nishiki.errors.UserError
+        For shapes that do not fit together and settings out of range.
+
+    References
+    ----------
+    S. Tominaga and N. Tanaka (2004), Measuring and rendering art paintings using a color camera, section 3.2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import nishiki
+    >>> lights = np.array([[0.6, 0, 0.8], [-0.6, 0, 0.8], [0, 0.6, 0.8], [0, -0.6, 0.8], [0, 0, 1]])
+    >>> observations = np.broadcast_to(0.5 * lights[:, 2:, None], (5, 2, 3)).copy()
+    >>> observations[0, 1, 2] = 3.0  # a highlight
+    >>> chosen = nishiki.select_lights(observations, lights)
+    >>> chosen.usable[:, 1, 2].tolist()
+    [False, True, True, True, True]
     """
     stack, directions = checked_stack(observations, directions)
     shape = (stack.shape[0], *np.shape(observations)[1:])

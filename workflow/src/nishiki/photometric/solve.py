@@ -7,17 +7,19 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
 from nishiki.photometric.light_selection import all_finite, checked_stack, half_vectors
+from nishiki.summary import Summarised
 from nishiki.threads import over_rows
 
 SOLVERS = ("default", "lobe", "least_squares")
 PRIOR = 1e-4  # least weight of b^2 and d^2, times a third of the number of samples (about their sum of c^2)
 RESELECTIONS = 1
 NEAR_DEG = 0.2  # largest difference between a pixel's direction to a near light and that of its block
+LARGEST_CODE = 65535  # of 16 bits
 AT_LEAST = 6  # samples below which the gloss lobe is not tried: five unknowns and one to spare
 
 
-@dataclass(frozen=True)
-class NormalField:
+@dataclass(frozen=True, repr=False)
+class NormalField(Summarised):
     """Normals with what is known about them; every array (rows, columns).
 
     normals (rows, columns, 3) float32, unit vectors, x right, y up, z to the camera; albedo float32, relative to the
@@ -111,7 +113,7 @@ def estimate_normals(
     Raises
     ------
     nishiki.errors.UserError
-        For shapes that do not fit, negative weights, and unknown solvers.
+        For shapes that do not fit, negative weights, unknown solvers, and codes of a file in place of light.
 
     References
     ----------
@@ -137,6 +139,13 @@ def estimate_normals(
     """
     if solver not in SOLVERS:
         raise UserError(f"normals: expected a solver of {', '.join(SOLVERS)}, found {solver!r}")
+    some = np.ravel(observations)[:: np.size(observations) // 1000 + 1]
+    if (some == np.rint(some)).all() and 1 < some.max(initial=0) <= LARGEST_CODE:
+        found = f"whole numbers up to {some.max():g}, as codes of a file are"
+        remedy = "Remedy: decode them (nishiki.read_photographs), or divide linear codes by the largest one"
+        raise UserError(
+            f"observations: expected linear light, 1 for a white that faces the lamp, found {found}. {remedy}"
+        )
     if np.ndim(directions) == 4:
         options = {"solver": solver, "max_condition": max_condition, "noise": noise}
         samples = {"usable": usable, "weights": weights, "valid": valid}

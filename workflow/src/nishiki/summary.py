@@ -1,0 +1,19 @@
+"""Short texts of results, for prompts and notebooks."""
+
+from html import escape
+
+
+class Summarised:
+    """Show the `diagnostics` of a result in place of its arrays."""
+
+    def __repr__(self) -> str:
+        facts = (f"{name}={_short(value)}" for name, value in self.diagnostics.items() if value or value == 0)
+        return f"{type(self).__name__}({', '.join(facts)})"
+
+    def _repr_html_(self) -> str:
+        rows = (f"<tr><td>{escape(name)}</td><td>{escape(_short(v))}</td></tr>" for name, v in self.diagnostics.items())
+        return f"<table><caption>{type(self).__name__}</caption>{''.join(rows)}</table>"
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
