@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from nishiki.codec.compact import chart_bytes, cost_of, lamp_bytes, pack_cameras, unpack_cameras
+from nishiki.codec.compact import chart_bytes, cost_of, lamp_bytes, pack_cameras
 from nishiki.evaluate.object_quality import (
     AMPLIFIED,
     DECODED,
@@ -32,6 +32,18 @@ def camera(distortion=(0.0,) * 5, *, turned=0.4):
 
 def square():
     return Mesh.of(np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+
+
+def unpack_cameras(data):
+    """Invert `pack_cameras`, to float32 precision; cameras are named by their place."""
+    rows, columns, size = (int(v) for v in np.frombuffer(data, "<i4", 3))
+    cameras = []
+    for number, row in enumerate(np.frombuffer(data, "<f4", offset=12).reshape(-1, size).astype(np.float64)):
+        fx, skew, fy, cx, cy, *pose = row[:11]
+        intrinsics = np.array([[fx, skew, cx], [0, fy, cy], [0, 0, 1]])
+        rotation, distortion = rotation_matrix(np.array(pose[:3])), tuple(row[11:]) or (0.0,) * 5
+        cameras.append(Camera(str(number), intrinsics, rotation, np.array(pose[3:]), rows, columns, distortion))
+    return cameras
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.1, 0.02, 1e-3, -1e-3, 0.005)])

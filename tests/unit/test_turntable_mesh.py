@@ -6,9 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.codec.compact import decode_mesh, encode_mesh, grid_step, mesh_step, shift
-from nishiki.codec.range_coder import decode_integers, encode_integers
+from nishiki.codec.range_coder import begin, code_integer, encode_integers, new_chances
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
+
+
+def decode_integers(data, contexts, count):
+    """Invert `encode_integers`."""
+    chances, state = new_chances(count), np.zeros(4, np.int64)
+    begin(state, data, True)
+    return [code_integer(0, context, chances, state, data, True) for context in contexts]
 
 
 def sphere(rows=24, columns=48, bump=0.1):

@@ -16,7 +16,7 @@ import numpy as np
 from nishiki.codec.range_coder import encode_integers
 from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.turn import rotation_matrix, rotation_vector
+from nishiki.geometry.turn import rotation_vector
 
 _HEADER = struct.Struct("<i3i")  # exponent of the grid's step, lowest corner in steps
 _LEVELS = (7, 10)  # of Draco's effort: the first gives fewer bytes below some thousand triangles, the second above
@@ -144,19 +144,6 @@ def pack_cameras(cameras: Sequence[Camera]) -> bytes:
     size = _SAME + (len(NO_DISTORTION) if distorted else 0)
     head = np.array([cameras[0].rows, cameras[0].columns, size] if cameras else [0, 0, size], "<i4")
     return head.tobytes() + np.array(rows, "<f4").tobytes()
-
-
-def unpack_cameras(data: bytes) -> list[Camera]:
-    """Inverse of `pack_cameras`, to float32 precision; cameras are named by their place."""
-    rows, columns, size = (int(v) for v in np.frombuffer(data, "<i4", 3))
-    table = np.frombuffer(data, "<f4", offset=12).reshape(-1, size).astype(np.float64)
-    cameras = []
-    for number, (fx, skew, fy, cx, cy, *rest) in enumerate(table):
-        intrinsics = np.array([[fx, skew, cx], [0, fy, cy], [0, 0, 1]])
-        distortion = tuple(rest[6:]) if size > _SAME else NO_DISTORTION
-        rotation = rotation_matrix(np.array(rest[:3]))
-        cameras.append(Camera(str(number), intrinsics, rotation, np.array(rest[3:6]), rows, columns, distortion))
-    return cameras
 
 
 def chart_bytes(chart: np.ndarray, order: np.ndarray) -> int:

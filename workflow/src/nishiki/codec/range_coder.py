@@ -193,14 +193,3 @@ def encode_integers(values: np.ndarray, contexts: np.ndarray, count: int) -> np.
         data = np.empty(needed, np.uint8)
         _encode(values, contexts, count, data)
     return data[:needed].copy()
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def decode_integers(data, contexts, count):
-    """Inverse of `encode_integers`: the contexts have to be known beforehand."""
-    chances, state = new_chances(count), np.zeros(4, np.int64)
-    begin(state, data, True)
-    values = np.empty(contexts.size, np.int64)
-    for i in range(contexts.size):
-        values[i] = code_integer(0, contexts[i], chances, state, data, True)
-    return values
