@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 import zipfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -234,7 +234,7 @@ def write_zip(folder: Path, target: Path) -> None:
     partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
     try:
         with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
-            for name in _names(folder):
+            for name in sorted(FolderTree(folder).listing().files):
                 entry = zipfile.ZipInfo(name, ZIP_DATE)
                 entry.create_system, entry.external_attr = 3, 0o100644 << 16
                 with open(folder / name, "rb") as reader, archive.open(entry, "w", force_zip64=True) as writer:
@@ -242,7 +242,3 @@ def write_zip(folder: Path, target: Path) -> None:
         os.rename(partial, target)
     finally:
         partial.unlink(missing_ok=True)
-
-
-def _names(folder: Path) -> Iterable[str]:
-    return sorted(FolderTree(folder).listing().files)

@@ -204,16 +204,14 @@ def decide(
     kept = _kept(finished, planned, _published(results, scenes))
     pruning.keep += [Item(item.folder, kept[item.folder], item.bytes) for item in finished if kept.get(item.folder)]
     unreferenced = [item for item in finished if item.folder not in kept]
-    pruning.remove += [Item(item.folder, _why(item), item.bytes) for item in unreferenced]
+    for item in unreferenced:
+        why = "superseded" if "." in item.folder.name else "no configuration asks for it"
+        pruning.remove.append(Item(item.folder, why, item.bytes))
     staying = {item.place for item in finished if item.folder in kept} | planned
     judge_sweeps(results, staying, set(sweeps), unnamed, pruning)
     order = {stage: number for number, stage in enumerate(CHAIN)}
     pruning.remove.sort(key=lambda item: (-order.get(item.folder.parent.name, len(order)), str(item.folder)))
     return pruning
-
-
-def _why(item: Finished) -> str:
-    return "superseded" if "." in item.folder.name else "no configuration asks for it"
 
 
 def _look_into(scene: Path, named: bool, finished: list[Finished], pruning: Pruning, hosts: set[str]) -> None:

@@ -187,9 +187,11 @@ def pilot(source: Source, scene: CodedScene, design: Design, effort: Effort, *, 
         return refined, moments, np.array([np.sum(density**2), np.sum(density)])
 
     refined, moments, densities = zip(*over(work, range(source.tiles), threads, progress, "parameters"), strict=True)
-    total = [sum((m[k] for m in moments if m is not None), np.zeros((design.channels,) * 2)) for k in _range(design)]
-    colour = tuple(_tuple(principal_channels(moment)) for moment in total)
-    design = replace(design, colour=colour)
+    colour = []
+    for component in range(len(design.components)):
+        total = sum((m[component] for m in moments if m is not None), np.zeros((design.channels,) * 2))
+        colour.append(_tuple(principal_channels(total)))
+    design = replace(design, colour=tuple(colour))
     squares, density_sum = np.sum(densities, axis=0)
     density = float(squares / density_sum) if density_sum else 1.0
     energy = np.array([0.0 if m is None else sum(np.trace(part) for part in m) for m in moments])
@@ -197,10 +199,6 @@ def pilot(source: Source, scene: CodedScene, design: Design, effort: Effort, *, 
         return Pilot(list(refined), design, Typical((0.0, 0.0, 0.0), density), energy)
     design, weights = _parameter_statistics([r for r in refined if r is not None], design)
     return Pilot(list(refined), design, Typical(weights, density), energy)
-
-
-def _range(design: Design) -> range:
-    return range(len(design.components))
 
 
 def _tuple(matrix: np.ndarray) -> tuple:

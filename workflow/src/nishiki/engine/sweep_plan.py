@@ -114,7 +114,8 @@ def _scene_sweep(
         where = f"{named}: variant {variant.name!r}"
         changed = replace(scene_with(below, variant.overrides, where), products=("evaluate",))
         plans[variant.name] = _evaluated(changed, facts, where)
-    evaluation = _evaluation(next(iter(plans.values())))
+    stages = next(iter(plans.values())).stages
+    evaluation = next(name for name in stages if CHAIN[name].asked_as == "evaluate")
     reference = plans[sweep.default or AS_CONFIGURED]
     return SceneSweep(
         scene.name, facts, _merged(plans, evaluation, reference), evaluation, _counted(named, sweep, plans, evaluation)
@@ -129,10 +130,6 @@ def _evaluated(scene: Scene, facts: SceneFacts, where: str) -> Plan:
             f"{where}: scene {scene.name!r} has no evaluation, so that there is no error to compare ({error}). Remedy: "
             "give it a truth, check lights or check views, or hold_out"
         ) from None
-
-
-def _evaluation(plan: Plan) -> str:
-    return next(name for name in plan.stages if CHAIN[name].asked_as == "evaluate")
 
 
 def _merged(plans: dict[str, Plan], evaluation: str, reference: Plan) -> tuple[PlannedVariant, ...]:

@@ -263,6 +263,7 @@ def _fit_from(start: np.ndarray, pictures: list[BoardCorners], rows: int, column
         criteria=(cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-12),
     )
     sigma, fitted = np.asarray(sigma).ravel(), np.asarray(coefficients).ravel()[:5]
+    normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
     finite = np.isfinite(matrix).all() and np.isfinite(fitted).all() and np.isfinite(sigma[:4]).all()
     return _Fit(
         matrix,
@@ -271,13 +272,8 @@ def _fit_from(start: np.ndarray, pictures: list[BoardCorners], rows: int, column
         np.asarray(errors, np.float64).ravel(),
         float(max(sigma[0] / matrix[0, 0], sigma[1] / matrix[1, 1])),
         float(max(sigma[2:4])),
-        _largest_angle(np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])),
+        float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min()))),  # largest angle between two boards
     )
-
-
-def _largest_angle(normals: np.ndarray) -> float:
-    """Largest angle in degrees between two of the boards' normals (n, 3)."""
-    return float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min())))
 
 
 def _alone(picture: BoardCorners, fit: _Fit) -> float:

@@ -144,7 +144,7 @@ def unseen_gain(
     those; the rest is predicted. Noise and misfit can be fitted but not predicted: on a matt object a lobe
     gains nothing, or costs. Texels count that were observed 2 FOLDS times or more.
     """
-    part = _parts(weights > 0)
+    part = (np.cumsum(weights > 0, axis=1) - 1) % FOLDS  # observations that count, in turn
     enough = (weights > 0).sum(axis=1) >= 2 * FOLDS
     if enough.sum() < FEWEST_TEXELS:
         return Gain(True, 0.0, 0.0, 0.0, int(enough.sum()))
@@ -165,11 +165,6 @@ def unseen_gain(
     gain = 10 * np.log10(max(outside[0], 1e-30) / max(outside[best], 1e-30))
     error = np.sqrt(outside[0] / max(weights.sum() * values.shape[2], 1e-30))
     return Gain(bool(gain > LIMIT_DB), float(gain), float(SIGMAS[best - 1]), float(error), len(values))
-
-
-def _parts(seen: np.ndarray) -> np.ndarray:
-    """Part (0 .. FOLDS - 1) of each observation, in turn among those that are seen."""
-    return (np.cumsum(seen, axis=1) - 1) % FOLDS
 
 
 def _fitted(values: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray, weights: np.ndarray) -> np.ndarray:

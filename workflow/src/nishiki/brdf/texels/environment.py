@@ -63,7 +63,7 @@ def fit_environment(values: np.ndarray, normals: np.ndarray, weights: np.ndarray
     while done < ROUNDS and moved >= SETTLED:
         done += 1
         new = _positive(_step(values, basis, robust, e), basis, robust)
-        new /= max(_peak(basis, weights, new), 1e-12)
+        new /= max(float(np.quantile((basis @ new)[weights > 0], 0.999)), 1e-12)
         moved = np.linalg.norm(new - e) / np.linalg.norm(e)
         e = new
         robust = weights * _tukey(_residuals(values, basis, robust, e), weights)
@@ -71,10 +71,6 @@ def fit_environment(values: np.ndarray, normals: np.ndarray, weights: np.ndarray
     flat = np.sum(robust[..., None] * _residuals(values, basis, robust, np.eye(HARMONICS)[0]) ** 2)
     explained = float(1 - left / flat) if flat > 0 else 0.0
     return EnvironmentFit(tuple(e.tolist()), explained, done, len(values))
-
-
-def _peak(basis: np.ndarray, weights: np.ndarray, e: np.ndarray) -> float:
-    return float(np.quantile((basis @ e)[weights > 0], 0.999))
 
 
 def _colours(values: np.ndarray, weights: np.ndarray, lit: np.ndarray) -> np.ndarray:
