@@ -19,7 +19,7 @@ TO_COMPLETE = {
     "goniometer": "goniometer.symmetry, goniometer.weave",
 }
 QUANTITIES = "brdf|radiance_factor|radiance_factor_percent|brdf_cos_view|brdf_cos_light"
-OPTIONS = (
+convert_options = apply(
     option("--title TEXT", "title of the object (default: name of the source)"),
     option("--encoding linear|srgb", "coding of the photographs (default: as they state)"),
     option(
@@ -59,7 +59,6 @@ OPTIONS = (
     option("--roi ROW COLUMN ROWS COLUMNS", "crop: part of the photographs", "region", nargs=4, type=int),
 )
 """Options of `convert`, which are fields of ConvertOptions; `run` takes them, too."""
-convert_options = apply(*OPTIONS)
 
 
 @command(
@@ -170,7 +169,7 @@ def convert(source: str, capture: str | None, list_only: bool, unsealed: bool, *
 
 
 def convert_source(source: Path, capture: Path, given: dict, *, checked: bool):
-    """Make a capture of a source with the values of OPTIONS; `nishiki.capture.convert.Conversion`.
+    """Make a capture of a source with the values of `convert_options`; `nishiki.capture.convert.Conversion`.
 
     Raises CaptureError for what a check of the capture finds, where it is checked.
     """

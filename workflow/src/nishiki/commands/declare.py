@@ -94,13 +94,6 @@ def apply(*decorators: Callable) -> Callable[[Callable], Callable]:
     return joined
 
 
-def file(text: str) -> Path:
-    """Return a path that the user named; a name that is empty is refused."""
-    if not text:
-        raise click.BadParameter("expected a path, found an empty name")
-    return Path(text)
-
-
 def cores(context: click.Context, parameter: click.Parameter, text: str | None) -> str | None:
     """Check a number of processors."""
     if text not in (None, "all") and not (text.isascii() and text.isdecimal() and int(text) > 0):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from nishiki.commands.capturing import OPTIONS, convert_source, examine, seal_folder
+from nishiki.commands.capturing import convert_source, examine, seal_folder
 from nishiki.commands.declare import CONFIGURATION, any_scene_argument, command, with_configuration
 from nishiki.errors import UserError, unknown_scene
 from nishiki.formats.problems import group_problems
@@ -177,6 +177,7 @@ def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
     coding = "as each file states" if described.camera.encoding == "file" else f"{described.camera.encoding} ({stated})"
     rows.append(("coding", coding, f"--encoding {other}"))
     order = "in the order of the photographs' names" if kinds & set(IN_THE_LIST[1:]) else "by file name"
+    order = "measured on the mirror balls" if made.layout == "mirror balls" else order
     if made.geometry == "turntable":
         mask = "none: outlines are taken from the photographs"
         rows += [("cameras", order, "--turn, --camera-of"), ("outlines", given["mask"] or mask, "--mask FOLDER")]
@@ -202,10 +203,7 @@ def _is_capture(folder: Path) -> bool:
 
 def _flags(options: Sequence[str]) -> str:
     """Return options as they are written, by the names of their values."""
-    shared: dict = {}
-    for declare in OPTIONS:
-        declare(shared.setdefault("function", lambda: None))
-    flags = {each.name: each.opts[0] for each in shared["function"].__click_params__}
+    flags = {each.name: each.opts[0] for each in click.get_current_context().command.params}
     return ", ".join(flags[option] for option in options)
 
 
