@@ -12,12 +12,12 @@ from nishiki.commands.declare import command, option
 from nishiki.installation import INSTALLED, PROJECT, SCRIPTS
 
 DEMOS = {
-    "painting": ("painting", "config/config.yaml", "a simulated painting under 13 lamps: 1 to 3 minutes"),
-    "jar": ("object", "config/object.yaml", "a simulated jar, 36 views on a turntable: 5 to 12 minutes"),
-    "satin": ("satin", "config/cloth.yaml", "a simulated satin, 5,940 photographs: 3 to 8 minutes"),
-    "rig": ("painting", "config/painting_by_rig.yaml", "the painting through a simulated dome: 2 to 5 minutes"),
+    "painting": ("painting", "config/config.yaml", "a simulated painting: one to three minutes"),
+    "jar": ("object", "config/object.yaml", "a simulated jar, 36 views on a turntable: up to 12 minutes"),
+    "satin": ("satin", "config/cloth.yaml", "a simulated satin, 5,940 photographs: several minutes"),
+    "rig": ("painting", "config/painting_by_rig.yaml", "the painting through a simulated dome: several minutes"),
 }
-"""Preset of the simulator, configuration, and what is told beforehand; times of two processors, kernels included."""
+"""Preset of the simulator, configuration, and what is told beforehand; times of two quiet processors."""
 
 
 @command("demo", "demo --object", "demo --cloth", passed_on=True)
@@ -37,7 +37,7 @@ def demo(jar: bool, satin: bool, dome: bool, rest: tuple[str, ...]) -> int:
         raise click.UsageError("--object, --cloth and --rig: only one is allowed.")
     name = "jar" if jar else "satin" if satin else "painting"
     preset, configuration, told = DEMOS["rig" if dome else name]
-    print(f"nishiki demo: {told}, half of it the first time for compiling", file=sys.stderr, flush=True)
+    print(f"nishiki demo: {told}, more where kernels have to be compiled first", file=sys.stderr, flush=True)
     os.chdir(demo_folder() if INSTALLED else PROJECT)
     capture, truth = Path(f"captures/{name}"), Path(f"captures/{name}-truth")
     if not capture.is_dir() or not truth.is_dir():
