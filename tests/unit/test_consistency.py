@@ -7,6 +7,7 @@ from lit_relief import degrees, dome, photographs
 
 from nishiki.capture.lights import read_lights
 from nishiki.photometric.consistency import LEAST_AMBIENT, examine_photographs
+from nishiki.photometric.near_lamps import measure_width
 
 
 @pytest.mark.parametrize("options", [{}, {"gloss": 0.5}, {"albedo": (0.01, 0.03)}])
@@ -88,3 +89,25 @@ def test_too_little_to_predict_is_not_judged():
     values = photographs(directions)
     assert examine_photographs(values[:3], directions[:3]) is None
     assert examine_photographs(values * np.nan, directions) is None
+
+
+def test_metal_shows_neither_near_nor_failed_lamps():
+    y, x = np.mgrid[-1:1:48j, -1:1:64j]
+    motif = np.maximum(np.sin(9 * x + y) * np.cos(8 * y), 0) ** 2  # most of it is flat, as a coin is
+    slope = motif * np.sin(5 * x + 3 * y), motif * np.cos(6 * y - 4 * x)
+    normal = np.stack([*slope, np.ones_like(x)], axis=2)
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    azimuth, elevation = np.radians(np.arange(24) * 45 + 11), np.radians(np.repeat([30, 50, 70], 8))
+    directions = np.column_stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)])
+    directions = np.column_stack([directions, np.sin(elevation)])
+    halves = np.add(directions, (0, 0, 1))
+    halves /= np.linalg.norm(halves, axis=1, keepdims=True)
+    cosines = np.einsum("rcx,jx->jrc", normal, halves)
+    values = np.exp(-((1 - cosines**2) / cosines**2) / 0.22**2) / cosines**4  # Beckmann's facets, no diffuse light
+    result = examine_photographs(values, directions)
+    assert result.gain.min() < 0.1
+    assert result.failed == ()
+    assert not result.holds(directions)
+    near = measure_width(values, directions)
+    assert near is None or not near.shown
+    assert examine_photographs(np.where(np.arange(24) == 5, 1e-4, values.T).T, directions).failed == (5,)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nishiki.photometric import expected_error as module
-from nishiki.photometric.expected_error import WINDOW, expected_error, slope_error
+from nishiki.photometric.expected_error import WINDOW, correction_error, expected_error, slope_error
 
 
 def relief(rows=40, columns=56, steep=0.5):
@@ -94,3 +94,27 @@ def test_slope_error_is_finite_beside_rough_ground():
     error = slope_error(from_slopes(*slopes), np.ones((60, 90), bool))
     assert np.isfinite(error).all()
     assert error[:, 62:].max() < 1e-5 < 0.1 < error[:, :25].min()
+
+
+def test_errors_of_corrections_turn_normals_by_the_angle_that_is_stated():
+    rng = np.random.default_rng(4)
+    y, x = np.mgrid[:20, :30]
+    normals = np.stack([0.4 * np.sin(x / 4), 0.3 * np.cos(y / 3), np.ones((20, 30))], axis=2)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    albedo = 0.5 + 0.2 * np.sin(x / 3 + y / 5)
+    azimuth, elevation = np.radians(np.arange(9) * 80), np.radians(np.tile([50.0, 60.0, 75.0], 3))
+    lamps = np.column_stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)])
+    lamps = np.column_stack([lamps, np.sin(elevation)])
+    root, ambient, shift = 0.02 * rng.normal(size=(9, 9)), 0.01, np.linspace(0, 0.1, 9)
+    stated = correction_error(normals, albedo, lamps, {"gains": root @ root.T, "ambient": ambient, "shift_px": shift})
+    light = np.einsum("rcx,jx->jrc", normals * albedo[..., None], lamps)
+    down, right = np.gradient(light, axis=(1, 2))
+    squares = []
+    for _ in range(400):
+        gains, (dx, dy) = root @ rng.normal(size=9), shift * rng.normal(size=(2, 9))
+        wrong = light * (1 + gains)[:, None, None] + ambient * rng.normal() * albedo
+        wrong += dx[:, None, None] * right + dy[:, None, None] * down
+        body = np.einsum("xj,jrc->rcx", np.linalg.pinv(lamps), wrong)
+        body /= np.linalg.norm(body, axis=2, keepdims=True)
+        squares.append(np.arccos(np.clip((body * normals).sum(axis=2), -1, 1)) ** 2)
+    assert np.allclose(stated, np.sqrt(np.mean(squares, axis=0)), rtol=0.2)

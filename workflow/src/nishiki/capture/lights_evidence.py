@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.formats.exif import Exif
 from nishiki.formats.images import read_coarse, read_header
-from nishiki.photometric.consistency import SURE, fit_lambert, none_where_undetermined, spread_pixels
+from nishiki.photometric.consistency import SURE, fit_lambert, none_where_undetermined, split_course, spread_pixels
 from nishiki.photometric.near_lamps import NearLamps, measure_width
 
 SIDE = 40  # samples along the longer side of the picture
@@ -59,15 +58,11 @@ def sample_photographs(photographs: Sequence[Path], encoding: str | None) -> Sam
         return None
     stored = np.array(pictures, np.float64)
     values = np.where(stored < BRIGHT * max(float(stored.max()), 1e-9), stored, np.nan)
-    exposures = [_exposure(read_header(photographs[i]).exif) for i in chosen]
+    records = [read_header(photographs[i]).exif for i in chosen]
+    exposures = [(e.exposure_s or 0.0) * (e.iso or 1.0) / (e.f_number or 1.0) ** 2 for e in records]
     if all(exposures):
         values = values / np.array(exposures)[:, None, None] * np.median(exposures)
     return Samples(values, chosen)
-
-
-def _exposure(exif: Exif) -> float:
-    """Exposure by the camera's own record, in seconds at ISO 1 and f/1; 0 where it has none."""
-    return (exif.exposure_s or 0.0) * (exif.iso or 1.0) / (exif.f_number or 1.0) ** 2
 
 
 @none_where_undetermined
@@ -136,12 +131,10 @@ def choose_strengths(
     found = measure_gains(samples, vectors, near=near)
     if found is None:
         return "", {}
-    lengths = np.linalg.norm(vectors[samples.chosen], axis=1)
-    course = np.column_stack([np.ones(len(lengths)), vectors[samples.chosen] / lengths[:, None]])
+    directions = vectors[samples.chosen] / np.linalg.norm(vectors[samples.chosen], axis=1, keepdims=True)
     left = {}
     for name, strengths in candidates.items():
-        rest = np.log(found / strengths[samples.chosen])
-        rest = rest - course @ np.linalg.lstsq(course, rest, rcond=None)[0]
+        _, rest = split_course(found / strengths[samples.chosen], directions)
         left[name] = float(np.hypot(LEAST_STRENGTH, np.sqrt(np.mean(rest**2))))
     return min(left, key=lambda name: left[name]), left
 

@@ -22,12 +22,15 @@ from nishiki.observations.consistency import MOST_NAMED, ReducedPhotographs, mov
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField
 from nishiki.observations.registration import Movement
-from nishiki.photometric.consistency import LARGEST_MISFIT, LEAST_AMBIENT, SURE, Consistency, examine_photographs
+from nishiki.photometric.consistency import LEAST_AMBIENT, SURE, Consistency, examine_photographs, split_course
 
 LEAST_GAIN = 0.02  # of a lamp's strength that is put right: less turns normals by a tenth of a degree
 UNEQUAL = 0.08  # spread of log strengths about a linear course over the directions, as no equal lamps have shown
 MOST_AMBIENT = 0.5  # of a lamp: more cannot be told from an even object
 ODD_EXPOSURE = 0.1  # of the brightness that a recorded exposure may be off: cameras round to thirds of a stop
+LAW_COURSE, LAW_REST = 3.0, 1.5  # times the misfit of the law: deviation of log strengths that equal lamps seem to have
+# (rms of six measured sets), of the part that is linear over the directions, and of the rest
+AMBIENT_BIAS = 0.55  # of the estimated light of the room, by which it was too low on four measured sets (rms)
 LEAST_MISFIT = 0.02  # of a photograph that repeats another one: an even object looks alike under many lamps
 
 Choice = Literal["auto", "never"]
@@ -58,6 +61,8 @@ class Corrections:
         Strengths by which the remaining photographs are divided; 1 where nothing significant is known.
     ambient : (channels,) float64
         Light of the room to take off, relative to the albedo; 0 where there is none.
+    uncertainty : dict
+        Of what is put right, see `nishiki.photometric.expected_error.correction_error`; empty where nothing is.
     measured : dict
         What was measured and done, as plain values for the diagnostics.
     problems : tuple of Problem
@@ -69,6 +74,7 @@ class Corrections:
     motions: dict[str, np.ndarray]
     gains: np.ndarray
     ambient: np.ndarray
+    uncertainty: dict[str, Any] = field(default_factory=dict)
     measured: dict[str, Any] = field(default_factory=dict)
     problems: tuple[Problem, ...] = ()
 
@@ -134,11 +140,16 @@ def find_corrections(
     out = {frames[j].file for j in range(len(frames)) if j not in kept}
     left = replace(capture, frames=tuple(f for f in capture.frames if f.file not in out))
     gains, ambient = np.ones(len(kept)), np.zeros(values.shape[3])
-    if found is not None and np.nanmedian(found.residual) < LARGEST_MISFIT:
-        gains, notes = _choose_gains(left, found, wishes)
+    uncertainty: dict[str, Any] = {}
+    if found is not None and found.holds(left.directions):
+        gains, covariance, notes = _choose_gains(left, found, wishes)
+        if covariance is not None:
+            uncertainty["gains"] = covariance.tolist()
         problems += notes
         ambient, notes = _choose_ambient(left, found, values[kept], lamps[kept], wishes)
         problems += notes
+        if ambient.any():
+            uncertainty["ambient"] = float(np.hypot(found.ambient_sigma, AMBIENT_BIAS * ambient.mean()))
     movement = judgement.movement
     motions = {frames[j].file: movement.matrix(j) for j in kept if judgement.moved[j] and registers}
     registered = [frame.light for frame in frames if frame.file in motions]
@@ -150,10 +161,12 @@ def find_corrections(
         "gains": {f.light: float(g) for f, g in zip(left.observed, gains, strict=True) if g != 1},
         "ambient": ambient.tolist() if ambient.any() else [],
     }
+    if registered:
+        uncertainty["shift_px"] = [float(movement.sigma[j]) if judgement.moved[j] else 0.0 for j in kept]
     measured = {"photographs": _measured(frames, movement, judgement.before), "done": done}
     if (first := judgement.before) is not None:
         measured |= {"ambient": first.ambient, "ambient_sigma": _plain(first.ambient_sigma)}
-    return Corrections(left, kept, motions, gains, ambient, measured, tuple(problems))
+    return Corrections(left, kept, motions, gains, ambient, uncertainty, measured, tuple(problems))
 
 
 def _reasons_to_leave_out(frames: tuple[Frame, ...], found: Consistency | None) -> dict[int, str]:
@@ -182,12 +195,15 @@ def _left_out_problems(frames: tuple[Frame, ...], reasons: dict[int, str], wishe
     ]
 
 
-def _choose_gains(capture: Capture, found: Consistency, wishes: Wishes) -> tuple[np.ndarray, list[Problem]]:
+def _choose_gains(
+    capture: Capture, found: Consistency, wishes: Wishes
+) -> tuple[np.ndarray, np.ndarray | None, list[Problem]]:
     """Strengths to divide by where neither boards nor intensities tell them, and what recorded exposures hide.
 
     Strengths that rise with the direction of the lamp are like a tilt of the object, and like matter that does not
     follow Lambert's law: they alone are no evidence. On a grey sphere under equal lamps they reach 17 %, and would turn
-    its normals by 7 degrees.
+    its normals by 7 degrees. Also returns the covariance (lights, lights) of the log strengths, None where none are
+    applied.
     """
     frames, ones = capture.observed, np.ones(len(found.gain))
     off = np.abs(found.gain - 1)
@@ -202,21 +218,24 @@ def _choose_gains(capture: Capture, found: Consistency, wishes: Wishes) -> tuple
         remedy = "Check the columns exposure_s, f_number and iso of frames.csv"
         problems.append(warning("exposure-disagrees", "frames.csv", what, found=said, remedy=remedy))
     if capture.frames_of("white") or capture.intensities is not None or not significant.any():
-        return ones, problems
-    course = np.column_stack([np.ones(len(off)), capture.directions])
-    uneven = np.log(found.gain) - course @ np.linalg.lstsq(course, np.log(found.gain), rcond=None)[0]
-    if len(off) <= course.shape[1] or uneven.std() < UNEQUAL:
-        return ones, problems
+        return ones, None, problems
+    if len(off) <= 4 or split_course(found.gain, capture.directions)[1].std() < UNEQUAL:
+        return ones, None, problems
     gains = np.where(significant, found.gain, 1.0)
+    of_course, of_rest = np.array([LAW_COURSE, LAW_REST]) * np.nanmedian(found.residual)
+    linear = np.linalg.qr(capture.directions - capture.directions.mean(axis=0))[0]
+    covariance = found.gain_covariance / np.outer(found.gain, found.gain) + of_rest**2 * np.eye(len(off))
+    covariance += of_course**2 * len(off) / 3 * linear @ linear.T
     names = [f"{frames[j].light} {found.gain[j]:.2f} ± {found.gain_sigma[j]:.2f}" for j in np.flatnonzero(significant)]
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     remedy = "Photograph a white board under every lamp"
     if wishes.gains == "never":
-        gains, what, remedy = ones, "the lamps are not equally strong", f"{remedy}, or set ingest.correct.gains: auto"
+        gains, covariance, what = ones, None, "the lamps are not equally strong"
+        remedy += ", or set ingest.correct.gains: auto"
     else:
         what = "the lamps are not equally strong; their strengths are estimated from the photographs"
     said = f"{', '.join(names[:MOST_NAMED])}{more}"
-    return gains, [*problems, warning("lamps-unequal", "frames.csv", what, found=said, remedy=remedy)]
+    return gains, covariance, [*problems, warning("lamps-unequal", "frames.csv", what, found=said, remedy=remedy)]
 
 
 def _choose_ambient(

@@ -25,6 +25,7 @@ class Observations:
 
     lights: names; roles: 'sample' | 'check'; directions (lights, 3) float64; positions_mm (lights, 3) or None;
     shape (rows, columns) of the bounding box of the object's mask; channels: names; band_rows; pixel_pitch_mm or None;
+    uncertainty: of what ingest put right, see `nishiki.photometric.expected_error.correction_error`;
     to_srgb (3, 3): from the primaries that the photographs state to linear sRGB, None where they state none;
     image_centre (row, column) of the whole picture's centre in these coordinates, the origin of positions_mm.
     """
@@ -50,6 +51,7 @@ class Observations:
             self.band_rows: int = stored["band_rows"]
             self.pixel_pitch_mm: float | None = stored["pixel_pitch_mm"]
             self.image_centre: tuple[float, float] = tuple(stored["image_centre"])
+            self.uncertainty: dict = stored.get("uncertainty", {})
             self.white_board: bool = stored["white_board"]
             self.to_srgb: list[list[float]] | None = stored.get("to_srgb")
         self._group = group

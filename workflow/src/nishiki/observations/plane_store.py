@@ -111,6 +111,8 @@ def write_observations(
         arrays["regions"] = labels
     write_small_arrays(group, reader, defect, arrays)
     group.update(**_attributes(capture, reader, settings, band_rows), asked_region=list(asked))
+    if corrections.uncertainty:
+        group.update(uncertainty=corrections.uncertainty)
     if corrections.ambient.any():
         subtract_room(Path(folder) / STORE, corrections.ambient, corrections.gains)
     doubts = (*capture.warnings, *outline.problems, *label_warnings, *reader.warnings(), *corrections.problems)

@@ -42,6 +42,7 @@ FAINT = 0.1  # gain below which a photograph shows the room and the noise, not i
 LEAST_AMBIENT = 0.02  # of the albedo: less turns normals by less than half a degree, and lenses and walls give as much
 REPEATED = 0.25  # of the difference that two lamps should make: the same lamp twice leaves the noise of the camera
 LARGEST_STEP, WIDEST, NEAREST = 0.3, 4.0, 0.05  # of the width in distances of the lamps: a round, fitted; of a lamp
+MOST_COURSE = 0.5  # deviation of log strengths that are linear over the directions: 1.1 on metal, <= .12 elsewhere
 LARGEST_MISFIT = 0.1  # of the brightness: where the photographs are predicted worse, nothing is concluded from them
 SURE = 5.0  # standard errors at which a difference counts: once in two million by chance
 
@@ -69,6 +70,8 @@ class Consistency:
         Photographs of one lamp though two are stated; the first one fits its stated lamp worse.
     ambient, ambient_sigma : float
         Offset that all photographs share, and its standard error.
+    gain_covariance : (lights, lights) float64
+        Of the gains.
     """
 
     residual: np.ndarray
@@ -82,6 +85,11 @@ class Consistency:
     repeats: tuple[tuple[int, int], ...]
     ambient: float
     ambient_sigma: float
+    gain_covariance: np.ndarray
+
+    def holds(self, directions: np.ndarray) -> bool:
+        """Whether Lambert's law predicts the photographs well enough to conclude anything from its parameters."""
+        return bool(np.nanmedian(self.residual) < LARGEST_MISFIT) and is_even(self.gain, directions)
 
 
 @dataclass(frozen=True)
@@ -92,8 +100,10 @@ class Fit:
     ----------
     normals : (pixels, 3) float64
         Albedo times normal.
-    gains, gains_sigma : (lights,) float64
-        Strengths, of median 1, and their standard errors.
+    gains : (lights,) float64
+        Strengths, of median 1.
+    covariance : (lights, lights) float64
+        Of the strengths.
     ambient, ambient_sigma : float
         Ambient light relative to the albedo, and its standard error.
     weights : (lights, pixels) float64
@@ -110,7 +120,7 @@ class Fit:
 
     normals: np.ndarray
     gains: np.ndarray
-    gains_sigma: np.ndarray
+    covariance: np.ndarray
     ambient: float
     ambient_sigma: float
     weights: np.ndarray
@@ -316,6 +326,7 @@ def fit_lambert(
     np.add.at(groups, patches, scores.T)
     covariance = inverse_system @ (groups.T @ groups) @ inverse_system
     variance = np.maximum(np.diag(covariance), np.diag(inverse_system))
+    covariance *= np.sqrt(np.outer(variance, variance) / np.outer(np.diag(covariance), np.diag(covariance)))
     # ambient light and width are those of all lamps: what single photographs say of them varies more than by patches
     at, pull = inverse_system[lights:], weights * residual
     own = at[:, :lights] * (pull * cosine).sum(axis=1) + at[:, lights:] @ np.einsum("js,kjs->kj", pull, further)
@@ -323,22 +334,21 @@ def fit_lambert(
     through = np.tensordot(at, solved.reshape(len(at.T), -1, 3), 1)
     own -= np.einsum("js,ksa,jsa->kj", pull, through, np.broadcast_to(lamps, (*values.shape, 3)))
     variance[lights:] += (own**2).sum(axis=1)
-    sigma = np.sqrt(variance)
     leverage = weights * np.einsum("jsa,sab,jsb->js", lamps, inverse, lamps)
     alone = residual / np.maximum(1 - leverage, 1e-2)
     return Fit(
         normals,
         gains,
-        sigma[:lights],
+        covariance[:lights, :lights],
         ambient,
-        float(sigma[lights]),
+        float(np.sqrt(variance[lights])),
         weights * last**2,
         residual,
         alone,
         inverse,
         last,
         width,
-        float(sigma[-1]) if places is not None else 0.0,
+        float(np.sqrt(variance[-1])) if places is not None else 0.0,
     )
 
 
@@ -401,6 +411,22 @@ def scale_of(residual: np.ndarray, lit: np.ndarray, albedo: np.ndarray) -> np.nd
     return np.maximum(1.4826 * np.fmax(spread, usual * albedo), LEAST_SCALE * albedo)
 
 
+def split_course(strengths: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Split log strengths (lights,) into a course that is linear over the directions (lights, 3), and the rest.
+
+    Such a course is like a tilt of the object, and matter that does not follow Lambert's law imitates it.
+    """
+    terms = np.column_stack([np.ones(len(directions)), directions])
+    course = terms @ np.linalg.lstsq(terms, np.log(strengths), rcond=None)[0]
+    return course, np.log(strengths) - course
+
+
+def is_even(gains: np.ndarray, directions: np.ndarray) -> bool:
+    """Whether the lamps that burn are as equal as lamps are: metal under equal lamps shows some ten times as strong."""
+    burning = gains > FAINT
+    return bool(split_course(gains[burning], directions[burning])[0].std() < MOST_COURSE)
+
+
 def _compare(
     values: np.ndarray, directions: np.ndarray, patches: np.ndarray, fit: Fit, ambient: tuple[float, float]
 ) -> Consistency:
@@ -430,14 +456,14 @@ def _compare(
         terms = np.column_stack([predictions[j, used], albedo[used]])
         line, covariance = regress(terms, values[j, used], patches[used])
         offset[j], offset_sigma[j] = line[1], np.sqrt(max(covariance[1, 1], 0.0))
-    # gains of a flat object are hardly determined: the photograph itself has to be dark
-    level = np.nanmedian(values, axis=1)
-    dark = (fit.gains + SURE * fit.gains_sigma < FAINT) & (level < FAINT * np.nanmedian(level))
+    # gains are hardly determined on a flat object, and metal is dark beside its highlights: the brightest parts decide
+    level = np.nanpercentile(values - fit.ambient * albedo, 99, axis=1)
+    sigma = np.sqrt(np.diag(fit.covariance))
+    dark = (fit.gains + SURE * sigma < FAINT) & (level < FAINT * np.nanmedian(level))
     failed = tuple(np.flatnonzero(dark).tolist())
     repeats = _repeated(values, predictions, residual, failed)
-    return Consistency(
-        residual, fit.gains, fit.gains_sigma, offset, offset_sigma, found, sigma_deg, failed, repeats, *ambient
-    )
+    shown = (residual, fit.gains, sigma, offset, offset_sigma, found, sigma_deg)
+    return Consistency(*shown, failed, repeats, *ambient, fit.covariance)
 
 
 def regress(terms: np.ndarray, target: np.ndarray, patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,14 @@ d the root mean square of delta over a window, c = n_z, c^1.5 the mean factor fr
 tilt, theta the tilt. Shadows, interreflection and gloss grow with the tilt. The constants were found by least squares
 of the logarithms over captures with truth (docs/stages/height.md); E is then scaled so that, as for Gaussian errors,
 63 % of those errors were smaller.
+
+Errors of what ingest put right are shared by all pixels and leave no curl. To first order, with lights l_j and
+M = sum l_j l_j^T, a relative error e_j of the strength of lamp j turns the normal n by the part of M^-1 l_j (l_j . n)
+e_j across n. An error of the shift of its photograph acts on the slopes of albedo times normal, relative to the albedo,
+in place of n, and an error a of the light of the room turns n by a M^-1 sum l_j.
 """
+
+from typing import Any
 
 import numpy as np
 
@@ -54,6 +61,48 @@ def expected_error(normals: np.ndarray, sigma: np.ndarray, valid: np.ndarray) ->
     )
     error = SCALE * factors[0] * factors[1] * factors[2]
     return np.where(valid, np.minimum(error, UNKNOWN), UNKNOWN).astype(np.float32)
+
+
+def correction_error(
+    normals: np.ndarray, albedo: np.ndarray, directions: np.ndarray, uncertainty: dict[str, Any]
+) -> np.ndarray:
+    """Compute the root mean square angle by which errors of corrections turn normals.
+
+    Parameters
+    ----------
+    normals : (rows, columns, 3)
+        Unit vectors.
+    albedo : (rows, columns)
+        Relative to white.
+    directions : (lights, 3)
+        Unit vectors to the lamps.
+    uncertainty : dict
+        `gains`: covariance (lights, lights) of the relative strengths; `shift_px`: standard errors (lights,) of the
+        shifts along either axis, pixels; `ambient`: standard error of the light of the room, relative to the albedo
+        under a frontal lamp. Each may be absent.
+
+    Returns
+    -------
+    (rows, columns) float32
+        Radians, at most pi / 2.
+    """
+    inverse = np.linalg.inv(directions.T @ directions)
+    turns = np.einsum("ja,jb->jab", directions @ inverse, directions).reshape(len(directions), 9)
+    terms = []
+    if "gains" in uncertainty:
+        terms.append((np.array(uncertainty["gains"]), normals))
+    if "shift_px" in uncertainty:
+        covariance = np.diag(np.square(uncertainty["shift_px"]))
+        body, level = normals * albedo[..., None], np.maximum(albedo, 1e-6)[..., None]
+        terms += [(covariance, np.gradient(body, axis=axis) / level) for axis in (0, 1)]
+    constant = uncertainty.get("ambient", 0.0) * (directions @ inverse).sum(axis=0)
+    variance = constant @ constant - (normals @ constant) ** 2
+    for covariance, field in terms:
+        tensor = turns.T @ covariance @ turns
+        whole = np.einsum("abac->bc", tensor.reshape(3, 3, 3, 3))
+        pairs = (normals[..., :, None] * field[..., None, :]).reshape(*albedo.shape, 9)
+        variance = variance + ((field @ whole) * field).sum(axis=-1) - ((pairs @ tensor) * pairs).sum(axis=-1)
+    return np.minimum(np.sqrt(np.maximum(variance, 0)), UNKNOWN).astype(np.float32)
 
 
 def slope_error(normals: np.ndarray, valid: np.ndarray) -> np.ndarray:

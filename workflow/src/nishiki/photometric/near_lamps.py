@@ -24,6 +24,7 @@ from nishiki.photometric.consistency import (
     SURE,
     Fit,
     fit_lambert,
+    is_even,
     none_where_undetermined,
     spread_pixels,
 )
@@ -57,6 +58,8 @@ class NearLamps:
         they raise it.
     gains : (lights,) float64
         Strengths of the lamps where the distances are those of their vectors, of median 1.
+    even : bool
+        Whether these strengths are those of lamps, see `nishiki.photometric.consistency.is_even`.
     """
 
     width: float
@@ -67,12 +70,13 @@ class NearLamps:
     turn_deg: float
     bow: float
     gains: np.ndarray
+    even: bool
 
     @property
     def shown(self) -> bool:
         """Whether the lamps are near beyond doubt."""
         sure = self.width > SURE * self.sigma and self.left < EXPLAINED
-        return sure and self.agrees and self.misfit < LARGEST_MISFIT
+        return sure and self.agrees and self.even and self.misfit < LARGEST_MISFIT
 
     @property
     def matters(self) -> bool:
@@ -136,6 +140,7 @@ def measure_width(values: np.ndarray, vectors: np.ndarray) -> NearLamps | None:
         float(np.median(turned)),
         -float(bend) / 8,  # of a paraboloid over half the width
         near.gains,
+        is_even(near.gains, directions),
     )
 
 

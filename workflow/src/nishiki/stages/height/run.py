@@ -5,7 +5,7 @@ import numpy as np
 from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.artifacts.stage import Context
 from nishiki.photometric import flags as bits
-from nishiki.photometric.expected_error import expected_error
+from nishiki.photometric.expected_error import UNKNOWN, expected_error
 from nishiki.photometric.flatten import flatten_normals
 from nishiki.photometric.height import integrate_normals
 
@@ -33,7 +33,12 @@ def run(context: Context) -> dict:
     )
     diagnostics = {**field.diagnostics, "flattened_deg": float(np.degrees(turned))}
     del field
-    error = expected_error(normals, maps.read("sigma"), valid)
+    sigma, correction = maps.read("sigma"), maps.read("correction_sigma") if "correction_sigma" in maps else None
+    if correction is not None:
+        sigma = np.sqrt(np.maximum(sigma**2 - correction**2, 0))
+    error = expected_error(normals, sigma, valid)
+    if correction is not None:
+        error = np.minimum(np.hypot(error, correction), UNKNOWN)
     out.write("expected_error", error, unit="radians, rms angle of the normal; pi / 2 where there is no estimate")
     return {"unit": "mm" if pitch else "pixels", **diagnostics, **percentiles_deg(error[valid])}
 

@@ -36,6 +36,7 @@ MAPS = {
     "reflectance": ("float32", "relative to white, per channel"),
     "albedo": ("float32", "relative to white, intensity"),
     "sigma": ("float32", "radians, rms error of the direction"),
+    "correction_sigma": ("float32", "radians, the part of sigma that comes from what ingest put right"),
     "lights_used": ("uint16", "lights"),
     "condition": ("float32", "of the weighted 3 x 3 normal matrix"),
     "shading": ("float32", "weights (a, b, d) of c, c^2 and c x^8, or with e_x, e_y; see docs/stages/normals.md"),
@@ -78,7 +79,7 @@ def solve(
     )
     if field.shading is not None and observations.shape[-1] > 1:
         field = with_shading_of_mean(field, intensity, observations, parcel, usable, valid, settings)
-    maps = {name: getattr(field, name) for name in MAPS if name not in ("reflectance", "shading_normals")}
+    maps = {name: getattr(field, name) for name in MAPS if hasattr(field, name)}
     if observations.shape[-1] == 1 and field.shading is None:
         maps["reflectance"] = field.albedo[..., None]
     else:

@@ -14,6 +14,7 @@ from nishiki.model_selection.lights import choose_lights
 from nishiki.observations.parcels import parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric import flags as bits
+from nishiki.photometric.expected_error import UNKNOWN, correction_error
 from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.relighting import TERMS
@@ -53,8 +54,10 @@ def map_tiles(context: Context) -> dict:
                 maps = solve(observations[area], usable[area], valid[area], parcel, context.settings, profile)
                 if model is not None:
                     maps.update(relit(observations[area], valid[area], parcel, maps, model))
-                for name in arrays:
+                for name in maps.keys() & arrays.keys():
                     tile_maps[name][strip][area[1:]] = maps[name]
+        if frames.uncertainty:
+            add_correction_error(tile_maps, frames, lights)
         for name, array in arrays.items():
             array[band] = tile_maps[name]
         inside = frames.mask[band]
@@ -98,11 +101,23 @@ def create_maps(context: Context, frames: Observations, *, terms: int, relight: 
     trailing = {"normals": (3,), "reflectance": (len(frames.channels),), "shading": (terms,), "shading_normals": (3,)}
     left_out = {"shading"} if context.settings.solver == "least_squares" else set()
     left_out |= set() if relight else {"shading_normals"}
+    left_out |= set() if frames.uncertainty else {"correction_sigma"}
     return {
         name: maps.create(name, trailing.get(name, ()), dtype=dtype, unit=unit)
         for name, (dtype, unit) in MAPS.items()
         if name not in left_out
     }
+
+
+def add_correction_error(maps: dict, frames: Observations, lights: np.ndarray) -> None:
+    """Fill `correction_sigma` of a band, and add it to its `sigma`, in place."""
+    stated = {name: np.array(value) for name, value in frames.uncertainty.items()}
+    if "gains" in stated:
+        stated["gains"] = stated["gains"][np.ix_(lights, lights)]
+    if "shift_px" in stated:
+        stated["shift_px"] = stated["shift_px"][lights]
+    maps["correction_sigma"] = correction_error(maps["normals"], maps["albedo"], frames.directions[lights], stated)
+    maps["sigma"] = np.minimum(np.hypot(maps["sigma"], maps["correction_sigma"]), UNKNOWN)
 
 
 def count_flags(flags: np.ndarray, inside: np.ndarray) -> dict[str, int]:
