@@ -159,7 +159,7 @@ def test_convert_passes_on_what_photographs_say_of_each_other(tmp_path):
         ("09-off-by-one", "lights-order", "lights.lp"),
         ("09-lamp-failed", "lamp-failed", "frames/img_05.png"),
         ("09-taken-twice", "photograph-repeated", "frames/img_08.png"),
-        ("09-ambient", "ambient-light", "frames.csv"),
+        ("09-ambient", "room-light", "frames.csv"),
     ],
 )
 def test_captures_as_people_make_them(tmp_path, data, case, kind, file):

@@ -27,6 +27,7 @@ LONGEST = 256  # pixels of a reduced photograph along its longer side: relief is
 CELLS = 3  # a side, of a reduced pixel, whose codes are averaged before they are decoded: a curve is straight over them
 INSIDE = 0.95  # of a reduced pixel that must show the object
 MOST_NAMED = 8
+LEAST_MISFIT = 0.02  # of a photograph that repeats another one: an even object looks alike under many lamps
 LARGE_MOVEMENT = 1.5  # pixels, from which a movement is believed where the photographs cannot be predicted
 LEAST_IMPROVEMENT = 0.07  # of the misfit that undoing a movement takes away: 0.11 and more for shifts of 1.2 pixels of
 # the measured sets, 0.055 on the fossil, whose low lamps shift the texture of its relief
@@ -303,19 +304,45 @@ def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Pr
     if found is None or any(problem.severity == "error" for problem in problems):
         return problems
     problems += near_problems(judgement.near, capture)
-    for j in found.failed:
-        what, remedy = "the photograph shows no light of its lamp", "Take this photograph again, or leave it out"
-        said = f"{100 * found.gain[j]:.1f} % of the light of the others"
-        problems.append(warning("lamp-failed", judgement.names[j], what, found=said, remedy=remedy))
-    for i, j in found.repeats:
-        what = f"the photograph shows the same lamp as {judgement.names[j]}, although two different lamps are stated"
-        problems.append(warning("photograph-repeated", judgement.names[i], what, remedy="Leave this photograph out"))
-    if found.ambient > max(LEAST_AMBIENT, SURE * found.ambient_sigma):
-        what = "all photographs contain light that does not come from their lamps"
-        said = f"{100 * found.ambient:.1f} % of a frontal lamp, standard error {100 * found.ambient_sigma:.1f} %"
-        remedy = "Darken the room, or photograph the object once without a lamp (role ambient)"
-        problems.append(warning("ambient-light", "frames.csv", what, found=said, remedy=remedy))
-    return problems
+    problems += useless_problems(useless_photographs(found, judgement.names), judgement.names)
+    return problems + ambient_problems(found, capture)
+
+
+def useless_photographs(found: Consistency | None, names: Sequence[str]) -> dict[int, tuple[str, str]]:
+    """Select photographs of no use, by number: the kind of the problem, and the reason."""
+    if found is None:
+        return {}
+    useless = dict.fromkeys(found.failed, ("lamp-failed", "its lamp did not burn"))
+    for worse, other in found.repeats:
+        if worse not in useless and other not in useless and found.residual[worse] > LEAST_MISFIT:
+            useless[worse] = ("photograph-repeated", f"it shows the lamp of {names[other]}")
+    return useless
+
+
+def useless_problems(
+    useless: dict[int, tuple[str, str]], names: Sequence[str], leaves: bool | None = None
+) -> list[Problem]:
+    """Warn of photographs of no use; leaves: whether they are left out, None where that is left to ingest."""
+    done = {True: "is left out", False: "is of no use", None: "is of no use; ingest leaves it out"}[leaves]
+    remedy = "Photograph it again" + (", or set ingest.correct.leave_out: auto" if leaves is False else "")
+    return [
+        warning(kind, names[j], f"the photograph {done}: {reason}", remedy=remedy)
+        for j, (kind, reason) in sorted(useless.items())
+    ]
+
+
+def ambient_problems(found: Consistency, capture: Capture, subtracts: bool | None = None) -> list[Problem]:
+    """Warn of light of the room; subtracts: whether it is subtracted, None where that is left to ingest."""
+    if found.ambient <= max(LEAST_AMBIENT, SURE * found.ambient_sigma):
+        return []
+    what = "the photographs contain light of the room"
+    if capture.frames_of("ambient"):
+        what = "the photographs contain more light of the room than those without a lamp"
+    if subtracts is not False:
+        what += "; its estimate is subtracted" if subtracts else "; ingest subtracts its estimate"
+    said = f"{100 * found.ambient:.1f} ± {100 * found.ambient_sigma:.1f} % of a lamp that faces the object"
+    remedy = "Darken the room, or photograph the object once without a lamp (role ambient)"
+    return [warning("room-light", "frames.csv", what, found=said, remedy=remedy)]
 
 
 def near_problems(near: NearLamps | None, capture: Capture) -> list[Problem]:

@@ -18,7 +18,14 @@ from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
 from nishiki.capture.lights import direction_problems
 from nishiki.formats.problems import Problem, raise_errors, warning
-from nishiki.observations.consistency import MOST_NAMED, ReducedPhotographs, movement_problems
+from nishiki.observations.consistency import (
+    MOST_NAMED,
+    ReducedPhotographs,
+    ambient_problems,
+    movement_problems,
+    useless_photographs,
+    useless_problems,
+)
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField
 from nishiki.observations.registration import Movement
@@ -31,7 +38,6 @@ ODD_EXPOSURE = 0.1  # of the brightness that a recorded exposure may be off: cam
 LAW_COURSE, LAW_REST = 3.0, 1.5  # times the misfit of the law: deviation of log strengths that equal lamps seem to have
 # (rms of six measured sets), of the part that is linear over the directions, and of the rest
 AMBIENT_BIAS = 0.55  # of the estimated light of the room, by which it was too low on four measured sets (rms)
-LEAST_MISFIT = 0.02  # of a photograph that repeats another one: an even object looks alike under many lamps
 
 Choice = Literal["auto", "never"]
 
@@ -127,14 +133,14 @@ def find_corrections(
     if registers:
         values, found = judgement.aligned, judgement.consistency
     problems = movement_problems(judgement, registers)
-    reasons = _reasons_to_leave_out(frames, found)
-    problems += _left_out_problems(frames, reasons, wishes)
+    useless, leaves = useless_photographs(found, judgement.names), wishes.leave_out == "auto"
+    problems += useless_problems(useless, judgement.names, leaves)
     kept = np.arange(len(frames))
-    if reasons and wishes.leave_out == "auto":
-        kept = np.array([j for j in kept if j not in reasons], np.int64)
+    if useless and leaves:
+        kept = np.array([j for j in kept if j not in useless], np.int64)
         samples = [j for j in kept if frames[j].role == "sample"]
         few = direction_problems(judgement.directions[samples], "frames.csv")
-        without = f"without the {len(reasons)} photographs that are of no use"
+        without = f"without the {len(useless)} photographs that are of no use"
         raise_errors(replace(problem, what=f"{problem.what} {without}") for problem in few)
         found = examine_photographs(values[kept], lamps[kept])
     out = {frames[j].file for j in range(len(frames)) if j not in kept}
@@ -157,7 +163,7 @@ def find_corrections(
         motions[file] = motions[file] + stated * (0, 0, 1) if file in motions else stated
     done = {
         "registered": registered,
-        "left_out": {frames[j].light: reason for j, reason in reasons.items() if frames[j].file in out},
+        "left_out": {frames[j].light: reason for j, (_, reason) in useless.items() if frames[j].file in out},
         "gains": {f.light: float(g) for f, g in zip(left.observed, gains, strict=True) if g != 1},
         "ambient": ambient.tolist() if ambient.any() else [],
     }
@@ -167,32 +173,6 @@ def find_corrections(
     if (first := judgement.before) is not None:
         measured |= {"ambient": first.ambient, "ambient_sigma": _plain(first.ambient_sigma)}
     return Corrections(left, kept, motions, gains, ambient, uncertainty, measured, tuple(problems))
-
-
-def _reasons_to_leave_out(frames: tuple[Frame, ...], found: Consistency | None) -> dict[int, str]:
-    """Photographs of no use, by number, and why."""
-    if found is None:
-        return {}
-    reasons = dict.fromkeys(found.failed, "its lamp did not burn")
-    for worse, other in found.repeats:
-        if worse not in reasons and other not in reasons and found.residual[worse] > LEAST_MISFIT:
-            reasons[worse] = f"it repeats the photograph of light {frames[other].light}"
-    return reasons
-
-
-def _left_out_problems(frames: tuple[Frame, ...], reasons: dict[int, str], wishes: Wishes) -> list[Problem]:
-    leaves = wishes.leave_out == "auto"
-    remedy = "Photograph it again" if leaves else "Photograph it again, or set ingest.correct.leave_out: auto"
-    kinds = {True: "photograph-repeated", False: "lamp-failed"}
-    return [
-        warning(
-            kinds["repeats" in reason],
-            frames[j].file,
-            f"the photograph of light {frames[j].light} is {'left out' if leaves else 'of no use'}: {reason}",
-            remedy=remedy,
-        )
-        for j, reason in sorted(reasons.items())
-    ]
 
 
 def _choose_gains(
@@ -250,15 +230,8 @@ def _choose_ambient(
         alone = examine_photographs(values[..., channel], lamps)
         if alone is not None and alone.ambient > SURE * alone.ambient_sigma:
             levels[channel] = alone.ambient
-    said = f"{100 * found.ambient:.1f} ± {100 * found.ambient_sigma:.1f} % of a lamp that faces the object"
-    remedy = "Darken the room, or photograph the object once without a lamp (role ambient)"
-    what = "the photographs contain light of the room"
-    if capture.frames_of("ambient"):
-        what = "the photographs contain more light of the room than those without a lamp"
-    if wishes.ambient == "auto":
-        what += "; its estimate is subtracted"
-    problem = warning("room-light", "frames.csv", what, found=said, remedy=remedy)
-    return np.array(levels) if wishes.ambient == "auto" else none, [problem]
+    subtracts = wishes.ambient == "auto"
+    return np.array(levels) if subtracts else none, ambient_problems(found, capture, subtracts)
 
 
 def _measured(frames: tuple[Frame, ...], movement: Movement, found: Consistency | None) -> dict[str, dict[str, Any]]:

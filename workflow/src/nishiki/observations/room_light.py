@@ -17,6 +17,7 @@ from nishiki.formats.zarr_store import chunk_path, write_chunk
 from nishiki.observations.blocks import field_rows
 from nishiki.observations.plane import Observations
 from nishiki.observations.resampling import subtract_light
+from nishiki.photometric.consistency import solve_normals
 
 ROUNDS = 4  # of choosing the photographs in which a pixel is lit
 LIT = 0.1  # cosine from which it is
@@ -67,16 +68,13 @@ def albedo_under_room(values: np.ndarray, valid: np.ndarray, lamps: np.ndarray, 
     flat, known = values.reshape(lights, -1, channels), valid.reshape(lights, -1).astype(np.float32)
     albedo, step = np.zeros((rows * columns, channels), np.float32), max(VALUES // lights, 1)
     level = float(ambient.mean())
-    outer = (lamps[:, :, None] * lamps[:, None, :]).reshape(lights, 9)
     for first in range(0, rows * columns, step):
         part = slice(first, first + step)
         used, seen = known[:, part], flat[:, part]
         grey = seen.mean(axis=2)
         weights, room = used, np.zeros(grey.shape[1])
         for _ in range(ROUNDS):
-            matrix = (weights.T @ outer).reshape(-1, 3, 3)
-            matrix += (1e-6 * np.trace(matrix, axis1=1, axis2=2) + 1e-9)[:, None, None] * np.eye(3)
-            normal = np.linalg.solve(matrix, ((weights * (grey - room)).T @ lamps)[:, :, None])[:, :, 0]
+            normal, _ = solve_normals(weights, grey - room, lamps[:, None])
             length = np.linalg.norm(normal, axis=1) + 1e-12
             cosines = lamps @ (normal / length[:, None]).T
             room = level * length

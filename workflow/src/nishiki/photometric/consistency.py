@@ -382,10 +382,16 @@ def solve_normals(weights: np.ndarray, values: np.ndarray, lamps: np.ndarray) ->
 
     weights, values (lights, pixels); lamps (lights, 1 or pixels, 3).
     """
-    matrix = np.einsum("js,jsab->sab", weights, lamps[..., :, None] * lamps[..., None, :])
+    outer = lamps[..., :, None] * lamps[..., None, :]
+    if lamps.shape[1] == 1:
+        matrix = (weights.T @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
+        moments = (weights * values).T @ lamps[:, 0]
+    else:
+        matrix = np.einsum("js,jsab->sab", weights, outer)
+        moments = np.einsum("js,jsa->sa", weights * values, lamps)
     matrix += (1e-9 * np.trace(matrix, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(3)
     inverse = np.linalg.inv(matrix)
-    return np.einsum("sab,sb->sa", inverse, np.einsum("js,jsa->sa", weights * values, lamps)), inverse
+    return np.einsum("sab,sb->sa", inverse, moments), inverse
 
 
 def lit_and_dark(
