@@ -24,7 +24,13 @@ def solved_normals(folder, slope_x, slope_y) -> Artifact:
     """The artifact of the stage normals for slopes (rows, columns)."""
     settings = NormalsSettings(solver="least_squares")
     frames = SimpleNamespace(
-        shape=slope_x.shape, channels=("grey",), band_rows=16, pixel_pitch_mm=PITCH_MM, to_srgb=None, white_board=True
+        uncertainty={},
+        shape=slope_x.shape,
+        channels=("grey",),
+        band_rows=16,
+        pixel_pitch_mm=PITCH_MM,
+        to_srgb=None,
+        white_board=True,
     )
     normals = np.dstack([-slope_x, -slope_y, np.ones_like(slope_x)])
 
