@@ -19,11 +19,11 @@ from nishiki.brdf.cloth.interface import (
 from nishiki.brdf.cloth.models import MODELS, fit_models
 from nishiki.brdf.cloth.store import load_brdf, save_brdf
 from nishiki.brdf.cloth.yarn_facets import (
-    ACROSS,
-    ALONG,
     CENTRE,
     HALF_PI,
     NAMES,
+    SIDE_ACROSS,
+    SIDE_ALONG,
     SPREAD,
     WEFT,
     corrected,
@@ -100,24 +100,28 @@ def test_facets_are_the_whole_plane_and_their_frames_are_orthonormal():
     assert np.allclose(frames @ np.swapaxes(frames, 1, 2), np.eye(3), atol=1e-12)
 
 
-@pytest.mark.parametrize(("power", "side"), [(2.0, ACROSS), (1.0, ACROSS), (2.0, ALONG), (5.0, ALONG), (0.8, ALONG)])
+@pytest.mark.parametrize(
+    ("power", "side"), [(2.0, SIDE_ACROSS), (1.0, SIDE_ACROSS), (2.0, SIDE_ALONG), (5.0, SIDE_ALONG), (0.8, SIDE_ALONG)]
+)
 def test_humps_are_the_integral_of_their_slopes(power, side):
     share = np.linspace(0, 0.97, 4000)
     t, x, z = hump(0.7, power, side, share)
     assert np.allclose(np.diff(z), -(t[1:] + t[:-1]) / 2 * np.diff(x), atol=2e-6)
-    weight = np.exp(-((t / 0.7) ** power)) if side == ALONG else (1 + (t / 0.7) ** power) ** (-3 / power)
+    weight = np.exp(-((t / 0.7) ** power)) if side == SIDE_ALONG else (1 + (t / 0.7) ** power) ** (-3 / power)
     gained = np.concatenate([[0], np.cumsum((weight[1:] + weight[:-1]) / 2 * np.diff(t))])
     assert np.allclose(gained / gained[-1], share / share[-1], atol=2e-3)
 
 
 def test_power_two_across_is_an_ellipse():
-    t, x, z = hump(0.7, 2.0, ACROSS, np.linspace(0, 0.999, 50))
+    t, x, z = hump(0.7, 2.0, SIDE_ACROSS, np.linspace(0, 0.999, 50))
     height = z + 0.7 / 2  # half axes 1/2 and s/2
     assert np.allclose((x / 0.5) ** 2 + (height / 0.35) ** 2, 1, atol=1e-9)
     assert np.all(np.diff(t) > 0)
 
 
-@pytest.mark.parametrize(("power", "side"), [(2.0, ACROSS), (1.2, ACROSS), (2.0, ALONG), (6.0, ALONG)])
+@pytest.mark.parametrize(
+    ("power", "side"), [(2.0, SIDE_ACROSS), (1.2, SIDE_ACROSS), (2.0, SIDE_ALONG), (6.0, SIDE_ALONG)]
+)
 def test_limits_against_rays_over_an_explicit_train(power, side):
     slope, spacing = 0.8, 1.15
     share = np.sin(np.linspace(0, 0.985 * HALF_PI, 3000))

@@ -13,7 +13,7 @@ import numpy as np
 from nishiki.brdf.cloth.interface import single
 from nishiki.brdf.cloth.yarn_fit import MISS_OBLIQUE, Measured, normal_weights, refuse_black, solve_linear
 from nishiki.errors import UserError
-from nishiki.weave.yarn_weave import ACROSS, ALONG, COARSE, Binding, YarnWeave
+from nishiki.weave.yarn_weave import COARSE, POINTS_ACROSS, POINTS_ALONG, Binding, YarnWeave
 
 # Logarithms, but for logits of shares and the arch. Priors are wide statements about cloth: weft yarns 1.2 as far apart
 # as warp yarns, within a quarter; warp yarns nearly touch; sections half as thick as wide, within a factor of 1.5; a
@@ -149,7 +149,9 @@ def spread(points: np.ndarray, count: int) -> np.ndarray:
     return np.array(chosen)
 
 
-def fit_binding(samples: Samples, binding: Binding, *, start=None, density=(ACROSS, ALONG), evaluations=10) -> YarnFit:
+def fit_binding(
+    samples: Samples, binding: Binding, *, start=None, density=(POINTS_ACROSS, POINTS_ALONG), evaluations=10
+) -> YarnFit:
     """The yarns that explain the samples best with this binding; the linear parts are eliminated at every step."""
     from scipy.optimize import least_squares
 
