@@ -49,6 +49,16 @@ def test_room_light_is_measured(room, gloss):
     assert result.ambient > 5 * result.ambient_sigma
 
 
+@pytest.mark.parametrize("rings", [((9, 40), (6, 60), (3, 75)), ((8, 30), (8, 60)), ((12, 45),)])
+@pytest.mark.parametrize("steep", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("gloss", [0.0, 0.3])
+def test_no_room_light_is_found_on_shallow_reliefs(rings, steep, gloss):
+    """Without shadows, an even object under room light and one without look alike."""
+    directions = dome(rings)
+    result = examine_photographs(photographs(directions, steep=steep, gloss=gloss), directions)
+    assert result.ambient <= max(LEAST_AMBIENT, 5 * result.ambient_sigma)
+
+
 def test_room_light_in_measured_photographs(data):
     """Their albedo times 0.15 is added to all photographs; its darkest shadows are lit by others, and tell less."""
     folder = data / "uw_cat"

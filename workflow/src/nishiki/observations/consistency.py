@@ -173,13 +173,15 @@ class ReducedPhotographs:
         return whole[top : top + self.shape[0], left : left + self.shape[1]]
 
     def judge(self, places: Sequence[int] | None = None) -> Judgement | None:
-        """Compare the photographs with each other, those of these lamps in their order; None where there are too few.
+        """Compare the photographs with each other, those of these lamps in their order.
 
-        The photographs are brought together where they moved, and where each is then better predicted from the others.
+        None where there are too few, and of pictures rendered from a relightable image: the lamps are those that it was
+        rendered under, and its smooth shadows would pass for light of the room. The photographs are brought together
+        where they moved, and where each is then better predicted from the others.
         """
         capture = self.reader.capture
         places = tuple(sorted(self.photographs) if places is None else places)
-        if len(places) < 2:
+        if len(places) < 2 or capture.settings.rendered_from:
             return None
         values, directions = np.stack([self.photographs[i] for i in places]), capture.lights.directions[list(places)]
         movement = self._movement(values, places, directions)

@@ -29,11 +29,17 @@ from nishiki.observations.consistency import (
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField
 from nishiki.observations.registration import Movement
-from nishiki.photometric.consistency import LEAST_AMBIENT, SURE, Consistency, examine_photographs, split_course
+from nishiki.photometric.consistency import (
+    LEAST_AMBIENT,
+    MOST_AMBIENT,
+    SURE,
+    Consistency,
+    examine_photographs,
+    split_course,
+)
 
 LEAST_GAIN = 0.02  # of a lamp's strength that is put right: less turns normals by a tenth of a degree
 UNEQUAL = 0.08  # spread of log strengths about a linear course over the directions, as no equal lamps have shown
-MOST_AMBIENT = 0.5  # of a lamp: more cannot be told from an even object
 ODD_EXPOSURE = 0.1  # of the brightness that a recorded exposure may be off: cameras round to thirds of a stop
 LAW_COURSE, LAW_REST = 3.0, 1.5  # times the misfit of the law: deviation of log strengths that equal lamps seem to have
 # (rms of six measured sets), of the part that is linear over the directions, and of the rest

@@ -41,6 +41,10 @@ MOST_PIXELS, MOST_VALUES = 1500, 40_000  # fitted; the errors are those of 64 pa
 FAINT = 0.1  # gain below which a photograph shows the room and the noise, not its lamp
 LEAST_AMBIENT = 0.02  # of the albedo: less turns normals by less than half a degree, and lenses and walls give as much
 REPEATED = 0.25  # of the difference that two lamps should make: the same lamp twice leaves the noise of the camera
+MOST_AMBIENT = 0.5  # of a lamp: more cannot be told from an even object
+WORSE = (
+    2.0  # times the misfit without ambient light: shadows prove some that misfits more, up to 1.5; even objects 3 to 75
+)
 LARGEST_STEP, WIDEST, NEAREST = 0.3, 4.0, 0.05  # of the width in distances of the lamps: a round, fitted; of a lamp
 MOST_COURSE = 0.5  # deviation of log strengths that are linear over the directions: 1.1 on metal, <= .12 elsewhere
 LARGEST_MISFIT = 0.1  # of the brightness: where the photographs are predicted worse, nothing is concluded from them
@@ -206,8 +210,8 @@ def take_ambient(values: np.ndarray, directions: np.ndarray, patches: np.ndarray
         if not np.isfinite(sigma):
             break
     else:
-        misfit = np.nanmedian(np.abs(rest.alone)) / np.nanmedian(values)
-        if np.isfinite(dark) or misfit < LARGEST_MISFIT / 2:
+        misfit, before = (np.nanmedian(np.abs(one.alone)) / np.nanmedian(values) for one in (rest, fit))
+        if np.isfinite(dark) or (misfit < min(LARGEST_MISFIT / 2, WORSE * before) and ambient < MOST_AMBIENT):
             return replace(rest, ambient=ambient), ambient, sigma
     lit = fit
     for _ in range(3):
