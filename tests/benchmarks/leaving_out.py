@@ -25,7 +25,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(PROJECT / "workflow/src"), str(PROJECT / "scripts")]
 
 from nishiki.capture.folder import load_capture  # noqa: E402
-from nishiki.observations.capture_usage import usage_of  # noqa: E402
+from nishiki.observations.region import usage_of  # noqa: E402
 from nishiki.packages import EXTRAS, MODULES, installed  # noqa: E402
 
 SCENES = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}

@@ -12,8 +12,7 @@ from boards import COLUMNS, DISTORTION, LENS, ROWS, SHAPE, board_camera, photogr
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera, load_cameras
-from nishiki.observations.views_attributes import geometry_sources
-from nishiki.observations.views_store import write_views
+from nishiki.observations.views_store import geometry_sources, write_views
 from nishiki.progress import Progress
 from nishiki.stages.cameras import CamerasSettings
 from nishiki.stages.cameras import run as stage

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from nishiki.photometric.flatten import block_means, flatten_normals
-from nishiki.photometric.height import integrate_normals
+from nishiki.photometric.height import block_means, flatten_normals, integrate_normals
 
 ROWS, COLUMNS = 160, 240
 ALL = np.ones((ROWS, COLUMNS), dtype=bool)

@@ -14,7 +14,7 @@ from nishiki.observations.block_kernels import block_levels, count_outliers
 from nishiki.observations.blocks import block_edges, blocks_around, cells, edges_between, on_one_grid, positions
 from nishiki.observations.linearise import check_linearity, code_table, saturation_code
 from nishiki.observations.plane_decode import count_unusable, decode, to_luma
-from nishiki.observations.white import white_field
+from nishiki.observations.reference import white_field
 
 RNG = np.random.default_rng(7)
 

@@ -14,10 +14,10 @@ from conftest import PROJECT
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
+from nishiki.observations.blocks import rows_of_band
 from nishiki.observations.check import check_capture
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
-from nishiki.observations.tiles import rows_of_band
 from nishiki.stages.ingest import IngestSettings
 
 ROWS, COLUMNS = 24, 32

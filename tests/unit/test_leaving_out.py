@@ -11,13 +11,12 @@ from goniometer_captures import make_goniometer, make_table
 from nishiki.capture.folder import load_capture
 from nishiki.capture.seal import seal
 from nishiki.formats.problems import CaptureError
-from nishiki.observations.capture_usage import usage_of
-from nishiki.observations.choice import chosen
+from nishiki.observations.blocks import bands_with_object
 from nishiki.observations.goniometer import Measurements
 from nishiki.observations.goniometer_store import write_goniometer
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
-from nishiki.observations.tiles import bands_with_object
+from nishiki.observations.region import chosen, usage_of
 from nishiki.observations.views import Views
 from nishiki.observations.views_store import write_views
 from nishiki.stages.ingest import IngestSettings

@@ -12,8 +12,7 @@ from nishiki.artifacts.limits import limit_checks, limit_warnings
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.observations.check import check_capture
-from nishiki.observations.views_attributes import geometry_sources
-from nishiki.observations.views_store import write_views
+from nishiki.observations.views_store import geometry_sources, write_views
 from nishiki.polarisation.polarisation import Components
 from nishiki.progress import Progress
 from nishiki.stages.ingest import IngestSettings

@@ -10,10 +10,9 @@ import numpy as np
 
 from nishiki.calibrate.result import Calibration, finite
 from nishiki.capture.lights import read_lights
-from nishiki.capture.spheres.findings import Findings, SphereInput, SpheresError
+from nishiki.capture.spheres.findings import Findings, SphereInput, SpheresError, draw_findings, draw_sphere
 from nishiki.capture.spheres.lamps import LampFit
 from nishiki.capture.spheres.measure import MeasuredSpheres, measure_spheres
-from nishiki.capture.spheres.picture import draw_findings, draw_sphere
 from nishiki.errors import UserError
 from nishiki.report.page import Figure, Figures, Section, Table
 from nishiki.report.pictures import encoded

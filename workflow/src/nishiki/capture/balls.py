@@ -10,10 +10,9 @@ import numpy as np
 from nishiki.capture.layouts import Layout, find_mask, photographs_in
 from nishiki.capture.lights import lights_from_vectors
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.spheres.findings import LEAST_LAMPS, SphereInput, SpheresError
+from nishiki.capture.spheres.findings import LEAST_LAMPS, SphereInput, SpheresError, draw_findings
 from nishiki.capture.spheres.measure import MeasuredSpheres, measure_spheres
 from nishiki.capture.spheres.optics import outline_points
-from nishiki.capture.spheres.picture import draw_findings
 from nishiki.errors import UserError
 from nishiki.formats.images import read_header
 from nishiki.formats.problems import CaptureError, Problem, error, warning

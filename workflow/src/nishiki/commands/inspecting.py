@@ -40,7 +40,7 @@ def plan(scene: str | None, configfile: str, as_json: bool) -> None:
 def scene_plan(flow: Workflow, name: str) -> dict[str, Any]:
     """Everything that the plan of a scene says, as plain values."""
     from nishiki.capture.folder import load_capture
-    from nishiki.observations.capture_usage import usage_of
+    from nishiki.observations.region import usage_of
 
     made = flow.plans[name]
     ingest = made.stages["ingest"].settings

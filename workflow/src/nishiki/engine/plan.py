@@ -12,7 +12,7 @@ from nishiki.artifacts.closed import Closed
 from nishiki.artifacts.provenance import canonical, key_of_text
 from nishiki.engine.project import Scene
 from nishiki.errors import UserError
-from nishiki.observations.choice import LIGHT
+from nishiki.observations.region import LIGHT
 from nishiki.packages import EXTRAS
 from nishiki.stages.base import Asked, SceneFacts, SceneSettings, Stage, poses_of, surface_of
 from nishiki.stages.table import CHAIN, chain_of

@@ -22,17 +22,16 @@ from nishiki.formats.images import expect_channels, read_header
 from nishiki.formats.picture_files import ImageHeader
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.observations.blocks import block_edges
-from nishiki.observations.choice import AnyCapture
 from nishiki.observations.consistency import Judgement, ReducedPhotographs, judgement_problems
 from nishiki.observations.frames import FrameReader, unusable_coding
 from nishiki.observations.goniometer_check import goniometer_files, look_at_windows, table_problems
 from nishiki.observations.pairs_check import PairLevels
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.plane_store import frame_problems
+from nishiki.observations.polariser_check import listed_files, silhouette_problems, turntable_content_problems
 from nishiki.observations.reference import DarkField, board_field, measure_darks
-from nishiki.observations.region import object_mask, region_numbers, region_of
+from nishiki.observations.region import AnyCapture, object_mask, region_numbers, region_of
 from nishiki.observations.store_parts import RepeatedFiles, as_errors, attempt
-from nishiki.observations.turntable_check import listed_files, silhouette_problems, turntable_content_problems
 from nishiki.photometric.consistency import FEWEST_LAMPS
 
 SAME_DIRECTION = np.cos(np.radians(0.1))

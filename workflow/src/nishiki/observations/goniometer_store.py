@@ -16,10 +16,10 @@ from nishiki.formats.masks import label_problems
 from nishiki.formats.problems import Problem, group_problems
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.blocks import block_edges
-from nishiki.observations.choice import chosen
 from nishiki.observations.frames import FrameReader
-from nishiki.observations.goniometer_frames import code_problems, hot_problems, region_labels, white_level, windowed
+from nishiki.observations.goniometer_check import code_problems, hot_problems, region_labels, white_level, windowed
 from nishiki.observations.reference import DarkField, Edges, measure_darks
+from nishiki.observations.region import chosen
 from nishiki.observations.store_parts import PhotographCounter, Settings, Tick, write_small_arrays
 
 STORE, NAMES, TABLE = "goniometer.zarr", "goniometer.json", "table.npz"

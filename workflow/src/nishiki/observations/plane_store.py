@@ -12,14 +12,14 @@ from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
 from nishiki.formats.problems import Problem, group_problems
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
-from nishiki.observations.choice import chosen
+from nishiki.observations.blocks import bands_with_object, rows_of_band
 from nishiki.observations.corrections import find_corrections
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.pairs_check import PairLevels
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import Gains, measure_darks, measure_gains, measure_room
-from nishiki.observations.region import edges_of, object_mask, region_around, region_numbers, window_of
-from nishiki.observations.room_light import subtract_room
+from nishiki.observations.region import chosen, edges_of, object_mask, region_around, region_numbers, window_of
+from nishiki.observations.resampling import subtract_room
 from nishiki.observations.store_parts import (
     PhotographCounter,
     Settings,
@@ -27,7 +27,6 @@ from nishiki.observations.store_parts import (
     sample_warnings,
     write_small_arrays,
 )
-from nishiki.observations.tiles import bands_with_object, rows_of_band
 
 STORE = "frames.zarr"
 FORMAT = 1

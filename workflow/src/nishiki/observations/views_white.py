@@ -12,9 +12,8 @@ from nishiki.observations.block_kernels import count_outliers
 from nishiki.observations.blocks import grid_of, on_one_grid
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.linearise import straight_scale
-from nishiki.observations.reference import DEAD, DarkField, Edges
+from nishiki.observations.reference import DEAD, DarkField, Edges, white_field
 from nishiki.observations.views_decode import view_values
-from nishiki.observations.white import white_field
 
 Tick = Callable[[str], None]
 

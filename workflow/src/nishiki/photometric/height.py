@@ -1,19 +1,123 @@
-"""Height from normals: the surface whose slopes are, in the sense of weighted least squares, those of the normals.
+"""Poisson's equation on the pixel grid: directly by the cosine transform, with weights by conjugate gradients.
+
+Height from normals: the surface whose slopes are, in the sense of weighted least squares, those of the normals.
 
 The unknown heights h minimise sum over neighbouring pixels a, b of w (h_b - h_a - g)^2, g the mean slope of the two
 times the pitch. On a full rectangle with equal weights this is Poisson's equation with natural boundaries, which the
 discrete cosine transform solves directly (T. Simchony, R. Chellappa and M. Shao, Direct analytical methods for solving
 Poisson equations in computer vision problems, IEEE Trans. PAMI 12 (5), 1990; for the periodic case R. T. Frankot and
 R. Chellappa, IEEE Trans. PAMI 10 (4), 1988). With a mask or weights the same solver preconditions conjugate gradients.
+
+Normals of an object that is flat overall, turned so that their smooth part faces the camera.
+
+Lamps that stand near but count as distant, and lamps whose brightness falls off over the picture without a white board,
+tilt the normals by an angle that changes slowly from edge to edge. Integrated, it is a bowl many times as deep as the
+relief. Here the smooth part s of the normals is a polynomial of the pixel's place, fitted so that raised objects on a
+flat ground do not pull it, and every normal is turned by the rotation that takes s to the camera's axis z,
+
+    n' = n - (s + z) (s + z).n / (1 + s.z) + 2 (s.n) z,
+
+before the integration. To subtract the smooth part of the heights instead leaves the relief exaggerated where the error
+is large: slopes grow with the tangent of the tilt.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import legendre
 
 from nishiki.errors import UserError
-from nishiki.photometric.poisson import conjugate_gradients, divergence, edge_gradients, poisson_symbol, solve_rectangle
 from nishiki.summary import Summarised
+
+
+def edge_gradients(p, q, pitch):
+    """Height differences that the slopes ask for: to the right (rows, columns - 1) and down (rows - 1, columns).
+
+    Rows count downwards and y upwards, so that a step down is -q.
+    """
+    half = p.dtype.type(0.5 * pitch)
+    return (p[:, :-1] + p[:, 1:]) * half, (q[:-1] + q[1:]) * -half
+
+
+def divergence(differences, weights):
+    """Right-hand side of the normal equations: the weighted differences that end in a pixel less those that start."""
+    along, down = differences
+    rows, columns = along.shape[0], down.shape[1]
+    out = np.zeros((rows, columns), dtype=along.dtype)
+    flow = along * weights[0]
+    out[:, 1:] += flow
+    out[:, :-1] -= flow
+    flow = down * weights[1]
+    out[1:] += flow
+    out[:-1] -= flow
+    return out
+
+
+def laplacian(height, weights):
+    """The matrix of the normal equations times a height field: the weighted graph Laplacian of the grid."""
+    return divergence((np.diff(height, axis=1), np.diff(height, axis=0)), weights)
+
+
+def poisson_symbol(shape, dtype):
+    """Eigenvalues of the unweighted Laplacian with natural boundaries, by cosine frequency: a column and a row."""
+    rows = 2.0 - 2.0 * np.cos(np.pi * np.arange(shape[0]) / shape[0])
+    columns = 2.0 - 2.0 * np.cos(np.pi * np.arange(shape[1]) / shape[1])
+    return rows[:, None].astype(dtype), columns[None, :].astype(dtype)
+
+
+def solve_rectangle(right, symbol):
+    """Solve the unweighted Laplacian on the full rectangle; right is used up. The mean is 0."""
+    from scipy import fft
+
+    spectrum = fft.dctn(right, type=2, norm="ortho", overwrite_x=True)
+    rows, columns = symbol
+    for k in range(0, spectrum.shape[0], 256):  # in bands: the sum of the symbols is never held whole
+        band = rows[k : k + 256] + columns
+        if k == 0:
+            band[0, 0] = 1
+        spectrum[k : k + 256] /= band
+    spectrum[0, 0] = 0
+    return fft.idctn(spectrum, type=2, norm="ortho", overwrite_x=True)
+
+
+def conjugate_gradients(weights, right, symbol, tolerance, max_iterations):
+    """Solve the weighted Laplacian, preconditioned by the unweighted one on the full rectangle.
+
+    Pixels without neighbours of positive weight, and the mean of each part, are left as they come: the right-hand side
+    does not ask for them. Returns heights, iterations and the relative residual.
+    """
+    height = np.zeros_like(right)
+    scale = norm(right)
+    if scale == 0.0:
+        return height, 0, 0.0
+    residual = right
+    direction = solve_rectangle(residual.copy(), symbol)
+    gain = inner(residual, direction)
+    left = 1.0
+    for iteration in range(1, max_iterations + 1):
+        image = laplacian(direction, weights)
+        step = right.dtype.type(gain / inner(direction, image))
+        height += step * direction
+        residual -= step * image
+        left = norm(residual) / scale
+        if left <= tolerance:
+            return height, iteration, left
+        conditioned = solve_rectangle(residual.copy(), symbol)
+        previous, gain = gain, inner(residual, conditioned)
+        direction *= right.dtype.type(gain / previous)
+        direction += conditioned
+    return height, max_iterations, left
+
+
+def inner(a, b):
+    """Scalar product, summed in float64 row by row, so that float32 fields of many megapixels lose nothing."""
+    return float(np.sum(np.einsum("rc,rc->r", a, b, dtype=np.float64)))
+
+
+def norm(a):
+    """Euclidean norm, summed as `inner`."""
+    return float(np.sqrt(inner(a, a)))
+
 
 METHODS = ("auto", "dct", "weighted")
 LEAST_NZ = 0.05  # normals that are steeper (87 degrees) count as this steep: slopes stay finite
@@ -196,3 +300,86 @@ def bow(height, valid, pitch):
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     solution = np.linalg.lstsq(terms, z, rcond=None)[0]
     return float(np.ptp(terms[:, 3:] @ solution[3:]))
+
+
+DEGREE = 3  # of the polynomials of the normals' components: heights of degree 4
+MOST_BLOCKS = 128  # along the longer side: the fit sees the mean normals of this many squares
+FLAT_WITHIN = 0.05  # length of a difference of unit normals (3 degrees) beyond which a square counts less
+ROUNDS = 8  # of reweighting
+BAND = 256  # rows turned at a time
+
+
+def flatten_normals(normals, valid):
+    """Turn the normals of a flat object so that their smooth part faces the camera.
+
+    Parameters
+    ----------
+    normals : (rows, columns, 3)
+        Unit vectors, x right, y up, z to the camera.
+    valid : (rows, columns) bool
+        Where they are used.
+
+    Returns
+    -------
+    normals : (rows, columns, 3) float32
+        Turned; 0 where not valid.
+    angle : float
+        Root mean square angle by which valid normals were turned, radians.
+    """
+    rows, columns = valid.shape
+    out = np.zeros((rows, columns, 3), np.float32)
+    if not valid.any():
+        return out, 0.0
+    smooth = smooth_normals(normals, valid)
+    x = np.linspace(-1, 1, columns)
+    y = np.linspace(-1, 1, rows) if rows > 1 else np.zeros(1)
+    squares = 0.0
+    for start in range(0, rows, BAND):
+        band = slice(start, start + BAND)
+        inside = valid[band]
+        s = np.moveaxis(legendre.leggrid2d(y[band], x, smooth), 0, -1)[inside]
+        s /= np.linalg.norm(s, axis=-1, keepdims=True)
+        n = normals[band][inside].astype(np.float64)
+        forward = np.einsum("pi,pi->p", s, n)
+        squares += float(np.sum(np.square(np.arccos(np.clip(s[:, 2], -1, 1)))))
+        s[:, 2] += 1
+        n -= s * (np.einsum("pi,pi->p", s, n) / s[:, 2])[:, None]
+        n[:, 2] += 2 * forward
+        out[band][inside] = n
+    return out, float(np.sqrt(squares / np.count_nonzero(valid)))
+
+
+def smooth_normals(normals, valid):
+    """Coefficients (4, 4, 3) of Legendre polynomials along y and x, each from -1 to 1, of the smooth part of normals.
+
+    Least sum over the squares of Huber's function of the length of the difference (P. J. Huber, Robust estimation of a
+    location parameter, Annals of Mathematical Statistics 35 (1), 1964), by iteratively reweighted least squares.
+    """
+    mean, y, x = block_means(normals, valid)
+    powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+    terms = legendre.legvander2d(y, x, [DEGREE, DEGREE])[:, [i * (DEGREE + 1) + j for i, j in powers]]
+    weight = np.ones(len(mean))
+    for _ in range(ROUNDS):
+        root = np.sqrt(weight)[:, None]
+        solution = np.linalg.lstsq(terms * root, mean * root, rcond=None)[0]
+        weight = 1 / np.maximum(np.linalg.norm(mean - terms @ solution, axis=1), FLAT_WITHIN)
+    coefficients = np.zeros((DEGREE + 1, DEGREE + 1, 3))
+    for (i, j), values in zip(powers, solution, strict=True):
+        coefficients[i, j] = values
+    return coefficients
+
+
+def block_means(normals, valid):
+    """Unit mean normals (n, 3) of squares of pixels, those with valid ones, and their places y and x from -1 to 1."""
+    side = -(-max(valid.shape) // MOST_BLOCKS)
+    starts = [np.arange(0, length, side) for length in valid.shape]
+    total = np.add.reduceat(np.where(valid[..., None], normals, 0), starts[0], axis=0, dtype=np.float64)
+    total = np.add.reduceat(total, starts[1], axis=1)
+    length = np.linalg.norm(total, axis=-1)
+    places = [
+        2 * np.minimum(start + 0.5 * (side - 1), extent - 1) / max(extent - 1, 1) - 1
+        for start, extent in zip(starts, valid.shape, strict=True)
+    ]
+    filled = length > 0
+    row, column = np.nonzero(filled)
+    return total[filled] / length[filled][:, None], places[0][row], places[1][column]

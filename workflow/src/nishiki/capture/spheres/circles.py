@@ -22,8 +22,14 @@ from nishiki.capture.spheres.lamps import triangulate
 from nishiki.capture.spheres.lens import LENSES, set_lens
 from nishiki.capture.spheres.optics import SphereCamera, reflected_rays
 from nishiki.capture.spheres.outline import Circle, propose_circles, solve_outline
-from nishiki.capture.spheres.scene import bright_blocks, residual_of
-from nishiki.capture.spheres.search import Cluster, Overview, cluster_highlights, find_moving_highlights
+from nishiki.capture.spheres.search import (
+    Cluster,
+    Overview,
+    bright_blocks,
+    cluster_highlights,
+    find_moving_highlights,
+    residual_of,
+)
 from nishiki.errors import UserError
 from nishiki.formats.masks import read_mask
 

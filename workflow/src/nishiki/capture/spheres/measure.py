@@ -29,8 +29,7 @@ from nishiki.capture.spheres.lamps import Falloff, LampFit, Sighting, fit_lamps
 from nishiki.capture.spheres.lens import estimate_lens, find_free_pixels, locate_origin, refit_under, scale_radii
 from nishiki.capture.spheres.optics import INSIDE, SphereCamera, find_highlight
 from nishiki.capture.spheres.outline import Circle, fit_outline
-from nishiki.capture.spheres.scene import SceneFit, bright_blocks, fit_scene
-from nishiki.capture.spheres.search import read_overview, subtract_surroundings
+from nishiki.capture.spheres.search import SceneFit, bright_blocks, fit_scene, read_overview, subtract_surroundings
 from nishiki.capture.taking import full_scale_of, read_grey
 from nishiki.errors import UserError
 from nishiki.formats.images import read_header

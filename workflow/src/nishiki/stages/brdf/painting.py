@@ -31,9 +31,8 @@ from nishiki.brdf.scene import (
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.gloss import Evidence, decide_gloss, gloss_evidence
-from nishiki.observations.parcels import parcels
+from nishiki.observations.parcels import parcels, sample
 from nishiki.observations.plane import Observations
-from nishiki.observations.sample import sample
 from nishiki.photometric.flags import NO_ESTIMATE
 
 SAMPLE_PIXELS = 5000  # that decide whether the scene shows gloss

@@ -6,8 +6,7 @@ from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.artifacts.stage import Context
 from nishiki.photometric import flags as bits
 from nishiki.photometric.expected_error import UNKNOWN, expected_error
-from nishiki.photometric.flatten import flatten_normals
-from nishiki.photometric.height import integrate_normals
+from nishiki.photometric.height import flatten_normals, integrate_normals
 
 
 def run(context: Context) -> dict:

@@ -13,14 +13,12 @@ from nishiki.capture.turntable import TurntableCapture
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample
 from nishiki.formats.zarr_store import BandedGroup
-from nishiki.observations.capture_usage import usage_of
-from nishiki.observations.choice import chosen
 from nishiki.observations.goniometer_store import STORE as WINDOWS
 from nishiki.observations.goniometer_store import write_goniometer
 from nishiki.observations.plane_store import STORE, write_observations
-from nishiki.observations.views_attributes import geometry_sources
+from nishiki.observations.region import chosen, usage_of
 from nishiki.observations.views_store import STORE as VIEWS
-from nishiki.observations.views_store import write_views
+from nishiki.observations.views_store import geometry_sources, write_views
 
 
 def run(context: Context) -> dict:
