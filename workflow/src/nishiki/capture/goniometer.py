@@ -13,6 +13,7 @@ from pydantic import Field, field_validator, model_validator
 from nishiki.artifacts.closed import Closed
 from nishiki.capture.frames import Frame, Photographed, exposure_problems, inside
 from nishiki.capture.goniometer_tables import ReflectanceTable, in_radians, radians_problem, read_table
+from nishiki.capture.options import Azimuths, Values
 from nishiki.capture.schema_base import Positive, Session
 from nishiki.capture.tables import Curves
 from nishiki.formats.files import is_label
@@ -22,8 +23,6 @@ from nishiki.goniometry.directions import unit
 
 Reflectance = Annotated[float, Field(gt=0, le=1.1)]
 Label = Annotated[int, Field(ge=1, le=65535)]
-Values = Literal["brdf", "radiance_factor", "radiance_factor_percent", "brdf_cos_view", "brdf_cos_light"]
-Azimuths = Literal["cloth", "lamp", "mirror"]
 
 
 class Goniometer(Closed):

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from nishiki.capture.goniometer import Azimuths, Values
 from nishiki.formats.problems import CaptureError, Problem, error, refuse
 
+Values = Literal["brdf", "radiance_factor", "radiance_factor_percent", "brdf_cos_view", "brdf_cos_light"]
+Azimuths = Literal["cloth", "lamp", "mirror"]
 FLAGS = {
     "lights_file": "lights",
     "lights_kind": "lights-kind",
