@@ -1,5 +1,6 @@
 """The command run: photographs, captures or scenes of the table, made with Snakemake."""
 
+import contextlib
 import sys
 import time
 import webbrowser
@@ -146,8 +147,9 @@ def run_scenes(
         page = write_index(whole, {failure["scene"]: f"{failure['name']}: {failure['why']}" for failure in failures})
         if len(flow.plans) + len(flow.refused) > 1:
             print(f"all scenes: {page}")
-        elif not status:
-            page = page_of(flow, next(iter(flow.plans)), first="report.html")
+        elif open_page and not status:
+            with contextlib.suppress(UserError):  # products without a page: that of all scenes is opened
+                page = page_of(flow, next(iter(flow.plans)), first="report.html")
         if status:
             _tell_unfinished(flow, seconds, failures)
         else:
