@@ -148,8 +148,8 @@ class ReducedPhotographs:
 
         cells = min(CELLS, self.step)
         size = (self.shape[1] * cells, self.shape[0] * cells)
-        hot = codes >= self.reader.saturated
-        hot = hot.view(np.uint8) * np.uint8(255) if hot.any() else None
+        hot: np.ndarray | None = (codes >= self.reader.saturated).view(np.uint8)
+        hot = np.multiply(hot, 255, out=hot) if hot.any() else None
         if self.step > cells:
             codes = cv2.resize(codes, size, interpolation=cv2.INTER_AREA).reshape(*size[::-1], -1)
             hot = None if hot is None else cv2.resize(hot, size, interpolation=cv2.INTER_AREA).reshape(codes.shape)

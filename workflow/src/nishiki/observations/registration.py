@@ -34,7 +34,7 @@ FINE, COARSER = 1.0, 1.6  # standard deviations of the Gaussians whose differenc
 FLOOR = 0.03  # of the bright parts, added before the logarithm
 CLIP = 4.0  # robust standard deviations at which features end
 PEAK_WIDTH = 0.7  # pixels: standard deviation of the Gaussian that smooths the correlation
-AT_A_TIME = 1 << 22  # pixels of correlation
+AT_A_TIME = 1 << 20  # pixels of correlation
 WHITENING = 0.3  # part of the mean amplitude below which frequencies count less
 
 
