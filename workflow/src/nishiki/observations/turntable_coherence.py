@@ -1,7 +1,4 @@
-"""Whether the given mesh of a turntable can be read and lies where its views show the object.
-
-Silhouettes and cameras of a turntable against each other, as problems with the remedy that works.
-"""
+"""Compare the silhouettes of a turntable with its cameras and with a given mesh, as problems with their remedies."""
 
 from __future__ import annotations
 
@@ -16,11 +13,11 @@ from nishiki.errors import UserError
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.geometry.camera import Camera, cameras_of_matrices
 from nishiki.geometry.mesh import Mesh, face_vectors, read_triangles
-from nishiki.geometry.placement import Placement, measure_placement, move_mesh
 from nishiki.packages import installed
 
 if TYPE_CHECKING:
     from nishiki.geometry.coherence import Coherence
+    from nishiki.geometry.placement import Placement
     from nishiki.observations.frames import FrameReader
 
 
@@ -42,6 +39,8 @@ def mesh_problems(
     mirror: factors on the world's axes that the cameras' matrices need, see `geometry.matrices`; sure: whether the
     silhouettes are given, not found in the photographs.
     """
+    from nishiki.geometry.placement import measure_placement, move_mesh  # compiled; reports read the constants above
+
     block = capture.settings.turntable
     if capture.mesh is None or not installed("trimesh"):
         return []
