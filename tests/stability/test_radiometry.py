@@ -34,6 +34,7 @@ def decoded(codes, gain, dark, *, reduced=False, saturated=None):
     low = codes.dtype.type(0) if codes.dtype.kind == "u" else np.float32(-np.inf)
     fields = (np.ascontiguousarray(np.broadcast_to(f, gain.shape), dtype=np.float32) for f in (gain, dark))
     decode(
+        0, len(codes) * rows,
         codes, table, straight_scale(table, codes.dtype), *fields, lower, weights, cells(edges[1], 0, columns), across,
         np.ones((rows, columns), np.uint8), top, low, 0, channels, reduced, out, valid,
     )  # fmt: skip

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.fft import dctn, idctn
 
+from nishiki.polarisation import noise as noise_module
 from nishiki.polarisation import smoothing
 from nishiki.polarisation.noise import differences_of
 from nishiki.polarisation.polarisation import components, sum_planes
@@ -150,7 +151,7 @@ def test_planes_are_the_most_likely_that_have_the_smoothed_difference(layout):
     for y, x, k in ((20, 30, 0), (77, 100, 1), (110, 9, 2)):
         of_planes = np.diag([1, 1 / BETA[k]]) if layout == "circular" else np.eye(len(planes))
         before, after = (of_planes @ each[:, y, x, k].astype(np.float64) for each in (planes, smooth))
-        expected = noise._photographs_by_planes(sums) @ planes[:, y, x, k].astype(np.float64)
+        expected = noise_module._photographs_by_planes(sums) @ planes[:, y, x, k].astype(np.float64)
         covariance = np.diag(noise.slope[k] * np.maximum(expected, 0) + noise.floor[k])
         from_photographs = of_planes @ sums.weights
         row = kinds.of_planes @ from_photographs if layout == "circular" else rows
