@@ -1,10 +1,8 @@
-"""What a pixel shows under one light: plain diffuse reflection, a highlight, or shadow.
+"""Sort pixels into diffuse, highlight and shadow, and colour differences into the levels of museums and libraries.
 
-Where colour differences stand among the levels that museums and libraries use. An orientation, not a certificate.
-
-Both schemes are defined for the patches of a colour target photographed with the object, read from the finished file.
-Here the same thresholds are held against differences of pixels between prediction and photograph, which also contain
-noise and geometry: a level named here says of what order the difference is, nothing more.
+Both schemes of levels are defined for the patches of a colour target photographed with the object, read from the
+finished file. Here the same thresholds are held against differences of pixels between prediction and photograph, which
+also contain noise and geometry: a level named here gives the order of the difference and is no certificate.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,4 @@
-"""A field over the picture on a coarse grid: block edges and bilinear positions; the kernels are in block_kernels.
-
-Bands of rows: the tiles in which a plane is read, and those that hold nothing of the object.
-"""
+"""Interpolate fields on coarse grids over the picture, and divide planes into bands of rows."""
 
 from __future__ import annotations
 

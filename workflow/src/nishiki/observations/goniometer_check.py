@@ -1,8 +1,4 @@
-"""The window that is kept of a goniometer's photographs, its regions, and what the codes say by themselves.
-
-What only looking at a goniometer's data shows: photographs' sizes, damage, saturation, boards and regions; whether a
-table's values can be those of a surface.
-"""
+"""Check a goniometer's data: sizes, saturation, boards and regions of photographs; energy and symmetry of tables."""
 
 from __future__ import annotations
 

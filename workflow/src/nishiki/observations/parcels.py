@@ -1,7 +1,4 @@
-"""Pieces of a band of rows over which the direction to every lamp is constant.
-
-A small sample of a plane scene's pixels, spread over the picture, for decisions before the whole is read.
-"""
+"""Divide bands of rows into parcels of constant lamp directions, and take samples of pixels for decisions."""
 
 import math
 from collections.abc import Iterator

@@ -1,7 +1,4 @@
-"""Polariser states against the photographs: crossed states are darker, and turning polarisers follow their law.
-
-What only opening the photographs of a turntable shows: sizes, damage, saturation, silhouettes, white boards.
-"""
+"""Compare the opened photographs of a turntable with what its capture states: sizes, white boards, polarisers."""
 
 from __future__ import annotations
 

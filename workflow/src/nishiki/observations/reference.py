@@ -1,7 +1,7 @@
-"""The white board: how bright the lamp was at each place, and so the gain that makes a perfect white 1 (Tominaga and
-Tanaka 2004, eq. 3).
+"""Prepare dark frames and white boards: what is subtracted from photographs and what they are divided by.
 
-Dark frames and white boards of a capture: what is subtracted, what is divided by, and which pixels are defective.
+A board tells how bright its lamp was at each place, and so the gain that makes a perfect white 1 (Tominaga and Tanaka
+2004, eq. 3).
 """
 
 from __future__ import annotations

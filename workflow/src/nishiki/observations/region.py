@@ -1,9 +1,4 @@
-"""The part of the photographs that is kept: the region of interest, in it the object's mask and its bounding box.
-
-Which files of a capture a scene needs: the photographs that no stage of the plan looks at are not opened.
-
-What ingest reads of a capture, and of how much: files by what they are, bytes, channels, tiles.
-"""
+"""Choose the part of a capture that is read: region of interest, mask, and the files that a plan needs."""
 
 from __future__ import annotations
 

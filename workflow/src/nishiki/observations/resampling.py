@@ -1,12 +1,12 @@
-"""Codes of photographs changed so that they stay codes: moved, or without the light of the room.
+"""Change stored codes of photographs: undo movements of the camera, and subtract light of the room.
 
-Light of the room in the stored photographs of a plane, estimated from the albedo and subtracted.
+Light of the room is an image of the albedo:
 
     v_j = rho (s_j max(n . l_j, 0) + a)
 
 v_j: value relative to the white board; s_j: strength of lamp j; a: light of the room relative to a lamp that faces the
 object, one number a channel. rho and n follow pixel by pixel from the lit photographs, and rho a is subtracted from the
-codes of all, which stay codes.
+codes of all.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What is stored beside the views in words and numbers: lamps, cameras, boards, and where the geometry's files lie.
-
-Writing the views of an object: the camera's own codes, with all that is needed to read them as light.
-"""
+"""Write the views of an object: the camera's codes, with lamps, cameras and boards beside them."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Poisson's equation on the pixel grid: directly by the cosine transform, with weights by conjugate gradients.
-
-Height from normals: the surface whose slopes are, in the sense of weighted least squares, those of the normals.
+"""Integrate normals to a height, after a turn that takes away a tilt common to the picture.
 
 The unknown heights h minimise sum over neighbouring pixels a, b of w (h_b - h_a - g)^2, g the mean slope of the two
 times the pitch. On a full rectangle with equal weights this is Poisson's equation with natural boundaries, which the
@@ -8,12 +6,11 @@ discrete cosine transform solves directly (T. Simchony, R. Chellappa and M. Shao
 Poisson equations in computer vision problems, IEEE Trans. PAMI 12 (5), 1990; for the periodic case R. T. Frankot and
 R. Chellappa, IEEE Trans. PAMI 10 (4), 1988). With a mask or weights the same solver preconditions conjugate gradients.
 
-Normals of an object that is flat overall, turned so that their smooth part faces the camera.
-
-Lamps that stand near but count as distant, and lamps whose brightness falls off over the picture without a white board,
-tilt the normals by an angle that changes slowly from edge to edge. Integrated, it is a bowl many times as deep as the
-relief. Here the smooth part s of the normals is a polynomial of the pixel's place, fitted so that raised objects on a
-flat ground do not pull it, and every normal is turned by the rotation that takes s to the camera's axis z,
+Normals of an object that is flat overall are turned so that their smooth part faces the camera. Lamps that stand near
+but count as distant, and lamps whose brightness falls off over the picture without a white board, tilt the normals by
+an angle that changes slowly from edge to edge. Integrated, it is a bowl many times as deep as the relief. Here the
+smooth part s of the normals is a polynomial of the pixel's place, fitted so that raised objects on a flat ground do not
+pull it, and every normal is turned by the rotation that takes s to the camera's axis z,
 
     n' = n - (s + z) (s + z).n / (1 + s.z) + 2 (s.n) z,
 

@@ -1,7 +1,4 @@
-"""Describe the photographs of mirror balls: what is given, crops of them, and what they show so far.
-
-A photograph with the mirror spheres, their highlights and the circles that were none drawn into it.
-"""
+"""Describe what was found on mirror balls, and draw it into a photograph."""
 
 from __future__ import annotations
 
