@@ -125,6 +125,11 @@ def test_a_sound_capture_is_stored_as_without_corrections(tmp_path):
     assert digest_of(tmp_path / "auto" / "frames.zarr") == digest_of(tmp_path / "never" / "frames.zarr")
 
 
+def test_highlights_of_a_mirror_are_no_movement(data, tmp_path):
+    convert(data / "uw_chrome", tmp_path / "c")
+    assert "camera-moved" not in {problem.kind for problem in check_capture(tmp_path / "c", level="full")}
+
+
 MOVEMENTS = {
     "bumped": lambda j: {"shift": (3, 2) if j > 5 else (0, 0)},
     "drifting": lambda j: {"shift": (0.4 * j, 0.25 * j)},

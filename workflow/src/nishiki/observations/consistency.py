@@ -28,7 +28,6 @@ CELLS = 3  # a side, of a reduced pixel, whose codes are averaged before they ar
 INSIDE = 0.95  # of a reduced pixel that must show the object
 MOST_NAMED = 8
 LEAST_MISFIT = 0.02  # of a photograph that repeats another one: an even object looks alike under many lamps
-LARGE_MOVEMENT = 1.5  # pixels, from which a movement is believed where the photographs cannot be predicted
 LEAST_IMPROVEMENT = 0.07  # of the misfit that undoing a movement takes away: 0.11 and more for shifts of 1.2 pixels of
 # the measured sets, 0.055 on the fossil, whose low lamps shift the texture of its relief
 
@@ -195,7 +194,7 @@ class ReducedPhotographs:
             ]
             together = np.where(self.inside[:, :, None], np.stack(channels, axis=3), np.float32(np.nan))
             after = examine_photographs(together, lamps)
-            if _supported(movement, before, after):
+            if _supported(before, after):
                 aligned, consistency = together, after
             else:
                 moved = np.zeros(len(places), bool)
@@ -264,10 +263,13 @@ class ReducedPhotographs:
         return to_lamp / distance * (usual / distance) ** 2
 
 
-def _supported(movement: Movement, before: Consistency | None, after: Consistency | None) -> bool:
-    """Whether the photographs predict each other better once the movement is undone."""
+def _supported(before: Consistency | None, after: Consistency | None) -> bool:
+    """Whether the photographs predict each other better once the movement is undone.
+
+    Highlights of a mirror move with the lamp: where nothing can be predicted, nothing is concluded.
+    """
     if before is None or after is None:
-        return movement.largest[movement.significant].max() > LARGE_MOVEMENT
+        return False
     return bool(np.nansum(after.residual) < (1 - LEAST_IMPROVEMENT) * np.nansum(before.residual))
 
 
