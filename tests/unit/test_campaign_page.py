@@ -52,6 +52,7 @@ def workflow(results, stages, refused=()):
         plans={name: SimpleNamespace(stages=planned) for name in ("one", "two")},
         refused={name: f"{name}: no such capture" for name in refused},
         project=SimpleNamespace(scenes=scenes),
+        artifact=lambda scene, stage: f"{results}/{scene}/{stage}/{stages[stage]}/artifact.json",
     )
 
 
@@ -81,6 +82,15 @@ def test_page_is_made_of_what_is_published(results):
 def test_scene_with_other_settings_than_published_is_not_finished(results):
     scenes = scenes_of(write_index(workflow(results, {"report": "k2"})).read_text())
     assert {(scene["state"], scene["detail"]) for scene in scenes} == {("unfinished", "next: report")}
+
+
+def test_a_stage_that_is_made_and_not_published_yet_is_not_the_next(results):
+    for scene in ("one", "two"):
+        made = results / scene / "report" / "k2"
+        made.mkdir(parents=True)
+        (made / "artifact.json").write_text("{}")
+    scenes = scenes_of(write_index(workflow(results, {"report": "k2", "viewer": "k3"})).read_text())
+    assert {scene["detail"] for scene in scenes} == {"next: viewer"}
 
 
 def test_scenes_of_an_earlier_table_stay_on_the_page(results):

@@ -148,7 +148,8 @@ def card_of(flow: Workflow, scene: str, why: str):
     stages, artifacts = flow.plans[scene].stages, published.get("artifacts", {})
     waiting = [name for name, stage in stages.items() if artifacts.get(name, {}).get("key") != stage.key]
     state = "failed" if why else "unfinished" if waiting else "finished"
-    return _card(flow.results, scene, state, why or (f"next: {waiting[0]}" if waiting else ""), published)
+    missing = [name for name in waiting if not Path(flow.artifact(scene, name)).is_file()] or waiting
+    return _card(flow.results, scene, state, why or (f"next: {missing[0]}" if missing else ""), published)
 
 
 def _card(results: str, scene: str, state: str, detail: str, published: dict):
