@@ -264,7 +264,7 @@ class ReducedPhotographs:
 
 
 def _supported(before: Consistency | None, after: Consistency | None) -> bool:
-    """Whether the photographs predict each other better once the movement is undone.
+    """Return whether the photographs predict each other better once the movement is undone.
 
     Highlights of a mirror move with the lamp: where nothing can be predicted, nothing is concluded.
     """
