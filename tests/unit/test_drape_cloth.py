@@ -8,7 +8,7 @@ import pytest
 
 from nishiki.render.cloth.surfaces import STEP, read_drape, write_drape
 
-PROGRAM = Path(__file__).resolve().parents[1] / "benchmarks/draped_cloth.py"
+PROGRAM = Path(__file__).resolve().parents[2] / "benchmarks/draped_cloth.py"
 
 
 def program():

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-PROGRAM = Path(__file__).resolve().parents[1] / "benchmarks/error_against_run_time.py"
+PROGRAM = Path(__file__).resolve().parents[2] / "benchmarks/error_against_run_time.py"
 
 
 @pytest.fixture(scope="module")

@@ -212,7 +212,7 @@ def write_drape(path: Path, points: np.ndarray) -> None:
 def read_drape(path: Path = FILE) -> np.ndarray:
     """Read a square of cloth that fell over a ball: points (n, n, 3) in metres, [i, j] at weft i and warp j, y up.
 
-    `tests/benchmarks/draped_cloth.py` made the shipped file: extended position-based dynamics (Macklin et al. 2016 and
+    `benchmarks/draped_cloth.py` made the shipped file: extended position-based dynamics (Macklin et al. 2016 and
     2019) of a sheet of 250 g/m2 and 1 m over a ball of 16 cm on the floor y = 0.
     """
     with np.load(path) as stored:
