@@ -5,8 +5,8 @@
     python benchmarks/error_against_run_time.py --from-results                    the page from the stored lines
 
 Captures and results are kept in --work (default: results/error-against-run-time), so that a later call continues where
-this one ended. The lines behind the page are docs/benchmarks/sweep-*.jsonl, the page is docs/error-against-run-time.md,
-its drawings are in docs/sweeps/.
+this one ended. The lines behind the page are docs/benchmarks/sweep-*.jsonl, the page is
+docs/notes/error-against-run-time.md, its drawings are in docs/sweeps/.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from nishiki.sweep.summary import Spread, VariantRow  # noqa: E402
 
 STORED = PROJECT / "docs/benchmarks"
 DRAWINGS = PROJECT / "docs/sweeps"
-PAGE = PROJECT / "docs/error-against-run-time.md"
+PAGE = PROJECT / "docs/notes/error-against-run-time.md"
 SWEEPS = PROJECT / "config/sweeps"
 NOTES = Path(__file__).with_name("error_against_run_time.yaml")
 
@@ -155,8 +155,8 @@ Written by
     python benchmarks/error_against_run_time.py --data FOLDER
 
 which converts the measured captures, simulates the others, and runs the sweeps of `config/sweeps` on them
-([how sweeps work](sweeps.md)). Lower left is better; hollow marks are beaten by another variant. Times are CPU seconds
-of the stages named, medians of the repeats; the whiskers reach from the fastest to the slowest.
+([how sweeps work](../sweeps.md)). Lower left is better; hollow marks are beaten by another variant. Times are CPU
+seconds of the stages named, medians of the repeats; the whiskers reach from the fastest to the slowest.
 """
 
 
@@ -305,7 +305,7 @@ def section(part: Part, scene: dict, notes: dict, files: dict[Path, str]) -> str
     for k, measure in enumerate(scene["measures"]):
         drawing = DRAWINGS / scene["plots"][k]["file"]
         files[drawing] = scene["plots"][k]["svg"] + "\n"
-        lines += [f"![{measure['label']} against {AXIS_NAMES[scene['axis']]}](sweeps/{drawing.name})", ""]
+        lines += [f"![{measure['label']} against {AXIS_NAMES[scene['axis']]}](../sweeps/{drawing.name})", ""]
         lines += [f"* {text}" for text in scene["advice"][k]]
         if notes.get("default"):
             lines.append(f"* {' '.join(notes['default'].split())}" if k == 0 else "")

@@ -2,7 +2,7 @@
 
     python benchmarks/leaving_out.py                       three simulated scenes, tiny
     python benchmarks/leaving_out.py --data captures/x     the parts and channels of a sealed capture of one's own
-    python benchmarks/leaving_out.py --page                write the stored lines into docs/leaving-out.md
+    python benchmarks/leaving_out.py --page                write the stored lines into docs/notes/leaving-out.md
 
 Forced on (`leave_out: nothing`) means all products, all photographs and channels, and all heavy packages imported by
 every stage. Seconds are of processor time, so that other programs on the machine do not count; bytes are those that the

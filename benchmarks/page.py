@@ -4,8 +4,8 @@
     python benchmarks/page.py --data FOLDER --only normals spectra      renew some, keep the others
     python benchmarks/page.py --from-results                           write the tables from the stored lines
 
-The JSON lines are kept in docs/benchmarks/, the tables in docs/benchmarks-tables.md. What they show is said in words in
-docs/benchmarks.md, which is written by hand.
+The JSON lines are kept in docs/benchmarks/, the tables in docs/notes/benchmarks-tables.md. What they show is said in
+words in docs/notes/benchmarks.md, which is written by hand.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[1]
 STORED = PROJECT / "docs/benchmarks"
-PAGE = PROJECT / "docs/benchmarks-tables.md"
+PAGE = PROJECT / "docs/notes/benchmarks-tables.md"
 FEW_LIGHTS = ("diligent_ball-24", "diligent_ball-12", "diligent_cat-24", "diligent_cat-12", "uw_gray", "uw_cat")
 PROGRAM_OF = {"few_lights": "relighting"}
 """Where the program is not called as its lines are."""
@@ -35,7 +35,7 @@ PROGRAMS = {
     "render": (["--data", "simulated"], "Rendering", "render.md"),
     "fossil": (["--data", "{data}"], "Whole runs on a 12-megapixel capture", None),
     "overhead": (["--data", "simulated"], "Overhead of the workflow", None),
-    "leaving_out": ([], "What leaving out saves", "../leaving-out.md"),
+    "leaving_out": ([], "What leaving out saves", "../notes/leaving-out.md"),
     "texels": ([], "Texels of a surface", "texels.md"),
     "texel_fit": ([], "Reflection of texels", "object_brdf.md"),
     "residual": (["--data", "{data}/oxford_dino"], "Coded residual of a turntable", "residual.md"),
@@ -122,7 +122,7 @@ def page() -> str:
         if not path.is_file():
             continue
         about, *rows = [json.loads(line) for line in path.read_text().splitlines()]
-        more = f" Methods and limits: [stages/{stage_page}](stages/{stage_page})." if stage_page else ""
+        more = f" Methods and limits: [stages/{stage_page}](../stages/{stage_page})." if stage_page else ""
         only = SHOWN.get(name, {})
         rows = [row for row in rows if all(row.get(key) == value for key, value in only.items())]
         if only:

@@ -2,7 +2,7 @@
 
 README, CONTRIBUTING and CHANGELOG stand at the root of the repository, for readers there, and become pages. Stages come
 into the navigation from their table, and a stage whose page nobody has written yet gets one with its tables. Decisions
-come into the navigation from their folder.
+and developers' notes come into the navigation from their folders.
 """
 
 import re
@@ -23,10 +23,13 @@ OUTWARD = re.compile(r"\[([^]]*)\]\(((?:\.\./)+)([^)#\s]+)(#[^)]*)?\)")
 
 
 def on_config(config: Any) -> Any:
-    """Put stages and decisions into the navigation."""
+    """Put stages, decisions and notes into the navigation."""
     docs = Path(config.docs_dir)
-    decisions = [f"decisions/{path.name}" for path in sorted((docs / "decisions").glob("0*.md"))]
-    _extend(config.nav, {"decisions/README.md": decisions})
+    listed = {}
+    for folder in ("decisions", "notes"):
+        names = [path.relative_to(docs).as_posix() for path in sorted((docs / folder).rglob("*.md"))]
+        listed[f"{folder}/README.md"] = [name for name in names if not name.endswith("README.md")]
+    _extend(config.nav, listed)
     return config
 
 

@@ -156,7 +156,7 @@ def test_a_bound_is_raised_by_name(tmp_path, monkeypatch):
 
 
 def test_the_page_tells_every_bound():
-    page = (PROJECT / "docs/strangers.md").read_text()
+    page = (PROJECT / "docs/notes/strangers.md").read_text()
     missing = [
         name for name, b in BOUNDS.items() if f"| `{name}` | {b.value:,} {b.unit} |".replace(",", " ") not in page
     ]

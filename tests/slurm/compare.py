@@ -1,7 +1,7 @@
 """The three chains on this machine and through a real Slurm on it: the jobs that Slurm ran, and digests side by side.
 
     python tests/slurm/compare.py                  print; exit status 0 where all artifacts have the same bytes
-    python tests/slurm/compare.py --page           write docs/slurm-run.md too
+    python tests/slurm/compare.py --page           write docs/notes/slurm-run.md too
 
 Needs root and Debian's packages, which `start.sh` installs; a few minutes.
 """
@@ -25,7 +25,7 @@ from cluster import QUICK, Unavailable, cluster, install_plugin  # noqa: E402
 from nishiki.artifacts.artifact import MANIFEST  # noqa: E402
 from nishiki.artifacts.provenance import file_digest  # noqa: E402
 
-PAGE = PROJECT / "docs/slurm-run.md"
+PAGE = PROJECT / "docs/notes/slurm-run.md"
 SUBMITTED = re.compile(r"(?:Group )?[Jj]ob \S+ has been submitted with SLURM jobid (\d+)")
 
 
@@ -109,7 +109,7 @@ def shortened(log: str) -> list[str]:
 def main() -> None:
     """Arguments in, page out."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--page", action="store_true", help="write docs/slurm-run.md")
+    parser.add_argument("--page", action="store_true", help="write docs/notes/slurm-run.md")
     parser.add_argument("--folder", type=Path, help="keep scenes, results and logs here (default: temporary)")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:

@@ -1,4 +1,4 @@
-"""Cases of stability: each is a test, and a row of docs/stability.md.
+"""Cases of stability: each is a test, and a row of docs/notes/stability.md.
 
     from stability.cases import case, worst_over
 

@@ -1,4 +1,4 @@
-"""Runs every case of stability and writes docs/stability.md: `python tests/stability/page.py [--only ROOM]`."""
+"""Runs every case of stability and writes docs/notes/stability.md: `python tests/stability/page.py [--only ROOM]`."""
 
 import argparse
 import importlib.util
@@ -11,7 +11,7 @@ import yaml
 
 PROJECT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).resolve().parent
-PAGE = PROJECT / "docs" / "stability.md"
+PAGE = PROJECT / "docs/notes/stability.md"
 if __name__ == "__main__":
     sys.path[:0] = [str(PROJECT / part) for part in ("workflow/src", "scripts", "tests")]
 

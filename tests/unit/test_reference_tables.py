@@ -51,7 +51,7 @@ def test_a_row_says_choices_bounds_default_and_meaning():
     assert rows["solver"][0] == "`default`, `lobe`, `least_squares`"
     assert rows["lights"][:2] == ["`all`, `auto` or integer from 4 to 4,096", "`auto`"]
     assert rows["refractive_index"][:2] == ["number above 1 to 3", "`1.45`"]
-    assert "[economy](../economy.md)" in rows["lights"][2]
+    assert "[economy](../notes/economy.md)" in rows["lights"][2]
     assert rows["needs"] == ["[ingest](ingest.md)"]
 
 

@@ -29,7 +29,7 @@ class Guarded(Closed):
     LIMITS: ClassVar[tuple[Limit, ...]] = ()
 
     allow: tuple[str, ...] = Field(
-        (), description="names of limits (docs/stability.md) that the result may exceed; otherwise the run stops there"
+        (), description="names of limits (docs/notes/stability.md) that the result may exceed without stopping the run"
     )
 
     def __init_subclass__(

@@ -1,6 +1,6 @@
 """Check a result against its limits: conditions, flagged shares, registration, bounds of parameters.
 
-A limit stands where captures leave off: beyond what sound captures give (docs/stability.md lists what those gave), of
+A limit stands where captures leave off: beyond what sound captures give (listed in docs/notes/stability.md), of
 the object and not of the picture, against what came in and not what the stage made of it. From `doubt` on the run goes
 on with a warning, which stands at the head of the report. The setting `allow` of a stage lists the limits that its
 result may exceed.

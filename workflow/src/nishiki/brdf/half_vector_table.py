@@ -36,7 +36,7 @@ SIDE = 32
 INCIDENT = 16
 """angles of the light from the normal,"""
 AZIMUTHS = 25
-"""and around it, both ends of the turn counted. Measured in docs/stages/cloth_export.md."""
+"""and around it, both ends of the turn counted. Measured in docs/notes/stages/cloth_export.md."""
 LOWEST = np.radians(88.0)
 """Largest angle of the light from the normal."""
 HORIZON = 1e-3

@@ -1,7 +1,7 @@
 """Relightable images (`.ptm`, `.rti`, folders of relight) as captures, of pictures that are rendered from them.
 
 Unless the user names them, the lamps are ours: RINGS around the normal, within what domes cover and where a fit
-interpolates. Of several that were tried on photographs these give the best normals (docs/imports.md).
+interpolates. Of several that were tried on photographs these give the best normals (docs/notes/imports.md).
 """
 
 from __future__ import annotations

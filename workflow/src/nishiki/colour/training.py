@@ -27,7 +27,7 @@ from nishiki.errors import UserError
 EDGE_RATIO = 0.25  # K/S at which an edge is placed: reflectance 0.5 of a thick layer
 # Spread of a paint's parameters about those of the table: makers, particle sizes and recipes differ. Standard
 # deviations of the natural logarithm, of band centres in nm. They are wider than among makers of one paint, so that
-# errors of the table are covered; chosen on one half of the makers of measured paints (docs/stages/spectra.md).
+# errors of the table are covered; chosen on one half of the makers of measured paints (docs/notes/stages/spectra.md).
 STRENGTH_SPREAD, SCATTERING_SPREAD, FLOOR_SPREAD = 0.9, 0.9, 1.2
 WIDTH_SPREAD, HEIGHT_SPREAD, CENTRE_SPREAD_NM = 0.15, 0.3, 5.0
 
@@ -176,7 +176,7 @@ def _padded(rows: list[tuple], columns: int) -> np.ndarray:
 
 
 # How paints are made up. Chosen on one half of the makers of measured paints; the page of the stage names them and
-# gives the errors on the other half (docs/stages/spectra.md).
+# gives the errors on the other half (docs/notes/stages/spectra.md).
 PURE, TINTS = 0.1, 0.35  # shares of one pigment alone and of one with white; all others are mixtures
 THIRD_PIGMENT, WHITE_IN_MIXTURES, BLACK = 0.6, 0.6, 0.8  # shares of the mixtures (black: also of the tints)
 MINOR_AMOUNT = (0.01, 3.0)  # of the second and third pigment, the first being 1

@@ -12,7 +12,7 @@ from nishiki.goniometry.table import ReflectanceSet
 from nishiki.model_selection.decision import Decision
 from nishiki.model_selection.lights import spread_order
 
-LOSS = 0.002  # of the expected error: with ordinary cameras the measured paints ask for no less (docs/economy.md)
+LOSS = 0.002  # of the expected error: with ordinary cameras the measured paints ask for no less (docs/notes/economy.md)
 MOST_BASES = 16
 
 

@@ -15,8 +15,8 @@ error is
 
 d the root mean square of delta over a window, c = n_z, c^1.5 the mean factor from slopes to angles along and across the
 tilt, theta the tilt. Shadows, interreflection and gloss grow with the tilt. The constants were found by least squares
-of the logarithms over captures with truth (docs/stages/height.md); E is then scaled so that, as for Gaussian errors,
-63 % of those errors were smaller.
+of the logarithms over captures with truth (docs/notes/stages/height.md); E is then scaled so that, as for Gaussian
+errors, 63 % of those errors were smaller.
 
 Errors of what ingest put right are shared by all pixels and leave no curl. To first order, with lights l_j and
 M = sum l_j l_j^T, a relative error e_j of the strength of lamp j turns the normal n by the part of M^-1 l_j (l_j . n)

@@ -92,7 +92,7 @@ class Cost:
 
     A sample is one pixel of one photograph, all channels together. Memory is the peak of the resident memory, time is
     processor time of all threads with compiled kernels. The numbers are upper limits of measurements, at most about
-    twice what was measured (benchmarks/cost_models.py, docs/cluster.md). Those of objects hold where the object
+    twice what was measured (benchmarks/cost_models.py, docs/notes/cluster.md). Those of objects hold where the object
     fills about half of the picture, because a plan does not know how much it fills: a smaller one takes less.
 
     Attributes

@@ -135,7 +135,7 @@ def three(values: np.ndarray) -> np.ndarray:
 
 
 SIDES, RINGS, TURNS = 41, 13, 16
-"""Nodes along u and v, along the ring, and of a whole turn. Measured in docs/stages/cloth_viewer.md."""
+"""Nodes along u and v, along the ring, and of a whole turn. Measured in docs/notes/stages/cloth_viewer.md."""
 EDGE = 0.98
 """Largest |u| and |v|: at 1 the half vector is on the horizon, and light and view with it."""
 OUTERMOST = 0.995

@@ -30,7 +30,7 @@ class BrdfSettings(Guarded, stage="brdf", version=3, limits=PAINTING_LIMITS):
         "ladder", description="specular lobes; ladder: the 11 widths of the joint fit of normals; paper: always 1"
     )
     specular: Literal["auto", "keep", "drop"] = Field(
-        "auto", description="auto: left out where a sample shows no gloss (docs/economy.md); method paper: always kept"
+        "auto", description="auto: omitted where samples show no gloss (docs/notes/economy.md); paper: always kept"
     )
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
 
@@ -92,7 +92,7 @@ class ObjectBrdfSettings(Guarded, stage="object_brdf", version=2, limits=OBJECT_
         "apart: K_d from the diffuse, K_s from the specular part (the paper's); total: not used",
     )
     specular: Literal["auto", "keep", "drop"] = Field(
-        "auto", description="auto: Lambert alone where a sample of texels shows no gloss (docs/economy.md)"
+        "auto", description="auto: Lambert alone where a sample of texels shows no gloss (docs/notes/economy.md)"
     )
     falloff: Literal["auto", "none", "inverse_square"] = Field(
         "auto", description="of a lamp at a place, over the depth of the object; auto: whichever fits better"
@@ -165,7 +165,7 @@ class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=2, limits=CLOTH_LIM
     measurements: Measurements = Field(
         "auto",
         description="views of normal incidence that a fit uses: all; so many, evenly spread; auto: as many as predict "
-        "the others within 1 % (docs/economy.md)",
+        "the others within 1 % (docs/notes/economy.md)",
     )
     index: float = Field(1.5, gt=1, le=3, description="refractive index of the model facets, which takes it as given")
     export: tuple[Literal["table", "csv", "utia"], ...] = Field(

@@ -55,7 +55,7 @@ class NormalsSettings(Guarded, stage="normals", version=3, limits=LIMITS):
     lights: Lights = Field(
         "auto",
         description="lights of the fit (separate follows): all; so many evenly spread ones; auto: as many as normals "
-        "need, in captures of some size (docs/economy.md)",
+        "need, in captures of some size (docs/notes/economy.md)",
     )
     refine: Literal["auto", "gloss", "none"] = Field(
         "auto", description="fit normals, reflectance and gloss together; auto: where few lights show gloss that counts"

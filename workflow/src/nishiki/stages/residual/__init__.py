@@ -40,7 +40,7 @@ class ResidualSettings(Guarded, stage="residual", version=5, limits=LIMITS):
     )
     amount: float = Field(0.5, gt=0, description="the target's value; parameters and start states count")
     sufficient: Literal["auto", "never"] = Field(
-        "auto", description="auto: no residual where the model reaches `psnr`, or leaves only noise (docs/economy.md)"
+        "auto", description="auto: no residual where the model reaches `psnr` or noise (docs/notes/economy.md)"
     )
     tolerance: float = Field(0.02, gt=0, lt=1, description="relative error of bytes or kept, in dB / 8.7 of psnr")
     passes: int = Field(6, ge=1, le=20, description="passes over all tiles that the search may take")

@@ -38,7 +38,7 @@ class SpectraSettings(Guarded, stage="spectra", version=1, limits=LIMITS):
         "local", description="paper: three bases, inverse of H (Tominaga and Tanaka 2004, eq. 8)"
     )
     bases: Bases = Field(
-        "auto", description="number of basis functions; auto: as many as camera and lamp support (docs/economy.md)"
+        "auto", description="number of basis functions; auto: chosen by camera and lamp (docs/notes/economy.md)"
     )
     noise: float = Field(0.005, gt=0, le=1, description="standard deviation of a response, relative to white")
     training: str = Field("synthetic", description="synthetic, or a CSV: wavelength_nm, then one reflectance a column")
