@@ -1,7 +1,7 @@
 """Separate diffuse and specular reflection of one view from photographs under several polariser states.
 
 The diffuse part left the body after many scatterings and is taken as unpolarised, the specular part as keeping what
-the lamp's polariser gave it. Derivations: docs/stages/polarise.md.
+the lamp's polariser gave it. Derivations: docs/notes/stages/polarise.md.
 """
 
 from __future__ import annotations

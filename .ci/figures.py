@@ -1,0 +1,205 @@
+"""Print the size and the style of the project as one table: `python .ci/figures.py`.
+
+Every figure is read from the tracked files, without importing the package. `--list` prints the assertions on sentences.
+"""
+
+import argparse
+import ast
+import json
+import re
+import statistics
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parents[1]
+SHORT = 4  # lines of a body that is written where it is called
+ARGUMENTS = 8
+WORDS = re.compile(r"(?<![\w./_=<-])[A-Za-z]{2,}[,;:]? [a-z]{2,}(?![\w./_=(-])")
+"""Two English words in succession: no path, name of a setting, option or figure."""
+OURS = re.compile(r"^nishiki[: ]|^(?:python|git|pip|uv)\b|^\./nishiki|^--")
+"""A command line, which is no sentence."""
+
+
+def tracked(*patterns: str) -> list[Path]:
+    """List the tracked files of some patterns."""
+    names = subprocess.run(
+        ["git", "ls-files", "-z", "--", *patterns], cwd=PROJECT, capture_output=True, text=True, check=True
+    ).stdout.split("\0")
+    return [PROJECT / name for name in names if name and (PROJECT / name).is_file()]
+
+
+def texts(node: ast.AST) -> Iterator[str]:
+    """Yield the literal texts of an expression, those of f-strings joined."""
+    if isinstance(node, ast.Constant):
+        if isinstance(node.value, str):
+            yield node.value
+    elif isinstance(node, ast.JoinedStr):
+        yield "".join(part.value if isinstance(part, ast.Constant) else "7" for part in node.values)
+    else:
+        for child in ast.iter_child_nodes(node):
+            yield from texts(child)
+
+
+def is_sentence(text: str) -> bool:
+    """Whether a text that a test compares with holds two English words in succession."""
+    return not OURS.match(text) and bool(WORDS.search(text.replace("\\", "").replace("\n", " ")))
+
+
+def compared(function: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield line and text of each assertion of a test that compares messages: `in`, `==`, `match=`, `startswith`."""
+    given = {}  # texts by the names of parameters and loop variables
+    for node in ast.walk(function):
+        if isinstance(node, ast.For | ast.comprehension):
+            names, values = node.target, node.iter
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("mark.parametrize") and len(node.args) > 1:
+            names, values = node.args[:2]
+        else:
+            continue
+        listed = texts(names) if isinstance(names, ast.Constant | ast.Tuple) and list(texts(names)) else ()
+        for name in [*re.findall(r"\w+", " ".join(listed))] or [
+            n.id for n in ast.walk(names) if isinstance(n, ast.Name)
+        ]:
+            given.setdefault(name, []).extend(texts(values))
+
+    def meant(node: ast.AST) -> Iterator[str]:
+        yield from texts(node)
+        for name in ast.walk(node):
+            if isinstance(name, ast.Name):
+                yield from given.get(name.id, ())
+
+    for node in ast.walk(function):
+        if isinstance(node, ast.Assert):
+            for part in ast.walk(node.test):
+                if isinstance(part, ast.Compare):
+                    sides = (part.left, *part.comparators)
+                    if any(isinstance(op, ast.In | ast.NotIn) for op in part.ops):
+                        sides = (part.left,)
+                    elif not any(isinstance(op, ast.Eq | ast.NotEq) for op in part.ops):
+                        continue
+                    for text in [text for side in sides for text in meant(side) if is_sentence(text)][:1]:
+                        yield part.lineno, text
+                elif isinstance(part, ast.Call) and getattr(part.func, "attr", "") in (
+                    *("startswith", "endswith", "search", "fullmatch", "count"),
+                ):
+                    for text in [text for side in part.args[:1] for text in meant(side) if is_sentence(text)][:1]:
+                        yield part.lineno, text
+        elif isinstance(node, ast.keyword) and node.arg == "match":
+            for text in [text for text in meant(node.value) if is_sentence(text)][:1]:
+                yield node.value.lineno, text
+
+
+def sentences() -> list[str]:
+    """List the assertions of the tests that fix a sentence, as file, line and text."""
+    found = []
+    for path in tracked("tests/*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for function in tree.body:
+            place = path.relative_to(PROJECT)
+            found += [f"{place}:{line}: {text!r}" for line, text in sorted(set(compared(function)))]
+    return found
+
+
+def functions(trees: dict[Path, ast.Module]) -> Iterator[tuple[Path, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    """Yield every function with its file."""
+    for path, tree in trees.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                yield path, node
+
+
+def one_caller_helpers(trees: dict[Path, ast.Module]) -> int:
+    """Count the functions of a module's top whose body has at most `SHORT` lines and that one place names."""
+    named = Counter(
+        node.id if isinstance(node, ast.Name) else node.attr
+        for tree in trees.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Name | ast.Attribute)
+    )
+    imported = {
+        alias.name
+        for tree in trees.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    count = 0
+    for tree in trees.values():
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef) and not node.decorator_list and node.name not in imported:
+                body = node.body[1:] if ast.get_docstring(node) else node.body
+                if body and body[-1].end_lineno - body[0].lineno < SHORT and named[node.name] == 1:
+                    count += 1
+    return count
+
+
+def ruff(rule: str) -> int:
+    """Count the findings of one rule of ruff in the package."""
+    found = subprocess.run(
+        [sys.executable, "-m", "ruff", "check", "--isolated", "--select", rule, "--output-format", "json",
+         "--config", "lint.pydocstyle.convention='numpy'", "--config", f"lint.pylint.max-args={ARGUMENTS}",
+         "workflow/src", "scripts"],
+        cwd=PROJECT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    return len(json.loads(found.stdout))
+
+
+def words(pages: list[Path]) -> int:
+    """Count the words of some pages."""
+    return sum(len(page.read_text(encoding="utf-8").split()) for page in pages)
+
+
+def rows() -> Iterator[tuple[str, str]]:
+    """Yield name and value of every figure."""
+    package = tracked("workflow/src/*.py", "scripts/*.py")
+    lengths = [len(path.read_text(encoding="utf-8").splitlines()) for path in package]
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in package}
+    defined = [node for _, node in functions(trees)]
+    documented = [node for node in defined if ast.get_docstring(node)]
+    numpydoc = [
+        node for node in documented if re.search(r"\n *(Parameters|Returns|Raises)\n *---", ast.get_docstring(node))
+    ]
+    constants = [
+        node
+        for tree in trees.values()
+        for node in tree.body
+        if isinstance(node, ast.Assign | ast.AnnAssign)
+        and re.fullmatch(r"-?[\d.e+-]+", ast.unparse(node.value or node))
+    ]
+    yield "lines of Python in the package", f"{sum(lengths):,}"
+    yield "files; median of their lines", f"{len(package)}; {statistics.median(lengths):.0f}"
+    yield "functions; helpers of four lines or fewer with one caller", f"{len(defined):,}; {one_caller_helpers(trees)}"
+    yield "functions with a docstring; of these in numpydoc sections", f"{len(documented):,}; {len(numpydoc)}"
+    yield "docstrings that do not begin with a verb (D401)", str(ruff("D401"))
+    yield "docstrings whose summary is no line of its own (D205)", str(ruff("D205"))
+    yield f"functions with more than {ARGUMENTS} arguments", str(ruff("PLR0913"))
+    yield "stages", str(len(tracked("docs/stages/*.md")) - 1)
+    yield "assertions that fix a sentence", str(len(sentences()))
+    yield "numeric constants of modules", f"{len(constants):,}"
+    pages = tracked("*.md")
+    notes = [page for page in pages if {"notes", "decisions"} & set(page.parts)]
+    developers = {"CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "architecture.md", "release.md", "api.md"}
+    users = [
+        page
+        for page in pages
+        if page not in notes and page.name not in developers and (page.parent == PROJECT or "docs" in page.parts)
+    ]
+    yield "words of the users' pages; of the developers' notes and decisions", f"{words(users):,}; {words(notes):,}"
+
+
+def main() -> None:
+    """Print the table, or the assertions."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--list", action="store_true", help="print every assertion that fixes a sentence")
+    if parser.parse_args().list:
+        print("\n".join(sentences()))
+        return
+    table = list(rows())
+    width = max(len(name) for name, _ in table)
+    print("\n".join(f"{name:{width}}  {value}" for name, value in table))
+
+
+if __name__ == "__main__":
+    main()
