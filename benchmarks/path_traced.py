@@ -27,7 +27,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 sys.path[0] = str(PROJECT / "scripts")
 sys.path[1:1] = [str(PROJECT / "workflow" / "src"), str(PROJECT / "tests")]
 
-from brush_relief import PITCH_MM, VERTICES, split, surface, vertex_normals  # noqa: E402
+from brush_relief import PITCH_MM, VERTICES, noise, split, surface, vertex_normals  # noqa: E402
 from measured_paints import FINE, WAVELENGTHS, camera_curves, lamp_power, palette  # noqa: E402
 
 from nishiki.simulate.capture import Truth, write_csv, write_image  # noqa: E402
@@ -36,6 +36,7 @@ BOARD = 0.96  # reflectance of the white board
 WHITE_LEVEL, BITS, BLACK = 0.65, 12, 32  # share of full scale of a white facing the lamp; of the converter
 FULL_WELL, READ_NOISE = 30_000.0, 6.0  # electrons
 LLVM = ("libLLVM-19.so.1", "libLLVM-19.so", "libLLVM.so.19.1")
+BARE, GOLD = (0.0, "none", 1.0), (0.2, "ggx", 0.0)
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,9 @@ class Painting:
     camera: str
     lamp: str  # A or D65
     rings: tuple[tuple[int, float], ...]  # (lamps, incidence in degrees)
+    others: tuple[tuple[float, str, float], ...] = ()  # (alpha, distribution, index) of further finishes; index 0: gold
+    share: float = 1.0  # of the picture's width that the first finish takes
+    darkness: float = 1.0  # factor on the reflectance of the paints
 
 
 PAINTINGS = {
@@ -63,6 +67,29 @@ PAINTINGS = {
         ),
         "matte-1": Painting(
             14, "impasto", 1.2, 0.0, "none", 1.0, "WinsorNewton_Artist", "Canon 5DMarkII", "A", ((9, 45),)
+        ),
+        "two-1": Painting(
+            15, "impasto", 1.5, 0.2, "ggx", 1.5, "Golden_HB", "Canon 60D", "D65", ((8, 48), (4, 26)), (BARE,), 0.66
+        ),
+        "three-1": Painting(
+            16,
+            "impasto",
+            1.3,
+            0.12,
+            "ggx",
+            1.5,
+            "okumura",
+            "Nikon D700",
+            "D65",
+            ((8, 50), (4, 30), (1, 5)),
+            ((0.28, "ggx", 1.5), BARE),
+            0.4,
+        ),
+        "gilded-1": Painting(
+            17, "strokes", 1.6, 0.2, "ggx", 1.5, "okumura", "Canon 60D", "D65", ((10, 46), (5, 24)), (GOLD,), 0.7
+        ),
+        "dark-1": Painting(
+            18, "impasto", 1.3, 0.0, "none", 1.0, "okumura", "Pentax K-5", "D65", ((8, 48), (4, 28)), darkness=0.25
         ),
     },
     "unseen": {
@@ -76,6 +103,48 @@ PAINTINGS = {
         "glossy-3": Painting(
             24, "canvas", 1.6, 0.13, "beckmann", 1.5, "KremerHistorical", "Nikon D3", "D65", ((8, 46), (5, 25))
         ),
+        "two-2": Painting(
+            25,
+            "strokes",
+            2.0,
+            0.15,
+            "beckmann",
+            1.48,
+            "Maimeri_Classico",
+            "Nikon D90",
+            "A",
+            ((9, 44), (3, 22)),
+            (BARE,),
+            0.6,
+        ),
+        "three-2": Painting(
+            26,
+            "canvas",
+            1.7,
+            0.1,
+            "ggx",
+            1.5,
+            "Schmincke_Mussini",
+            "Canon 40D",
+            "D65",
+            ((10, 50), (5, 27)),
+            ((0.3, "beckmann", 1.5), BARE),
+            0.35,
+        ),
+        "dark-2": Painting(
+            27,
+            "strokes",
+            1.8,
+            0.0,
+            "none",
+            1.0,
+            "KremerHistorical",
+            "SONY NEX-5N",
+            "A",
+            ((9, 46), (3, 25)),
+            darkness=0.25,
+        ),
+        "satin-3": Painting(28, "impasto", 1.4, 0.2, "ggx", 1.5, "Golden_HB", "Nikon D3", "D65", ((8, 48), (4, 26))),
     },
 }
 CHECKS_DEG = (20.0, 32.0, 50.0, 60.0)
@@ -134,10 +203,12 @@ class Studio:
         import mitsuba
 
         self.mi, self.dr, self.shape, self.samples, self.painting = mitsuba, drjit, shape, samples, painting
-        self.bsdfs = [self.material(spectrum) for spectrum in reflectances]
-        self.black = self.material(np.zeros(len(WAVELENGTHS)))
+        finishes = ((painting.alpha, painting.distribution, painting.index), *painting.others)
+        self.bsdfs = [self.material(spectrum, *finish) for finish in finishes for spectrum in reflectances]
+        dark = np.zeros(len(WAVELENGTHS))
+        self.black = [self.material(dark, *finish) for finish in finishes for _ in reflectances]
         self.parts = split(height, label, shape)
-        self.scenes = {"paint": self.scene(self.bsdfs), "gloss": self.scene([self.black] * len(self.bsdfs))}
+        self.scenes = {"paint": self.scene(self.bsdfs), "gloss": self.scene(self.black)}
         self.integrator = mitsuba.load_dict({"type": "path", "max_depth": 4})
         rng = np.random.default_rng(painting.seed + 2000)
         side = shape[1] * samples
@@ -145,21 +216,23 @@ class Studio:
         self.x = ((np.arange(side)[None, :] + jitter[0]) / samples * PITCH_MM).astype(np.float32)
         self.y = ((np.arange(shape[0] * samples)[:, None] + jitter[1]) / samples * PITCH_MM).astype(np.float32)
 
-    def material(self, spectrum):
-        """BSDF of a paint."""
+    def material(self, spectrum, alpha, distribution, index):
+        """BSDF of a paint under a finish."""
+        if index == 0:
+            return self.mi.load_dict({"type": "roughconductor", "material": "Au", "alpha": alpha})
         text = ", ".join(f"{v:.6f}" for v in spectrum)
         nm = ", ".join(f"{v:g}" for v in WAVELENGTHS)
         colour = {"type": "irregular", "wavelengths": nm, "values": text}
         if not spectrum.any():
             colour = {"type": "uniform", "value": 0.0}
-        if self.painting.alpha == 0:
+        if alpha == 0:
             return self.mi.load_dict({"type": "diffuse", "reflectance": colour})
         return self.mi.load_dict(
             {
                 "type": "roughplastic",
-                "alpha": self.painting.alpha,
-                "distribution": self.painting.distribution,
-                "int_ior": self.painting.index,
+                "alpha": alpha,
+                "distribution": distribution,
+                "int_ior": index,
                 "ext_ior": 1.0,
                 "nonlinear": True,
                 "diffuse_reflectance": colour,
@@ -233,11 +306,11 @@ class Studio:
         mi, found = self.mi, []
         si = self.dr.zeros(mi.SurfaceInteraction3f, 1)
         si.wi = mi.Vector3f(0, 0, 1)
-        for bsdf in self.bsdfs:
+        for bsdf, black in zip(self.bsdfs, self.black, strict=True):
             row = []
             for i in range(0, len(WAVELENGTHS), 4):
                 si.wavelengths = type(si.wavelengths)(*[float(v) for v in WAVELENGTHS[i : i + 4]])
-                seen = [np.ravel(b.eval(mi.BSDFContext(), si, mi.Vector3f(0, 0, 1))) for b in (bsdf, self.black)]
+                seen = [np.ravel(b.eval(mi.BSDFContext(), si, mi.Vector3f(0, 0, 1))) for b in (bsdf, black)]
                 row.append(np.pi * (seen[0] - seen[1]))
             found.append(np.concatenate(row))
         return np.array(found)
@@ -251,8 +324,9 @@ def make(folder: Path, painting: Painting, options) -> None:
         raise SystemExit(f"{folder}: exists already; remove it or choose another folder")
     use_mitsuba()
     shape, rng = (options.rows, options.columns), np.random.default_rng(painting.seed)
-    reflectances = palette(options.spectra, painting.pigments, rng)
+    reflectances = painting.darkness * palette(options.spectra, painting.pigments, rng)
     height, label = surface(painting, *shape, len(reflectances))
+    label = label + len(reflectances) * finish_of(painting, label.shape)
     studio = Studio(painting, height, label, reflectances, shape, options.samples)
     view = Observer(options.spectra, painting, shape)
     draft = folder.with_name(f".{folder.name}.{os.getpid()}.part")
@@ -283,6 +357,14 @@ def make(folder: Path, painting: Painting, options) -> None:
     write_truth(folder.with_name(f"{folder.name}-truth"), studio, height, label, rig, truth, shape)
     seal(draft)
     draft.rename(folder)
+
+
+def finish_of(painting: Painting, shape: tuple[int, int]) -> np.ndarray:
+    """Number of each vertex' finish: strips with wavy borders, the first `share` of the width, the others alike."""
+    rng = np.random.default_rng(painting.seed + 4000)
+    x = np.linspace(0, 1, shape[1]) + 0.06 * noise(rng, shape, 50)
+    rest = np.linspace(painting.share, 1, len(painting.others) + 1)[: len(painting.others)]
+    return np.searchsorted(rest, x, side="right")
 
 
 def use_mitsuba() -> None:
@@ -367,6 +449,9 @@ def write_truth(folder: Path, studio: Studio, height, label, rig, lights: dict, 
         "normals": (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).astype(np.float32),
         "height_mm": studio.pixels(map_coordinates(height, place, order=1)).astype(np.float32),
         "labels": own.astype(np.uint8),
+        "finish": (own[..., own.shape[-1] // 2] // (len(studio.bsdfs) // (1 + len(studio.painting.others)))).astype(
+            np.uint8
+        ),
         "spectra": fine.astype(np.float32),
         "wavelengths_nm": FINE,
         "roughness": np.array([studio.painting.alpha], np.float32),

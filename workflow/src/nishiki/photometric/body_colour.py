@@ -17,6 +17,10 @@ With u = (w0 + s e) / sqrt(1 + s^2), e the unit direction of the colour's differ
 
 which has the level of the mean of the channels where there is no gloss. e is the direction of the sum of all samples,
 for gloss adds nothing across w0. s is what the most saturated samples have, for gloss only takes saturation away.
+
+Neither body nor gloss leaves the plane of w0 and e, so that what the samples show across both is noise: its variance N
+of a channel is added to E^2, and gloss counts as such as far as its variance, mean - (I . e) / (s sqrt C), exceeds
+NOISE times that which noise gives this estimate, N (1 + 1 / s^2) / C. On dark paint noise otherwise passes for gloss.
 """
 
 import numpy as np
@@ -29,6 +33,7 @@ LIT = 0.3  # of the lower mean of a pixel: darker samples are shadow, whose colo
 ERROR = 0.1  # standard deviation E of a sample's error, relative to the pixel's lower mean
 FAINT = 0.05  # saturation below which a colour is not told from errors of the white balance
 MOST = 0.97  # largest t
+NOISE = 6.0  # squared deviations of noise that do not count as gloss: s is that of the samples farthest from grey
 CONCENTRATIONS = 2  # times that the less saturated samples are left out
 AT_LEAST = 4  # lit samples
 SMALLEST = np.float32(1e-37)  # peak that has an inverse in float32
@@ -76,10 +81,10 @@ def _weigh(begin, end, observations, valid, out):
         start = min(block * LANES, pixels - LANES)  # the last block overlaps: its pixels get the same twice
         peak = _load_block(observations, valid, start, samples, mean, lit)
         lower = _leave_out_shadow(mean, lit)
-        _body_colour(samples, mean, lit, colour)
+        square = _body_colour(samples, mean, lit, colour)
         _project(samples, colour, across)
         saturation = _body_saturation(mean, across, lit)
-        t = _gloss_share(mean, across, lit, lower, saturation)
+        t = _gloss_share(mean, across, lit, lower, saturation, square, channels)
         # the intensity of a sample, in the units of the observations
         rest = splat(np.float32(1.0)) - t
         unit = peak / (rest + saturation * saturation)
@@ -148,14 +153,19 @@ def _leave_out_shadow(mean, lit):
 
 @njit(cache=True, error_model="numpy")
 def _body_colour(samples, mean, lit, colour):
-    """Unit direction (channels, LANES) of the sum of the samples' differences from grey; 0 where it is not known."""
+    """Unit direction (channels, LANES) of the sum of the samples' differences from grey; 0 where it is not known.
+
+    Returns the sum of their squares.
+    """
     zero, one = np.float32(0.0), np.float32(1.0)
-    channels, square, count = len(colour), splat(zero), splat(zero)
+    channels, square, count, every = len(colour), splat(zero), splat(zero), splat(zero)
     for k in range(channels):
         total = splat(zero)
         for j in range(len(mean)):
             difference = load(samples, (channels * j + k, 0)) - load(mean, (j, 0))
-            total += choose(load(lit, (j, 0)) > zero, difference, zero)
+            difference = choose(load(lit, (j, 0)) > zero, difference, zero)
+            total += difference
+            every += difference * difference
         store(colour, (k, 0), total)
         square += total * total
     for j in range(len(mean)):
@@ -165,6 +175,7 @@ def _body_colour(samples, mean, lit, colour):
     length = choose(known, length, one)
     for k in range(channels):
         store(colour, (k, 0), choose(known, load(colour, (k, 0)) / length, zero))
+    return every
 
 
 @njit(cache=True, error_model="numpy")
@@ -197,20 +208,31 @@ def _body_saturation(mean, across, lit):
 
 
 @njit(cache=True, error_model="numpy")
-def _gloss_share(mean, across, lit, lower, saturation):
-    """t of every pixel, from the variance of its gloss relative to its level, and its saturation."""
+def _gloss_share(mean, across, lit, lower, saturation, every, channels):
+    """t of every pixel, from the variances of its gloss and noise relative to its level, and its saturation.
+
+    every: sum of the squares of the samples' differences from grey.
+    """
     zero, one = np.float32(0.0), np.float32(1.0)
     coloured = saturation > zero
     per_saturation = splat(one) / choose(coloured, saturation, one)
     per_lower = splat(one) / lower
-    total = count = splat(zero)
+    total = count = along = splat(zero)
     for j in range(len(mean)):
         gloss = (load(mean, (j, 0)) - load(across, (j, 0)) * per_saturation) * per_lower
         gloss = choose(gloss > zero, gloss, zero)
         gloss = choose(gloss < one, gloss, one)
         use = (load(lit, (j, 0)) > zero) & coloured
         total += choose(use, gloss * gloss, zero)
+        along += choose(use, load(across, (j, 0)) * load(across, (j, 0)), zero)
         count += choose(use, one, zero)
-    variance, square = total / choose(count > one, count, one), saturation * saturation
-    share = variance / (variance + np.float32(ERROR * ERROR)) * (square / (square + np.float32(FAINT * FAINT)))
+    number, square = np.float32(channels), saturation * saturation
+    freedom = (count - one) * np.float32(max(channels - 2, 1))
+    noise = (every - number * along) * per_lower * per_lower / choose(freedom > one, freedom, one)
+    noise = choose(noise > zero, noise, zero)
+    unsure = np.float32(NOISE) * noise * (one + per_saturation * per_saturation) / number
+    variance = total / choose(count > one, count, one) - unsure
+    variance = choose(variance > zero, variance, zero)
+    error = noise + np.float32(ERROR * ERROR)
+    share = variance / (variance + error) * (square / (square + np.float32(FAINT * FAINT)))
     return choose(share < np.float32(MOST), share, np.float32(MOST))
