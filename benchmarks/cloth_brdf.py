@@ -24,9 +24,11 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+from cloth_peers import PRIORS, fit_peer
+
 import _project  # noqa: F401
 from nishiki.brdf.cloth.interface import incidences, prediction_error, solid_angles
-from nishiki.brdf.cloth.models import DEFAULT, MODELS, REFERENCE, fit_models
+from nishiki.brdf.cloth.models import DEFAULT, MODELS, REFERENCE, Fitted, fit_models
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import Reflectances, ReflectanceSet
@@ -90,12 +92,16 @@ def thinned(measured: ReflectanceSet, count: int) -> np.ndarray:
 def fit_one(measured: ReflectanceSet, region: int, name: str, oblique: int, chosen=None):
     """(Fitted, seconds): the grid of normal incidence is part of the input, like the reflectances.
 
-    chosen: rows of the oblique measurements that the peers use, so that the choice does not count in their time.
+    chosen: rows of the oblique measurements that a model of `cloth_peers` uses; the choice does not count in its time.
     """
     data = Measured.of(measured, region)
     basic = (lambda views: measured.basic.evaluate(views, region), measured.basic.values[region])
     start = time.perf_counter()
-    fitted = fit_models(data, basic, [name], oblique=oblique, chosen=chosen)[name]
+    if name in PRIORS:
+        peer = fit_peer(name, data, np.concatenate([np.flatnonzero(measured.normal_incidence), chosen]))
+        fitted = Fitted(peer.brdf, peer.used)
+    else:
+        fitted = fit_models(data, basic, [name], oblique=oblique)[name]
     return fitted, time.perf_counter() - start
 
 
@@ -140,7 +146,7 @@ def run(name: str, measured: ReflectanceSet, region: int, models, oblique: int, 
         for model in models:
             if count and model in ("bard_linear", "bard_great_circle", "facets", *REFERENCE):
                 continue  # they use no oblique images: as above
-            fitted, seconds = fit_one(measured, region, model, count, None if model == DEFAULT else chosen)
+            fitted, seconds = fit_one(measured, region, model, count, chosen)
             used = 0 if model in REFERENCE else len(fitted.used)
             kept = seen if model in REFERENCE else np.union1d(seen, fitted.used)
             judge(name, model, fitted, seconds, measured, region, kept.astype(int), used or len(measured),
@@ -156,7 +162,9 @@ def main() -> None:
     """Parse, read, judge."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="capture, artifact, table, or a folder of them")
-    parser.add_argument("--models", nargs="*", choices=MODELS, default=list(MODELS), help="(default: all)")
+    parser.add_argument(
+        "--models", nargs="*", choices=(*MODELS, *PRIORS), default=[*MODELS, *PRIORS], help="(default: all)"
+    )
     parser.add_argument("--oblique", type=int, default=20, help="oblique images (default: %(default)s)")
     parser.add_argument("--fewer", action="store_true", help="fewer views of normal incidence as well")
     arguments = parser.parse_args()

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import viewer_pages
+from benchmarks.cloth_peers import Ward
 from viewer_pages import lamp
 
-from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.progress import Progress
 from nishiki.render.cloth.models import ClothModels

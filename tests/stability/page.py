@@ -13,7 +13,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).resolve().parent
 PAGE = PROJECT / "docs/notes/stability.md"
 if __name__ == "__main__":
-    sys.path[:0] = [str(PROJECT / part) for part in ("workflow/src", "scripts", "tests")]
+    sys.path[:0] = [str(PROJECT / part) for part in ("workflow/src", "scripts", "tests", "")]
 
 from stability.cases import REGISTRY, Case  # noqa: E402
 

@@ -3,12 +3,12 @@
 import mpmath
 import numpy as np
 import pytest
+from benchmarks.cloth_peers import AshikhminShirley, Ggx, Ward, fit_peer
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 
 from nishiki.brdf.cloth.interface import LEAST_COSINE, Dyed
 from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard, great_circle_view, linear_view, read_facets
-from nishiki.brdf.cloth.peers import AshikhminShirley, Ggx, Ward, fit_peer
 from nishiki.brdf.cloth.store import TableBrdf
 from nishiki.brdf.cloth.yarn_facets import CENTRE, SPREAD, shape_of, uncorrected
 from nishiki.brdf.cloth.yarn_fit import Measured, fit_yarn_facets

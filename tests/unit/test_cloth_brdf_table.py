@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from benchmarks.cloth_peers import Ggx, Ward
 
-from nishiki.brdf.cloth.peers import Ggx, Ward
 from nishiki.render.cloth import scene
 from nishiki.render.cloth.scene import BrdfTable, coordinates, directions
 

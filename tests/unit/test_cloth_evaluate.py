@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.cloth_peers import Ward
 
 from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.errors import UserError
 from nishiki.evaluate.cloth import by_incidence, in_plane, judge, plane_name

@@ -11,6 +11,7 @@ from typing import get_args
 import numpy as np
 import pytest
 import trimesh
+from benchmarks.cloth_peers import Ward
 from npm_packages import gltf_problems
 from pages import make_artifact
 from unit.test_cloth_render import QUAD
@@ -20,7 +21,6 @@ from nishiki.artifacts.artifact import ArtifactWriter
 from nishiki.artifacts.closed import parse
 from nishiki.artifacts.finite import expect_finite
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.geometry.turn import scaled
 from nishiki.progress import Progress

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from benchmarks.cloth_peers import AshikhminShirley, Ggx, Ward
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +17,6 @@ from nishiki.brdf.cloth.interface import (
     prediction_error,
     reciprocity_error,
 )
-from nishiki.brdf.cloth.peers import AshikhminShirley, Ggx, Ward
 from nishiki.brdf.cloth.store import load_brdf, save_brdf
 from nishiki.errors import UserError
 

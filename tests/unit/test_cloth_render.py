@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from benchmarks.cloth_peers import Ward
 
 from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.artifacts.closed import parse
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.errors import UserError
 from nishiki.progress import Progress

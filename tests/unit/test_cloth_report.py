@@ -8,13 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from benchmarks.cloth_peers import Ward
 from pages import make_artifact, parsed
 
 from nishiki.artifacts.artifact import ArtifactWriter
 from nishiki.artifacts.provenance import module_of
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.models import MODELS
-from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.hemisphere import complete

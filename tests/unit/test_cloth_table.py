@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from benchmarks.cloth_peers import Ggx, fit_peer, peer_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.brdf.cloth.interface import halves, hemisphere, prediction_error, reciprocity_error
 from nishiki.brdf.cloth.normal_incidence import TILTS, TURNS, read_facets, smith_masking
-from nishiki.brdf.cloth.peers import Ggx, fit_peer, peer_of
 from nishiki.brdf.cloth.store import TableBrdf, goniometer_rows, load_brdf, pair, pair_angles, save_brdf, utia_planes
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.goniometry.interpolation import evaluate

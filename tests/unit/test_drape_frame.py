@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from benchmarks.cloth_peers import Ward
 
-from nishiki.brdf.cloth.peers import Ward
 from nishiki.errors import UserError
 from nishiki.geometry.camera import look_at
 from nishiki.geometry.mesh import Mesh

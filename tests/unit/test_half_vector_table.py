@@ -4,8 +4,8 @@ import struct
 
 import numpy as np
 import pytest
+from benchmarks.cloth_peers import Ward
 
-from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.half_vector_table import HalfVectorTable, unwarped, warped
 from nishiki.formats.merl import bsdf_bytes
 

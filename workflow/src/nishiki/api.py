@@ -371,8 +371,7 @@ def fit_cloth(
 ):
     """Fit a reflection model of a woven cloth to measured reflectances.
 
-    The models `yarn_facets` (the default), `facets`, `bard_linear` and `bard_great_circle` need measurements that are
-    lit along the normal; the first also uses oblique ones. The models `ggx`, `ward` and `ashikhmin_shirley` take any.
+    Every model needs measurements that are lit along the normal; `yarn_facets` and `bard_scaled` also use oblique ones.
 
     Parameters
     ----------
@@ -382,8 +381,7 @@ def fit_cloth(
     values : (n, channels) array_like of float
         Bidirectional reflectance, in 1 / sr, zero or more. (n,) is taken as one channel.
     model : str, optional
-        `yarn_facets`, `facets`, `bard_linear`, `bard_great_circle`, `bard_scaled`, `ggx`, `ward` or
-        `ashikhmin_shirley`.
+        `yarn_facets`, `facets`, `bard_linear`, `bard_great_circle` or `bard_scaled`.
     symmetry : {'quarter', 'half', 'none'}, optional
         Symmetry of the reflectance at normal incidence: two mirror planes, a half turn, or none.
     oblique : int, optional
@@ -426,14 +424,14 @@ def fit_cloth(
     >>> half = incident + outgoing
     >>> half /= np.linalg.norm(half, axis=1, keepdims=True)
     >>> values = 0.05 + 0.01 * half[:, 2:] ** 40 / (incident[:, 2:] * outgoing[:, 2:])
-    >>> cloth = nishiki.fit_cloth(incident, outgoing, values, model="ggx")
+    >>> cloth = nishiki.fit_cloth(incident, outgoing, values)
     >>> predicted = cloth.evaluate(incident, outgoing)
     >>> predicted.shape
     (120, 1)
     >>> bool(np.abs(predicted / values - 1).max() < 0.1)
     True
     """
-    from nishiki.brdf.cloth.models import MODELS, PEERS, fit_models
+    from nishiki.brdf.cloth.models import MODELS, fit_models
     from nishiki.brdf.cloth.yarn_fit import Measured
     from nishiki.goniometry.hemisphere import complete
     from nishiki.goniometry.table import ReflectanceSet
@@ -441,8 +439,6 @@ def fit_cloth(
     if model not in MODELS:
         raise UserError(f"model of a cloth: expected one of {', '.join(MODELS)}, found {model!r}")
     measured = ReflectanceSet.of(np.asarray(incident), np.asarray(outgoing), np.asarray(values), symmetry=symmetry)
-    basic = None
-    if model not in PEERS:
-        measured = complete(measured)[0]
-        basic = (measured.basic.evaluate, measured.basic.values[0])
+    measured = complete(measured)[0]
+    basic = (measured.basic.evaluate, measured.basic.values[0])
     return fit_models(Measured.of(measured), basic, (model,), oblique=oblique)[model].brdf

@@ -6,7 +6,6 @@ import numpy as np
 
 from nishiki.brdf.cloth.interface import incidences, solid_angles
 from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard, ScaledBard, read_facets
-from nishiki.brdf.cloth.peers import PARAMETERS, PRIORS, fit_peer
 from nishiki.brdf.cloth.yarn_facets import NAMES
 from nishiki.brdf.cloth.yarn_fit import Measured, choose_oblique, fit_normal, fit_yarn_facets
 from nishiki.errors import UserError
@@ -14,8 +13,7 @@ from nishiki.errors import UserError
 DEFAULT = "yarn_facets"
 NORMAL_ONLY = ("bard_linear", "bard_great_circle", "facets")  # they read the table of normal incidence
 REFERENCE = ("bard_scaled",)  # uses every oblique measurement
-PEERS = tuple(PRIORS)
-MODELS = (DEFAULT, *NORMAL_ONLY, *REFERENCE, *PEERS)
+MODELS = (DEFAULT, *NORMAL_ONLY, *REFERENCE)
 
 
 @dataclass(frozen=True)
@@ -27,38 +25,24 @@ class Fitted:
     facts: dict = field(default_factory=dict)
 
 
-def fit_models(
-    measured: Measured, basic, names, *, oblique: int = 20, index: float = 1.5, chosen: np.ndarray | None = None
-) -> dict[str, Fitted]:
+def fit_models(measured: Measured, basic, names, *, oblique: int = 20, index: float = 1.5) -> dict[str, Fitted]:
     """Fit the models named to one region.
 
     basic: a `goniometry.table.BasicReflectance` of it as a function of views and its grid, (evaluate, values (nt, np,
-    channels)), or None where nothing was measured at normal incidence (then only the peers can be had).  oblique: how
-    many oblique measurements may be used; the choice of `choose_oblique` serves all models that take any.  chosen:
-    their rows, where they are chosen already.
+    channels)), or None where nothing was measured at normal incidence, which is an error.  oblique: how many oblique
+    measurements `yarn_facets` may use.
     """
     valid = np.flatnonzero(np.isfinite(measured.values).all(axis=1))
     normal = valid[measured.normal[valid]]
-    needs = [name for name in names if name in (DEFAULT, *NORMAL_ONLY, *REFERENCE)]
-    if basic is None and needs:
+    if basic is None:
         raise UserError(
-            f"{', '.join(needs)}: expected the reflectances of normal incidence on a grid, found none. Remedy: measure "
-            f"with light along the normal and interpolate, or fit only {', '.join(PEERS)}"
+            f"{', '.join(names)}: expected the reflectances of normal incidence on a grid, found none. Remedy: measure "
+            "with light along the normal and interpolate"
         )
-    asked = chosen is None and oblique > 0 and any(name in PEERS for name in names)
-    first = fit_normal(measured.take(normal)) if basic is not None and (asked or DEFAULT in names) else None
-    if chosen is None:
-        chosen = _oblique(measured, valid, first, oblique)
-    rows = np.concatenate([normal, chosen])
     out = {}
     for name in names:
         if name == DEFAULT:
-            out[name] = _yarns(measured, rows, basic[0], first, chosen)
-        elif name in PEERS:
-            peer = fit_peer(name, measured, rows)
-            facts = {"cost": peer.fit.cost, "evaluations": peer.fit.evaluations, "oblique": len(chosen)}
-            facts["at_bounds"] = [PARAMETERS[name][k] for k in peer.fit.at_bounds]
-            out[name] = Fitted(peer.brdf, peer.used, facts)
+            out[name] = _yarns(measured, normal, valid[~measured.normal[valid]], basic[0], oblique)
         elif name in REFERENCE:
             out[name] = Fitted(_scaled(measured, valid, basic[1]), valid)
         else:
@@ -66,18 +50,11 @@ def fit_models(
     return out
 
 
-def _oblique(measured: Measured, valid: np.ndarray, first, count: int) -> np.ndarray:
-    """Rows of the oblique measurements to be used, in order of what they tell (evenly spread where no fit says)."""
-    candidates = valid[~measured.normal[valid]]
-    if count == 0 or candidates.size == 0:
-        return np.empty(0, int)
-    if first is None:
-        return candidates[np.unique(np.linspace(0, candidates.size - 1, count).astype(int))]
-    return candidates[choose_oblique(first, measured.incident[candidates], measured.outgoing[candidates], count)]
-
-
-def _yarns(measured: Measured, rows: np.ndarray, basic, first, chosen: np.ndarray) -> Fitted:
-    fit = fit_yarn_facets(measured, rows, basic=basic, first=first)
+def _yarns(measured: Measured, normal: np.ndarray, oblique: np.ndarray, basic, count: int) -> Fitted:
+    """Fit to the rows of normal incidence and to `count` of the oblique ones, which the fit to the former chooses."""
+    first = fit_normal(measured.take(normal))
+    chosen = oblique[choose_oblique(first, measured.incident[oblique], measured.outgoing[oblique], count)]
+    fit = fit_yarn_facets(measured, np.concatenate([normal, chosen]), basic=basic, first=first)
     facts = {
         "rms_rel_normal": fit.rms_rel,
         "misfit": fit.fit.misfit,

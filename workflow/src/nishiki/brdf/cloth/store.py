@@ -159,9 +159,6 @@ KINDS = {  # where the class of a kind is
     "facets": "nishiki.brdf.cloth.normal_incidence:FacetBrdf",
     "yarn_facets": "nishiki.brdf.cloth.yarn_facets:YarnFacets",
     "weave": "nishiki.weave.model:WeaveBrdf",
-    "ward": "nishiki.brdf.cloth.peers:Ward",
-    "ashikhmin_shirley": "nishiki.brdf.cloth.peers:AshikhminShirley",
-    "ggx": "nishiki.brdf.cloth.peers:Ggx",
     "table": "nishiki.brdf.cloth.store:TableBrdf",
     "dyed": "nishiki.brdf.cloth.interface:Dyed",
 }

@@ -236,7 +236,7 @@ def fit_yarn_facets(
     if chosen.normal.sum() < FEWEST:
         raise UserError(
             f"yarn_facets: expected at least {FEWEST} measurements lit along the normal, found {chosen.normal.sum()}. "
-            "Remedy: photograph the cloth lit along its normal, or fit ggx, ward or ashikhmin_shirley"
+            "Remedy: photograph the cloth lit along its normal"
         )
     under = chosen.take(chosen.normal)
     refuse_black(under)

@@ -135,17 +135,7 @@ CLOTH_LIMITS = (
 )
 
 
-Model = Literal[
-    "yarn_facets",
-    "facets",
-    "bard_linear",
-    "bard_great_circle",
-    "bard_scaled",
-    "ward",
-    "ashikhmin_shirley",
-    "ggx",
-    "weave",
-]
+Model = Literal["yarn_facets", "facets", "bard_linear", "bard_great_circle", "bard_scaled", "weave"]
 
 
 class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=2, limits=CLOTH_LIMITS):
@@ -153,7 +143,7 @@ class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=2, limits=CLOTH_LIM
 
     model: Model = Field("yarn_facets", description="the model that stands for the cloth")
     compare: tuple[Model, ...] = Field(
-        ("facets", "bard_linear", "bard_great_circle", "bard_scaled", "ward", "ashikhmin_shirley", "ggx"),
+        ("facets", "bard_linear", "bard_great_circle", "bard_scaled"),
         description="models fitted beside it; weave: where the stage weave has run",
     )
     oblique: int = Field(

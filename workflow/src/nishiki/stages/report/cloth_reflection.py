@@ -29,9 +29,6 @@ MODEL_NAMES = {
     "yarn_facets": "facets on yarns",
     "facets": "facet reading",
     "weave": "weave model",
-    "ward": "Ward",
-    "ashikhmin_shirley": "Ashikhmin-Shirley",
-    "ggx": "anisotropic GGX",
 }
 
 
@@ -168,7 +165,7 @@ def lobes_plot(parts: list[Lobe], *, width: int = 520, height: int = 330) -> str
     return drawing.finish()
 
 
-CURVES_OF = ("yarn_facets", "bard_great_circle", "weave", "ggx")
+CURVES_OF = ("yarn_facets", "bard_great_circle", "weave")
 """Models whose curves are drawn beside those of the default one."""
 MOST_CURVES = 4
 INTRODUCTION = (

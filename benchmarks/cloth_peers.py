@@ -16,6 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from nishiki.brdf.cloth.interface import ArrayFields, Halves, halves, incidences, only_above, single
+from nishiki.brdf.cloth.store import KINDS
 from nishiki.brdf.cloth.yarn_fit import MISS, MISS_OBLIQUE, Measured, ShapeFit, fit_shape, normal_weights, refuse_black
 from nishiki.brdf.torrance_sparrow import fresnel
 from nishiki.errors import UserError
@@ -141,11 +142,8 @@ PRIORS = {
     ),
 }  # fmt: skip
 
-PARAMETERS = {
-    "ward": ("width along x", "width along y"),
-    "ggx": ("width along x", "width along y", "refractive index"),
-    "ashikhmin_shirley": ("exponent along x", "exponent along y", "reflectance"),
-}
+KINDS.update({cls.KIND: f"{__name__}:{cls.__name__}" for cls in (Ward, AshikhminShirley, Ggx)})
+"""Models that are stored by `save_brdf` are read back where this module is loaded."""
 
 
 @dataclass(frozen=True)
