@@ -4,11 +4,13 @@ Compiled kernels release the interpreter while they run. A kernel writes only it
 on the number of threads; and it compiles in half the time that a parallel loop of the compiler's would take.
 """
 
+import functools
 import itertools
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -29,38 +31,61 @@ def threads() -> int:
     return int(given) if given.isdecimal() and int(given) else len(os.sched_getaffinity(0))
 
 
-def in_order(
-    pool: ThreadPoolExecutor, work: Callable[[Item], Result], items: Iterable[Item], ahead: int
+def in_threads(
+    work: Callable[[Item], Result], items: Iterable[Item], most: int | None = None, ahead: int | None = None
 ) -> Iterator[Result]:
-    """Yield results of `work` in the order of the items, of which at most `ahead` are under way."""
-    waiting: deque[Future[Result]] = deque()
-    for item in items:
-        waiting.append(pool.submit(work, item))
-        if len(waiting) > ahead:
-            yield waiting.popleft().result()
-    while waiting:
-        yield waiting.popleft().result()
+    """Yield results of `work` in the order of the items, several at a time.
 
+    The threads are kept for the next call, as starting them takes longer than many kernels run. Inside `work` a further
+    call does its items one by one. An exception, an interrupt for example, ends it with the items that are under way.
 
-def in_threads(work: Callable[[Item], Result], items: Iterable[Item], most: int | None = None) -> Iterator[Result]:
-    """Yield results of `work` in the order of the items, several at a time, at most `most` if given.
-
-    An exception, an interrupt for example, ends it with the items that are under way.
+    Parameters
+    ----------
+    work : callable
+        Of one item.
+    items : iterable
+        Read as they are needed.
+    most : int, optional
+        Of the threads; all that the process may use by default, or where it may use fewer.
+    ahead : int, optional
+        Items that wait or are under way beside the next result; as many as threads by default.
     """
     workers = threads() if most is None else min(threads(), most)
-    if workers <= 1:
+    if workers <= 1 or getattr(_thread, "works", False):
         yield from map(work, items)
         return
-    pool = ThreadPoolExecutor(workers)
+    waiting: deque[Future[Result]] = deque()
     try:
-        yield from in_order(pool, work, items, workers)
+        for item in items:
+            waiting.append(_pool(workers).submit(work, item))
+            if len(waiting) > (ahead or workers):
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
     finally:
-        pool.shutdown(cancel_futures=True)
+        wait([future for future in waiting if not future.cancel()])
 
 
 def over_rows(kernel: Callable[..., None], rows: int, *arguments) -> None:
     """Call kernel(start, stop, *arguments) for strips that cover 0 .. rows - 1, several at a time."""
     strips = min(rows, threads() * STRIPS_A_THREAD) if threads() > 1 else 1
     edges = [rows * index // strips for index in range(strips + 1)] if rows else []
-    for _ in in_threads(lambda pair: kernel(*pair, *arguments), itertools.pairwise(edges), rows):
+    for _ in in_threads(lambda pair: kernel(*pair, *arguments), itertools.pairwise(edges), rows, strips):
         pass
+
+
+def over_items(work: Callable[[Item], object], items: Iterable[Item], most: int | None = None) -> None:
+    """Call `work` for every item, several at a time, where it stores what it finds itself."""
+    for _ in in_threads(work, items, most, STRIPS_A_THREAD * threads()):
+        pass
+
+
+_thread = threading.local()
+
+
+@functools.cache
+def _pool(workers: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(workers, "shared", lambda: setattr(_thread, "works", True))
+
+
+os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not come along

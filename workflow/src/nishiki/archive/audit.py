@@ -4,7 +4,6 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from nishiki.archive.survey import CAPTURE, Damage, Survey, read_portion, survey
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import INDEX, MANIFEST, index_text
 from nishiki.artifacts.provenance import file_digest
-from nishiki.threads import in_order
+from nishiki.threads import in_threads
 
 
 class References:
@@ -206,17 +205,14 @@ def audit(
     """
     references = References()
     yield from _counted(targets.damages, counts)
-    with ThreadPoolExecutor(threads) as pool:
-        surveys = in_order(pool, lambda folder: survey_artifact(FolderTree(folder)), targets.artifacts, 4 * threads)
-        portions = _portions(surveys, references, counts, len(targets.artifacts), tell)
-        for damages in in_order(pool, _of_portion, portions, 4 * threads):
-            yield from _counted(damages, counts)
-        yield from _counted(references.problems(), counts)
-        publications = in_order(
-            pool, lambda folder: check_publication(folder, references), targets.publications, threads
-        )
-        for damages in publications:
-            yield from _counted(damages, counts)
+    ahead = 4 * threads
+    surveys = in_threads(lambda folder: survey_artifact(FolderTree(folder)), targets.artifacts, threads, ahead)
+    portions = _portions(surveys, references, counts, len(targets.artifacts), tell)
+    for damages in in_threads(_of_portion, portions, threads, ahead):
+        yield from _counted(damages, counts)
+    yield from _counted(references.problems(), counts)
+    for damages in in_threads(lambda folder: check_publication(folder, references), targets.publications, threads):
+        yield from _counted(damages, counts)
 
 
 def _of_portion(work: tuple[Survey, list]) -> list[Damage]:

@@ -9,7 +9,6 @@ import json
 import re
 import struct
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from zipfile import BadZipFile
@@ -20,7 +19,7 @@ from nishiki.archive.tree import FolderTree, Listing, Tree, ZipTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import is_inside
 from nishiki.formats.files import name_fault
-from nishiki.threads import in_order
+from nishiki.threads import in_threads
 
 ARTIFACT_FOLDER = re.compile(r"(artifacts/[a-z_0-9]+/([0-9a-f]{12}))/")
 SEAL = "capture/manifest-sha256.txt"
@@ -115,17 +114,17 @@ def _contents(
     names = [name for name in sorted(listed) if name in listing.files]
     portions = [names[start : start + PORTION] for start in range(0, len(names), PORTION)]
     # A ZIP file is one file handle: several threads would only wait for each other.
-    with ThreadPoolExecutor(1 if isinstance(tree, ZipTree) else threads) as pool:
-        for digests in in_order(pool, lambda portion: [_digest(tree, name) for name in portion], portions, 4 * threads):
-            for name, digest, error in digests:
-                audit.files += 1
-                audit.bytes += listing.files[name]
-                digests_read[name] = digest
-                if error:
-                    yield audit.damage(name, "unreadable", error)
-                elif digest != listed[name]:
-                    yield audit.damage(name, "damaged", f"sha256 {digest[:12]}…, expected {listed[name][:12]}…")
-            tell(audit.files, len(names), f"{audit.bytes / 1e9:.2f} GB")
+    most = 1 if isinstance(tree, ZipTree) else threads
+    for digests in in_threads(lambda portion: [_digest(tree, name) for name in portion], portions, most, 4 * most):
+        for name, digest, error in digests:
+            audit.files += 1
+            audit.bytes += listing.files[name]
+            digests_read[name] = digest
+            if error:
+                yield audit.damage(name, "unreadable", error)
+            elif digest != listed[name]:
+                yield audit.damage(name, "damaged", f"sha256 {digest[:12]}…, expected {listed[name][:12]}…")
+        tell(audit.files, len(names), f"{audit.bytes / 1e9:.2f} GB")
 
 
 def _digest(tree: Tree, name: str) -> tuple[str, str, str]:

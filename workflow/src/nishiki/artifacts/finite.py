@@ -12,14 +12,13 @@ import math
 import os
 import re
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nishiki.formats.banded_pictures import BLOCK_ROWS, read_blocks
-from nishiki.threads import threads
+from nishiki.threads import in_threads
 
 BLOCK = 1 << 26  # bytes of an array looked at together
 CELL = re.compile(r"(?:^|[,;\t ])[+-]?(?:nan|inf|infinity)(?=$|[,;\t ])", re.IGNORECASE | re.MULTILINE)
@@ -101,8 +100,7 @@ def _chunk_files_are_finite(folder: Path, metadata: dict) -> bool:
             payload = Zstd().decode(payload)
         return _sum_is_finite(np.frombuffer(payload, dtype))
 
-    with ThreadPoolExecutor(threads()) as pool:
-        return all(pool.map(finite, files))
+    return all(in_threads(finite, files))
 
 
 def _sum_is_finite(values: np.ndarray) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from nishiki.atlas.surface import PixelPlaces, object_pixels, pixel_places, samp
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.visibility import Raster, rasterise
-from nishiki.threads import threads
+from nishiki.threads import in_threads
 
 READ_AHEAD_MIB = 64
 """Memory that a reader keeps for one quantity over all observations."""
@@ -177,9 +176,7 @@ class TexelsWriter:
                     self.counts[group] += sampled.visible
             return int(results[0].visible.sum())
 
-        with ThreadPoolExecutor(threads()) as pool:
-            visible = sum(pool.map(one, self.groups()))
-        return {"visible": visible, "inside": int(self.inside.sum())}
+        return {"visible": sum(in_threads(one, self.groups())), "inside": int(self.inside.sum())}
 
     def finish(self) -> np.ndarray:
         """Close the index of the pixels; returns the mean colour (tiles, T, T, channels) float32 of each texel over the

@@ -13,11 +13,13 @@ choice (Tominaga and Tanaka 2004, eq. 18) and stays selectable as the baseline. 
 
 from dataclasses import dataclass
 from enum import IntFlag
+from itertools import pairwise
 
 import numpy as np
 
 from nishiki.brdf import variable_projection as vp
 from nishiki.errors import UserError
+from nishiki.threads import over_items
 
 
 class FitFlag(IntFlag):
@@ -206,21 +208,16 @@ def fit_torrance_sparrow(
 
 
 def _in_threads(arrays, log_low, log_high, strengths, reports, threads):
-    """Slices of the points side by side: threads instead of a parallel loop halve the time to compile."""
-    from concurrent.futures import ThreadPoolExecutor
-
+    """Fit slices of the points side by side."""
     points = len(strengths)
     edges = np.linspace(0, points, max(min(threads, points // 256), 1) + 1).astype(int)
 
-    def work(first, last):
+    def work(edge):
+        first, last = edge
         parts = [array[first:last] for array in arrays]
         vp.project_points(*parts, log_low, log_high, strengths[first:last], reports[first:last])
 
-    if len(edges) == 2:
-        work(0, points)
-        return
-    with ThreadPoolExecutor(len(edges) - 1) as pool:
-        list(pool.map(work, edges[:-1], edges[1:]))
+    over_items(work, pairwise(edges), threads)
 
 
 def _prepared(phi, amplitude, attenuation, diffuse, weights):

@@ -18,14 +18,13 @@ parameters from arbitrary materials with power iterations, Computer Graphics For
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from nishiki.goniometry.directions import unit
-from nishiki.threads import threads
+from nishiki.threads import in_threads
 
 Evaluate = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(n, channels) sr^-1 of unit vectors (n, 3) to light and eye, normal z; 0 below the horizon."""
@@ -87,8 +86,7 @@ class HalfVectorTable:
             return seen, f * (4 * own_area / interpolated(facets, *where))[:, None]
 
         places = list(product(range(len(phi)), range(len(theta))))
-        with ThreadPoolExecutor(threads()) as pool:
-            squares = list(pool.map(square, places))
+        squares = list(in_threads(square, places))
         visible = np.array([seen for seen, _ in squares]).reshape(len(phi), len(theta), *facets.shape)
         values = np.array([q.T for _, q in squares]).reshape(len(phi), len(theta), -1, SIDE, SIDE)
         tables = (np.asarray(each, np.float32) for each in (theta, phi, facets, area, visible, values))

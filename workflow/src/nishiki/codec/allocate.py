@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -29,6 +28,7 @@ from nishiki.codec.tile_code import (
     refine_tile,
     see,
 )
+from nishiki.threads import in_threads
 
 
 def principal_channels(covariance: np.ndarray) -> np.ndarray:
@@ -150,22 +150,10 @@ class Pilot:
 
 def over(work: Callable, items: Sequence, threads: int, progress: Callable | None = None, what: str = "") -> Iterable:
     """Results of work(item) in order, several at a time, never more than a few ahead."""
-    if threads < 2:
-        for done, item in enumerate(items):
-            yield work(item)
-            if progress:
-                progress(done + 1, len(items), what)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        waiting = []
-        for done, item in enumerate(items):
-            waiting.append(pool.submit(work, item))
-            if len(waiting) > 2 * threads:
-                yield waiting.pop(0).result()
-                if progress:
-                    progress(done, len(items), what)
-        for future in waiting:
-            yield future.result()
+    for done, result in enumerate(in_threads(work, items, threads, 2 * threads)):
+        yield result
+        if progress:
+            progress(done + 1, len(items), what)
 
 
 def pilot(source: Source, scene: CodedScene, design: Design, effort: Effort, *, threads: int, progress=None) -> Pilot:

@@ -11,7 +11,6 @@ spectra whose responses lie nearest to a pixel's.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 
@@ -32,6 +31,7 @@ from nishiki.colour.kernels import ILL_CONDITIONED, NEGATIVE_RESPONSE, NOT_FINIT
 from nishiki.colour.local import ResponseSpace, distances, response_space
 from nishiki.colour.sampling import channel_weights, checked_spectra
 from nishiki.errors import UserError
+from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
 
 _PIXELS_A_THREAD = 4096
@@ -287,11 +287,7 @@ def _apply(responses, estimator, coefficients, sigma, flags, threads):
     def run(part):
         kernels.apply_estimator(responses[part], *arguments, coefficients[part], sigma[part], flags[part])
 
-    if count == 1:
-        run(slices[0])
-    else:
-        with ThreadPoolExecutor(count) as pool:
-            list(pool.map(run, slices))
+    over_items(run, slices, count)
 
 
 def _kernel_arguments(e: SpectralEstimator) -> tuple:

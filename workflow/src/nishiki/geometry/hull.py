@@ -7,7 +7,6 @@ surface lies between the grid points where the outlines put it.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
@@ -18,7 +17,7 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.hull_kernels import MOST_MISSES, at_points, fill_slab
 from nishiki.geometry.mesh import Mesh
 from nishiki.packages import optional
-from nishiki.threads import threads
+from nishiki.threads import in_threads
 
 BLOCK = 8
 """Grid points along a cube that is decided at once where it can be."""
@@ -300,8 +299,7 @@ def _fill(field: Field, volume: np.ndarray, origin: np.ndarray, cell: float, mis
     """Fill the grid, cubes of 8 x 8 x 8 points at once, in threads over slabs of x; the number of cubes asked."""
     starts = range(0, volume.shape[0], BLOCK)
     one = partial(fill_slab, field.poses, field.lenses, field.frames, field.buffer, origin, cell, BLOCK, misses)
-    with ThreadPoolExecutor(threads()) as pool:
-        return sum(pool.map(lambda s: one(BAND * cell, s, min(s + BLOCK, volume.shape[0]), volume), starts))
+    return sum(in_threads(lambda s: one(BAND * cell, s, min(s + BLOCK, volume.shape[0]), volume), starts))
 
 
 def surface_of(volume: np.ndarray, origin: np.ndarray, cell: float) -> Mesh:

@@ -29,7 +29,6 @@ view from one side only the lower limit counts, which is how shadowing and maski
 """
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
@@ -39,7 +38,7 @@ from numba import njit
 
 from nishiki.brdf.cloth.interface import halves, off_horizon, only_above
 from nishiki.brdf.torrance_sparrow import fresnel_scalar
-from nishiki.threads import STRIPS_A_THREAD, threads
+from nishiki.threads import STRIPS_A_THREAD, over_items, threads
 
 HALF_PI = 0.5 * math.pi
 OPEN = 9.0  # limit of a side that the direction does not come from
@@ -371,13 +370,7 @@ def shape_parts(shape: YarnShape, incident: np.ndarray, outgoing: np.ndarray, *,
             out[rows],
         )  # fmt: skip
 
-    starts = range(0, len(incident), block)
-    if len(starts) > 1 and workers > 1:
-        with ThreadPoolExecutor(workers) as pool:
-            list(pool.map(some, starts))
-    else:
-        for first in starts:
-            some(first)
+    over_items(some, range(0, len(incident), block))
     return out
 
 

@@ -24,6 +24,7 @@ from numba import njit
 
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
+from nishiki.threads import over_items
 
 KINDS = ("camera", "direction", "position", "environment", "unknown")
 POINT, DISTANT, ENVIRONMENT = 0, 1, 2
@@ -214,12 +215,9 @@ def _in_slices(work, points: int, threads: int) -> None:
     if threads < 2 or points < 2 * _SLICE:
         work(slice(0, points))
         return
-    from concurrent.futures import ThreadPoolExecutor
-
     parts = max(threads, points // (4 * _SLICE))
     edges = [points * k // parts for k in range(parts + 1)]
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(work, [slice(a, b) for a, b in pairwise(edges)]))
+    over_items(work, [slice(a, b) for a, b in pairwise(edges)], threads)
 
 
 @njit(cache=True, error_model="numpy")

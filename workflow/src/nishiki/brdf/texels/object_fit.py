@@ -11,7 +11,6 @@ uncertainty.  Passes 1 and 2 leave some twenty bytes a texel in memory; texels a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +20,7 @@ from nishiki.brdf.texels import texel_fit
 from nishiki.brdf.texels.neighbours import Field, Lattice, Neighbourhood, fill, spread
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
 from nishiki.brdf.texels.texel_fit import Capture, Tile
+from nishiki.threads import in_threads
 
 WIDTHS = ("smooth", "texel", "object")
 CELL = 8  # edge of the finest lattice's cells, in texels
@@ -73,26 +73,25 @@ def fit_object(
     """
     tiles = list(tiles)
     lattice = lattice_of([read(tile) for tile in tiles[:: max(len(tiles) // 6, 1)]])
-    with ThreadPoolExecutor(max(threads, 1)) as pool:
 
-        def fitted_tile(k: int) -> Tile:
-            return read(tiles[k]) if apart else read(tiles[k]).joined
+    def fitted_tile(k: int) -> Tile:
+        return read(tiles[k]) if apart else read(tiles[k]).joined
 
-        def every(function):
-            return list(pool.map(function, range(len(tiles))))
+    def every(function):
+        return list(in_threads(function, range(len(tiles)), threads))
 
-        first = every(lambda k: _First.of(read(tiles[k]), capture, method, lattice))
-        widths = _Widths.of(first, lattice, width)
-        second = every(lambda k: _Second.of(fitted_tile(k), capture, widths, first[k], lattice))
-        gloss = _Gloss.of(second, first, lattice, width)
+    first = every(lambda k: _First.of(read(tiles[k]), capture, method, lattice))
+    widths = _Widths.of(first, lattice, width)
+    second = every(lambda k: _Second.of(fitted_tile(k), capture, widths, first[k], lattice))
+    gloss = _Gloss.of(second, first, lattice, width)
 
-        def finish(k: int) -> tuple[np.ndarray, float, int]:
-            tile = fitted_tile(k)
-            parameters = _third(tile, capture, widths, gloss, first[k])
-            write(tiles[k], parameters)
-            return _counts(parameters.flags), *capture.squares(parameters, tile)
+    def finish(k: int) -> tuple[np.ndarray, float, int]:
+        tile = fitted_tile(k)
+        parameters = _third(tile, capture, widths, gloss, first[k])
+        write(tiles[k], parameters)
+        return _counts(parameters.flags), *capture.squares(parameters, tile)
 
-        finished = every(finish)
+    finished = every(finish)
     return _described(first, widths, gloss, finished)
 
 
@@ -334,8 +333,7 @@ def fit_lambert(
         counted = [int(np.sum(inside & ((parameters.flags & bit) != 0))) for bit in (TexelFlag.UNSEEN, TexelFlag.ONCE)]
         return np.array([int(inside.sum()), *counted]), *capture.squares(parameters, tile)
 
-    with ThreadPoolExecutor(max(threads, 1)) as pool:
-        finished = list(pool.map(finish, tiles))
+    finished = list(in_threads(finish, tiles, threads))
     counts = sum((counted for counted, _, _ in finished), np.zeros(3, np.int64))
     squares, samples = (sum(tile_sums[k] for tile_sums in finished) for k in (1, 2))
     texels = int(counts[0])

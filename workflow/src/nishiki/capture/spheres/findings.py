@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from nishiki.capture.spheres.outline import Circle, Outline
 from nishiki.capture.taking import channel_names, full_scale_of, read_grey
 from nishiki.errors import UserError
 from nishiki.formats.images import read_codes, read_header
+from nishiki.threads import in_threads
 
 MARGIN = 1.65  # of the radius: half the side of the crop around a sphere
 LEAST_LAMPS = 4  # that must be measured
@@ -192,8 +192,7 @@ def read_crops(photographs: Sequence[Path], crops: Sequence[tuple[slice, slice]]
         light = read_light(path)
         return [light[crop].copy() for crop in crops]
 
-    with ThreadPoolExecutor(2) as pool:
-        cuts = list(pool.map(cut, photographs))
+    cuts = list(in_threads(cut, photographs, 2))
     return [np.array([each[k] for each in cuts]) for k in range(len(crops))]
 
 

@@ -10,11 +10,12 @@ How well lamps explain the photographs of a scene: Lambert's law on blocks of pi
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+from nishiki.threads import in_threads
 
 SEARCH_SIDE = 1200.0  # pixels of the longer side of the reduced photographs
 SEARCH_PIXELS = 6e7  # of all reduced photographs together, which bounds the memory
@@ -66,8 +67,7 @@ def read_overview(photographs: Sequence[Path], read: Callable[[Path], np.ndarray
     def reduce_one(path: Path) -> np.ndarray:
         return cv2.resize(read(path), size, interpolation=cv2.INTER_AREA)
 
-    with ThreadPoolExecutor(2) as pool:
-        return Overview(np.array(list(pool.map(reduce_one, photographs))), first.shape[1] / size[0])
+    return Overview(np.array(list(in_threads(reduce_one, photographs, 2))), first.shape[1] / size[0])
 
 
 def subtract_surroundings(stack: np.ndarray) -> np.ndarray:

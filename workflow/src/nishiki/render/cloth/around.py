@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from numba import njit
 from nishiki.geometry.visibility import GOLDEN_ANGLE, blocked
 from nishiki.render.cloth.local import LIFT, Samples
 from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, three
-from nishiki.threads import over_rows, threads
+from nishiki.threads import over_items, over_rows
 
 THETAS, PHIS, LIGHTS = 10, 16, (14, 28)
 """Grid of view directions at which the reflected share of even light is tabulated, and rings and sectors of light."""
@@ -74,9 +73,7 @@ def shares(brdf: Brdf) -> np.ndarray:
         values = brdf.evaluate(lights[None], views[k, :PHIS, None])
         table[k, :PHIS] = np.pi * three(values).mean(axis=1)
 
-    with ThreadPoolExecutor(threads()) as pool:
-        for _ in pool.map(fill, range(THETAS + 1)):
-            pass  # reading the results passes on an exception
+    over_items(fill, range(THETAS + 1))
     table[:, PHIS] = table[:, 0]
     return np.clip(table, 0, 1)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,7 @@ from nishiki.render.cloth.around import Surroundings
 from nishiki.render.cloth.local import Samples, gather, lit
 from nishiki.render.cloth.models import share_of, together
 from nishiki.render.cloth.scene import Brdf, ClothScene, Lamp
-from nishiki.threads import threads
+from nishiki.threads import over_items
 
 BAND_SAMPLES = 1 << 20
 """Samples held at a time."""
@@ -169,9 +168,7 @@ def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, sampl
         for values, one in zip(out, together(brdfs, i, o), strict=True):
             values[start : start + AT_ONCE] = one
 
-    with ThreadPoolExecutor(threads()) as pool:
-        for _ in pool.map(fill, range(0, len(distinct), AT_ONCE)):
-            pass  # reading the results passes on an exception
+    over_items(fill, range(0, len(distinct), AT_ONCE))
     return out, where.reshape(-1)
 
 

@@ -13,7 +13,6 @@ It holds q = sqrt(f i_z o_z), which is finite at the horizon, and is linear betw
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 from typing import ClassVar, Protocol
@@ -23,7 +22,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.visibility import RayTree, make_tree
-from nishiki.threads import threads
+from nishiki.threads import over_items
 
 
 class Brdf(Protocol):
@@ -168,9 +167,7 @@ class BrdfTable:
             f = three(brdf.evaluate(incident, outgoing))
             values[rows] = np.sqrt(np.maximum(f * incident[:, 2:] * outgoing[:, 2:], 0))
 
-        with ThreadPoolExecutor(threads()) as pool:
-            for _ in pool.map(fill, range(0, len(values), AT_ONCE)):
-                pass  # reading the results passes on an exception
+        over_items(fill, range(0, len(values), AT_ONCE))
         largest = float(values.max()) or 1.0
         codes = np.round(values / largest * STEPS).astype(np.uint16)
         return cls(codes.reshape(SIDES, SIDES, RINGS, TURNS, 3), largest)

@@ -15,7 +15,6 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,6 +43,7 @@ from nishiki.render.object.shots import (
     neighbours,
 )
 from nishiki.render.object.visibility import DepthMaps
+from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
 
 if TYPE_CHECKING:
@@ -151,13 +151,7 @@ class ObjectRenderer:
                 [self.cameras[v] for prepared in batch if len(prepared.mixture[0]) > 1 for v in prepared.mixture[0]]
             )
         tiles = sorted({tile for prepared in batch for tile in prepared.slots})
-        if self.threads > 1 and len(tiles) > 1:
-            with ThreadPoolExecutor(self.threads) as pool:
-                for _ in pool.map(lambda tile: self._draw(tile, batch), tiles):
-                    pass  # reading the results passes on an exception
-        else:
-            for tile in tiles:
-                self._draw(tile, batch)
+        over_items(lambda tile: self._draw(tile, batch), tiles, self.threads)
         while batch:
             yield self._picture(batch.pop(0))
 
