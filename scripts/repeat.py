@@ -73,7 +73,7 @@ def repeat(first: Artifact, folder: Path, rest: list[str], threads: int) -> tupl
 
 
 def differing(first: Artifact, again: Artifact) -> list[str]:
-    """What differs between two artifacts of one key: names of files, or of parts of the manifest."""
+    """List the differences between two artifacts of one key: names of files, or of parts of the manifest."""
     if first.digest == again.digest:
         return []
     a, b = first.manifest["files"], again.manifest["files"]

@@ -58,7 +58,7 @@ def content_of(flow: Workflow) -> dict:
 
 
 def errors_of(flow: Workflow, swept: SceneSweep) -> tuple[list[MeasureSettings], dict[str, list[float]]]:
-    """The sweep's measures, or the usual one that the evaluations hold, and their values for every variant."""
+    """Return the sweep's measures, or the usual one of the evaluations, and their values for every variant."""
     evaluations = {variant.name: evaluation_of(flow, swept, variant) for variant in swept.variants}
     settings = {
         variant.name: {name: stage.settings for name, stage in variant.plan.stages.items()}
@@ -92,7 +92,7 @@ def evaluation_of(flow: Workflow, swept: SceneSweep, variant: PlannedVariant) ->
 
 
 def row_of(flow: Workflow, swept: SceneSweep, variant: PlannedVariant, errors: list[float]) -> VariantRow:
-    """What one variant came to."""
+    """Read the result of one variant."""
     records = {
         stage: [json.loads(Path(path).read_text()) for path in paths]
         for stage, paths in flow.timings(swept, variant).items()

@@ -29,7 +29,7 @@ def unknown_scene(name: str, scenes: Iterable[str]) -> str:
 
 
 def printable(text: str) -> str:
-    """The text with control characters, changes of direction and halves of surrogates escaped.
+    """Escape control characters, changes of direction and halves of surrogates.
 
     Names of files come from strangers: a terminal would obey some of them, and UTF-8 has no place for others.
     """
@@ -55,7 +55,7 @@ OF_THE_MACHINE = {
 
 
 def of_the_machine(error: OSError | MemoryError) -> str | None:
-    """What to tell of a machine that lacks space, permission or memory; None for other errors, which are bugs."""
+    """Describe a machine's lack of space, permission or memory; None for other errors, which are bugs."""
     if isinstance(error, MemoryError):
         return f"not enough memory ({error or 'the limit is reached'}). Remedy: more memory, or smaller tiles"
     remedy = OF_THE_MACHINE.get(error.errno)

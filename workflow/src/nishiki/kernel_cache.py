@@ -1,5 +1,6 @@
-"""Where compiled kernels are kept: by the name of their module, so that copies of the project share them; and a word
-where they are not there yet.
+"""Keep compiled kernels by the name of their module, so that copies of the project share them.
+
+It prints a word where they are not there yet.
 
 numba by itself keeps them by the path of the source file. It imports the class below by the name that the environment
 variable NUMBA_CACHE_LOCATOR_CLASSES gives.
@@ -24,7 +25,7 @@ class ByModule(UserProvidedCacheLocator):
 
     @classmethod
     def from_function(cls, py_func, py_file):
-        """The locator of a function of this package; None for others, and where no folder is given."""
+        """Return the locator of a function of this package; None for others, and where no folder is given."""
         return super().from_function(py_func, py_file) if PACKAGE in Path(py_file).resolve().parents else None
 
     @classmethod

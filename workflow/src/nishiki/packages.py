@@ -84,7 +84,7 @@ def installed(package: str) -> bool:
 
 
 def optional(package: str) -> ModuleType:
-    """A package that an extra installs. Raises UserError with the command to install it where it is not there."""
+    """Import a package that an extra installs. Raises UserError with the command to install it where it is missing."""
     try:
         return importlib.import_module(MODULES[package])
     except ImportError:
@@ -93,12 +93,12 @@ def optional(package: str) -> ModuleType:
 
 
 def install_command(packages: tuple[str, ...]) -> str:
-    """The command that installs what is missing beside what is there."""
+    """Return the command that installs the missing extras beside the present ones."""
     return install_extras(*sorted({EXTRAS[name] for name in packages}))
 
 
 def install_extras(*extras: str) -> str:
-    """The command that installs extras: the launcher of a checkout, or pip for an installed package."""
+    """Return the command that installs extras: the launcher of a checkout, or pip for an installed package."""
     if INSTALLED:
         return f"pip install 'nishiki[{','.join(extras)}]'"
     return f"./nishiki install --extras {' '.join(extras)}"

@@ -86,7 +86,7 @@ def owner_of(name: str) -> tuple[str, str]:
 
 
 def marked(variable: str, value: str) -> list[int]:
-    """Processes of this machine, of this user, that were started with an environment variable of this value.
+    """List the user's processes on this machine that were started with an environment variable of this value.
 
     Whatever a process starts inherits its environment: children are found even where their parents are gone.
     """

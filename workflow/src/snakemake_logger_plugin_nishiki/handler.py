@@ -266,7 +266,7 @@ class RunHandler(LogHandlerBase):
 
 
 def _status_text(status: re.Match) -> str:
-    """What the status of a job's command means."""
+    """Explain the status of a job's command."""
     number = int(status[1] or 0) - KILLED
     if status[2] or number > 0:
         name = status[2] or (signal.Signals(number).name if number in set(signal.Signals) else f"signal {number}")

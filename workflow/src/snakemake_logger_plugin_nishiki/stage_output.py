@@ -36,7 +36,7 @@ class StageOutput:
         self._thread.start()
 
     def terminal(self) -> TextIO:
-        """The standard error that was there before."""
+        """Return the earlier standard error."""
         return open(os.dup(self._saved), "w", encoding="utf-8", errors="backslashreplace", closefd=True)
 
     def catch_up(self) -> None:

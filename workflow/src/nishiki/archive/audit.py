@@ -90,7 +90,7 @@ def check_publication(folder: Path, references: "References") -> list[Damage]:
 
 
 def _of_link(path: Path) -> Damage | None:
-    """A link has the form `../<stage>/<key>` or `../<stage>/<key>/<file>`, and leads somewhere."""
+    """Check that a link has the form `../<stage>/<key>` or `../<stage>/<key>/<file>` and leads somewhere."""
     if not path.is_symlink():
         return None
     target = os.readlink(path)

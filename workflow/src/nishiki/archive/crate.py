@@ -41,7 +41,7 @@ Entity = dict[str, Any]
 
 
 def ids(names: Iterable[str]) -> list[Entity] | Entity:
-    """References to entities; to a single one without a list, as the compact form has it."""
+    """Return references to entities; a single one stands without a list, as in the compact form."""
     references = [{"@id": name} for name in names]
     return references[0] if len(references) == 1 else references
 
@@ -52,7 +52,7 @@ def is_address(text: str | None) -> bool:
 
 
 def quoted(name: str) -> str:
-    """A file's name as an identifier may hold it."""
+    """Encode a file's name as a valid identifier."""
     return quote(name, safe="/:@!$&'()*+,;=-._~")
 
 
@@ -92,8 +92,11 @@ def parse_manifest_text(data: bytes) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class PackedStage:
-    """One artifact as it is packed. manifest: artifact.json; run: facts of its run; same_code: whether the packed code
-    made it; does: what the stage does, in words; files: of artifact.json and run.json, bytes and SHA-256."""
+    """Describe one packed artifact.
+
+    manifest: artifact.json; run: facts of its run; same_code: whether the packed code made it; does: purpose of the
+    stage; files: bytes and SHA-256 of artifact.json and run.json.
+    """
 
     manifest: dict[str, Any]
     run: dict[str, Any]
@@ -177,7 +180,7 @@ def ended(stage: PackedStage) -> str:
 
 
 def _artifact(stage: PackedStage) -> list[Entity]:
-    """The folder, its files, and its Zarr stores as folders: their chunks are in the manifests."""
+    """Describe the folder of an artifact, its files and its Zarr stores; chunks are listed in the manifests."""
     files = {name: (entry["bytes"], entry["sha256"]) for name, entry in stage.manifest["files"].items()} | stage.files
     stores = sorted({match[0] for name in files if (match := re.match(r".*?\.zarr/", name))})
     single = {name: facts for name, facts in files.items() if not name.startswith(tuple(stores))}
@@ -212,7 +215,7 @@ def _store(place: str, name: str) -> Entity:
 
 
 def library_entities(stages: list[PackedStage]) -> list[Entity]:
-    """The libraries that the stages say they used, each once."""
+    """Return the libraries that the stages used, each once."""
     used = sorted({item for stage in stages for item in stage.manifest["libraries"].items()})
     return [
         {
@@ -274,7 +277,7 @@ class Digitisation:
     stages: list[PackedStage]
 
     def said(self, key: str) -> str:
-        """What capture.yaml says under a key of `about`; empty where it says nothing."""
+        """Return the value of capture.yaml under a key of `about`; empty where it is missing."""
         return self.about.get(key) or ""
 
     @property

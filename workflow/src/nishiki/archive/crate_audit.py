@@ -141,7 +141,7 @@ def _surveys(tree: Tree, listing: Listing) -> list[Survey]:
 
 
 def _artifact(survey: Survey, digests_read: dict[str, str]) -> Iterator[Damage]:
-    """An artifact against its own manifest; its files were read before."""
+    """Compare an artifact with its own manifest; its files were read before."""
     yield from survey.damages
     for name, _, sha256 in survey.to_read:
         digest = digests_read.get(survey.named(name))
@@ -178,7 +178,7 @@ def _chain(audit: CrateAudit, surveys: list[Survey]) -> Iterator[Damage]:
 def _capture(
     audit: CrateAudit, tree: Tree, listing: Listing, listed: dict[str, str], surveys: list[Survey]
 ) -> Iterator[Damage]:
-    """The seal of the capture is the one that the results go back to; its files are all there, or none."""
+    """Check that the results lead back to this seal and that all or none of the capture's files are present."""
     try:
         sealed = parse_seal(tree.read(SEAL))
     except (OSError, ValueError) as error:
@@ -213,7 +213,7 @@ def parse_seal(data: bytes) -> dict[str, str]:
 
 
 def _description(audit: CrateAudit, tree: Tree, surveys: list[Survey]) -> Iterator[Damage]:
-    """The description names every result, and what each was made from."""
+    """Check that the description names every result and its sources."""
     try:
         graph = json.loads(tree.read(METADATA))["@graph"]
         entities = {str(entity["@id"]): entity for entity in graph}

@@ -48,7 +48,10 @@ class PackedCapture:
 
 
 def metadata(scene: str, version: str, capture: PackedCapture, stages: list[PackedStage], others: list[str]) -> Entity:
-    """The whole description. stages: in the order of the flow; others: further files of the crate, by name."""
+    """Build the whole description.
+
+    stages: in the order of the flow; others: names of further files of the crate.
+    """
     graph = [
         _descriptor(),
         _root(scene, capture, stages, others),
@@ -139,7 +142,7 @@ def _says_of_object(about: dict[str, str | None]) -> bool:
 
 
 def _object(about: dict[str, str | None]) -> Entity:
-    """The object; in words what schema.org has properties for only of works of art, which it need not be."""
+    """Describe the object; properties that schema.org has for works of art alone are given in words."""
     entity: Entity = {"@id": "#object", "@type": "Thing"}
     entity["name"] = about.get("title") or about.get("object_id") or "Object"
     if about.get("object_id"):

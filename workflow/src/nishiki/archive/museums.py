@@ -27,7 +27,7 @@ UNKNOWN_LANGUAGE = "und"
 
 
 def lido_text(scene: Digitisation) -> str:
-    """The record as XML.
+    """Write the record as XML.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def _repository(repository: XML.Element, scene: Digitisation) -> None:
 
 
 def _production(event: XML.Element, scene: Digitisation) -> None:
-    """What happened to the object: it was made."""
+    """Add the production of the object to an event."""
     _term(_add(event, "eventType"), "Production")
     if scene.said("object_maker"):
         actor = _add(_add(_add(event, "eventActor"), "actorInRole"), "actor")
@@ -88,7 +88,7 @@ def _production(event: XML.Element, scene: Digitisation) -> None:
 
 
 def _digitisation(event: XML.Element, scene: Digitisation) -> None:
-    """What happened to the object: it was photographed."""
+    """Add the digitisation of the object to an event."""
     _term(_add(event, "eventType"), "Digitization")
     if scene.said("creator"):
         role = _add(_add(event, "eventActor"), "actorInRole")
@@ -164,7 +164,7 @@ def _term(parent: XML.Element, word: str, language: str = "en") -> None:
 
 
 def _add(parent: XML.Element, tag: str, text: str = "", *, type: str = "", language: str = "") -> XML.Element:
-    """A new last element of a parent."""
+    """Append an element to a parent."""
     element = XML.SubElement(parent, _name(tag))
     if type:
         element.set(_name("type"), type)
@@ -188,7 +188,7 @@ CONTEXT = {
 
 
 def crm_graph(scene: Digitisation) -> Entity:
-    """The graph of a scene: object, digitisation, capture, stages, and the crate that holds them."""
+    """Build the graph of a scene: object, digitisation, capture, stages, and the crate that holds them."""
     folders = ["capture/", *(stage.folder for stage in scene.stages)]
     crate = _node("./", "dig:D1_Digital_Object", scene.said("title") or scene.scene)
     crate |= {"crm:P106_is_composed_of": ids(folders), "crm:P129_is_about": {"@id": _named("object")}}
@@ -207,7 +207,7 @@ def crm_graph(scene: Digitisation) -> Entity:
 
 
 def _object(scene: Digitisation) -> list[Entity]:
-    """The object, who keeps it, and where."""
+    """Describe the object, its keeper and its place."""
     kind = "crm:E22_Human-Made_Object" if _made(scene) else "crm:E19_Physical_Object"
     node = _node(_named("object"), kind, scene.said("title"))
     nodes = [node]
@@ -232,7 +232,7 @@ def _made(scene: Digitisation) -> bool:
 
 
 def _production_node(scene: Digitisation) -> list[Entity]:
-    """The object being made: by whom, when."""
+    """Describe the production of the object: people and dates."""
     if not _made(scene):
         return []
     event = _node(_named("production"), "crm:E12_Production", "")
@@ -247,7 +247,7 @@ def _production_node(scene: Digitisation) -> list[Entity]:
 
 
 def _digitisation_node(scene: Digitisation) -> list[Entity]:
-    """The photographs being taken: of what, by whom, when, with what, how."""
+    """Describe the digitisation: object, photographer, date, camera and technique."""
     event = _node(_named("digitisation"), "dig:D2_Digitization_Process", f"Photographs of {scene.scene}")
     event |= {"dig:L1_digitized": {"@id": _named("object")}, "dig:L20_has_created": {"@id": "capture/"}}
     nodes = [event]
@@ -267,7 +267,7 @@ def _digitisation_node(scene: Digitisation) -> list[Entity]:
 
 
 def _capture(scene: Digitisation) -> list[Entity]:
-    """The sealed photographs, and the rights in them."""
+    """Describe the sealed photographs and the rights in them."""
     capture = _node("capture/", "dig:D9_Data_Object", "Sealed capture")
     capture["crm:P1_is_identified_by"] = _appellation_node("crm:E42_Identifier", f"sha256:{scene.digest}")
     if scene.scale:
@@ -281,7 +281,7 @@ def _capture(scene: Digitisation) -> list[Entity]:
 
 
 def _stage(stage: PackedStage, stages: list[PackedStage]) -> list[Entity]:
-    """The run of a stage, its settings, and its result."""
+    """Describe the run of a stage, its settings and its result."""
     folders = {other.stage: other.folder for other in stages} | {"capture": "capture/"}
     run = _node(_named(f"run-{stage.stage}"), "dig:D10_Software_Execution", f"{stage.stage}: {stage.does}")
     run |= {
@@ -326,5 +326,5 @@ def _node(place: str, kind: str, label: str) -> dict[str, Any]:
 
 
 def _named(name: str) -> str:
-    """An identifier of the crate's description."""
+    """Return an identifier of the crate's description."""
     return f"{METADATA}#{name}"

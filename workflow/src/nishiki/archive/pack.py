@@ -83,9 +83,12 @@ class Crate:
 
 @dataclass(frozen=True)
 class PackedScene:
-    """What is to be packed. artifacts: in the order of the flow; capture: the sealed folder; about: what capture.yaml
-    says of title, people and rights; facts: what the plan tells besides, as plain data; does: stages in words; method:
-    how the capture was made (`capture_method`)."""
+    """Collect the contents of a crate.
+
+    artifacts: in the order of the flow; capture: the sealed folder; about: title, people and rights of capture.yaml;
+    facts: further facts of the plan as plain data; does: purposes of the stages; method: how the capture was made
+    (`capture_method`).
+    """
 
     name: str
     version: str
@@ -201,7 +204,7 @@ def _json(value: Any) -> str:
 
 
 def _readme(scene: PackedScene, stages: list[PackedStage], capture: PackedCapture) -> str:
-    """What a finder of the folder has to know, without any tool of this project."""
+    """Write the page for people who find the folder and have no tool of this project."""
     photographs = (
         "`capture/` holds the photographs, sealed as a BagIt bag."
         if capture.included
@@ -228,7 +231,7 @@ CIDOC Conceptual Reference Model (JSON-LD).
 
 
 def write_zip(folder: Path, target: Path) -> None:
-    """The folder's files in a ZIP file, stored, in the order of their names, all with one date; written whole."""
+    """Write a folder as a ZIP file: stored, in the order of the names, all with one date, atomically."""
     if os.path.lexists(target):
         raise UserError(f"{target} exists already. Remedy: give another --output, or remove it")
     partial = target.with_name(f".{target.name}.{os.getpid()}.partial")

@@ -127,7 +127,7 @@ def judge_unfinished(folder: Path, pruning: Pruning, hosts: set[str]) -> None:
 
 
 def judge_current(folder: Path, pruning: Pruning) -> None:
-    """Published links of a scene that no configuration names: links and an index, nothing else."""
+    """Judge the published links of a scene that no configuration names: links and an index, nothing else."""
     listing = FolderTree(folder).listing()
     if set(listing.files) <= {INDEX} and not listing.others and not listing.unreadable:
         pruning.remove.append(Item(folder, "links of a scene that no configuration names", sum(listing.files.values())))
@@ -186,7 +186,7 @@ CURRENT = "current"
 def decide(
     results: Path, planned: set[Place], *, sweeps: Iterable[str] = (), unnamed: bool = False, hosts: Iterable[str] = ()
 ) -> Pruning:
-    """What of some results is referenced by nothing.
+    """List the results that nothing refers to.
 
     planned: (scene, stage, key) of everything that the configurations ask for; sweeps: names of their sweeps; unnamed:
     list also scenes and sweeps that no configuration names; hosts: machines of which no process lives any more.

@@ -84,7 +84,7 @@ class Survey:
         return f"{self.below}/{name}" if self.below else name
 
     def batches(self) -> Iterator[list[tuple[str, int, str]]]:
-        """The files to read, in portions for one worker each."""
+        """Yield the files to read in portions of one worker each."""
         portion: list[tuple[str, int, str]] = []
         total = 0
         for item in self.to_read:
@@ -151,7 +151,7 @@ def _check_run(survey: Survey, listing: Listing, manifest: bytes) -> None:
 
 
 def _check_names(survey: Survey, manifest: dict[str, Any], name: str) -> None:
-    """The folder's name, and the key against what it stands for: stage, format version, settings, upstream keys."""
+    """Check the folder's name, and the key against stage, format version, settings and upstream keys."""
     survey.scene, survey.stage, survey.key = manifest["scene"], manifest["stage"], manifest["key"]
     if survey.key != name.split(".")[0]:
         survey.add(MANIFEST, "wrong-key", f"says key {survey.key}, folder is {name}")
@@ -169,7 +169,7 @@ def _check_names(survey: Survey, manifest: dict[str, Any], name: str) -> None:
 
 
 def _note_upstream(survey: Survey, manifest: dict[str, Any]) -> None:
-    """The upstream artifacts, after a look at their names: a path is made of them."""
+    """Record the upstream artifacts after a check of their names, which become paths."""
     for stage, entry in manifest["upstream"].items():
         key, digest = entry.get("key", ""), entry.get("digest")
         named = key == "" if stage == CAPTURE else stage.isidentifier() and KEY.fullmatch(str(key))

@@ -89,7 +89,7 @@ def _sort_in(listing: Listing, name: str, entry: os.DirEntry) -> bool:
 
 
 def _open(path: str) -> BinaryIO:
-    """A regular file for reading; a link in its place, or a pipe put there meanwhile, is an OSError."""
+    """Open a regular file for reading; a link or a pipe in its place is an OSError."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
@@ -110,7 +110,7 @@ def _read(handle: BinaryIO, size: int) -> bytes:
 
 @contextmanager
 def _broken_as_oserror(name: str) -> Iterator[None]:
-    """What a broken ZIP file makes its reader raise, as the error of a file that cannot be read."""
+    """Turn the exceptions of a broken ZIP file into the OSError of an unreadable file."""
     try:
         yield
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, struct.error) as error:

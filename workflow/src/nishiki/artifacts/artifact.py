@@ -185,7 +185,7 @@ def run_text(run: dict[str, Any], manifest: bytes) -> str:
 
 
 def run_problem(data: bytes, manifest: bytes) -> str | None:
-    """What is wrong with run.json beside the bytes of a manifest; None where all of both is as it was written."""
+    """Compare run.json with the bytes of a manifest; return the problem, or None where both are intact."""
     try:
         facts = json.loads(data)
         recorded = facts["manifest_sha256"]
@@ -210,7 +210,7 @@ def _looks_sound(path: Path, entry: dict[str, Any]) -> bool:
 
 
 def _tail(path: Path) -> str:
-    """The last four bytes of a file, hexadecimal."""
+    """Return the last four bytes of a file as hexadecimal digits."""
     with open(path, "rb") as handle:
         handle.seek(-4, os.SEEK_END)
         return handle.read(4).hex()
@@ -287,8 +287,10 @@ class ArtifactWriter:
 
 
 def date_not_before(path: Path, inputs: Iterable[Path]) -> None:
-    """Date a file no earlier than those that it was made from: Snakemake takes an earlier one for a failed job, as it
-    is where the clock was set back in between."""
+    """Date a file no earlier than its inputs.
+
+    Snakemake takes an earlier file for that of a failed job, which happens where the clock was set back.
+    """
     newest = max((item.stat().st_mtime_ns for item in inputs), default=0)
     if path.stat().st_mtime_ns < newest:
         os.utime(path, ns=(newest, newest))

@@ -100,8 +100,10 @@ def parse(model: type[Model], values: Any, where: str) -> Model:
 
 
 def faults(model: type[Closed], values: dict, error: ValidationError) -> list[Fault]:
-    """What is wrong with `values`. A value of several kinds has a problem for each: those of the kind that it comes
-    nearest to are given, or all in one."""
+    """List the faults of `values`.
+
+    A value that may be of several kinds has a problem for each: those of the nearest kind are returned, or all in one.
+    """
     by_place: dict[tuple, list[tuple[tuple, Any]]] = {}
     problems = error.errors()
     inside = {problem["loc"][:-1] for problem in problems}
@@ -124,7 +126,7 @@ def faults(model: type[Closed], values: dict, error: ValidationError) -> list[Fa
 
 
 def _written(values: Any, place: tuple) -> tuple[tuple, tuple]:
-    """The keys of a problem's place as the user wrote them, and those up to where the kind of a value is chosen.
+    """Return a problem's keys as the user wrote them, and those up to the choice of a value's kind.
 
     Between them, pydantic names the kinds that it tried. A key that is missing or unknown ends the way.
     """
@@ -151,7 +153,7 @@ def _may_be_missing(values: Any, part: str | int) -> bool:
 
 
 def _plain(message: str) -> str:
-    """A message of pydantic in the words of the configuration."""
+    """Reword a message of pydantic for the configuration."""
     text = message[0].lower() + message[1:]
     text = re.sub(r"a valid dictionary( or instance of \w+)?", "a block of keys and values", text)
     text = re.sub(r"a valid (tuple|list|array)", "a list", text)

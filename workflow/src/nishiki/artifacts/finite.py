@@ -42,7 +42,7 @@ def expect_finite(folder: Path, stage: str) -> None:
 
 
 def problems(folder: Path) -> Iterator[str]:
-    """A text for each array or file below `folder` that holds a value it should not."""
+    """Yield a text for each array or file below `folder` that holds a forbidden value."""
     for name in sorted(_names(folder)):
         path = folder / name
         if path.name == "zarr.json":
@@ -79,8 +79,10 @@ def _zarr(path: Path, name: str) -> Iterator[str]:
 
 
 def _chunk_files_are_finite(folder: Path, metadata: dict) -> bool:
-    """Whether every chunk file of an array has finite values only, read past the array library, which takes four times
-    as long. False where it cannot be told so: other codecs, a chunk without a file."""
+    """Check that every chunk file of an array is finite without the array library, which takes four times as long.
+
+    Return False where this cannot be decided: other codecs, or a chunk without a file.
+    """
     codecs = [codec["name"] for codec in metadata["codecs"]]
     little = metadata["codecs"][0].get("configuration", {}).get("endian", "little") == "little"
     known = codecs[:1] == ["bytes"] and little and codecs[1:] in ([], ["zstd"], ["crc32c"], ["zstd", "crc32c"])
@@ -104,7 +106,7 @@ def _chunk_files_are_finite(folder: Path, metadata: dict) -> bool:
 
 
 def _sum_is_finite(values: np.ndarray) -> bool:
-    """A finite sum has finite terms: one pass without a mask. An overflow only costs a second look."""
+    """Check whether values are finite by their sum: one pass without a mask. An overflow costs a second look only."""
     with np.errstate(all="ignore"):
         return bool(np.isfinite(np.sum(values, dtype=np.float32 if values.dtype.itemsize == 2 else None)))
 
@@ -150,7 +152,7 @@ def _blocks(array: Any) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
 def _counted(
     blocks: Iterable[tuple[tuple[int, ...], np.ndarray]],
 ) -> tuple[int, int, tuple[int, ...] | None, tuple[int, ...] | None]:
-    """Number of NaN, of infinities, and the index of the first of each."""
+    """Count NaN and infinities, with the index of the first of each."""
     nans = infinities = 0
     first_nan = first_infinity = None
     for start, values in blocks:

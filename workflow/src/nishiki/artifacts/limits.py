@@ -40,10 +40,11 @@ Figure = Callable[[Mapping[str, Any]], float | None]
 
 @dataclass(frozen=True)
 class Limit:
-    """figure: of the stage's diagnostics, None where it does not apply. The result is beyond the limit below `least` or
-    above `most`; without either the figure is reported only. why: the limit and not another; remedy: what to change.
-    doubt: level on the same side, nearer to what sound captures give, beyond which the run goes on with a warning.
-    warns: beyond the limit itself the run goes on with a warning, because the result may be right.
+    """Bound a figure of the diagnostics: the result is beyond the limit below `least` or above `most`.
+
+    figure: None where it does not apply; without a bound it is reported only. why, remedy: reason of the value, and
+    what to change. doubt: level on the same side from which the run goes on with a warning. warns: the run goes on
+    beyond the limit too, because the result may be right.
     """
 
     name: str
@@ -93,7 +94,7 @@ class LimitCheck:
 
 
 def at(path: str) -> Figure:
-    """The diagnostic at a dotted path; None where it is missing."""
+    """Read the diagnostic at a dotted path; None where it is missing."""
 
     def figure(diagnostics: Mapping[str, Any]) -> float | None:
         value: Any = diagnostics
@@ -115,7 +116,7 @@ def share(part: str, total_path: str) -> Figure:
 
 
 def extreme(path: str, of: Callable[[Iterable[float]], float] = max) -> Figure:
-    """The largest (or smallest) number in the list or block at a dotted path."""
+    """Return the largest (or smallest) number in the list or block at a dotted path."""
 
     def figure(diagnostics: Mapping[str, Any]) -> float | None:
         value: Any = diagnostics
@@ -175,7 +176,7 @@ def check(stage: str, limits: Iterable[Limit], diagnostics: Mapping[str, Any], a
 def limit_warnings(
     stage: str, limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()
 ) -> list[str]:
-    """A sentence for each figure that gives reason for a warning, unless its limit is allowed."""
+    """Return a sentence for each figure that deserves a warning, unless its limit is allowed."""
     allow = set(allow)
     return [
         f"{each.limit.meaning} is {each.value:.3g}, expected {each.limit.sound}. Remedy: {each.limit.remedy}; or, if "

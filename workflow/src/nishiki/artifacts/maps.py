@@ -40,8 +40,10 @@ class MapWriter:
     def create(
         self, name: str, trailing: tuple[int, ...] = (), *, dtype: str = "float32", **attributes: Any
     ) -> BandedArray:
-        """An array (rows, columns, *trailing); `attributes` say unit and meaning; `nan`, what a NaN means in it: an
-        array without this attribute may not hold one (`nishiki.artifacts.finite`)."""
+        """Create an array (rows, columns, *trailing) with attributes for unit and meaning.
+
+        `nan` states the meaning of NaN; an array without this attribute may not hold one (`nishiki.artifacts.finite`).
+        """
         rows, columns = self.shape
         return self.group.create_array(
             name,
@@ -53,7 +55,7 @@ class MapWriter:
         )
 
     def write(self, name: str, values: np.ndarray, **attributes: Any) -> None:
-        """A whole map at once."""
+        """Write a whole map at once."""
         values = np.asarray(values)
         self.create(name, values.shape[2:], dtype=str(values.dtype), **attributes)[...] = values
 
@@ -68,11 +70,11 @@ class Maps:
         return name in self.group
 
     def read(self, name: str, rows: slice = slice(None)) -> np.ndarray:
-        """A map, or a band of its rows."""
+        """Read a map, or a band of its rows."""
         return self.group[name][rows]
 
     def attributes(self, name: str) -> dict:
-        """What was said of a map when it was written."""
+        """Return the attributes that a map was written with."""
         return self.group[name].attrs
 
 
@@ -82,7 +84,7 @@ def directional_shading(maps: Maps) -> bool:
 
 
 def shading_normals(maps: Maps, rows: slice = slice(None)) -> np.ndarray:
-    """Normals of the body shading, of some rows: the stage's own maps of them where it made any, else its normals."""
+    """Read the normals of the body shading for some rows: the stage's own maps of them, else its normals."""
     return maps.read("shading_normals" if "shading_normals" in maps else "normals", rows)
 
 
@@ -109,7 +111,7 @@ class StagePart:
         return cls(int(number), int(total))
 
     def share(self, items: Sequence[Item]) -> Sequence[Item]:
-        """The part's items: contiguous, and as many as in any other part, or one fewer or more."""
+        """Return the part's items: contiguous, and equal in number to those of other parts but for one."""
         first, end = (len(items) * n // self.total for n in (self.number - 1, self.number))
         return items[first:end]
 
@@ -149,7 +151,7 @@ def write_tally(folder: Path, tally: dict[str, Any]) -> None:
 
 
 def read_tally(folder: Path) -> dict[str, Any]:
-    """A tally as it was written."""
+    """Read a tally as it was written."""
     with np.load(folder / TALLY_ARRAYS) as arrays:
         return {**json.loads((folder / TALLY).read_text()), **arrays}
 

@@ -118,7 +118,7 @@ IMPORT = re.compile(r'from "viewer/(\w+)";')
 
 
 def modules_of(entry: Path, folders: Iterable[Path]) -> list[Path]:
-    """The module that a page begins with, and those of the folders that it imports, directly or not, in order of names.
+    """List the module that a page begins with and its direct and indirect imports from the folders, by name.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def stage_key(stage: str, version: int, settings: dict, upstream: dict[str, str]
 
 
 def key_of_text(stage: str, version: int, settings: str, upstream: dict[str, str]) -> str:
-    """The same from the canonical text of the settings, which thousands of scenes may share."""
+    """Compute the key from the canonical text of the settings, which thousands of scenes may share."""
     rest = canonical({"stage": stage, "upstream": upstream, "version": version})
     text = f'{{"settings":{settings},{rest[1:]}'  # canonical text of all four: "settings" is the first in order
     return hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
@@ -212,14 +212,16 @@ def stage_program(stage: str) -> str:
 
 
 def program_of(name: str) -> Path:
-    """The file that runs a stage of this name; for other names a script of the project."""
+    """Return the file that runs a stage of this name; for other names a script of the project."""
     program = STAGES.joinpath(*module_of(name).split(".")).with_suffix(".py")
     return program if program.is_file() else SCRIPTS / f"{name}.py"
 
 
 def code_digest(script: Path) -> str:
-    """Digest of the code that a script (or a stage's program) runs: itself, every module of this project that it
-    imports, directly or not, and their tables."""
+    """Hash the code that a script (or a stage's program) runs.
+
+    It consists of the script, every module of this project that it imports, directly or not, and their tables.
+    """
     digest = hashlib.sha256()
     script = Path(script).resolve()
     files = code_files(script)
@@ -231,7 +233,7 @@ def code_digest(script: Path) -> str:
 
 
 def code_files(script: Path) -> list[Path]:
-    """The script and the project's modules that it imports, directly or not, in a fixed order."""
+    """List the script and the project's modules that it imports, directly or not, in a fixed order."""
     script = Path(script).resolve()
     seen: set[Path] = set()
     queue = [script]
@@ -249,7 +251,7 @@ def _is_module(path: Path) -> bool:
 
 
 def _name(path: Path) -> Path:
-    """A file's name in a digest, which says nothing of where the project lies."""
+    """Return a file's name in a digest, which is independent of the place of the project."""
     return path.relative_to(SOURCE) if _is_module(path) else Path(path.name)
 
 
@@ -269,7 +271,7 @@ def _imports(path: Path) -> tuple[Path, ...]:
 
 
 def _module_files(name: str) -> list[Path]:
-    """The module's file and those of the packages that it lies in (importing it runs them)."""
+    """Return the module's file and those of the packages that contain it (importing it runs them)."""
     parts = name.split(".")
     packages = [SOURCE.joinpath(*parts[: end + 1], "__init__.py") for end in range(len(parts))]
     candidates = [SOURCE.joinpath(*parts).with_suffix(".py"), *packages]
@@ -277,9 +279,11 @@ def _module_files(name: str) -> list[Path]:
 
 
 def data_files(modules: list[Path]) -> list[Path]:
-    """Tables and templates that lie in the folders of the modules, and in a folder that has the name of a module beside
-    it: they decide the result as code does. Of the JavaScript there, that which has the name of a module counts, and
-    what it imports from a folder of the latter kind, directly or not."""
+    """List the tables and templates that decide results as code does.
+
+    They lie in the folders of the modules, or in a folder named as a module beside it. Of JavaScript there, the file
+    named as a module counts, and its direct and indirect imports from a folder of the latter kind.
+    """
     own = [path for path in modules if SOURCE / PACKAGE in path.parent.parents and _is_module(path)]
     beside = {path.parent for path in own}
     named = {path.with_suffix("") for path in own if path.with_suffix("").is_dir()}

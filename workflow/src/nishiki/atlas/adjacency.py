@@ -25,7 +25,7 @@ def across_edges(corners: np.ndarray) -> np.ndarray:
 
 
 def smoothed(vectors: np.ndarray, weights: np.ndarray, neighbours: np.ndarray, *, rounds: int) -> np.ndarray:
-    """Unit vectors (f, 3) after `rounds` of averaging over each triangle and its neighbours, by the weights (f,).
+    """Average unit vectors (f, 3) `rounds` times over each triangle and its neighbours, weighted by (f,).
 
     Triangles around which nothing has weight keep (0, 0, 0).
     """
@@ -85,7 +85,7 @@ def half_way(vertices, corners):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def components(labels, neighbours):
-    """Connected triangles of equal label: number of the component (f,) int32, in the order of their first triangles.
+    """Count the connected triangles of equal label: (f,) int32 in the order of their first triangles.
 
     Triangles with a negative label get -1.
     """

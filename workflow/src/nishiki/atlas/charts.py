@@ -21,7 +21,7 @@ from nishiki.geometry.visibility import bounds, edge
 
 
 def turning(cameras: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors (3,): up along the turntable's axis, and front, across it, towards the first camera.
+    """Return unit vectors (3,): up along the turntable's axis, and front across it towards the first camera.
 
     Up is the mean of the pictures' own up: over a turn what lies across the axis cancels. In a world that is known up
     to an affine map only, both are still constant over the object.
@@ -37,7 +37,7 @@ def turning(cameras: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def normalised(vector: np.ndarray, instead: np.ndarray) -> np.ndarray:
-    """A unit vector; `instead` where the length is next to nothing."""
+    """Normalise a vector; return `instead` where its length is next to nothing."""
     length = np.linalg.norm(vector)
     return vector / length if length > 1e-6 else instead
 
@@ -56,8 +56,11 @@ def probe_spacing(mesh: Mesh, cameras: list[Camera], *, texels_per_pixel: float)
 
 @dataclass(frozen=True)
 class Frame:
-    """Axes of charts: direction (charts, 3) float64 away from the surface; down, right (charts, 3): the chart's rows
-    and columns as someone sees them who looks at the surface from outside, with the turntable's axis upright."""
+    """Hold the axes of charts.
+
+    direction (charts, 3) float64 away from the surface; down, right (charts, 3): the chart's rows and columns, viewed
+    from outside with the turntable's axis upright.
+    """
 
     direction: np.ndarray
     down: np.ndarray
@@ -65,8 +68,10 @@ class Frame:
 
 
 def frame_along(direction: np.ndarray, *, up: np.ndarray, front: np.ndarray) -> Frame:
-    """Axes for directions (n, 3): down is as near to the turntable's foot as the chart allows; for charts that look
-    along the axis (within 18 degrees), as near to `front` instead."""
+    """Choose axes for directions (n, 3): down is as near to the turntable's foot as the chart allows.
+
+    For charts that face along the axis (within 18 degrees) it is as near to `front` instead.
+    """
     direction = np.asarray(direction, np.float64)
     upright = np.broadcast_to(np.asarray(up, np.float64) / np.linalg.norm(up), direction.shape)
     along = (direction * upright).sum(axis=1, keepdims=True)
@@ -78,8 +83,10 @@ def frame_along(direction: np.ndarray, *, up: np.ndarray, front: np.ndarray) -> 
 
 
 def flatten(corners: np.ndarray, chart: np.ndarray, frames: Frame) -> np.ndarray:
-    """(f, 3, 2) float64: (down, right) of the corners (f, 3, 3) in the planes of their charts (f,), in the world's
-    unit; 0 where the chart is negative."""
+    """Project corners (f, 3, 3) into the planes of their charts (f,): (f, 3, 2) float64 (down, right).
+
+    Values are in the world's unit, 0 where the chart is negative.
+    """
     plane = np.zeros((*corners.shape[:2], 2))
     inside = chart >= 0
     for axis, vectors in enumerate((frames.down, frames.right)):
@@ -173,10 +180,13 @@ MANY = 50
 
 @dataclass(frozen=True)
 class Charts:
-    """chart (f,) int32, -1 for triangles without area that touch no other; frames: direction and axes of each chart;
-    plane (f, 3, 2) float64: (down, right) of the corners in the chart's plane, in the world's unit; smoothing_rounds:
-    of `smoothed_vertices` before the projection; degenerate: triangles without area; flipped, overlapped: triangles
-    that were split off for that reason, over all rounds."""
+    """Hold the charts of a mesh.
+
+    chart (f,) int32, -1 for triangles without area that touch no other; frames: direction and axes of each chart; plane
+    (f, 3, 2) float64: (down, right) of the corners in the chart's plane, in the world's unit; smoothing_rounds: of
+    `smoothed_vertices` before the projection; degenerate: triangles without area; flipped, overlapped: triangles that
+    were split off for that reason, over all rounds.
+    """
 
     chart: np.ndarray
     frames: Frame
@@ -220,8 +230,9 @@ def cut(
     steepest_deg: float = 80.0,
     patience: float = 1.0,
 ) -> Charts | None:
-    """Charts of a mesh whose smoothed vertices (v, 3), `rounds` of it, are flattened; None where more than `patience`
-    of the triangles are turned over.
+    """Cut a mesh into charts; None where more than `patience` of the triangles are turned over.
+
+    vertices (v, 3): smoothed in `rounds`; the charts are flattened with them.
 
     range_of_normals: over which normals are averaged before they are judged, of the mesh's extent; smallest: area
     below which a piece is merged, of the whole surface; steepest_deg: largest angle between a triangle and its chart.
@@ -262,8 +273,10 @@ def cut(
 
 
 def unit_normals(mesh: Mesh, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals (f, 3) and areas (f,) float64 of the triangles between smoothed vertices (v, 3); 0 where a triangle
-    has no area, smoothed or not."""
+    """Return unit normals (f, 3) and areas (f,) float64 of the triangles between smoothed vertices (v, 3).
+
+    Both are 0 where a triangle has no area, smoothed or not.
+    """
     faces, true_faces = face_vectors(vertices, mesh.triangles), face_vectors(mesh.vertices, mesh.triangles)
     areas, true_areas = (np.linalg.norm(v, axis=1) / 2 for v in (faces, true_faces))
     usable = has_area(areas) & has_area(true_areas)
@@ -305,8 +318,10 @@ def directions_of(labels: np.ndarray, normals: np.ndarray, areas: np.ndarray) ->
 
 
 def merge_small(labels, normals, areas, neighbours, lengths, *, smallest: float, lowest: float) -> np.ndarray:
-    """Give pieces smaller than `smallest` of the surface to the neighbour with the longest common border that no
-    triangle of the piece turns away from; a piece that no neighbour can take stays."""
+    """Merge pieces smaller than `smallest` of the surface into the neighbour with the longest common border.
+
+    No triangle of the piece may turn away from that neighbour; a piece that no neighbour can take stays.
+    """
     total = areas.sum()
     for _ in range(40):
         count = int(labels.max(initial=-1)) + 1
@@ -334,7 +349,7 @@ def merge_small(labels, normals, areas, neighbours, lengths, *, smallest: float,
 
 
 def split(labels: np.ndarray, away: np.ndarray, normals: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
-    """New labels (f,) int32 in which the triangles `away` leave their charts, grouped by connection and octant."""
+    """Relabel (f,) int32 so that the triangles `away` leave their charts, grouped by connection and octant."""
     octant = ((normals > 0) * np.array([1, 2, 4])).sum(axis=1)
     keys = np.where(away, 8 * labels.astype(np.int64) + octant, 8 * labels.astype(np.int64) + 8 * (labels.max() + 1))
     keys = np.where(labels >= 0, keys, -1)

@@ -14,15 +14,18 @@ from nishiki.geometry.mesh import Mesh
 
 @dataclass(frozen=True)
 class Density:
-    """pixels (f,) float64: area in pixels of each triangle in its chosen view, 0 where too few views face it;
-    along (f, 2) float64: squared pixels there for one unit along (down, right) of the triangle's plane coordinates."""
+    """Hold the sampling of triangles by the pictures.
+
+    pixels (f,) float64: area in pixels of each triangle in its chosen view, 0 where too few views face it; along (f, 2)
+    float64: squared pixels there for one unit along (down, right) of the triangle's plane coordinates.
+    """
 
     pixels: np.ndarray
     along: np.ndarray
 
 
 def sampling_density(mesh: Mesh, plane: np.ndarray, cameras: list[Camera], *, percentile: float) -> Density:
-    """The capture's own sampling of each triangle: of the view at the percentile of its areas over all views.
+    """Measure each triangle's sampling in the view at the percentile of its areas over all views.
 
     plane (f, 3, 2): as of `flatten`. Occlusion is not asked: whoever faces a triangle counts.
     """
@@ -109,8 +112,11 @@ def texel_areas(atlas: Atlas) -> np.ndarray:
 
 
 def stretch_percentiles(mesh: Mesh, atlas: Atlas, percentiles=(50, 90, 99, 100)) -> list[float]:
-    """Percentiles, by surface area, of the ratio of the longest to the shortest length on the surface that one texel
-    has in any two directions; 1 is a chart without distortion."""
+    """Compute percentiles, by surface area, of the stretch of the texels.
+
+    The stretch is the ratio of the longest to the shortest length on the surface that one texel has in any two
+    directions; 1 is a chart without distortion.
+    """
     corners = mesh.vertices[mesh.triangles]
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     flat = atlas.corners.astype(np.float64)

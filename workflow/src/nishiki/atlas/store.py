@@ -136,13 +136,13 @@ class Texels:
         return self._part(array, (name, observation), lead, len(lead), slice(tile, tile + 1))[0]
 
     def _of_pixels(self, name: str, view: int, part: slice, light: int | None = None) -> np.ndarray:
-        """Some pixels of an array (pixels, ...) or (lights, pixels, ...)."""
+        """Read some pixels of an array (pixels, ...) or (lights, pixels, ...)."""
         name = f"pixels/{name}"
         lead = () if light is None else (light,)
         return self._part(self._array(name), (name, view, light), lead, len(lead), part)
 
     def _part(self, array: zarr.Array, key: tuple, lead: tuple[int, ...], axis: int, part: slice) -> np.ndarray:
-        """A range along one axis, through the one chunk that is kept for each key: its neighbours are asked next."""
+        """Read a range along one axis through the one cached chunk of each key, since its neighbours follow."""
         length = array.chunks[axis]
         pieces = []
         for chunk in range(part.start // length, (part.stop - 1) // length + 1):

@@ -23,8 +23,10 @@ READ_AHEAD_MIB = 64
 
 @dataclass(frozen=True)
 class ViewGeometry:
-    """What one view shows of the object, whatever the light: raster, shown (rows, columns) bool, places of the pixels,
-    and where they begin in the store."""
+    """Hold the part of the object that one view shows under any light.
+
+    raster; shown (rows, columns) bool; places of the pixels and their start in the store.
+    """
 
     view: int
     raster: Raster
@@ -145,8 +147,10 @@ class TexelsWriter:
         return ViewGeometry(index, raster, shown, places, start)
 
     def pictures(self, view: ViewGeometry, light: int, pictures: dict[str, np.ndarray], valid: np.ndarray) -> dict:
-        """Store what a view shows under one light: pictures (rows, columns, channels) linear by component, valid (rows,
-        columns) bool. Returns counts: visible, inside."""
+        """Store the pictures of one view under one light; return the counts visible and inside.
+
+        pictures (rows, columns, channels) linear by component, valid (rows, columns) bool.
+        """
         places, camera = view.places, self.cameras[view.view]
         observation = light * self.views + view.view
         part = slice(view.start, view.start + len(places.row))
@@ -179,8 +183,10 @@ class TexelsWriter:
         return {"visible": sum(in_threads(one, self.groups())), "inside": int(self.inside.sum())}
 
     def finish(self) -> np.ndarray:
-        """Close the index of the pixels; returns the mean colour (tiles, T, T, channels) float32 of each texel over the
-        observations that show it, NaN where none does."""
+        """Close the index of the pixels; return the mean colour of each texel, (tiles, T, T, channels) float32.
+
+        The mean is over the observations that show the texel, NaN where none does.
+        """
         self._create("pixels/offsets", self.offsets.shape, self.offsets.shape, "int64")
         self.group["pixels/offsets"][...] = self.offsets
         with np.errstate(invalid="ignore"):

@@ -33,7 +33,7 @@ PRINT_PX_PER_MM = 12.0
 
 
 def print_board(shape: BoardShape) -> tuple[str, bytes]:
-    """The board as SVG in millimetres and as PNG; print without scaling and measure a square afterwards."""
+    """Draw the board as SVG in millimetres and as PNG; print without scaling and measure a square afterwards."""
     import cv2
 
     width, height = shape.squares_x * shape.square, shape.squares_y * shape.square

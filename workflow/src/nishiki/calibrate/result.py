@@ -151,7 +151,7 @@ def put_into_capture(capture: Path, result: Calibration) -> None:
 
 
 def finite(value: float, digits: int = 6) -> float | None:
-    """A number for JSON: rounded to significant digits, None where it is not finite."""
+    """Round a number for JSON to significant digits; None where it is not finite."""
     value = float(value)
     return float(f"{value:.{digits}g}") if abs(value) < float("inf") else None
 

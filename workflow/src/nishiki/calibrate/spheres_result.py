@@ -57,7 +57,7 @@ def calibrate_spheres(given: SphereInput) -> Calibration:
 
 
 def lp_text(files: Sequence[str], vectors: np.ndarray) -> str:
-    """An .lp file: the number of lamps, then file name and vector of each."""
+    """Format an .lp file: the number of lamps, then file name and vector of each."""
     rows = [f"{_quoted(file)} {x:.9g} {y:.9g} {z:.9g}\n" for file, (x, y, z) in zip(files, vectors, strict=True)]
     return f"{len(rows)}\n" + "".join(rows)
 

@@ -112,7 +112,7 @@ from published comparisons of the two. Resolution, sharpness, noise, evenness an
 
 
 def verdict(figures: dict[str, float], standard: str) -> str:
-    """The best level of a standard whose limits all figures keep; "none" where they keep no level's."""
+    """Return the best level of a standard whose limits all figures keep; "none" where there is none."""
     for level, limits in CRITERIA[standard].items():
         if all(figures[name] <= limit for name, limit in limits.items()):
             return level
@@ -268,7 +268,7 @@ def xyz_as_delivered(linear: np.ndarray) -> np.ndarray:
 
 
 def fitted_xyz(linear: np.ndarray, reference: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The best linear map of the camera, and colours (24, 3) each of which it predicts from the other patches.
+    """Fit the best linear map of the camera, and predict each colour (24, 3) from the other patches.
 
     Least squares of XYZ relative to the patch's luminance, so that dark patches count as light ones do.
 
@@ -377,7 +377,7 @@ def _responses(curves, illuminant, reflectances, linear, usable) -> np.ndarray:
 
 
 def _colour_science():
-    """The package, without its remarks on other packages that are not there."""
+    """Import the package without its remarks on other missing packages."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return optional("colour-science")

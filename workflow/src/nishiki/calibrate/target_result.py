@@ -142,14 +142,14 @@ def calibrate_target(given: TargetInput) -> Calibration:
 
 
 def _sentence(how: str, errors: ColourErrors) -> str:
-    """The figures that matter most."""
+    """State the most important figures in a sentence."""
     levels = ", ".join(f"{standard}: {verdict(errors.summary, standard)}" for standard in CRITERIA)
     mean, largest = errors.summary["delta_e_mean"], errors.summary["delta_e_max"]
     return f"Colours {how}: CIEDE2000 {mean:.2f} mean, {largest:.2f} largest ({levels})."
 
 
 def _spectrum(text: str) -> np.ndarray:
-    """The spectrum (61,) of a lamp: a CIE illuminant by name, or a table."""
+    """Return the spectrum (61,) of a lamp: a CIE illuminant by name, or a table."""
     if not text.lower().endswith(".csv"):
         return illuminant(text)
     curves = read_curves(Path(text))
@@ -180,7 +180,7 @@ def _sections(
     judged: dict[str, ColourErrors],
     sensitivities: Sensitivities | None,
 ) -> list[Section]:
-    """What a target's page shows.
+    """Build the sections of a target's page.
 
     Parameters
     ----------

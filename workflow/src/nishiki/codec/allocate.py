@@ -82,7 +82,7 @@ class Sparse:
         return cls(block.shape, places.astype(np.int32), block.ravel()[places])
 
     def full(self) -> np.ndarray:
-        """The block, int32."""
+        """Return the block, int32."""
         out = np.zeros(self.shape, np.int32)
         out.ravel()[self.places] = self.values
         return out
@@ -104,8 +104,11 @@ class Point:
 
 @dataclass(frozen=True)
 class EncodedObject:
-    """design, models (parameters, residual) and, per tile, extents, integers and their streams (parameters, then one
-    for each component; b"" where nothing is stored); pixels, errors as in `CodedTile`, summed; curve: passes made."""
+    """Hold a coded object.
+
+    design, models (parameters, residual) and, per tile, extents, integers and their streams (parameters, then one for
+    each component; b"" where nothing is stored); pixels, errors as in `CodedTile`, summed; curve: passes made.
+    """
 
     design: Design
     models: tuple[Model, Model]
@@ -132,8 +135,11 @@ class EncodedObject:
 
 @dataclass(frozen=True)
 class Pilot:
-    """What one look at all tiles gives: refined parameters, the design with its colours and means, typical weights,
-    and energy (tiles,) float64: sum of squares that the model leaves of the pixels."""
+    """Hold the result of a first pass over all tiles.
+
+    Refined parameters, the design with its colours and means, typical weights, and energy (tiles,) float64: sum of
+    squares of the pixels that the model does not explain.
+    """
 
     refined: list[Refined | None]
     design: Design
@@ -216,7 +222,7 @@ def _usual(weight: np.ndarray) -> float:
 
 
 def at_step(design: Design, step: float, typical: Typical, *, parameter_share: float = 1.0) -> Design:
-    """The design with its steps: an error of one parameter step does to the pictures what one residual step does."""
+    """Scale the design's steps so that one parameter step changes the pictures as much as one residual step."""
     steps = [parameter_share * step * np.sqrt(typical.density / max(w, 1e-12)) for w in typical.parameters]
     limits = ((1e-6, 1.0), (1e-6, 1.0), (0.02, 1.0))
     rounded = tuple(float(f"{np.clip(s, *limit):.4g}") for s, limit in zip(steps, limits, strict=True))
@@ -295,7 +301,7 @@ def psnr(error: float, samples: int) -> float:
 
 
 def point_of(encoded: EncodedObject, share: float = 1.0) -> Point:
-    """What a pass reached, or would over the whole object if it covered a share of the tiles."""
+    """Return the result of a pass, or its estimate for the whole object if it covered a share of the tiles."""
     quality = psnr(encoded.error, encoded.pixels * encoded.design.channels)
     size = encoded.bytes + round(encoded.bytes_of_tiles * (1 / share - 1))
     return Point(encoded.design.step, size, quality, round(encoded.kept / share))
@@ -312,7 +318,7 @@ def find_step(
     share: float = 1.0,
     slope: float = SLOPE,
 ) -> EncodedObject:
-    """The pass whose value is nearest to `goal`, found by Newton's method on the logarithm of the step.
+    """Search the step whose value is nearest to `goal` by Newton's method on the logarithm of the step.
 
     run: one pass at a step, going on from the pass before. value: falls as the step grows (bytes and kept as
     logarithms, PSNR as it is). tolerance: of the value. share: of the tiles that a pass covers. slope: of the value,
@@ -333,9 +339,11 @@ def find_step(
 
 
 def slope_of(steps: Sequence[float], off: Sequence[float], slope: float = SLOPE) -> float:
-    """Slope of a value by the logarithm of the step, from the last pass and the nearest to the goal of those that are
-    more than a tenth away; the given slope where there is none. What a pass goes on from changes its value a little, so
-    that passes at almost the same step tell no slope."""
+    """Estimate the slope of a value by the logarithm of the step.
+
+    It is taken between the last pass and the nearest to the goal of those more than a tenth away, since passes at
+    almost the same step give no slope; without such a pass it is the given one.
+    """
     logs = np.log(steps)
     apart = [k for k in range(len(steps) - 1) if abs(logs[k] - logs[-1]) > APART]
     if not apart:

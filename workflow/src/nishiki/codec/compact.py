@@ -25,22 +25,24 @@ _LARGEST = 2**29  # steps along an axis; Draco predicts in 32-bit integers
 
 @dataclass(frozen=True)
 class CompactMesh:
-    """data: the bytes; order (n,) int64: number, in the mesh that was coded, of each decoded triangle; step: of the
-    grid."""
+    """Hold a coded mesh.
+
+    data: the bytes; order (n,) int64: number of each decoded triangle in the mesh that was coded; step of the grid.
+    """
 
     data: bytes
     order: np.ndarray
     step: float
 
     def restored(self, mesh: Mesh) -> Mesh:
-        """The decoded positions in the order of `mesh`, the mesh that was coded: what a renderer of the bytes sees,
-        with triangles numbered as the atlas numbers them.  Normals are computed from the decoded positions."""
+        """Return the decoded positions in the order of `mesh`, with normals computed from them."""
         return Mesh.of(np.round(mesh.vertices / self.step) * self.step, mesh.triangles)
 
 
 def encode_mesh(mesh: Mesh, *, step: float) -> CompactMesh:
-    """Positions rounded to multiples of `step` (a power of two, world's unit), triangles without loss; triangles of
-    which two corners fall on one point of the grid are left out.
+    """Code a mesh: positions rounded to multiples of `step` (a power of two), triangles without loss.
+
+    Triangles with two corners on one point of the grid are dropped. The unit is the world's.
 
     Raises ValueError where the step is no power of two, or too small for the size of the mesh.
     """
@@ -66,7 +68,7 @@ def encode_mesh(mesh: Mesh, *, step: float) -> CompactMesh:
 
 
 def decode_mesh(data: bytes) -> Mesh:
-    """The mesh of the bytes of `encode_mesh`.  Raises ValueError where they are not such bytes or are cut short."""
+    """Decode the bytes of `encode_mesh`. Raises ValueError where they are not such bytes or are cut short."""
     import DracoPy
 
     try:
@@ -116,8 +118,7 @@ def shift(points: np.ndarray, moved: np.ndarray, cameras: list[Camera]) -> float
 
 
 def mesh_step(mesh: Mesh, cameras: list[Camera]) -> float:
-    """The step to code a mesh with: that of the grid its vertices lie on, so that nothing changes, where there is one
-    at most 16 times finer than needed; else that of `grid_step`."""
+    """Return the grid step of a mesh's vertices where it is at most 16 times finer than needed, else `grid_step`."""
     needed = grid_step(mesh, cameras)
     points = np.asarray(mesh.vertices, np.float64)[np.unique(mesh.triangles)]
     for halvings in range(-10, 5):
@@ -132,8 +133,11 @@ _SAME = 11  # numbers of a camera without distortion
 
 
 def pack_cameras(cameras: Sequence[Camera]) -> bytes:
-    """float32 numbers a camera: fx, skew, fy, cx, cy, rotation vector, translation, and distortion where any has one;
-    preceded by rows, columns and the number of numbers.  Names are not kept."""
+    """Pack cameras as float32 numbers without names.
+
+    They are fx, skew, fy, cx, cy, rotation vector, translation, and distortion where any has one; preceded by rows,
+    columns and the number of numbers.
+    """
     distorted = any(tuple(camera.distortion) != NO_DISTORTION for camera in cameras)
     rows = []
     for camera in cameras:
@@ -147,8 +151,10 @@ def pack_cameras(cameras: Sequence[Camera]) -> bytes:
 
 
 def chart_bytes(chart: np.ndarray, order: np.ndarray) -> int:
-    """Bytes of the atlas: each triangle's chart number (f,), in the order (f,) of the mesh's walk, against that of the
-    triangle before; and the numbers from which a chart's corners and tiles follow, once the mesh is known."""
+    """Count the bytes of the atlas: chart numbers (f,) in the order (f,) of the mesh's walk, and the charts' numbers.
+
+    Each number is coded against that of the triangle before.
+    """
     along = chart[order].astype(np.int64)
     change = np.diff(along, prepend=along[:1]) if len(along) else along
     moved = np.concatenate([[0], (change[:-1] != 0)]).astype(np.int64) if len(along) else along
@@ -184,8 +190,11 @@ class Cost:
 
 
 def cost_of(mesh: Mesh, chart: np.ndarray, cameras: list, lighting: dict, residual: dict[str, int]) -> Cost:
-    """chart (f,): of the atlas; lighting: as plain data; residual: its bytes by part, parameters included (a "total"
-    among them is left out)."""
+    """Count the bytes of all parts of a coded object.
+
+    chart (f,): of the atlas; lighting: as plain data; residual: its bytes by part, parameters included (a "total" among
+    them is left out).
+    """
     coded = encode_mesh(mesh, step=mesh_step(mesh, cameras))
     used = np.unique(mesh.triangles)
     moved = shift(mesh.vertices[used], coded.restored(mesh).vertices[used], cameras)

@@ -125,7 +125,9 @@ GROUPS = ("kd", "ks", "sigma")
 
 @dataclass(frozen=True)
 class Design:
-    """tile_size T; views, lights, channels of the capture; full_turn; encoding; components: coded apart ("total",) or
+    """Hold the parameters of the coding.
+
+    tile_size T; views, lights, channels of the capture; full_turn; encoding; components: coded apart ("total",) or
     ("diffuse", "specular"). wavelet, levels, mirrored: of the planes; view_transform, light_transform: along the
     observations; arcs: whether a tile's block spans only the views that see it; model: False for image-based coding.
     step: of the residual's quantiser; parameter_steps: of kd, ks, log sigma. colour: one (C, C) matrix per component;

@@ -31,8 +31,11 @@ UNARY = 18
 
 @dataclass(frozen=True)
 class Model:
-    """State at the start of a tile: chance (contexts,) int64 22-bit probabilities, seen (contexts,) int64 their
-    weight, weights (groups, inputs) int64 of the mixers; rounded: what `pack` stores."""
+    """Hold the state at the start of a tile.
+
+    chance (contexts,) int64 22-bit probabilities, seen (contexts,) int64 their weight, weights (groups, inputs) int64
+    of the mixers; rounded: what `pack` stores.
+    """
 
     chance: np.ndarray
     seen: np.ndarray
@@ -41,7 +44,7 @@ class Model:
 
     @classmethod
     def untrained(cls) -> Model:
-        """What is assumed before anything was seen: ones are rare."""
+        """Return the initial assumption: ones are rare."""
         chance = np.full(CONTEXTS, 1 << 20, np.int64)
         weights = np.zeros((GROUPS, INPUTS), np.int64)
         weights[:, : INPUTS - 1] = int(0.3 * UNIT)
@@ -50,8 +53,11 @@ class Model:
 
 @dataclass(frozen=True)
 class Coded:
-    """data: the bytes; ends (bands,) int64: bytes needed for each band and all before it; tally (contexts, 2) int64
-    zeros and ones coded under each context; weights (groups, inputs) and uses (groups,): mixers at the end."""
+    """Hold a coded block.
+
+    data: the bytes; ends (bands,) int64: bytes needed for each band and all before it; tally (contexts, 2) int64 zeros
+    and ones coded under each context; weights (groups, inputs) and uses (groups,): mixers at the end.
+    """
 
     data: bytes
     ends: np.ndarray
@@ -60,8 +66,11 @@ class Coded:
 
 
 def bands_of(rows: int, columns: int, levels: int) -> np.ndarray:
-    """(bands, 7) int64: first row and column, rows, columns, level (1 finest), orientation (0 coarsest, 1 columns, 2
-    rows, 3 both), and the band of the parent or -1; coarse to fine."""
+    """List the bands, (bands, 7) int64, from coarse to fine.
+
+    Columns: first row and column, rows, columns, level (1 finest), orientation (0 coarsest, 1 columns, 2 rows, 3 both),
+    and the band of the parent or -1.
+    """
     out = [(0, 0, rows >> levels, columns >> levels, levels + 1, 0, -1)]
     for level in range(levels, 0, -1):
         h, w = rows >> level, columns >> level
@@ -308,7 +317,7 @@ RARE = 80  # contexts used less often in the whole object are left untrained
 
 
 def train(coded: list[Coded], *, share: float = 0.25, limit: int = 24) -> Model:
-    """The common start state after a round of coding: frequencies under each context, mean mixer weights.
+    """Estimate the common start state after a round of coding: frequencies of each context, mean mixer weights.
 
     A context starts as sure as if it had been seen `share` of its mean uses a tile, at most `limit` times. The result
     goes through `pack`'s rounding, so that encoder and decoder start alike.
@@ -336,7 +345,7 @@ def _model_of(logits: np.ndarray, grades: np.ndarray, weights: np.ndarray) -> Mo
 
 
 def pack(model: Model) -> bytes:
-    """A trained model as bytes, compressed; no bytes for an untrained one."""
+    """Pack a trained model as compressed bytes; no bytes for an untrained one."""
     if not model.rounded:
         return b""
     return zlib.compress(b"".join(part.tobytes() for part in model.rounded), 9)

@@ -69,8 +69,10 @@ class Maps:
 
 @dataclass(frozen=True)
 class Weights:
-    """How much the squared error of the pictures grows with each texel's squared change: kd, ks (T, T, C) per unit,
-    sigma (T, T) per unit of log sigma."""
+    """Weigh changes of texels by their squared effect on the pictures.
+
+    kd, ks (T, T, C) per unit, sigma (T, T) per unit of log sigma.
+    """
 
     kd: np.ndarray
     ks: np.ndarray
@@ -79,8 +81,11 @@ class Weights:
 
 @dataclass(frozen=True)
 class Factors:
-    """The model apart from its parameters, in each observation: irradiance (C, M, rows, columns) multiplies K_d;
-    strength * exp(-squared_angle / (2 sigma^2)), both (M, rows, columns), multiplies K_s."""
+    """Hold the model apart from its parameters, in each observation.
+
+    irradiance (C, M, rows, columns) multiplies K_d; strength * exp(-squared_angle / (2 sigma^2)), both (M, rows,
+    columns), multiplies K_s.
+    """
 
     irradiance: np.ndarray
     strength: np.ndarray
@@ -117,8 +122,7 @@ def refine(
     move: tuple[bool, bool, bool] = (True, True, False),
     usable: np.ndarray | None = None,
 ) -> Maps:
-    """K_d, K_s and sigma whose picture is nearest to pixel values (C, n) in the capture's encoding, from the given
-    ones.
+    """Find the K_d, K_s and sigma whose picture is nearest to pixel values (C, n) in the capture's encoding.
 
     Accelerated gradient with each texel's own step; K_d, K_s stay at 0 or above. Texels that no pixel sees stay as
     given. move: which of the three; a width that follows every pixel's noise costs more than it explains. usable (n,)
@@ -222,8 +226,10 @@ def _solve_planes(planes: np.ndarray, share: np.ndarray, block: Block, step: flo
 
 
 def decode_parameters(values: np.ndarray, design: Design, extent: Extent) -> Maps:
-    """Cropped maps of integers (C, 3, rows, columns); K_d and K_s are held at 0 and above, sigma above 0.001 rad and
-    below 1e3."""
+    """Decode cropped maps from integers (C, 3, rows, columns).
+
+    K_d and K_s are held at 0 and above, sigma above 0.001 rad and below 1e3.
+    """
     block = Block(design.parameter_plane(extent), np.eye(1), np.eye(1))
     planes = []
     for group in range(3):

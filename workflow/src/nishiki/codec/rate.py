@@ -20,7 +20,7 @@ MOST = float(1 << 30)
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _quantise(values, step, dead, rounding, out):
-    """Fills out; the first value that is not finite or above MOST steps, or -1."""
+    """Fill `out`; return the first index of a value that is not finite or above MOST steps, or -1."""
     for n in range(values.shape[0]):
         size = abs(values[n]) / step
         if size < dead:
@@ -36,8 +36,9 @@ def _quantise(values, step, dead, rounding, out):
 def quantise(
     values: np.ndarray, step: float, *, dead_zone: float = DEAD_ZONE, rounding: float = ROUNDING
 ) -> np.ndarray:
-    """int32 multiples of `step`, of any shape: 0 below `dead_zone` steps, else rounded up from a fraction of
-    1 - `rounding` on; a rounding below one half favours the smaller, cheaper value.
+    """Quantise values of any shape to int32 multiples of `step`, 0 below `dead_zone` steps.
+
+    Others round up from a fraction of 1 - `rounding` on; a rounding below one half favours the smaller, cheaper value.
 
     Raises UserError for a value of more than 2^30 steps, ValueError for one that is not finite or a step not above 0.
     """

@@ -45,8 +45,10 @@ class Footprints:
 
     @classmethod
     def of(cls, observation: np.ndarray, s: np.ndarray, t: np.ndarray, shape: tuple[int, int, int]) -> Footprints:
-        """shape: (observations, rows, columns) of the block; s, t (n,) row and column in [0, rows - 1], [0, columns -
-        1]."""
+        """Build footprints from row s (n,) in [0, rows - 1] and column t (n,) in [0, columns - 1] of a block.
+
+        shape: (observations, rows, columns) of the block.
+        """
         _, rows, columns = shape
         row = np.clip(s.astype(np.int64), 0, rows - 2)
         column = np.clip(t.astype(np.int64), 0, columns - 2)
@@ -65,16 +67,17 @@ class Footprints:
         return out
 
     def spread(self, values: np.ndarray) -> np.ndarray:
-        """Adjoint of `look_up`: (channels, observations, rows, columns) sums of values (channels, n) by their
-        weights."""
+        """Apply the adjoint of `look_up` to values (channels, n): (channels, observations, rows, columns)."""
         channels = values.shape[0]
         out = np.zeros((channels, int(np.prod(self.shape))), values.dtype)
         bilinear_adjoint(np.ascontiguousarray(values), self.corner, self.down, self.right, self.shape[2], out)
         return out.reshape(channels, *self.shape)
 
     def density(self) -> np.ndarray:
-        """(observations, rows, columns) float32: weight that pixels give each texel; its maximum bounds the norm of A^T
-        A."""
+        """Sum the pixels' weights of each texel, (observations, rows, columns) float32.
+
+        Its maximum bounds the norm of A^T A.
+        """
         return self.spread(np.ones((1, len(self.corner)), np.float32))[0]
 
 
@@ -125,7 +128,7 @@ class Operator:
 
     @classmethod
     def of_pixels(cls, feet: Footprints) -> Operator:
-        """The image domain: A is the look-up at the pixels."""
+        """Build the operator of the image domain: A is the look-up at the pixels."""
         return cls(feet.look_up, feet.spread, float(feet.density().max(initial=0)))
 
 
@@ -176,9 +179,12 @@ FLAT_ROUNDS = 2
 
 @dataclass(frozen=True)
 class Pursuit:
-    """rounds: choices of the support; resumed: choices where an earlier solution is given; inner: conjugate gradient
-    steps after each; descent: first price over the last; ridge: curvature added to all, so that what pixels hardly show
-    stays small."""
+    """Set the effort of the search.
+
+    rounds: choices of the support; resumed: choices after an earlier solution; inner: conjugate gradient steps after
+    each; descent: first price over the last; ridge: curvature added to all, which keeps coefficients of barely visible
+    texels small.
+    """
 
     rounds: int = 6
     resumed: int = 3
@@ -295,8 +301,10 @@ def _downhill(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def choose(held, gradient, curvature, cost, chosen, level, adding):
-    """Choose the coefficients (channels, n) that are worth `level` times their cost; zero the others; how many are
-    chosen. adding: False only removes."""
+    """Keep the coefficients (channels, n) that are worth `level` times their cost, zero the others, and count.
+
+    adding: False only removes.
+    """
     count = 0
     for c in range(held.shape[0]):
         for n in range(held.shape[1]):
@@ -339,6 +347,6 @@ def masked_energy(values, chosen):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def go_on(gradient, chosen, factor, ahead):
-    """The next direction: the gradient where chosen, conjugate to the last."""
+    """Return the next direction: the gradient where chosen, conjugate to the last."""
     for n in range(ahead.shape[0]):
         ahead[n] = (gradient[n] if chosen[n] else type(factor)(0)) + factor * ahead[n]

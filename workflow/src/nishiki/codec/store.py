@@ -50,7 +50,10 @@ class Contents:
 
 
 def pack_object(encoded: EncodedObject) -> tuple[bytes, dict[str, int]]:
-    """The bytes and how many of them each part takes: header, start_states, index, parameters, residual."""
+    """Pack an object; return the bytes and their number by part.
+
+    The parts are header, start_states, index, parameters, residual.
+    """
     header = json.dumps(encoded.design.as_dict(), separators=(",", ":"), sort_keys=True).encode()
     states = [pack(model) for model in encoded.models]
     lengths = np.array([[len(s) for s in tile] for tile in encoded.streams], np.uint32).reshape(
@@ -167,8 +170,11 @@ def write_residual(folder: Path, encoded: EncodedObject, *, stamp: dict[str, str
 
 @dataclass(frozen=True)
 class CodedTexels:
-    """values (n + 1, k + 1, C) float32: n coded observations of k coded texels, and zeros for all others; observation
-    (M,), texel (T * T,) int64: where each observation and each texel of the tile stands in them."""
+    """Hold n coded observations of k coded texels, and zeros for all others.
+
+    values (n + 1, k + 1, C) float32; observation (M,), texel (T * T,) int64: place in them of each observation and
+    texel of the tile.
+    """
 
     values: np.ndarray
     observation: np.ndarray
@@ -266,7 +272,7 @@ class Residual:
         return self._read(start, length) if length else b""
 
     def _read(self, start: int, length: int) -> bytes:
-        """Some bytes of the array, through the chunk that was read last; a damaged chunk raises UserError."""
+        """Read some bytes of the array through the chunk read last; a damaged chunk raises UserError."""
         size = self._array.chunks[0]
         pieces = []
         for number in range(start // size, (start + length - 1) // size + 1):

@@ -27,9 +27,11 @@ from nishiki.codec.solve import Footprints, Operator, Pursuit, curvatures, pursu
 
 @dataclass(frozen=True)
 class Pixels:
-    """Object pixels of one tile: observation (n,) int32, s, t (n,) float32, values: per component (n, C) float32 in the
-    capture's encoding; saturated (n,) bool: pixels that the residual reproduces but the parameters are not fitted to
-    (None: no pixel)."""
+    """Hold the object pixels of one tile.
+
+    observation (n,) int32, s, t (n,) float32, values: per component (n, C) float32 in the capture's encoding; saturated
+    (n,) bool: pixels that the residual reproduces but no parameter is fitted to (None: no pixel).
+    """
 
     observation: np.ndarray
     s: np.ndarray
@@ -48,9 +50,12 @@ class CodedScene:
 
 @dataclass(frozen=True)
 class Effort:
-    """pursuit: of the residual's solver; price: of a bit, in squared steps at a typical pixel; refinements: of the
+    """Set the effort of coding.
+
+    pursuit: of the residual's solver; price: of a bit, in squared steps at a typical pixel; refinements: of the
     parameters in the pictures; threshold: of the parameters, in their steps; dead_zone: of the residual, in steps;
-    rounding: fraction added before the whole part is taken; gloss: whether K_s is moved in the pictures at all."""
+    rounding: fraction added before the whole part is taken; gloss: whether K_s is moved in the pictures at all.
+    """
 
     pursuit: Pursuit = field(default_factory=Pursuit)
     price: float = 0.05
@@ -63,8 +68,11 @@ class Effort:
 
 @dataclass(frozen=True)
 class Typical:
-    """What holds for typical texels of the object. parameters: weights of kd, ks (mean over channels) and log sigma, as
-    in `Weights`; density: the weight that pixels give the texels they look at."""
+    """Hold values of typical texels of the object.
+
+    parameters: weights of kd, ks (mean over channels) and log sigma, as in `Weights`; density: mean weight that pixels
+    give a texel.
+    """
 
     parameters: tuple[float, float, float]
     density: float
@@ -72,9 +80,12 @@ class Typical:
 
 @dataclass(frozen=True)
 class CodedTile:
-    """parameters (C, 3, rows, columns) int32; residual: per component (C, lights * views, rows, columns) int32;
-    extent; pixels; error, model_error, zero_error: sums of squares over pixels and channels of the decoded tile, of its
-    model alone, and of the pictures themselves."""
+    """Hold a coded tile.
+
+    parameters (C, 3, rows, columns) int32; residual: per component (C, lights * views, rows, columns) int32; extent;
+    pixels; error, model_error, zero_error: sums of squares over pixels and channels of the decoded tile, of its model
+    alone, and of the pictures themselves.
+    """
 
     parameters: np.ndarray
     residual: tuple[np.ndarray, ...]
@@ -100,9 +111,11 @@ class Refined:
 
 @dataclass(frozen=True)
 class Seen:
-    """What pixels see of a tile: its extent, the observations of the block, the surface in the extent, footprints in
-    the block, and the pixel values (C, n) of each component and usable (n,) bool, those that parameters are fitted to,
-    in the order of the footprints."""
+    """Hold the pixels' view of a tile.
+
+    Its extent, the observations of the block, the surface in the extent, footprints in the block, the pixel values (C,
+    n) of each component, and usable (n,) bool: pixels that parameters are fitted to.
+    """
 
     extent: Extent
     observations: np.ndarray

@@ -40,7 +40,7 @@ class SparseRows:
         return cls(np.ascontiguousarray(order, np.int32), np.ascontiguousarray(weight))
 
     def weights(self, dtype: np.dtype) -> np.ndarray:
-        """The weights in a precision."""
+        """Return the weights in a precision."""
         return self.single if dtype == np.float32 else self.weight.astype(dtype, copy=False)
 
     @cached_property
@@ -135,8 +135,11 @@ def cosine_matrix(length: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a plane transform: per level, finest first, analysis, synthesis and adjoint synthesis by rows;
-    smooth, detail: (length, length >> level + 1) float64, the basis vectors of the low and the high band."""
+    """Transform planes along one axis.
+
+    per level, finest first, analysis, synthesis and adjoint synthesis by rows; smooth, detail: (length, length >> level
+    + 1) float64, the basis vectors of the low and the high band.
+    """
 
     length: int
     analysis: tuple[SparseRows, ...]
@@ -172,7 +175,7 @@ class Plane:
 
 @lru_cache(maxsize=64)
 def plane_transform(wavelet: str, rows: int, columns: int, levels: int, *, mirrored: bool = False) -> Plane:
-    """The transform of planes of some size; fewer levels than asked where a side cannot be halved so often."""
+    """Plan the transform of planes of some size, with fewer levels where a side cannot be halved so often."""
     levels = min(levels_of(rows, levels), levels_of(columns, levels))
     orthonormal = filter_bank(wavelet)[2] and not mirrored
     down, across = (_axis(wavelet, n, levels, orthonormal=orthonormal, mirrored=mirrored) for n in (rows, columns))
@@ -362,8 +365,10 @@ def along(matrix: np.ndarray, values: np.ndarray, axis: int, needed: np.ndarray 
 
 @dataclass(frozen=True)
 class Block:
-    """Transform of a tile's block (channels, lights, views, rows, columns): orthonormal matrices of the light and view
-    axes (rows are basis vectors) and the transform of the planes."""
+    """Transform a tile's block (channels, lights, views, rows, columns).
+
+    It holds orthonormal matrices of the light and view axes (rows are basis vectors) and the transform of the planes.
+    """
 
     plane: Plane
     views: np.ndarray
@@ -377,7 +382,7 @@ class Block:
         return out if self.plane.orthonormal else out * self._gains(out.dtype)
 
     def inverse(self, coefficients: np.ndarray) -> np.ndarray:
-        """Samples of coefficients."""
+        """Compute samples from coefficients."""
         orthonormal = self.plane.orthonormal
         out = coefficients.copy() if orthonormal else coefficients / self._gains(coefficients.dtype)
         _levels(out.reshape(-1, *out.shape[-2:]), self.plane, "synthesis")

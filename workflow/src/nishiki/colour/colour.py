@@ -138,7 +138,7 @@ def illuminant(name: str) -> np.ndarray:
 
 
 def xyz_matrix(illuminant: np.ndarray, basis: np.ndarray) -> np.ndarray:
-    """A (3, K) with XYZ = A @ sigma for S = sigma @ basis; Y = 1 for the perfect white S = 1.
+    """Compute A (3, K) with XYZ = A @ sigma for S = sigma @ basis; Y = 1 for the perfect white S = 1.
 
     illuminant : (61,); basis : (K, 61). Sums over the 61 bands as CIE 015:2018 eq. 7 tabulates them. For XYZ of spectra
     themselves use `xyz_from_spectra`. Source: Tominaga and Tanaka (2004), eq. 19, exact because the diffuse term is
@@ -298,7 +298,7 @@ def decode(values: np.ndarray, encoding: Encoding) -> np.ndarray:
 
 
 def encoding_slope(linear: np.ndarray, encoding: Encoding) -> np.ndarray:
-    """Derivative of the encoding at linear values, of their type; that of the straight part up to its end."""
+    """Differentiate the encoding at linear values, of their type; that of the straight part up to its end."""
     if encoding == "linear":
         return np.ones_like(linear)
     high = np.maximum(linear, KNEE).astype(linear.dtype)

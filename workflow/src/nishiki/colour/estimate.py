@@ -84,7 +84,7 @@ class SpectralEstimator:
 
     @classmethod
     def from_arrays(cls, arrays) -> SpectralEstimator:
-        """The estimator that `to_arrays` wrote, from any mapping of names to arrays."""
+        """Restore the estimator that `to_arrays` wrote, from any mapping of names to arrays."""
         scalars = {"method": str, "ill_conditioned": bool}
         values = {}
         for f in fields(cls):
@@ -379,7 +379,7 @@ def expected_colour_error(
     *,
     lights: tuple[str, ...] = LIGHTS,
 ) -> dict[str, np.ndarray]:
-    """Expected CIEDE2000 of each response under each light.
+    """Predict the CIEDE2000 of each response under each light.
 
     Parameters
     ----------

@@ -14,8 +14,9 @@ from nishiki.errors import UserError
 
 
 def paper_map(weights: np.ndarray, basis: np.ndarray, *, condition_limit: float) -> tuple[np.ndarray, bool]:
-    """(K, N) map from white-normalised responses to the paper's coefficients, sigma = H^-1 rho' (Tominaga and Tanaka
-    2004, eq. 8).
+    """Compute the paper's map (K, N) from white-normalised responses, sigma = H^-1 rho'.
+
+    Tominaga and Tanaka (2004), eq. 8.
 
     weights : (N, 61) from `channel_weights`; basis : (K, 61), K <= N (least squares for K < N).
     Singular values of H below the largest / `condition_limit` are left out (minimum-norm solution), in which case the
@@ -84,8 +85,9 @@ class Parts:
 
 
 def fit_paper(problem: Problem, bases: int | None, *, white: bool, condition_limit: float) -> Parts:
-    """Principal bases and sigma = H^-1 rho' (Tominaga and Tanaka 2004, eq. 5-8); with `white`, one more row for the
-    white anchor.
+    """Fit principal bases and sigma = H^-1 rho'; with `white`, one more row for the white anchor.
+
+    Tominaga and Tanaka (2004), eq. 5-8.
 
     The extra row d = 1 - S(white response) is what the bases cannot say about the perfect white. Where H is inverted
     exactly, no channel sees d (it is a metameric black), so adding any amount of it contradicts no observation.

@@ -71,7 +71,7 @@ def _linear_and_anchor(response, linear, anchor, precision, out):
 
 @njit(cache=True, error_model="numpy")
 def _outside_unit(coefficients, basis, low, high, spectrum):
-    """True if any band of the spectrum is outside [low, high]."""
+    """Return True if any band of the spectrum is outside [low, high]."""
     bands = basis.shape[1]
     for b in range(bands):
         spectrum[b] = 0.0
@@ -110,7 +110,7 @@ def _cell(value, origin, step, nodes):
 
 @njit(cache=True, error_model="numpy")
 def _kernel_sums(z, centres, weights, radius, variance, far_variance, apart, out):
-    """Sums over all centres: out[:K] correction, out[K] variance, out[K + 1] nearest distance.
+    """Sum over all centres: out[:K] correction, out[K] variance, out[K + 1] nearest distance.
 
     centres is (N, M): the inner loops run along centres, so that the compiler can use vector instructions.
     """

@@ -325,7 +325,7 @@ class Draw:
         return np.exp(self.uniform(np.log(low), np.log(high), *shape))
 
     def normal(self, *shape: int) -> np.ndarray:
-        """Standard normal numbers (Box and Muller)."""
+        """Draw standard normal numbers (Box and Muller)."""
         radius = np.sqrt(-2.0 * np.log1p(-self.uniform(0.0, 1.0, *shape)))
         return radius * np.cos(2.0 * np.pi * self.uniform(0.0, 1.0, *shape))
 
@@ -334,7 +334,7 @@ class Draw:
         return np.exp(spread * self.normal(*shape))
 
     def chance(self, share: float, *shape: int) -> np.ndarray:
-        """True for this share."""
+        """Draw booleans that are True with this share."""
         return self.uniform(0.0, 1.0, *shape) < share
 
 

@@ -145,7 +145,7 @@ def _summary(targets: AuditTargets, counts: Counts, as_json: bool) -> None:
 
 
 def amount(count: int, thing: str) -> str:
-    """A number of things in words."""
+    """Format a number of things in words."""
     return f"{count} {thing}{'s' * (count != 1)}"
 
 
@@ -228,7 +228,7 @@ def _scene(flow: Workflow, name: str, plan: Plan) -> PackedScene:
 
 
 def _artifacts(flow: Workflow, name: str, plan: Plan) -> list[Artifact]:
-    """The artifacts of a scene, each made from the others. Raises UserError where a run has to come first."""
+    """List the artifacts of a scene, each made from the others. Raises UserError where a run has to come first."""
     from nishiki.artifacts.artifact import open_artifact
 
     artifacts: dict[str, Artifact] = {}
@@ -298,7 +298,7 @@ def _referenced(configurations: tuple[str, ...], sweeps: tuple[str, ...]) -> lis
 
 
 def _refuse_unknown_sweeps(results: Path, known: set[str], unnamed: bool) -> None:
-    """A sweep that is not given may need artifacts that nothing else names: nothing is guessed."""
+    """Refuse an unknown sweep, whose artifacts nothing else names: nothing is guessed."""
     from nishiki.archive.prune import PRUNED
     from nishiki.engine.project import SWEEPS
     from nishiki.engine.sweep_plan import TIMINGS

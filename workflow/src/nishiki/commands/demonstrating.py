@@ -84,7 +84,7 @@ def photograph_by_rig(by_hand: Path, folder: Path, capture: Path) -> int:
 
 
 def demo_folder() -> Path:
-    """The folder of an installed package's demonstrations; the configuration is copied where it is not there yet."""
+    """Return the folder of an installed package's demonstrations, with a configuration."""
     folder = Path("nishiki-demo").absolute()
     shutil.copytree(PROJECT / "config", folder / "config", dirs_exist_ok=True, copy_function=_copy_new)
     print(f"the demonstration's configuration, photographs and results: {folder}", file=sys.stderr)

@@ -1,7 +1,9 @@
-"""Snakemake, started as a registered run: beside no live one of the same scenes, after clearing up behind dead ones,
-and on unfinished scenes only.
+"""Run Snakemake as a registered run on unfinished scenes, after clearing up behind dead runs.
 
-Snakemake's own locks are switched off: they stay where a run is killed, and do not say whose they are."""
+It never runs beside a live one of the same scenes.
+
+Snakemake's own locks are switched off: they stay where a run is killed, and do not say whose they are.
+"""
 
 import json
 import os

@@ -151,7 +151,7 @@ def tell_plan(flow) -> None:
 
 
 def tell_result(path: Path) -> int:
-    """The advice of a finished sweep, and where its page is; 1 where a repeat gave other bytes."""
+    """Print the advice of a finished sweep and the place of its page; 1 where a repeat gave other bytes."""
     content = json.loads(path.read_text(encoding="utf-8"))
     status = 0
     for scene in content["scenes"]:

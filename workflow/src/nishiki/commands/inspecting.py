@@ -108,7 +108,7 @@ def described(facts: SceneFacts) -> str:
 
 
 def text_of(summary: dict[str, Any]) -> str:
-    """The plan of a scene for reading."""
+    """Format the plan of a scene for reading."""
     width = max(len(stage["stage"]) for stage in summary["stages"])
     lines = [f"{summary['scene']}: {summary['what']}"]
     for stage in summary["stages"]:
@@ -207,7 +207,7 @@ def _upstream_reasons(flow: Workflow, scene: str, stage: str, artifact: Artifact
 
 
 def _nearest(folder: Path, flow: Workflow, scene: str, stage: str) -> list[str]:
-    """What differs from the newest artifact of the same stage."""
+    """List the differences from the newest artifact of the same stage."""
     from nishiki.artifacts.artifact import MANIFEST
     from nishiki.artifacts.provenance import differences
 

@@ -241,6 +241,6 @@ def _tell_unfinished(flow, seconds: float, failures: list[dict[str, str]]) -> No
 
 
 def _some(texts: list[str], between: str) -> str:
-    """The first of some texts, and how many there are beside them."""
+    """Name the first of some texts, and the number of the others."""
     more = f"{between}and {len(texts) - NAMED} more" if len(texts) > NAMED else ""
     return between.join(texts[:NAMED]) + more

@@ -60,7 +60,7 @@ def view(scene, configfile, port, print_only, other) -> None:
 
 
 def beside(flow: Workflow, page: Path, scene: str | None, other: str) -> tuple[Path, str]:
-    """A viewer's page, and what its address needs so that the one which --beside names stands left of its divider.
+    """Return a viewer's page and the address with the other page, of --beside, left of its divider.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def beside(flow: Workflow, page: Path, scene: str | None, other: str) -> tuple[P
 
 
 def page_of(flow: Workflow, scene: str, *, first: str = "") -> Path:
-    """The page `first` of a scene, else its viewer, else its report.
+    """Return the page `first` of a scene, else its viewer, else its report.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def write_index(flow: Workflow, why: Mapping[str, str] | None = None) -> Path:
 
 
 def card_of(flow: Workflow, scene: str, why: str):
-    """What the page shows of a planned scene (`nishiki.report.page.SceneCard`)."""
+    """Build the card of a planned scene (`nishiki.report.page.SceneCard`)."""
     from nishiki.artifacts.artifact import INDEX
 
     published = _read(Path(flow.results, scene, "current", INDEX))
@@ -153,7 +153,7 @@ def card_of(flow: Workflow, scene: str, why: str):
 
 
 def _card(results: str, scene: str, state: str, detail: str, published: dict):
-    """A card from what is published of a scene."""
+    """Build a card from the published files of a scene."""
     from nishiki.report.page import SceneCard, Tile
 
     current = Path(results, scene, "current")
@@ -174,7 +174,7 @@ def _card(results: str, scene: str, state: str, detail: str, published: dict):
 
 
 def _read(path: Path) -> dict:
-    """A JSON file; empty where there is none, or none that can be read: the page says less then."""
+    """Read a JSON file; empty where there is none, or none that can be read: the page has less then."""
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -184,7 +184,7 @@ def _read(path: Path) -> dict:
 
 class _Quiet(http.server.SimpleHTTPRequestHandler):
     def log_message(self, format: str, *arguments: object) -> None:
-        """Requests are not printed."""
+        """Print no requests."""
 
 
 def serve(results: Path, page: Path, port: int, *, open_browser: bool, query: str = "") -> None:

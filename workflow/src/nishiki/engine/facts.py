@@ -119,7 +119,7 @@ def _given(facts: TurntableFacts) -> tuple[str, ...]:
 
 
 def _turntable_parts(capture: TurntableCapture) -> dict[str, int]:
-    """Number of files of each part that a scene may do without."""
+    """Count the files of each part that a scene may do without."""
     observed = capture.observed
     first = [f for f in observed if f.polariser == capture.states[0]]
     return {
@@ -147,8 +147,10 @@ def _pixels(capture: Capture) -> int:
 
 
 def _kept_pixels(capture: Capture) -> int:
-    """Pixels of the bounding box of the mask inside the region of interest; 0 without a mask, or with one that ingest
-    will refuse."""
+    """Count the pixels of the mask's bounding box inside the region of interest.
+
+    The count is 0 without a mask, or with one that ingest will refuse.
+    """
     if capture.mask is None:
         return 0
     header = read_header(capture.observed[0].path, name=capture.observed[0].file)
@@ -188,7 +190,7 @@ def _signature(scene: Scene) -> str:
 
 
 def _stats(root: str) -> Iterator[str]:
-    """A line for each file below a folder (or for a file), in a fixed order; links are followed as readers do."""
+    """Yield a line for each file below a folder (or for a file) in a fixed order; links are followed as readers do."""
     if not os.path.isdir(root):
         yield _stat("", root)
         return

@@ -37,7 +37,7 @@ def unfinished_scenes(flow: Workflow, *, contents: bool = False) -> dict[str, st
 
 
 def reason_to_run(flow: Workflow, scene: str, *, contents: bool = False) -> str:
-    """The first reason why a scene is not finished; empty where it is."""
+    """Return the first reason why a scene is not finished; empty where it is."""
     plan = flow.plans[scene]
     if plan.scene.settings.leave_out == "nothing":
         return "leave_out: nothing measures its stages, which finished ones may have left out"
@@ -199,8 +199,10 @@ def campaign_rows(flow: Workflow) -> Iterator[dict[str, Value]]:
 
 
 def figures(block: Mapping[str, Any], name: str, depth: int = 1) -> Iterator[tuple[str, Value]]:
-    """Numbers and words of nested blocks by their dotted names; whole numbers as floats, so that a column has one
-    type."""
+    """Yield the numbers and words of nested blocks by their dotted names.
+
+    Whole numbers become floats, so that a column has one type.
+    """
     for key, value in block.items():
         dotted = f"{name}.{key}"
         if isinstance(value, Mapping) and depth < DEEPEST:
@@ -212,7 +214,7 @@ def figures(block: Mapping[str, Any], name: str, depth: int = 1) -> Iterator[tup
 
 
 def columns_of(rows: Iterable[Mapping[str, Value]]) -> dict[str, list[Value]]:
-    """The rows as columns in the order of their first appearance; None where a scene has no such figure.
+    """Turn rows into columns in the order of their first appearance; None where a scene lacks the figure.
 
     A column in which words and numbers meet is one of words.
     """

@@ -27,7 +27,7 @@ class CapturePart:
 
 
 def surface_from(facts: SceneFacts, settings: SceneSettings) -> str:
-    """The reason why a file or scans are not needed."""
+    """Return the reason why a file or scans are not needed."""
     source = {"file": "the mesh file", "scans": "range scans", "silhouettes": "silhouettes"}
     return f"the surface comes from {source[surface_of(facts, settings)]}"
 
@@ -136,8 +136,10 @@ class StageOutline:
 
 @dataclass(frozen=True)
 class Outline:
-    """What the plans of all scenes have in common that have the same settings and products and whose captures differ in
-    their digest only: everything but the keys."""
+    """Hold the common parts of the plans of scenes with equal settings and products: everything but the keys.
+
+    The captures of these scenes differ in their digest only.
+    """
 
     stages: dict[str, StageOutline]
     left_out: dict[str, str]
@@ -214,7 +216,7 @@ def _all_products(chain: dict[str, Stage]) -> tuple[str, ...]:
 def _read_by_ingest(
     scene: Scene, facts: SceneFacts, settings: dict[str, Closed], needed: set[str], held_out: tuple[str, ...]
 ) -> tuple[Closed, dict[str, str]]:
-    """Settings of ingest: the channels that the stages need, and no part of the capture that none looks at."""
+    """Set the channels and the parts of the capture that ingest reads by the needs of the stages."""
     ingest: Any = settings["ingest"]
     reasons: dict[str, str] = {}
     everything = scene.settings.leave_out == "nothing"
@@ -235,7 +237,7 @@ def _read_by_ingest(
 def _idle(
     chain: dict[str, Stage], packages: dict[str, tuple[str, ...]], facts: SceneFacts, settings: dict[str, Closed]
 ) -> dict[str, str]:
-    """Optional packages of the chain that no stage of the plan loads, and why."""
+    """List the optional packages of the chain that no stage of the plan loads, with reasons."""
     loaded, idle = {name for names in packages.values() for name in names}, {}
     for stage in chain.values():
         for package in stage.libraries:
@@ -267,7 +269,7 @@ def held_out_of(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) 
 
 
 def _filled(name: str, scene: Scene, facts: SceneFacts, held_out: tuple[str, ...]) -> Closed:
-    """Settings of a stage with what only the plan knows."""
+    """Complete the settings of a stage with the values that the plan decides."""
     settings = getattr(scene.settings, name)
     known = {"hold_out": held_out, "truth_sha256": facts.truth_sha256}
     update = {key: value for key, value in known.items() if key in type(settings).model_fields}

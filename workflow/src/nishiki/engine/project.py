@@ -108,7 +108,7 @@ class Project:
 
 
 def load_yaml(path: Path) -> dict:
-    """A YAML file as plain data (see `plain_yaml`). Raises UserError naming file, line and remedy."""
+    """Load a YAML file as plain data (see `plain_yaml`). Raises UserError naming file, line and remedy."""
     try:
         return plain_yaml.load(read_text(path, "settings_bytes", name=str(path))) or {}
     except FileNotFoundError:
@@ -190,7 +190,7 @@ def _place(text: str) -> Path:
 
 
 def _scene_settings(row: dict[str, str], configuration: Configuration, values: dict) -> StageSettings:
-    """Settings of one scene: the project's, with those of the scene's own file over them."""
+    """Merge the settings of the project with those of the scene's own file."""
     path = row.get("settings", "").strip()
     if not path:
         return configuration
@@ -202,13 +202,13 @@ def _scene_settings(row: dict[str, str], configuration: Configuration, values: d
 
 
 def scene_with(scene: Scene, overrides: dict, where: str) -> Scene:
-    """A scene with some settings changed: blocks by stage over its own. Raises UserError naming `where` and the key."""
+    """Change some settings of a scene, by stage. Raises UserError naming `where` and the key."""
     base = scene.settings.model_dump(exclude_unset=True, include=set(StageSettings.model_fields))
     return replace(scene, settings=parse(StageSettings, _merged(base, overrides), where))
 
 
 def scene_with_exports(scene: Scene, geometry: str, formats: tuple[str, ...]) -> Scene:
-    """A scene that also asks for an export in these formats. UserError where its captures have no such format."""
+    """Add an export in these formats to a scene. UserError where its captures have no such format."""
     stage = next((name for name, each in chain_of(geometry).items() if each.asked_as == "export"), None)
     if stage is None:
         raise UserError(f"scene {scene.name!r}: nothing can be exported from captures of a {geometry} yet")

@@ -74,7 +74,7 @@ class Record:
         return not self.facts or bool(self.scenes & scenes)
 
     def unknown(self) -> str:
-        """What to tell of a run that this machine knows nothing certain about, and the remedy."""
+        """Describe a run whose state this machine cannot determine, and the remedy."""
         if not self.facts:
             return f"an unreadable record of a run. Remedy: make sure that no run is alive, then delete {self.path}"
         who = f"user {self.facts.get('user')} on {self.host}" if self.host == processes.host() else f"on {self.host}"
@@ -85,7 +85,7 @@ class Record:
 
 
 def records(results: Path) -> list[Record]:
-    """Runs registered on some results, with what has become of them; changes nothing."""
+    """List the runs registered on some results, with their state; changes nothing."""
     examined = (_examined(path) for path in sorted((results / RUNS).glob("*.json")))
     return [record for record in examined if record is not None]
 
@@ -349,7 +349,7 @@ def _parsed(data: bytes) -> dict[str, Any]:
 
 
 def _state(facts: dict[str, Any]) -> Literal["alive", "dead", "ended", "elsewhere"]:
-    """What has become of a run whose lock is free."""
+    """Return the state of a run whose lock is free."""
     if not facts:
         return "elsewhere"
     if facts.get("ended"):
@@ -366,7 +366,7 @@ def _state(facts: dict[str, Any]) -> Literal["alive", "dead", "ended", "elsewher
 
 
 def here() -> dict[str, str]:
-    """What tells this machine, this start of it, this container and this user from others."""
+    """Identify this machine, its start, its container and its user."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError):

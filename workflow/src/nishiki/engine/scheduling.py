@@ -52,7 +52,7 @@ class Scheduling:
     results: str
 
     def stage(self, scene: str, stage: str, key: str) -> PlannedStage:
-        """The planned stage of a scene that has this key."""
+        """Return the planned stage of a scene that has this key."""
         raise NotImplementedError
 
     def memory_mb(self, scene: str, stage: str, attempt: int = 1, *, beside: int = 0) -> int:
@@ -76,7 +76,7 @@ class Scheduling:
         return math.ceil((2 + TIME_MARGIN * self.seconds(scene, stage, share) / 60) * 2 ** (attempt - 1))
 
     def parts(self, scene: str, stage: str) -> int:
-        """Number of parts that a stage is divided into; 1: it is not divided."""
+        """Return the number of parts of a stage; 1: it is not divided."""
         scatter = self.plans[scene].scene.settings.scatter
         if not CHAIN[stage].scatter or scatter == "none":
             return 1
@@ -107,7 +107,7 @@ class Scheduling:
 
     @cache  # noqa: B019  one Workflow a process
     def _level(self, scene: str, stage: str, key: str) -> int:
-        """Number of long stages on the longest way from the capture to a stage."""
+        """Count the long stages on the longest way from the capture to a stage."""
         upstream = {name: above for name, above in self.stage(scene, stage, key).upstream.items() if name in CHAIN}
         return max((self._level(scene, *item) + self._is_long(scene, item[0]) for item in upstream.items()), default=0)
 

@@ -73,7 +73,7 @@ def read_sweep(named: str, project: Project) -> tuple[str, SweepSettings]:
 
 
 def configuration_of(path: Path) -> str | None:
-    """The configuration that a sweep's file names, relative to the working folder; None where it names none."""
+    """Return the configuration that a sweep's file names, relative to the working folder, or None."""
     name = _block(load_yaml(path), str(path)).get("configuration")
     if name is not None and not isinstance(name, str):
         raise UserError(f"{path}: configuration: expected the path of a configuration, found {name!r}")
@@ -144,14 +144,16 @@ def _merged(plans: dict[str, Plan], evaluation: str, reference: Plan) -> tuple[P
 
 
 def _changes(plan: Plan, reference: Plan) -> list[str]:
-    """Settings in which a variant differs from the default, as `stage.setting: default -> variant`."""
+    """List the settings in which a variant differs from the default, as `stage.setting: default -> variant`."""
     before, after = ({name: stage.settings for name, stage in made.stages.items()} for made in (reference, plan))
     return differences(before, after)
 
 
 def _counted(named: str, sweep: SweepSettings, plans: dict[str, Plan], evaluation: str) -> tuple[str, ...]:
-    """Stages that lead to the evaluation and are not the same in all variants; the evaluation only where nothing
-    else differs. A sweep may name its own."""
+    """List the stages that lead to the evaluation and differ between variants.
+
+    The evaluation itself counts only where nothing else differs. A sweep may name its own stages.
+    """
     known = {name for plan in plans.values() for name in plan.stages}
     if sweep.counted:
         wrong = [name for name in sweep.counted if name not in known]

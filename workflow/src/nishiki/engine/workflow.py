@@ -131,7 +131,7 @@ class Workflow(Scheduling):
             return False
 
     def stage(self, scene: str, stage: str, key: str) -> PlannedStage:
-        """The planned stage of a scene that has this key, in whichever of the scene's plans."""
+        """Return the planned stage of a scene that has this key, in any of the scene's plans."""
         plan = self.plans.get(scene)
         planned = plan.stages.get(stage) if plan else None
         if planned is None or planned.key != key:
@@ -141,8 +141,10 @@ class Workflow(Scheduling):
         return planned
 
     def planned(self, sweeps: Sequence[str] = ()) -> set[tuple[str, str, str]]:
-        """(scene, stage, key) of everything that the configuration asks for: its scenes, its blocks of sweeps, and
-        these sweeps of files of their own."""
+        """Return (scene, stage, key) of everything that the configuration requires.
+
+        It covers its scenes, its blocks of sweeps, and these sweeps with files of their own.
+        """
         places = set(self._swept)
         for scene, plan in self.plans.items():
             places |= {(scene, name, stage.key) for name, stage in plan.stages.items()}
@@ -201,7 +203,7 @@ class Workflow(Scheduling):
         return f"{self.results}/{SWEEPS}/{TIMINGS}/{scene}/{stage}/{key}/{number}.json"
 
     def timings(self, swept: SceneSweep, variant: PlannedVariant) -> dict[str, list[str]]:
-        """Records of all repeats of the counted stages of a variant, by stage."""
+        """List the records of all repeats of the counted stages of a variant, by stage."""
         numbers = range(1, self.sweep.settings.repeats + 1)
         planned = variant.plan.stages
         return {
@@ -222,7 +224,7 @@ class Workflow(Scheduling):
         return list(dict.fromkeys(inputs))
 
     def sweep_text(self) -> str:
-        """What the page of the sweep depends on besides its inputs: its settings, and the variants' names and keys."""
+        """Return the dependencies of the sweep's page beside its inputs: settings, names and keys of the variants."""
         if self.sweep is None:
             return ""
         variants = {
@@ -233,5 +235,5 @@ class Workflow(Scheduling):
 
 
 def _no_option(path: Path) -> str:
-    """A path as an argument that cannot be taken for an option."""
+    """Return a path as an argument that cannot be taken for an option."""
     return f"./{path}" if str(path).startswith("-") else str(path)

@@ -98,8 +98,11 @@ def display_map(maps: Maps) -> list[list[float]] | None:
 
 
 def assumed_colour(channels: int, to_srgb: list[list[float]] | None = None) -> CameraColour:
-    """Without sensitivities: three channels are read in the primaries that the photographs state (`to_srgb`, (3, 3) to
-    linear sRGB), else as linear sRGB, any other number as grey (their mean)."""
+    """Return the colour of a camera without sensitivities.
+
+    Three channels are read in the primaries that the photographs state (`to_srgb`, (3, 3) to linear sRGB), else as
+    linear sRGB, any other number as grey (their mean).
+    """
     if channels < 1:
         raise UserError(f"colour: expected at least one channel, found {channels}")
     white = white_xyz(named_illuminant("D65"))

@@ -1,5 +1,4 @@
-"""Predicted against measured reflectance of a cloth: errors at every incidence, and curves in the plane of
-incidence."""
+"""Compare predicted and measured reflectance of a cloth, by incidence and in the plane of incidence."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ SUMS = 4  # samples, squared linear difference, squared coded difference, differ
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _f(ratio):
-    """The cube root of CIELAB with its linear part near 0."""
+    """Compute the cube root of CIELAB with its linear part near 0."""
     return math.exp(math.log(ratio) / 3.0) if ratio > _LIMIT**3 else ratio / (3.0 * _LIMIT**2) + 4.0 / 29.0
 
 
@@ -104,7 +104,7 @@ def compare_rows(first, last, predicted, observed, classes, matrix, white, de00,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_blocks(picture, inside, start, block, sums, counts):
-    """Sums of a band's pixels (rows, columns, C) over square blocks; `start` is the band's first row.
+    """Sum a band's pixels (rows, columns, C) over square blocks; `start` is the band's first row.
 
     inside (rows, columns) bool; sums (block rows, block columns, C); counts (block rows, block columns).
     """

@@ -42,8 +42,7 @@ class Pictures:
 
 
 class Photographs(Pictures):
-    """The counterparts of rendered pictures. From the artifacts of ingest, mesh, and polarise where the capture has
-    polariser states."""
+    """Read the counterparts of rendered pictures from ingest, mesh and, with polariser states, polarise."""
 
     def __init__(self, inputs: Mapping[str, Artifact]):
         super().__init__(inputs)

@@ -16,8 +16,11 @@ PEAK = 1.0  # full scale of the camera's codes
 
 @dataclass(frozen=True)
 class Difference:
-    """Sum of squared differences over the channels and number of pixels; uncovered: pixels of the outline that the
-    surface misses; superfluous: pixels that it covers beyond the outline."""
+    """Hold a difference of pictures.
+
+    Sum of squared differences over the channels and number of pixels; uncovered: pixels of the outline that the surface
+    misses; superfluous: pixels that it covers beyond the outline.
+    """
 
     squares: float
     samples: int
@@ -64,9 +67,11 @@ def difference(
 
 
 def structural_similarity(coded: np.ndarray, photograph: np.ndarray, inside: np.ndarray) -> float | None:
-    """Return mean structural similarity over the pixels inside (Z. Wang et al., Image quality assessment: from error
-    visibility to structural similarity, IEEE Trans. Image Processing 13(4), 2004): Gaussian window of 1.5 pixels, mean
-    of the channels, outside of the silhouette counted as equal. None without pixels."""
+    """Return mean structural similarity over the pixels inside; None without pixels.
+
+    Z. Wang et al., Image quality assessment, IEEE Trans. Image Processing 13(4), 2004: Gaussian window of 1.5 pixels,
+    mean of the channels, outside of the silhouette counted as equal.
+    """
     from scipy.ndimage import gaussian_filter
 
     if not inside.any():
@@ -111,8 +116,11 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Row:
-    """One picture against one counterpart.  picture: DECODED, MODEL, INTERPOLATED (a left-out view from its
-    neighbours' residual) or SLOT (from what the decoder filled into its own place); against: photograph | truth."""
+    """Compare one picture with one counterpart.
+
+    picture: DECODED, MODEL, INTERPOLATED (a left-out view from its neighbours' residual) or SLOT (from what the decoder
+    filled into its own place); against: photograph | truth.
+    """
 
     view: str
     light: str
@@ -147,8 +155,10 @@ def compare(
     similarity: bool,
     **named,
 ) -> Row:
-    """Return a row over outline and rendered surface together (see `difference`); its figure `covered` is over the
-    pixels of both. named: the other fields of the row."""
+    """Return a row over outline and rendered surface together (see `difference`).
+
+    Its figure `covered` is over the pixels of both. named: the other fields of the row.
+    """
     both = outline & covered
     return Row(
         judged=difference(coded, counterpart, outline, covered, valid),
@@ -200,9 +210,11 @@ AMPLIFIED = 10
 def comparison(
     photograph: np.ndarray, rendered: np.ndarray, model: np.ndarray, inside: np.ndarray, encoding: str, columns: int
 ) -> dict[str, np.ndarray]:
-    """Return pictures (rows, columns, 3) uint8 cut to the object and reduced to at most `columns`: photograph, rendered
-    and model as seen on a screen, black outside of the silhouette; error: grey plus AMPLIFIED times the difference of
-    rendered and photograph. Inputs in the capture's encoding, inside (rows, columns) bool."""
+    """Return pictures (rows, columns, 3) uint8 cut to the object, of at most `columns`.
+
+    photograph, rendered and model as seen on a screen, black outside of the silhouette; error: grey plus AMPLIFIED
+    times the difference of rendered and photograph. Inputs in the capture's encoding, inside (rows, columns) bool.
+    """
     rows, across = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if not len(rows):
         rows, across = np.arange(inside.shape[0]), np.arange(inside.shape[1])

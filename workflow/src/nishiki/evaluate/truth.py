@@ -11,8 +11,11 @@ from nishiki.errors import UserError
 
 @dataclass(frozen=True)
 class CheckTruth:
-    """Noise-free colour (rows, columns, 3) under one check light, white facing the lamp Y = 1: with the lamp's own
-    spectrum and with D65; gloss and body: (rows, columns) parts of it; lit: (rows, columns) share of the lamp, 0..1."""
+    """Hold the noise-free colour (rows, columns, 3) under one check light.
+
+    A white facing the lamp has Y = 1, with the lamp's own spectrum and with D65; gloss and body: (rows, columns) parts
+    of it; lit: (rows, columns) share of the lamp, 0..1.
+    """
 
     xyz_lamp: np.ndarray
     xyz_d65: np.ndarray

@@ -14,8 +14,11 @@ LEAST_CORNERS = 4
 
 @dataclass(frozen=True)
 class BoardShape:
-    """squares_x, squares_y: counts; square, marker: lengths of a side in the world's unit; dictionary: OpenCV's name
-    of the marker set."""
+    """Describe a board.
+
+    squares_x, squares_y: counts; square, marker: lengths of a side in the world's unit; dictionary: OpenCV's name of
+    the marker set.
+    """
 
     squares_x: int
     squares_y: int
@@ -26,8 +29,11 @@ class BoardShape:
 
 @dataclass(frozen=True)
 class BoardCorners:
-    """Inner corners of the board that one picture shows: ids (n,) int, pixels (n, 2) float64 (column, row), points
-    (n, 3) float64 on the board, in the world's unit (x along the squares_x, z = 0)."""
+    """Hold the inner corners of the board in one picture.
+
+    ids (n,) int, pixels (n, 2) float64 (column, row), points (n, 3) float64 on the board, in the world's unit (x along
+    the squares_x, z = 0).
+    """
 
     name: str
     ids: np.ndarray
@@ -37,8 +43,11 @@ class BoardCorners:
 
 @dataclass(frozen=True)
 class Detection:
-    """pictures: those with at least 4 corners; unseen: names of those without; legacy: boards of OpenCV before 4.6
-    (first square white where the number of rows is even)."""
+    """Hold the boards found.
+
+    pictures: those with at least 4 corners; unseen: names of those without; legacy: boards of OpenCV before 4.6 (first
+    square white where the number of rows is even).
+    """
 
     pictures: tuple[BoardCorners, ...]
     unseen: tuple[str, ...]
@@ -156,8 +165,7 @@ def calibrate(
     distortion: str = "tangential",
     outlier_factor: float = 3.0,
 ) -> Calibration:
-    """Least squares over all corners (Z. Zhang, A flexible new technique for camera calibration, IEEE Trans. PAMI 22,
-    2000, as in OpenCV).
+    """Fit the lens by least squares over all corners (Zhang, IEEE Trans. PAMI 22, 2000, as in OpenCV).
 
     distortion: terms fitted: none | radial (k1, k2) | tangential (k1, k2, p1, p2) | full (and k3). A picture whose
     error is above outlier_factor times the median of the pictures (at least 0.1 px) is left out, the worst first, and
@@ -223,7 +231,7 @@ class _Fit:
 
 
 def _fit(pictures: list[BoardCorners], rows: int, columns: int, distortion: str) -> _Fit:
-    """The best of fits from several focal lengths: OpenCV's own start runs away where boards are tilted little."""
+    """Fit from several focal lengths, since OpenCV's own start diverges where boards are tilted little."""
     import cv2
 
     fits = []

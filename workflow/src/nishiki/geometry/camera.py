@@ -115,8 +115,10 @@ class Camera:
 
 
 def distort(plane: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
-    """Brown's lens distortion of points (n, 2) on the plane at depth 1 (D. C. Brown, Close-range camera calibration,
-    Photogrammetric Engineering 37, 1971)."""
+    """Apply Brown's lens distortion to points (n, 2) on the plane at depth 1.
+
+    D. C. Brown, Close-range camera calibration, Photogrammetric Engineering 37, 1971.
+    """
     k1, k2, p1, p2, k3 = coefficients
     x, y = plane[:, 0], plane[:, 1]
     square = x * x + y * y
@@ -132,7 +134,10 @@ def distort(plane: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
 def look_at(
     eye, target, *, rows: int, columns: int, field_of_view: float, up=(0.0, 1.0, 0.0), name: str = "view"
 ) -> Camera:
-    """A pinhole camera at `eye` towards `target`; field_of_view: vertical, radians; up: as the picture shows it."""
+    """Place a pinhole camera at `eye` towards `target`.
+
+    field_of_view: vertical, radians; up: upward direction of the picture.
+    """
     eye, target, up = (np.asarray(v, np.float64) for v in (eye, target, up))
     ahead = target - eye
     length = np.linalg.norm(ahead)
@@ -152,8 +157,11 @@ def look_at(
 
 @dataclass(frozen=True)
 class GivenCameras:
-    """cameras: in the order given. mirror: factors on the world's axes, None where the world stands as given. target:
-    (3,) the point nearest to the rays through the picture centres, in the cameras' world; None if not determined."""
+    """Hold given cameras.
+
+    cameras: in the order given. mirror: factors on the world's axes, None where the world stands as given. target: (3,)
+    the point nearest to the rays through the picture centres, in the cameras' world; None if not determined.
+    """
 
     cameras: tuple[Camera, ...]
     mirror: tuple[int, int, int] | None
@@ -195,8 +203,10 @@ def cameras_of_matrices(matrices: Mapping[str, np.ndarray], *, rows: int, column
 
 
 def point_in_sight(cameras: list[Camera]) -> np.ndarray | None:
-    """(3,) the point nearest (least squares) to the rays through the picture centres; None where they are parallel or
-    come from one place (largest angle between two rays below half a degree)."""
+    """Find the point (3,) nearest (least squares) to the rays through the picture centres.
+
+    None where they are parallel or come from one place (largest angle between two rays below half a degree).
+    """
     rays = np.array([ray_through_middle(camera) for camera in cameras])
     if len(cameras) < 2 or np.linalg.norm(np.cross(rays[:, None], rays[None]), axis=-1).max() < np.sin(np.radians(0.5)):
         return None
@@ -245,7 +255,7 @@ def save_cameras(
 
 
 def read_cameras(path: Path) -> dict:
-    """The whole document: unit, full_turn, source, mirror, views. UserError where it is missing or not one."""
+    """Read the whole document: unit, full_turn, source, mirror, views. UserError where it is missing or damaged."""
     try:
         document = json.loads(Path(path).read_text())
         document["views"][0]["intrinsics"]
@@ -255,5 +265,5 @@ def read_cameras(path: Path) -> dict:
 
 
 def load_cameras(path: Path) -> list[Camera]:
-    """The cameras alone, in the order of the turn. UserError as `read_cameras`."""
+    """Load the cameras alone, in the order of the turn. UserError as `read_cameras`."""
     return [Camera.from_dict(values) for values in read_cameras(path)["views"]]

@@ -14,11 +14,14 @@ from nishiki.geometry.visibility import rasterise
 
 @dataclass(frozen=True)
 class Defects:
-    """What `clean` found. merged_vertices: at the same place as another; degenerate: triangles without area or with a
-    corner twice; duplicates: triangles on the same three vertices as another; crowded_edges: edges of more than two
-    triangles, crowded_triangles: left out there; split_vertices: made where parts of the surface only touched in one
-    point; turned: triangles turned to face as their neighbours; turned_parts: whole parts turned inside out;
-    unreferenced: vertices of no triangle, left out; small_parts: left out."""
+    """Count the repairs of `clean`.
+
+    merged_vertices: at the same place as another; degenerate: triangles without area or with a corner twice;
+    duplicates: triangles on the same three vertices as another; crowded_edges: edges of more than two triangles,
+    crowded_triangles: left out there; split_vertices: made where parts of the surface only touched in one point;
+    turned: triangles turned to face as their neighbours; turned_parts: whole parts turned inside out; unreferenced:
+    vertices of no triangle, left out; small_parts: left out.
+    """
 
     merged_vertices: int = 0
     degenerate: int = 0
@@ -36,7 +39,7 @@ class Defects:
 
 
 def clean(vertices: np.ndarray, triangles: np.ndarray, *, cameras: list[Camera] | None = None) -> tuple[Mesh, Defects]:
-    """A mesh whose edges have two triangles at most, all turned outwards, and what had to be changed for it.
+    """Clean a mesh: at most two triangles an edge, all turned outwards; return it with the repairs.
 
     vertices (v, 3) finite, triangles (f, 3) integer. Outwards: positive volume of closed parts; of open parts, the side
     that the cameras see. Raises ValueError where no triangle is left.
@@ -59,8 +62,10 @@ def clean(vertices: np.ndarray, triangles: np.ndarray, *, cameras: list[Camera] 
 
 
 def merge_equal(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """One vertex for each place (the same three numbers; -0 is 0), in the order of first use; vertices merged among
-    those that triangles use."""
+    """Merge vertices at one place (the same three numbers; -0 is 0) in the order of first use.
+
+    Return also the number of merged vertices among those that triangles use.
+    """
     used = np.unique(triangles)
     places, first, inverse = np.unique(vertices[used] + 0.0, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")
@@ -125,8 +130,10 @@ def _neighbours(triangles: np.ndarray):
 
 
 def turned_alike(triangles: np.ndarray) -> tuple[np.ndarray, int]:
-    """Triangles turned so that neighbours run along their edge in opposite senses, as far as the surface allows (not a
-    Moebius strip); the smaller number of each part is turned."""
+    """Turn triangles so that neighbours run along their edge in opposite senses.
+
+    The smaller number of each part is turned; a Moebius strip keeps a seam.
+    """
     first, second, same = _neighbours(triangles)
     if not same.any():
         return triangles, 0
@@ -155,7 +162,7 @@ def turned_alike(triangles: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def split_touching(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-    """A vertex of its own for each fan of triangles where several fans touch in one point; vertices made."""
+    """Give each fan its own vertex where several fans of triangles touch in one point; count new vertices."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

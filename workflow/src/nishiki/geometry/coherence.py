@@ -64,8 +64,11 @@ class Correction:
 
 @dataclass(frozen=True)
 class Coherence:
-    """contradiction : mean over the views of `by_view`, the share of each outline that misses the hull of the other
-    views; correction : what explains it, or None; corrected : contradiction with the correction."""
+    """State whether silhouettes and cameras agree.
+
+    contradiction: mean over the views of `by_view`, the share of each outline that misses the hull of the other views;
+    correction: its explanation, or None; corrected: contradiction with the correction.
+    """
 
     contradiction: float
     by_view: tuple[float, ...]
@@ -75,8 +78,10 @@ class Coherence:
 
 @dataclass(frozen=True)
 class Trial:
-    """A correction, with what it changes: order (silhouette of each camera), cameras, silhouettes; without: places of
-    the cameras that take no part."""
+    """Hold a correction.
+
+    order (silhouette of each camera), cameras, silhouettes; without: places of the cameras that take no part.
+    """
 
     correction: Correction
     order: tuple[int, ...] | None = None
@@ -145,7 +150,7 @@ class Outlines:
         without: tuple[int, ...] = (),
         rays: int = RAYS,
     ) -> np.ndarray:
-        """(views,) share of each outline that misses the hull of the other views; 1 where no hull is possible.
+        """Compute the share (views,) of each outline that misses the hull of the others; 1 where no hull is possible.
 
         order (views,): silhouette of each camera; without: cameras that take no part, whose share is 0.
         """
@@ -181,8 +186,7 @@ class Outlines:
         return self._ball_of(self.cameras)
 
     def _ball_of(self, cameras: list[Camera]) -> tuple[np.ndarray, float] | None:
-        """Centre (3,) and radius of a ball round all that the cameras see of the silhouettes' common extent; None where
-        they have no such place in common."""
+        """Find a ball, centre (3,) and radius, around the common extent of the silhouettes; None without one."""
         frames = []
         for camera in cameras:
             frame = np.zeros((camera.rows, camera.columns), bool)
@@ -201,7 +205,7 @@ class Outlines:
 
 
 def _best_trial(outlines: Outlines, trials: list[Trial]) -> tuple[Trial | None, float]:
-    """The trial that leaves the least contradiction, the first of equals; of many the best two are fully traced."""
+    """Return the trial with the least contradiction, the first of equals; the best two are fully traced."""
     if len(trials) > 2:
         screened = [outlines.contradiction(trial, SCREENING_RAYS) for trial in trials]
         trials = [trials[k] for k in sorted(np.argsort(screened, kind="stable")[:2])]
@@ -211,7 +215,7 @@ def _best_trial(outlines: Outlines, trials: list[Trial]) -> tuple[Trial | None, 
 
 
 def _reversals(outlines: Outlines) -> list[Trial]:
-    """The object turned the other way."""
+    """Try the object turned the other way."""
     cameras = _scale_turn(outlines.cameras, -1.0)
     return [Trial(Correction("turn-reversed"), cameras=cameras)] if cameras else []
 
@@ -282,7 +286,7 @@ def _lenses(outlines: Outlines) -> list[Trial]:
 
 
 def _steps(outlines: Outlines) -> list[Trial]:
-    """The object turned by other steps than the cameras say."""
+    """Try other steps of the turn than those of the cameras."""
     count = len(outlines.cameras)
     factors = (count / (count - 1), (count - 1) / count, (count + 1) / count, count / (count + 1), 0.5, 2.0)
     moved = [(f"{f:.4g}", _scale_turn(outlines.cameras, f)) for f in (*factors, *(-f for f in factors))]
@@ -290,7 +294,7 @@ def _steps(outlines: Outlines) -> list[Trial]:
 
 
 def _odd_views(outlines: Outlines) -> list[Trial]:
-    """The few views without which the others agree: left out one after the other, a sixth of all at most."""
+    """Try to leave out views one after the other, a sixth of all at most, until the others agree."""
     count, left = len(outlines.cameras), ()
     for _ in range(max(1, count // 6) if count > 3 else 0):
         longer = [Trial(Correction("view-contradicts"), without=(*left, i)) for i in range(count) if i not in left]

@@ -17,7 +17,7 @@ STIFF = 1e-6
 
 @njit(**JIT)
 def _plane(a, b, c, out):
-    """Unit normal of a triangle and its area; (0, 0, 0) and 0 where it has none."""
+    """Compute unit normal and area of a triangle; (0, 0, 0) and 0 where it has none."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx

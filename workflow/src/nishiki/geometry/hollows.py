@@ -57,8 +57,11 @@ five times the triangles."""
 
 @dataclass(frozen=True)
 class Photographed:
-    """Photographs of an object as `residuals` reads them: pictures (views, rows, columns, channels) float32, linear, 1
-    where the object is bright; cameras at that size; silhouettes (views, rows, columns) bool."""
+    """Hold photographs of an object for `residuals`.
+
+    pictures (views, rows, columns, channels) float32, linear, 1 where the object is bright; cameras at that size;
+    silhouettes (views, rows, columns) bool.
+    """
 
     pictures: np.ndarray
     cameras: list[Camera]
@@ -114,7 +117,9 @@ class Photographed:
 
 
 def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: Photographed) -> tuple[Mesh, list[dict]]:
-    """The mesh with its hollows sunk, and figures of each: depth and steepness, direction, residual before and after.
+    """Sink the hollows of a mesh; return it and the figures of each hollow.
+
+    The figures are depth and steepness, direction, residual before and after.
 
     coarse: the same surface with vertices in even distances, some ten thousand; regions and depths are sought on it.
     """
@@ -157,7 +162,7 @@ def contradicted_regions(mesh: Mesh, photographed: Photographed) -> list[list[np
 
 
 def connected(vertices: np.ndarray, near) -> list[np.ndarray]:
-    """Connected parts (v,) bool of some vertices, the largest first."""
+    """List the connected parts (v,) bool of some vertices, the largest first."""
     from scipy.sparse import diags
     from scipy.sparse.csgraph import connected_components
 
@@ -182,7 +187,7 @@ def neighbourhoods(mesh: Mesh):
 
 
 def closed(region: np.ndarray, near, rounds: int = 6, rim: int = 2) -> np.ndarray:
-    """A region without its small holes and bays, and without the rim that its patches share with what is right."""
+    """Close small holes and bays of a region, and remove the rim that its patches share with sound surface."""
     for _ in range(rounds):
         region = near @ region > 0
     for _ in range(rounds + rim):
@@ -191,8 +196,10 @@ def closed(region: np.ndarray, near, rounds: int = 6, rim: int = 2) -> np.ndarra
 
 
 def profile_of(region: np.ndarray, near) -> np.ndarray:
-    """(v,) 0 at the border of a region and outside, 1 at its deepest: root of the solution of Poisson's equation, which
-    grows with the distance to the border."""
+    """Compute a depth profile (v,) of a region: 0 at its border and outside, 1 at its deepest.
+
+    It is the root of the solution of Poisson's equation, which grows with the distance to the border.
+    """
     from scipy.sparse import eye
     from scipy.sparse.linalg import spsolve
 
@@ -218,7 +225,7 @@ class Hollow:
         return cls(region, profile, direction / max(np.linalg.norm(direction), 1e-12))
 
     def sunk(self, mesh: Mesh, depth: float, steepness: float) -> Mesh:
-        """The mesh, sunk by depth * profile^steepness."""
+        """Sink a mesh by depth * profile^steepness."""
         shift = (depth * self.profile**steepness)[:, None] * self.direction
         return Mesh.of(mesh.vertices + shift, mesh.triangles)
 
@@ -239,8 +246,10 @@ class Hollow:
 
 
 def sink(mesh: Mesh, regions: list[np.ndarray], photographed: Photographed) -> tuple[Mesh, list[dict]]:
-    """The mesh with one of these candidate regions sunk as deep as the photographs say, and its figures; none where
-    nothing is gained."""
+    """Sink the candidate region that lowers the residual most, as deep as the photographs support.
+
+    Return the mesh and its figures; no figures where nothing is gained.
+    """
     hollows = [Hollow.of(mesh, region) for region in regions]
     core, widest = (pixels_of(mesh, regions[k], photographed.cameras) for k in (0, -1))
     fits = [hollow.fitted(mesh, widest, photographed) for hollow in hollows]
@@ -279,8 +288,11 @@ def mean_residual(mesh: Mesh, pixels: dict[int, np.ndarray], photographed: Photo
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def residuals_at(points, normals, pixels, away, depths, pictures, centres, distance, tolerance, out):
-    """See `Photographed.residuals`; pixels (views, n, 2) column and row of the points, away (views, n) their depths,
-    depths (views, rows, columns) of the mesh, tolerance: of the visibility."""
+    """Compute the residuals of `Photographed.residuals`.
+
+    pixels (views, n, 2) column and row of the points, away (views, n) their depths, depths (views, rows, columns) of
+    the mesh, tolerance: of the visibility.
+    """
     views, rows, columns, channels = pictures.shape
     values, towards = np.empty((views, channels)), np.empty((views, 3))
     variance, facing = np.empty(views), np.empty(views)

@@ -56,8 +56,11 @@ class Field:
 
 @dataclass(frozen=True)
 class Hull:
-    """mesh: surface of the hull; cell: side of a grid cell, world's unit; shape: grid points along x, y, z; box: (2, 3)
-    lowest and highest corner; asked: fraction of the cubes whose points were evaluated one by one."""
+    """Hold a visual hull.
+
+    mesh: surface of the hull; cell: side of a grid cell, world's unit; shape: grid points along x, y, z; box: (2, 3)
+    lowest and highest corner; asked: fraction of the cubes whose points were evaluated one by one.
+    """
 
     mesh: Mesh
     cell: float
@@ -303,8 +306,11 @@ def _fill(field: Field, volume: np.ndarray, origin: np.ndarray, cell: float, mis
 
 
 def surface_of(volume: np.ndarray, origin: np.ndarray, cell: float) -> Mesh:
-    """Mesh of the zero level of volume (x, y, z), positive inside, by marching cubes (Lewiner et al., Efficient
-    implementation of marching cubes' cases with topological guarantees, J. Graphics Tools 8(2), 2003)."""
+    """Extract the zero level of volume (x, y, z), positive inside, by marching cubes.
+
+    Lewiner et al., Efficient implementation of marching cubes' cases with topological guarantees, J. Graphics Tools
+    8(2), 2003.
+    """
     optional("scikit-image")
     from skimage.measure import marching_cubes
 

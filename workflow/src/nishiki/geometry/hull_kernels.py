@@ -58,7 +58,7 @@ def _distance(buffer, frame, column, row):
 
 @njit(**JIT)
 def _at_point(poses, lenses, frames, buffer, x, y, z, misses, enough, spot, worst):
-    """The (misses + 1)-th smallest signed distance over the views, in world units; may stop once below -enough."""
+    """Return the (misses + 1)-th smallest signed distance over the views, world units; may stop below -enough."""
     for m in range(misses + 1):
         worst[m] = FAR
     for view in range(poses.shape[0]):

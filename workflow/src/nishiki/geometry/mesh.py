@@ -19,8 +19,11 @@ from nishiki.packages import optional
 
 @dataclass(frozen=True)
 class Mesh:
-    """vertices (v, 3) float64 in the world's unit; triangles (f, 3) int32, counter-clockwise seen from outside;
-    normals (v, 3) float32, unit length, outwards."""
+    """Hold a triangle mesh.
+
+    vertices (v, 3) float64 in the world's unit; triangles (f, 3) int32, counter-clockwise seen from outside; normals
+    (v, 3) float32, unit length, outwards.
+    """
 
     vertices: np.ndarray
     triangles: np.ndarray
@@ -28,7 +31,7 @@ class Mesh:
 
     @classmethod
     def of(cls, vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
-        """A mesh with normals averaged over the triangles at each vertex, weighted by their areas."""
+        """Build a mesh with normals averaged over the triangles at each vertex, weighted by their areas."""
         vertices = np.ascontiguousarray(vertices, np.float64)
         triangles = np.ascontiguousarray(triangles, np.int32)
         return cls(vertices, triangles, vertex_normals(vertices, triangles))
@@ -103,8 +106,10 @@ class _Nothing:
 
 
 def load_geometry(stream: BinaryIO, kind: str):
-    """What trimesh finds in an open file of this kind, 'ply' or 'obj', vertices in the file's order; no other file is
-    opened, whatever the mesh names. Any error of the library may come."""
+    """Load an open file of this kind, 'ply' or 'obj', with trimesh, vertices in the file's order.
+
+    No other file is opened, whatever the mesh names. Any error of the library may come.
+    """
     trimesh = optional("trimesh")
     options = {"process": False, "maintain_order": True, "skip_materials": True}
     if kind == "ply":

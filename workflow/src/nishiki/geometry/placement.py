@@ -41,8 +41,11 @@ def shaded(mesh: Mesh, camera: Camera) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Known:
-    """What the other views say of one view. inside, outside (rows, columns) bool: pixels on the object, off it; beyond:
-    pixels of its mask that lie outside, lost: pixels inside that its mask lacks, of the mask's pixels."""
+    """Compare one view's mask with the other views.
+
+    inside, outside (rows, columns) bool: pixels on the object, off it; beyond: share of the mask's pixels that lie
+    outside; lost: share of pixels inside that the mask lacks.
+    """
 
     inside: np.ndarray
     outside: np.ndarray
@@ -51,7 +54,7 @@ class Known:
 
 
 def known_from(loose: Mesh, camera: Camera, mask: np.ndarray, cell: float) -> Known:
-    """What a hull that forgives single views says of one view and its mask (rows, columns) bool.
+    """Compare a mask (rows, columns) bool with the hull that forgives single views.
 
     loose: hull carved with one miss allowed at least, which holds the object whatever one mask says. Both bounds leave
     room for its grid (cell, world's unit) and for the outline itself.
@@ -70,8 +73,10 @@ def known_from(loose: Mesh, camera: Camera, mask: np.ndarray, cell: float) -> Kn
 
 
 def contradicted(known: list[Known]) -> list[bool]:
-    """Which masks the other views contradict: more than 2 in 1000 of its pixels are confirmed by no other view, or it
-    lacks that much and four times the median of all views more.
+    """Decide which masks the other views contradict.
+
+    A mask is contradicted where more than 2 in 1000 of its pixels are confirmed by no other view, or where it lacks
+    that much and four times the median of all views more.
 
     Between few views the forgiving hull is thicker than the object in every one of them: only the odd one is wrong.
     """
@@ -97,8 +102,11 @@ EQUAL = 0.01  # overlaps that differ by less are equal
 
 @dataclass(frozen=True)
 class Placement:
-    """overlap: mean intersection over union of the mesh's outline and the silhouettes, as it lies; scale, order, signs:
-    of the reading that overlaps most, see `move_mesh`; best: its overlap."""
+    """Hold the fit of a mesh to silhouettes.
+
+    overlap: mean intersection over union of the mesh's outline and the silhouettes, as it lies; scale, order, signs: of
+    the reading that overlaps most, see `move_mesh`; best: its overlap.
+    """
 
     overlap: float
     scale: float
@@ -122,8 +130,10 @@ def move_mesh(
 def measure_placement(
     mesh: Mesh, silhouettes: list[np.ndarray], cameras: list[Camera], *, enough: float = 0.9
 ) -> Placement:
-    """Compare a mesh with silhouettes (rows, columns) bool in the cameras' pictures; where they overlap by less than
-    `enough`, in other units and axes, too."""
+    """Compare a mesh with silhouettes (rows, columns) bool in the cameras' pictures.
+
+    Where they overlap by less than `enough`, other units and axes are tried too.
+    """
     chosen = np.unique(np.linspace(0, len(cameras) - 1, min(MOST_VIEWS, len(cameras))).round().astype(int))
     views = [_shrink(silhouettes[i], cameras[i]) for i in chosen]
 
@@ -150,7 +160,7 @@ def measure_placement(
 
 
 def _shrink(mask: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
-    """A silhouette of at most 96 pixels on its longer side, and the camera of such a picture."""
+    """Reduce a silhouette to at most 96 pixels on its longer side, and its camera."""
     import cv2
 
     factor = min(1.0, SIDE / max(mask.shape))
@@ -170,8 +180,10 @@ def _surface_points(mesh: Mesh) -> np.ndarray:
 
 
 def _splat_overlap(points: np.ndarray, mask: np.ndarray, camera: Camera) -> float:
-    """Intersection over union of a silhouette and the points' picture, whose gaps are closed; 0 where the two differ
-    much in place or size."""
+    """Compute the intersection over union of a silhouette and the closed picture of points.
+
+    It is 0 where the two differ much in place or size.
+    """
     import cv2
 
     pixels, depth = camera.project(points)

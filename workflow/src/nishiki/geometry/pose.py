@@ -56,9 +56,10 @@ def estimate_pose(
     columns: int,
     outlier_px: float,
 ) -> Pose:
-    """Start from the pose of a few points that most others agree with (RANSAC of SQPnP: G. Terzakis and M. Lourakis,
-    ECCV 2020), then Levenberg-Marquardt on the points within outlier_px, until they stay the same. Draws are fixed:
-    equal input gives equal output.
+    """Estimate a pose by RANSAC of SQPnP, then Levenberg-Marquardt on the points within outlier_px.
+
+    G. Terzakis and M. Lourakis, ECCV 2020. Inliers are chosen until they stay the same. Draws are fixed: equal input
+    gives equal output.
 
     Raises UserError, naming the view and what to do: fewer than 4 points; points on a line; fewer than 5, or less than
     half of them, agree with one pose; points behind the camera; flat points with two poses that fit equally well.
@@ -107,7 +108,7 @@ def _unit(sight: Sight) -> tuple[Sight, np.ndarray, float]:
 
 
 def refine_pose(camera: Camera, points: np.ndarray, pixels: np.ndarray) -> Camera:
-    """The camera moved to the least reprojection error over points (n, 3), pixels (n, 2); intrinsics stay."""
+    """Move a camera to the least reprojection error over points (n, 3), pixels (n, 2); intrinsics stay."""
     lens = _Lens.of(camera.intrinsics, camera.distortion, camera.rows, camera.columns)
     vector = np.concatenate([_rotation_vector(camera.rotation), camera.translation])
     return lens.camera(camera.name, _refine(lens, vector, points, pixels))
@@ -202,7 +203,7 @@ def _settle(sight: Sight, lens: _Lens, vector: np.ndarray, outlier_px: float) ->
 
 
 def _refine(lens: _Lens, vector: np.ndarray, points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """The pose of least squares from rotation vector and translation (6,), by Levenberg-Marquardt."""
+    """Fit a pose by least squares from rotation vector and translation (6,), by Levenberg-Marquardt."""
     import cv2
 
     turn, shift = vector[:3, None].copy(), vector[3:, None].copy()  # columns: others are not changed
@@ -213,8 +214,10 @@ def _refine(lens: _Lens, vector: np.ndarray, points: np.ndarray, pixels: np.ndar
 
 
 def _expect_one(sight: Sight, lens: _Lens, vector: np.ndarray, inliers: np.ndarray) -> np.ndarray:
-    """The better of the two poses of flat points (T. Collins and A. Bartoli, Infinitesimal plane-based pose estimation,
-    IJCV 109, 2014); UserError where the picture does not tell them apart. Other points pass unchanged."""
+    """Choose the better of the two poses of flat points; UserError where the picture does not distinguish them.
+
+    T. Collins and A. Bartoli, Infinitesimal plane-based pose estimation, IJCV 109, 2014. Other points pass unchanged.
+    """
     import cv2
 
     points, pixels = sight.points[inliers], sight.pixels[inliers]
@@ -259,8 +262,11 @@ LEAST_FOR_FOLDS = 6
 
 @dataclass(frozen=True)
 class TurntablePoses:
-    """cameras: in the order given; axis (3,) unit and point (3,) of the axis, world; angles_deg (n,) from the first
-    view; rms_px: root mean square over all points."""
+    """Hold poses on one axis.
+
+    cameras: in the order given; axis (3,) unit and point (3,) of the axis, world; angles_deg (n,) from the first view;
+    rms_px: root mean square over all points.
+    """
 
     cameras: tuple[Camera, ...]
     axis: np.ndarray
@@ -271,9 +277,11 @@ class TurntablePoses:
 
 @dataclass(frozen=True)
 class Choice:
-    """cameras: the poses that predict left-out points better. turn: the poses on one axis. free_px, turn_px:
-    root mean square error at points that took no part in the fit (each third of the points in its turn), None where
-    a view has fewer than 6 points."""
+    """Compare single poses with poses on one axis.
+
+    cameras: the poses that predict left-out points better. turn: the poses on one axis. free_px, turn_px: root mean
+    square error at left-out points (each third of the points in its turn), None where a view has fewer than 6 points.
+    """
 
     cameras: tuple[Camera, ...]
     on_axis: bool

@@ -36,7 +36,7 @@ def missing_filters() -> tuple[str, ...]:
 
 
 def mesh_set():
-    """An empty pymeshlab.MeshSet. Raises UserError where the package or filters of it are missing."""
+    """Return an empty pymeshlab.MeshSet. Raises UserError where the package or its filters are missing."""
     pymeshlab = optional("pymeshlab")
     missing = missing_filters()
     if missing:
@@ -80,8 +80,7 @@ def merge(
 
 
 def _filled(points: np.ndarray, triangles: np.ndarray | None, longest: float) -> tuple[np.ndarray, np.ndarray | None]:
-    """A scan whose triangles are cut up until no edge is longer than this: what lies inside a triangle was measured
-    too, however far its corners are apart."""
+    """Subdivide a scan's triangles until no edge is longer than this, since their inside was measured too."""
     if triangles is None or not len(triangles):
         return points, None
     optional("trimesh")
@@ -104,15 +103,17 @@ def _spacing(points: np.ndarray) -> float:
 
 
 def _scan_normals(points: np.ndarray, triangles: np.ndarray | None) -> np.ndarray | None:
-    """Normals of a scan's own triangles; None without."""
+    """Compute normals of a scan's own triangles; None without triangles."""
     from nishiki.geometry.mesh import vertex_normals
 
     return None if triangles is None else vertex_normals(points, triangles).astype(np.float64)
 
 
 def _outward_normals(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Normals of a cloud by principal axes, turned alike along the shortest links between neighbours (H. Hoppe et al.,
-    Surface reconstruction from unorganized points, SIGGRAPH 1992), as a whole away from the centre."""
+    """Estimate the normals of a cloud by principal axes, turned outwards from the centre.
+
+    They are turned alike along the shortest links between neighbours (H. Hoppe et al., SIGGRAPH 1992).
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
     from scipy.spatial import cKDTree
@@ -168,7 +169,7 @@ class Motion:
 
     @classmethod
     def none(cls) -> Motion:
-        """The motion that moves nothing."""
+        """Return the identity motion."""
         return cls(np.eye(3), np.zeros(3))
 
     def apply(self, points: np.ndarray) -> np.ndarray:
@@ -176,15 +177,18 @@ class Motion:
         return points @ self.rotation.T + self.translation
 
     def after(self, first: Motion) -> Motion:
-        """This motion after another one."""
+        """Compose this motion after another one."""
         return Motion(self.rotation @ first.rotation, self.rotation @ first.translation + self.translation)
 
 
 @dataclass(frozen=True)
 class Registered:
-    """motions: of each scan into the frame of the first; residual (n,): root mean square distance to the tangent planes
-    of the others over the overlapping part, world's unit (0 for a single scan); order: in which scans were added;
-    moved: scans whose given place was not good enough and that were searched for from many starts."""
+    """Hold registered scans.
+
+    motions: of each scan into the frame of the first; residual (n,): root mean square distance to the tangent planes of
+    the others over the overlapping part, world's unit (0 for a single scan); order in which scans were added; moved:
+    scans that were searched for from many starts because their given place was too inexact.
+    """
 
     motions: tuple[Motion, ...]
     residual: np.ndarray
@@ -218,8 +222,7 @@ class Cloud:
 
 
 def cloud_of(points: np.ndarray, *, most: int = POINTS) -> Cloud:
-    """About `most` points of a scan, evenly over its surface (one per cell of a grid), with normals by principal axes
-    of their neighbours among all points."""
+    """Sample about `most` points of a scan evenly (one per cell of a grid), with normals by principal axes."""
     from scipy.spatial import cKDTree
 
     chosen = thinned(points, most)
@@ -317,8 +320,10 @@ def _search(cloud: Cloud, target: Cloud, overlap: float) -> tuple[Motion, float]
 
 
 def rotations(count: int) -> list[np.ndarray]:
-    """(3, 3) rotations evenly over all, the first the identity: a spiral of unit quaternions (M. Alexa, Super-Fibonacci
-    spirals, CVPR 2022)."""
+    """Spread rotations (3, 3) evenly over all, the first the identity: a spiral of unit quaternions.
+
+    M. Alexa, Super-Fibonacci spirals, CVPR 2022.
+    """
     from scipy.spatial.transform import Rotation
 
     phi, psi = np.sqrt(2.0), 1.533751168755204288118041
@@ -331,8 +336,11 @@ def rotations(count: int) -> list[np.ndarray]:
 
 
 def align(cloud: Cloud, target: Cloud, start: Motion, *, overlap: float, steps: int = 40) -> tuple[Motion, float]:
-    """Motion of a cloud onto a target by trimmed closest points, and the root mean square distance (to the points'
-    tangent planes, bounded below by a tenth of the distance to the points) over the closest part `overlap`."""
+    """Align a cloud to a target by trimmed closest points; return the motion and its error.
+
+    The error is the root mean square distance to the points' tangent planes (at least a tenth of the distance to the
+    points) over the closest part `overlap`.
+    """
     keep = max(6, int(overlap * len(cloud.points)))
     motion = start
     for step in range(steps + 1):

@@ -15,8 +15,7 @@ from numba import njit
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def nearest_colour(lab, centres, inverses, lowest, out):
-    """Smallest Mahalanobis distance of colours lab (n, 3) float32 to clusters, into out (n,) float32; at most out's
-    value before.
+    """Lower `out` (n,) to the smallest Mahalanobis distance of colours lab (n, 3) float32 to clusters.
 
     centres (k, 3), inverses (k, 3, 3), lowest (k,) float64: a cluster's colour may be scaled by lowest to 1, by the
     factor that fits best.
@@ -62,9 +61,12 @@ WORKING_PIXELS = 1_000_000
 
 @dataclass(frozen=True)
 class Silhouette:
-    """mask (rows, columns) bool; separation: median over the outline of the colour difference between the two sides, in
-    spreads of the background (below 2 the outline is a guess); parts: connected parts kept; dropped: small parts that
-    were left out, pixels; holes: pixels of background seen through the object."""
+    """Hold the silhouette of one picture.
+
+    mask (rows, columns) bool; separation: median over the outline of the colour difference between the two sides, in
+    spreads of the background (below 2 the outline is a guess); parts: connected parts kept; dropped: pixels of small
+    parts that were removed; holes: pixels of background visible through the object.
+    """
 
     mask: np.ndarray
     separation: float
@@ -74,8 +76,10 @@ class Silhouette:
 
 
 def display(linear: np.ndarray) -> np.ndarray:
-    """(rows, columns, 3) uint8 sRGB picture of linear values (rows, columns, channels), bright parts just below
-    white; channels beyond three are left out, one is repeated."""
+    """Convert linear values (rows, columns, channels) to an sRGB picture (rows, columns, 3) uint8.
+
+    Bright parts are just below white; channels beyond three are dropped, one is repeated.
+    """
     from nishiki.colour.colour import encode
 
     channels = linear[..., :3] if linear.shape[-1] >= 3 else linear[..., :1].repeat(3, axis=-1)
@@ -157,8 +161,11 @@ def _lab(picture: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Colours:
-    """Clusters of the background: centres (n, 3), inverse covariances (n, 3, 3) in L + 16, a, b; area: live part of the
-    picture; coloured (n,) bool: far enough from grey to tell a shadow from a grey object."""
+    """Hold clusters of the background.
+
+    centres (n, 3), inverse covariances (n, 3, 3) in L + 16, a, b; area: live part of the picture; coloured (n,) bool:
+    far enough from grey to distinguish a shadow from a grey object.
+    """
 
     centres: np.ndarray
     inverses: np.ndarray
@@ -231,8 +238,10 @@ def background_distance(picture: np.ndarray, colours: Colours) -> np.ndarray:
 
 
 def best_level(distance: np.ndarray) -> float:
-    """The distance, 1.5 to 6 spreads, at which the outline is steepest: between background and object, not within
-    either. Slopes are those of the distance's logarithm, so that neither side's scale counts."""
+    """Find the distance, 1.5 to 6 spreads, at which the outline between background and object is steepest.
+
+    Slopes are those of the distance's logarithm, so that neither side's scale counts.
+    """
     import cv2
 
     smooth = np.log(cv2.GaussianBlur(np.minimum(distance, 30), (0, 0), 1.0) + 0.5)

@@ -17,8 +17,11 @@ MEASURED = 40_000
 
 @dataclass(frozen=True)
 class SimplifiedMesh:
-    """mesh; deviation_px: how far the original's surface is from it, in pixels of the sharpest view: 99 in 100 vertices
-    are nearer; deviation_largest_px: the farthest (tips of needles); before: triangles of the original."""
+    """Hold a simplified mesh.
+
+    deviation_px: distance of the original's surface in pixels of the sharpest view that 99 in 100 vertices stay below;
+    deviation_largest_px: the largest (tips of needles); before: triangles of the original.
+    """
 
     mesh: Mesh
     deviation_px: float
@@ -38,8 +41,7 @@ def decimate(mesh: Mesh, triangles: int) -> Mesh:
 
 
 def pixels_per_unit(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
-    """(n,) float64: pixels that a unit of length across the line of sight covers at each point, in the view that shows
-    it largest."""
+    """Compute pixels (n,) float64 per unit of length across the line of sight at each point, in the sharpest view."""
     largest = np.zeros(len(points))
     for camera in cameras:
         depth = points @ camera.rotation[2] + camera.translation[2]
@@ -69,8 +71,10 @@ def distances(points: np.ndarray, mesh: Mesh, *, spacing: float | None = None) -
 
 
 def sample(mesh: Mesh, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) on the triangles, every `spacing` at most along their edges (up to 64 along one), and the triangle
-    (n,) each lies on."""
+    """Sample points (n, 3) on the triangles, at most `spacing` apart along edges; return their triangles (n,) too.
+
+    At most 64 points lie along one edge.
+    """
     corners = mesh.vertices[mesh.triangles]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     parts = np.clip(np.ceil(sides / spacing), 1, 64).astype(int)
@@ -108,7 +112,7 @@ def point_to_triangle(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 def fewest_triangles(
     mesh: Mesh, cameras: list[Camera], *, deviation_px: float, most: int | None = None, rounds: int = 6
 ) -> SimplifiedMesh:
-    """The lightest mesh whose surface stays within `deviation_px` pixels of 99 in 100 vertices of the original.
+    """Simplify a mesh as far as 99 in 100 original vertices stay within `deviation_px` pixels of its surface.
 
     Pixels as `pixels_per_unit`. Found by bisection on the number of triangles (`rounds` halvings of its logarithm); 0
     keeps all. most: no more triangles than this, whatever the deviation. Deterministic.
@@ -138,7 +142,7 @@ def _measured(original: Mesh, mesh: Mesh, scale: np.ndarray) -> SimplifiedMesh:
 
 
 def snapped(mesh: Mesh, step: float) -> Mesh:
-    """The mesh with vertices on the grid of multiples of `step`; triangles that vanish by it are left out."""
+    """Snap vertices to the grid of multiples of `step`; vanishing triangles are dropped."""
     vertices = np.round(mesh.vertices / step) * step
     areas = np.linalg.norm(face_vectors(vertices, mesh.triangles), axis=1)
     faces = mesh.triangles[areas > 0]
@@ -147,7 +151,7 @@ def snapped(mesh: Mesh, step: float) -> Mesh:
 
 
 def smoothed(mesh: Mesh, cameras: list[Camera], *, most_px: float, rounds: int = 8) -> Mesh:
-    """The mesh without the steps of its grid and the noise of its outlines, each vertex moved by `most_px` at most.
+    """Smooth away the steps of the grid and the noise of the outlines, moving vertices by `most_px` at most.
 
     G. Taubin, A signal processing approach to fair surface design, SIGGRAPH 1995: alternately towards the neighbours'
     mean and a little further back, so that the whole does not shrink. Pixels as `pixels_per_unit`.
@@ -174,9 +178,12 @@ def smoothed(mesh: Mesh, cameras: list[Camera], *, most_px: float, rounds: int =
 
 @dataclass(frozen=True)
 class Shape:
-    """Facts of a mesh. open_edges: edges of one triangle only; crowded_edges: of more than two; parts: connected
-    parts; watertight: no open, crowded or inconsistently turned edge; genus: number of handles over all parts, None
-    where not watertight; volume, area: world's unit cubed (None where not watertight) and squared."""
+    """Hold facts of a mesh.
+
+    open_edges: edges of one triangle only; crowded_edges: of more than two; parts: connected parts; watertight: no
+    open, crowded or inconsistently turned edge; genus: number of handles over all parts, None where not watertight;
+    volume, area: world's unit cubed (None where not watertight) and squared.
+    """
 
     vertices: int
     triangles: int
@@ -213,7 +220,7 @@ def shape_of(mesh: Mesh) -> Shape:
 
 
 def parts_of(triangles: np.ndarray, vertices: int) -> tuple[int, np.ndarray]:
-    """Number of connected parts, and the part (f,) of each triangle."""
+    """Count the connected parts and find the part (f,) of each triangle."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -225,7 +232,7 @@ def parts_of(triangles: np.ndarray, vertices: int) -> tuple[int, np.ndarray]:
 
 
 def without_small_parts(mesh: Mesh, *, smallest: float) -> tuple[Mesh, int]:
-    """The mesh without parts whose box has a diagonal below `smallest` times that of the largest; how many went."""
+    """Remove parts whose box has a diagonal below `smallest` times that of the largest; count them."""
     count, mine = parts_of(mesh.triangles, len(mesh.vertices))
     if count < 2:
         return mesh, 0

@@ -49,7 +49,7 @@ class CircleCheck:
 
 
 def order_round(centres: np.ndarray) -> list[int]:
-    """Indices that bring camera centres (n, 3) into the order of the turn, the first one first.
+    """Sort camera centres (n, 3) into the order of the turn; return indices, the first camera first.
 
     Those of cameras that go once round a circle in another order than they are given in: names like cam1/0000, or
     exports sorted by another key. All others keep their order.
@@ -129,9 +129,12 @@ def scale_turn(matrices: np.ndarray, centres: np.ndarray, factor: float) -> np.n
 
 @dataclass(frozen=True)
 class CameraPath:
-    """axis (3,) unit vector and point (3,) on it, world; position (views,) radians along the path, rising, starting at
-    0; length: radians from the first view back to the first (a full turn) or to the last; closed: whether the last
-    view neighbours the first; deviation_deg: largest angle between the axis of a step and the common one."""
+    """Describe the path of the cameras round an axis.
+
+    axis (3,) unit vector and point (3,) on it, world; position (views,) radians along the path, rising, starting at 0;
+    length: radians from the first view back to the first (a full turn) or to the last; closed: whether the last view
+    neighbours the first; deviation_deg: largest angle between the axis of a step and the common one.
+    """
 
     axis: np.ndarray
     point: np.ndarray
@@ -181,7 +184,7 @@ def axis_point(cameras: list[Camera], axis: np.ndarray) -> np.ndarray:
 
 
 def camera_between(cameras: list[Camera], turn: CameraPath, index: int, fraction: float) -> Camera:
-    """The camera `fraction` (0..1) of the way from view `index` to the next one.
+    """Interpolate the camera `fraction` (0..1) of the way from view `index` to the next one.
 
     Both neighbours are turned about the axis to the place; on an ideal turn they coincide there, and what calibration
     errors leave between them is blended, rotations along the shortest arc.  At 0 and 1 the result is the neighbour.
@@ -204,7 +207,7 @@ def camera_between(cameras: list[Camera], turn: CameraPath, index: int, fraction
 
 
 def turned(camera: Camera, turn: CameraPath, angle: float) -> Camera:
-    """The camera turned about the axis by `angle` radians."""
+    """Turn a camera about the axis by `angle` radians."""
     spin = rotation_matrix(angle * turn.axis)
     rotation = camera.rotation @ spin.T
     centre = spin @ (camera.centre - turn.point) + turn.point
@@ -212,7 +215,7 @@ def turned(camera: Camera, turn: CameraPath, angle: float) -> Camera:
 
 
 def scaled(camera: Camera, factor: float) -> Camera:
-    """The same camera with `factor` times as many pixels along each side; pixel centres stay at whole numbers."""
+    """Scale a camera to `factor` times as many pixels along each side; pixel centres stay at whole numbers."""
     rows, columns = max(1, round(camera.rows * factor)), max(1, round(camera.columns * factor))
     down, across = rows / camera.rows, columns / camera.columns
     # continuous image coordinates start half a pixel before the centre of the first pixel

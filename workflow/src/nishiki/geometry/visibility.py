@@ -39,7 +39,7 @@ class Raster:
 
 
 def rasterise(mesh: Mesh, camera: Camera, *, cull: bool = False, rows: tuple[int, int] | None = None) -> Raster:
-    """The triangle nearest to the camera behind each pixel centre.
+    """Find the triangle nearest to the camera behind each pixel centre.
 
     A pixel centre on an edge belongs to exactly one of the two triangles that share it (top-left rule, evaluated so
     that both see the same number). Triangles without area, with corners that are not finite, or with a corner at or
@@ -163,8 +163,11 @@ SLACK = 1e-9  # of the corners' weights
 
 @dataclass(frozen=True)
 class RayTree:
-    """boxes (2 L - 1, 6) float32: lower and upper corner, L leaves; triangles (4 L, 9) float64: a corner and two edges,
-    in the order of the leaves, some of them twice; order (4 L,) int32: their numbers in the mesh."""
+    """Hold a tree over a mesh for rays.
+
+    boxes (2 L - 1, 6) float32: lower and upper corner, L leaves; triangles (4 L, 9) float64: a corner and two edges, in
+    the order of the leaves, some twice; order (4 L,) int32: their numbers in the mesh.
+    """
 
     boxes: np.ndarray
     triangles: np.ndarray
@@ -173,8 +176,11 @@ class RayTree:
 
 @dataclass(frozen=True)
 class Hits:
-    """triangle (n,) int32: in the mesh, -1 where nothing is met; distance (n,) float64, in multiples of the ray's
-    direction; weights (n, 2) float64 of the triangle's second and third corner."""
+    """Hold the hits of rays.
+
+    triangle (n,) int32: in the mesh, -1 where nothing is met; distance (n,) float64, in multiples of the ray's
+    direction; weights (n, 2) float64 of the triangle's second and third corner.
+    """
 
     triangle: np.ndarray
     distance: np.ndarray
@@ -182,7 +188,7 @@ class Hits:
 
 
 def make_tree(vertices: np.ndarray, triangles: np.ndarray) -> RayTree:
-    """The tree over a mesh: vertices (v, 3), triangles (f, 3), f > 0, all finite."""
+    """Build the tree over a mesh: vertices (v, 3), triangles (f, 3), f > 0, all finite."""
     corners = np.asarray(vertices, np.float64)[triangles]
     leaves = 1 << max(0, int(np.ceil(np.log2(max(1, len(corners)) / LEAF))))
     # Spread evenly over the leaves; some stand twice, which changes nothing.
@@ -234,8 +240,9 @@ def _halve(centres, order, leaves):
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def meet(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far, any_hit):
-    """What a ray meets at a distance within (0, far): place among the leaves' triangles or -1, distance in multiples of
-    its direction, weights of the second and third corner.
+    """Intersect a ray within (0, far): place among the leaves' triangles or -1, distance, weights of two corners.
+
+    The distance is in multiples of the ray's direction; the weights are those of the second and third corner.
 
     any_hit: return the first hit found, whichever it is. stack (64,) int32 is scratch. Triangles: T. Moeller, B.
     Trumbore, Fast, minimum storage ray/triangle intersection, Journal of Graphics Tools 1997; a slack of 1e-9 keeps

@@ -20,10 +20,13 @@ REACH = np.radians(7.5)  # a view stands for directions this near
 
 @dataclass(frozen=True)
 class IncidenceCoverage:
-    """theta_deg, phi_deg: of the light (phi 0 along the normal); rows: indices of its measurements; views: how many;
+    """Hold the coverage of one direction of light.
+
+    theta_deg, phi_deg: of the light (phi 0 along the normal); rows: indices of its measurements; views: how many;
     unusable: of these, in the region where most are; covered: share of the hemisphere's solid angle within 7.5 degrees
     of a usable view or its mirror image; gap_deg: from the worst direction of the hemisphere to the nearest view;
-    steepest_deg: greatest theta_r."""
+    steepest_deg: greatest theta_r.
+    """
 
     theta_deg: float
     phi_deg: float
@@ -72,7 +75,7 @@ def _of(measured: ReflectanceSet, light: np.ndarray, rows: np.ndarray) -> Incide
 
 
 def spread(count: int) -> np.ndarray:
-    """Unit vectors (count, 3) over the upper hemisphere, each for the same solid angle (a Fibonacci lattice)."""
+    """Spread unit vectors (count, 3) over the upper hemisphere, each for the same solid angle (Fibonacci lattice)."""
     i = np.arange(count) + 0.5
     return unit(np.arccos(1 - i / count), np.pi * (1 + np.sqrt(5)) * i)
 
@@ -163,6 +166,6 @@ def forward_shine(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray
 
 
 def turned_views(incident: np.ndarray, outgoing: np.ndarray, turn: float) -> np.ndarray:
-    """Views (n, 3) whose azimuth was counted from that of the light, plus `turn` in radians."""
+    """Return views (n, 3) whose azimuth was counted from that of the light, plus `turn` in radians."""
     theta, phi = angles(outgoing)
     return unit(theta, phi + np.where(incident[:, 2] < 1 - 1e-4, angles(incident)[1] + turn, 0.0))

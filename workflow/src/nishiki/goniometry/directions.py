@@ -6,7 +6,7 @@ import numpy as np
 
 
 def unit(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
-    """Unit vectors (..., 3) float64 away from the cloth; theta: from the normal, phi: from the weft, radians."""
+    """Compute unit vectors (..., 3) float64 away from the cloth; theta from the normal, phi from the weft, radians."""
     theta, phi = np.broadcast_arrays(np.asarray(theta, np.float64), np.asarray(phi, np.float64))
     across = np.sin(theta)
     return np.stack([across * np.cos(phi), across * np.sin(phi), np.cos(theta)], axis=-1)
@@ -48,13 +48,12 @@ ON_PLANE = 1e-9
 
 
 def images(symmetry: str) -> np.ndarray:
-    """(k, 3, 3) float64: matrices that take a pair of directions to those with the same reflectance, the first the
-    identity."""
+    """Return matrices (k, 3, 3) float64 to the directions with the same reflectance, the first the identity."""
     return np.array([np.diag([x, y, 1.0]) for x, y in IMAGES[symmetry]])
 
 
 def reduced(incident: np.ndarray, outgoing: np.ndarray, symmetry: str) -> tuple[np.ndarray, np.ndarray]:
-    """The pairs (n, 3), (n, 3) brought to one representative each.
+    """Bring each pair (n, 3), (n, 3) to the representative of its symmetric pairs.
 
     quarter: light with x >= 0 and y >= 0; half: light with y > 0, or y = 0 and x >= 0. Where the light does not tell
     (it lies in a symmetry plane, or along the normal) the view does.
@@ -76,8 +75,10 @@ def reduced(incident: np.ndarray, outgoing: np.ndarray, symmetry: str) -> tuple[
 
 
 def departure(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, symmetry: str) -> tuple[float, int]:
-    """How far measurements of directions that the symmetry makes one differ: root mean square of their logarithms about
-    the mean of each, and how many there are. values (n, channels) > 0; (0, 0) where no direction has an image.
+    """Measure the contradiction between measurements that the symmetry makes equal.
+
+    Return the root mean square of their logarithms about the mean of each, and their number. values (n, channels) > 0;
+    (0, 0) where no direction has an image.
     """
     if len(values) == 0 or symmetry == "none":
         return 0.0, 0

@@ -20,9 +20,12 @@ FEWEST = 6
 
 @dataclass(frozen=True)
 class Interpolation:
-    """basic: the grid; left_out (regions,): relative error of the views, each predicted from the others, as the root
-    mean square of the logarithm, None for the linear method; smoothing (regions,): chosen by it; points (regions,):
-    views of the reduced hemisphere that entered; measured, extrapolated: shares of the hemisphere's solid angle."""
+    """Hold the interpolation of a hemisphere.
+
+    basic: the grid; left_out (regions,): relative error of the views, each predicted from the others, as the root mean
+    square of the logarithm, None for the linear method; smoothing (regions,): chosen by it; points (regions,): views of
+    the reduced hemisphere that entered; measured, extrapolated: shares of the hemisphere's solid angle.
+    """
 
     basic: BasicReflectance
     left_out: tuple[float | None, ...]
@@ -35,7 +38,7 @@ class Interpolation:
 def complete(
     measured: ReflectanceSet, *, grid_deg: float = 3.0, method: Method = "spline"
 ) -> tuple[ReflectanceSet, Interpolation]:
-    """The set with its `basic` filled in from the views at normal incidence. UserError where they are too few."""
+    """Fill in `basic` of a set from the views at normal incidence. UserError where they are too few."""
     rows = np.flatnonzero(measured.normal_incidence)
     chosen = [rows[measured.valid[rows, r] & positive(measured.values[rows, r])] for r in range(len(measured.regions))]
     for name, usable in zip(measured.regions, chosen, strict=True):
@@ -139,8 +142,10 @@ def grid_axes(grid_deg: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def gathered(places: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (m, 2), mean logarithms (m, channels) and their standard deviation (m,): repeats of a place averaged,
-    and, above MOST_POINTS, the views of small cells of the disc."""
+    """Average repeats of a place and, above MOST_POINTS, the views of small cells of the disc.
+
+    Return points (m, 2), mean logarithms (m, channels) and their standard deviation (m,).
+    """
     logs = np.log(values)
     relative = (noise / values).mean(axis=1)
     group, cell = same_places(places), 0.002

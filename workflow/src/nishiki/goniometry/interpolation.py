@@ -98,9 +98,12 @@ Predictor = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class SmoothingSpline:
-    """points (n, 2) on the disc; weights (n, channels); trend (terms, channels); folds (k, 2): signs of the symmetric
+    """Hold a fitted spline.
+
+    points (n, 2) on the disc; weights (n, channels); trend (terms, channels); folds (k, 2): signs of the symmetric
     images; smoothing: the factor chosen, over the kernel's largest eigenvalue; left_out (n, channels): error of the
-    logarithm at each point when it is predicted from the others."""
+    logarithm at each point when it is predicted from the others.
+    """
 
     points: np.ndarray
     weights: np.ndarray
@@ -138,8 +141,9 @@ def trend_terms(places: np.ndarray, folds: np.ndarray) -> np.ndarray:
 def fit_spline(
     points: np.ndarray, logs: np.ndarray, sigma: np.ndarray, folds: np.ndarray, *, kernel: Kernel = "cubic"
 ) -> SmoothingSpline:
-    """Polyharmonic smoothing spline whose smoothing predicts each point best from the others (ordinary
-    cross-validation; Wahba, Spline Models for Observational Data, 1990, ch. 4).
+    """Fit a polyharmonic spline with the smoothing that predicts each point best from the others.
+
+    Ordinary cross-validation: Wahba, Spline Models for Observational Data, 1990, ch. 4.
 
     points (n, 2), all different; logs (n, channels); sigma (n,): standard deviation of the logarithms, 0 where unknown.
     One eigenvalue problem of size n serves every smoothing and every channel. ValueError below four points or where

@@ -17,8 +17,11 @@ TILE = 4  # pixels: the noise of neighbours, and the texture of yarns, go togeth
 
 @dataclass(frozen=True)
 class WindowSample:
-    """mean (channels,) float64 in the units of the pixels; noise (channels,): standard deviation of the mean; pixels:
-    number that entered; saturated: share of the window's pixels."""
+    """Hold the mean of a window.
+
+    mean (channels,) float64 in the units of the pixels; noise (channels,): standard deviation of the mean; pixels:
+    number that entered; saturated: share of the window's pixels.
+    """
 
     mean: np.ndarray
     noise: np.ndarray
@@ -62,7 +65,9 @@ def central_window(shape: tuple[int, int], side: int) -> np.ndarray:
 
 
 def axes_of(theta_r: float, phi_r: float, upright: str) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors to the right and up in a photograph taken from this direction (radians), in the cloth's frame.
+    """Compute the unit vectors to the right and up in a photograph from this direction, in the cloth's frame.
+
+    Directions are in radians.
 
     upright 'cloth': the warp (y) points up as far as it can; 'arm': the plane through normal and camera is vertical,
     the far side of the cloth on top, as on a camera arm before a turning table.
@@ -131,8 +136,11 @@ Rule = Literal["own", "incidence", "cosine"]
 
 @dataclass(frozen=True)
 class Boards:
-    """rule: own (the sample's pair of directions), incidence (its light), or cosine (all boards, by the cosine law);
-    which: indices of the boards; factors: their light times these is that of the board under the sample's light."""
+    """Hold the boards of a sample.
+
+    rule: own (the sample's pair of directions), incidence (its light), or cosine (all boards, by the cosine law);
+    which: indices of the boards; factors: their light times these is that of the board under the sample's light.
+    """
 
     rule: Rule
     which: np.ndarray
@@ -140,8 +148,10 @@ class Boards:
 
 
 def assign_boards(sample_deg: np.ndarray, white_deg: np.ndarray) -> list[Boards]:
-    """The boards of each sample: those of its own directions, else those of its incidence (a diffuse board looks the
-    same from everywhere), else all of them that are not grazed, times cos(theta_i) / cos(theta_W).
+    """Assign boards to each sample.
+
+    They are those of its own directions, else those of its incidence (a diffuse board looks the same from everywhere),
+    else all that are not grazed, times cos(theta_i) / cos(theta_W).
 
     sample_deg (n, 4): theta_i, phi_i, theta_r, phi_r; white_deg (m, 4): likewise, NaN for a view that is not given.
     """
@@ -178,8 +188,11 @@ def _of(light: np.ndarray, view: np.ndarray, lights: np.ndarray, views: np.ndarr
 
 @dataclass(frozen=True)
 class Averaged:
-    """rows (m,): index of the first measurement of each pair of directions; values, noise (m, regions, channels);
-    valid (m, regions); repeats (m,): measurements that were brought together."""
+    """Hold averages over repeats.
+
+    rows (m,): index of the first measurement of each pair of directions; values, noise (m, regions, channels); valid
+    (m, regions); repeats (m,): measurements that were brought together.
+    """
 
     rows: np.ndarray
     values: np.ndarray
@@ -191,9 +204,11 @@ class Averaged:
 def reflectance(
     light: np.ndarray, noise: np.ndarray, white: np.ndarray, white_noise: np.ndarray, white_reflectance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """rho = (L_sample / L_white) rho_white / pi and its standard deviation, sr^-1; all (..., channels), L in any one
-    unit, exposure times divided out. Relative variances add. 0 where the board gave no light, or so little that the
-    quotient leaves float64."""
+    """Compute rho = (L_sample / L_white) rho_white / pi and its standard deviation, sr^-1.
+
+    All are (..., channels), L in any one unit, exposure times divided out. Relative variances add. The result is 0
+    where the board gave no light, or so little that the quotient leaves float64.
+    """
     known = white > 0
     safe = np.where(known, white, 1.0)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -243,8 +258,11 @@ class Photograph(Protocol):
 
 @dataclass(frozen=True)
 class Regions:
-    """labels: picture of the cloth seen along its normal; numbers: the labels wanted, in order; upright, scale: see
-    `windows.regions_in_view`."""
+    """Hold the labels of regions.
+
+    labels: picture of the cloth along its normal; numbers: labels in order; upright, scale: see
+    `windows.regions_in_view`.
+    """
 
     labels: np.ndarray
     numbers: tuple[int, ...]
@@ -254,8 +272,11 @@ class Regions:
 
 @dataclass(frozen=True)
 class Readings:
-    """values, noise (n, regions, channels) float64, sr^-1; valid (n, regions); pixels, saturated (n, regions): number
-    that entered, share of them; rules: how many samples took their board by each rule."""
+    """Hold the reflectances read from photographs.
+
+    values, noise (n, regions, channels) float64, sr^-1; valid (n, regions); pixels, saturated (n, regions): number and
+    share of saturated ones; rules: number of samples by the rule of their board.
+    """
 
     values: np.ndarray
     noise: np.ndarray

@@ -72,7 +72,7 @@ class ReflectanceSet:
 
     @classmethod
     def of(cls, incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, **known) -> ReflectanceSet:
-        """A set from arrays alone; values (n,), (n, channels) or (n, regions, channels), the rest by default.
+        """Build a set from arrays; values (n,), (n, channels) or (n, regions, channels), the rest by default.
 
         known: any other field. Directions are normalised. ValueError where shapes disagree or values are not finite.
         """
@@ -100,7 +100,7 @@ class ReflectanceSet:
         return angles(self.incident)[0] < np.radians(self.normal_deg)
 
     def take(self, chosen: np.ndarray | slice) -> ReflectanceSet:
-        """The measurements chosen (indices, (n,) bool, or a slice); `basic` is kept, for it may be of all."""
+        """Select measurements (indices, (n,) bool, or a slice); `basic` is kept, for it may be of all."""
         rows = {name: getattr(self, name)[chosen] for name in ("incident", "outgoing", "values", "noise", "valid")}
         rest = {
             name: getattr(self, name) for name in ("regions", "channels", "symmetry", "weave", "normal_deg", "basic")

@@ -21,7 +21,7 @@ class Decision:
     override: str
 
     def as_dict(self) -> dict[str, dict]:
-        """{what: plain values}, to be merged into the block `economy` of a stage's diagnostics."""
+        """Return {subject: plain values}, to be merged into the block `economy` of a stage's diagnostics."""
         named = {
             name: getattr(self, name) for name in ("decision", "criterion", "measured", "limit", "loss", "override")
         }
@@ -37,7 +37,7 @@ class Decision:
 
 
 def economy(*decisions: Decision | None) -> dict[str, dict]:
-    """The block `economy` of a stage's diagnostics; None where there was nothing to decide."""
+    """Build the block `economy` of a stage's diagnostics; None stands for no decision."""
     block: dict[str, dict] = {}
     for decision in decisions:
         if decision is not None:

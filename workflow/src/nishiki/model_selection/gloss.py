@@ -90,7 +90,7 @@ def gloss_evidence(
 
 
 def decide_gloss(evidence: list[Evidence], setting: str, *, limit: float = LIMIT) -> Decision:
-    """What was decide_gloss of a scene's regions, for the log and the diagnostics; the strongest region's figures."""
+    """Decide whether a scene shows gloss, with the strongest region's figures for log and diagnostics."""
     kept = sum(e.keep for e in evidence)
     strongest = max(evidence, key=lambda e: (e.keep, e.ratio))
     if setting != "auto":
@@ -117,8 +117,11 @@ FEWEST_TEXELS = 30  # texels below which nothing is said
 
 @dataclass(frozen=True)
 class Gain:
-    """keep: whether the specular part is worth having; gain_db: of unseen observations; sigma: of the lobe, radians;
-    error: root mean square weighted error of unseen observations with Lambert's term alone; texels."""
+    """Hold the gain of a lobe.
+
+    keep: whether the specular part is worth having; gain_db: of unseen observations; sigma: of the lobe, radians;
+    error: root mean square weighted error of unseen observations with Lambert's term alone; texels.
+    """
 
     keep: bool
     gain_db: float
@@ -134,8 +137,9 @@ def unseen_gain(
     alpha: np.ndarray,
     weights: np.ndarray,
 ) -> Gain:
-    """How much better a lobe predicts observations that its fit has not seen (cross-validation in FOLDS parts; M.
-    Stone, Cross-validatory choice and assessment of statistical predictions, J. R. Stat. Soc. B 36, 1974).
+    """Measure by cross-validation in FOLDS parts how much better a lobe predicts unseen observations.
+
+    M. Stone, Cross-validatory choice and assessment of statistical predictions, J. R. Stat. Soc. B 36, 1974.
 
     values (texels, observations, channels); diffuse, attenuation, alpha (texels, observations): what multiplies K_d and
     the lobe, and the angle to the mirror direction, radians; weights (texels, observations): 0 where not visible.
@@ -185,7 +189,7 @@ def _fitted(values: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray, weights: 
 
 
 def decide_object_gloss(gain: Gain | None, setting: str, *, limit_db: float = LIMIT_DB) -> Decision:
-    """What was decide_object_gloss, for the log and the diagnostics; gain: None where a setting decide_object_gloss."""
+    """Decide whether an object shows gloss; gain: None where the setting decides."""
     if gain is None:
         words = {"keep": "specular part kept", "drop": "no gloss: Lambert"}[setting]
         return Decision("specular", words, "set", None, None, "not measured", "object_brdf.specular: keep")

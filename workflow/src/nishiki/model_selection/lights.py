@@ -85,7 +85,7 @@ def static_choice(directions: np.ndarray, setting: int) -> tuple[np.ndarray, Dec
 
 
 def not_worth(lights: int, pixels: int) -> Decision | None:
-    """The decision to take all lights without looking, where the fit costs no more than the choice; else None."""
+    """Return the decision to take all lights at once where the fit costs no more than the choice; else None."""
     if lights <= FEWEST or lights * pixels >= WORTH:
         return None
     criterion = "samples (lights x pixels), below which the choice costs more than it saves"
@@ -214,7 +214,7 @@ def choose_lights(frames: Observations, lights: np.ndarray, settings) -> tuple[n
 
 
 def solver_of(settings):
-    """Selection as separate does it (none where normals runs without it), and the default solution."""
+    """Build the solver of the trial: selection as in separate (if normals uses it), default solution."""
 
     def solve(observations: np.ndarray, directions: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, NormalField]:
         usable = valid

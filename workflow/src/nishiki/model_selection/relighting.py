@@ -39,8 +39,10 @@ LARGEST_SIGMA = 0.1  # radians: where normals are worse, their blur of the gloss
 
 @dataclass(frozen=True)
 class Sampled:
-    """Pixels under one set of directions: observations (lights, 1, pixels, channels), usable and valid (lights, 1,
-    pixels) bool, and their parcel."""
+    """Hold sampled pixels under one set of directions.
+
+    observations (lights, 1, pixels, channels), usable and valid (lights, 1, pixels) bool, and their parcel.
+    """
 
     observations: np.ndarray
     usable: np.ndarray
@@ -48,7 +50,7 @@ class Sampled:
     parcel: Parcel
 
     def under(self, lights: np.ndarray) -> "Sampled":
-        """The same under some of the lights."""
+        """Select some of the lights."""
         parcel = replace(self.parcel, directions=self.parcel.directions[lights], scale=self.parcel.scale[lights])
         return Sampled(self.observations[lights], self.usable[lights], self.valid[lights], parcel)
 

@@ -18,8 +18,11 @@ MOST_BASES = 16
 
 @dataclass(frozen=True)
 class Bases:
-    """count: bases that are enough; loss: what they add to the expected error, as a part of it; counts, losses: of
-    every number that was looked at."""
+    """Hold the choice of bases.
+
+    count: sufficient number of bases; loss: its addition to the expected error, as a part of it; counts, losses: of
+    every number tried.
+    """
 
     count: int
     loss: float
@@ -48,7 +51,9 @@ def output_bases(estimates: np.ndarray, mean_square: float, *, limit: float = LO
 
 
 def principal_bases(spectra: np.ndarray, weights: np.ndarray, *, noise: float, most: int = 3) -> Bases:
-    """Number of principal bases with the least expected error, for the inverse of H (Tominaga and Tanaka 2004, eq. 8).
+    """Find the number of principal bases with the least expected error for the inverse of H.
+
+    Tominaga and Tanaka 2004, eq. 8.
 
     spectra (M, 61) of the training set, weights (N, 61) of the channels, noise: standard deviation of a response. With
     K <= N bases B and their map onto coefficients H+, the expected mean square over the bands is
@@ -69,7 +74,7 @@ def principal_bases(spectra: np.ndarray, weights: np.ndarray, *, noise: float, m
 
 
 def decide_bases(bases: Bases, *, method: str, limit: float = LOSS) -> Decision:
-    """What was decide_bases, for the log and the diagnostics."""
+    """Decide the number of bases, for the log and the diagnostics."""
     paper = method == "paper"
     criterion = "expected error above that of " + ("the best number" if paper else f"{bases.counts[-1]} bases")
     return Decision(
@@ -84,7 +89,7 @@ def decide_bases(bases: Bases, *, method: str, limit: float = LOSS) -> Decision:
 
 
 def _first(counts: tuple[int, ...], losses: tuple[float, ...], limit: float) -> Bases:
-    """The smallest number within the limit; the last where none is."""
+    """Return the smallest number within the limit; the last where there is none."""
     within = [k for k, loss in enumerate(losses) if loss <= limit]
     place = within[0] if within else len(counts) - 1
     return Bases(counts[place], losses[place], counts, losses)
@@ -139,7 +144,7 @@ def what_is_left(tiles) -> Left:
 
 
 def _pairs(observation: np.ndarray, s: np.ndarray, t: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Indices (texel, neighbour) of nearest neighbours: in the same picture, and in another one."""
+    """Pair the indices (texel, neighbour) of nearest neighbours: in the same picture, and in another one."""
     from scipy.spatial import cKDTree
 
     places = np.column_stack([s, t]).astype(np.float64)
@@ -167,7 +172,7 @@ def model_suffices(left: Left, target: str, amount: float, *, limit: float = LIM
 
 
 def decide_residual(left: Left, target: str, amount: float, setting: str, *, limit: float = LIMIT) -> Decision:
-    """What was decide_residual, for the log and the diagnostics."""
+    """Decide whether a residual is worth coding, for the log and the diagnostics."""
     enough = setting == "auto" and model_suffices(left, target, amount, limit=limit)
     words = "model alone: no residual stored" if enough else "residual stored"
     if target == "psnr":
@@ -198,7 +203,7 @@ def normal_order(measured: ReflectanceSet) -> np.ndarray:
 
 
 def with_normal_rows(measured: ReflectanceSet, rows: np.ndarray) -> ReflectanceSet:
-    """The same set, of the views at normal incidence only `rows` valid; numbers of rows stay what they were."""
+    """Restrict the views at normal incidence to `rows`; numbers of rows stay the same."""
     kept = ~measured.normal_incidence
     kept[rows] = True
     names = ("incident", "outgoing", "values", "noise", "regions", "channels", "symmetry", "weave", "normal_deg")

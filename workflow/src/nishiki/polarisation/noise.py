@@ -16,8 +16,10 @@ from nishiki.polarisation.polariser_states import StateSums
 
 @dataclass(frozen=True)
 class PhotographNoise:
-    """Variance of a photograph's values I: slope I + floor, each (channels,) float64 in the units of `Views.read`, at
-    the longest exposure time."""
+    """Model the variance of a photograph's values I as slope I + floor.
+
+    Each is (channels,) float64 in the units of `Views.read`, at the longest exposure time.
+    """
 
     slope: np.ndarray
     floor: np.ndarray
@@ -47,7 +49,7 @@ class Differences:
 def differences_of(
     sums: StateSums, *, phase: float | None = None, sense: int = 1, scales: np.ndarray | None = None
 ) -> Differences:
-    """The differences of a series; for circular states those of I_off and I_on / beta at beta = 1.
+    """Compute the differences of a series; for circular states those of I_off and I_on / beta at beta = 1.
 
     Photographs are linear in the planes too (as far as these are known), which is what their noise depends on. Three or
     more analyser angles at each pixel's own phase have two differences, mixed so that photographs of equal noise leave
@@ -113,7 +115,7 @@ class Series:
         return np.einsum("jp,p...->j...", self.kinds.of_planes, part)
 
     def noise_of_differences(self, part: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        """What slope and floor are multiplied by in the variances of the differences, as these."""
+        """Compute the factors of slope and floor in the variances of the differences, in the same shape."""
         kinds = self.kinds
         if self.inverse is None:
             return np.maximum(np.einsum("jp,p...->j...", kinds.level, part), 0), _cells(kinds.count)
@@ -121,7 +123,7 @@ class Series:
         return sum(level for level, _ in each)[None], sum(count for _, count in each)[None]
 
     def noise_shared(self, part: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        """The same of the covariances (planes, d, rows, columns, channels) of planes with differences."""
+        """Compute these factors in the covariances (planes, d, rows, columns, channels) of planes with differences."""
         kinds = self.kinds
         if self.inverse is None:
             return np.einsum("pjk,k...->pj...", kinds.shared_level, part), _cells(kinds.shared_count)
@@ -183,8 +185,10 @@ def measure_noise(series: Series) -> tuple[PhotographNoise | None, np.ndarray]:
 
 
 def _least_squares(table: np.ndarray, variances: np.ndarray, channels: int) -> PhotographNoise | None:
-    """Slopes and floors >= 0 with table @ (slopes, floors) ~ variances, relative errors counting alike; bins without
-    any noise (of rounded values) say nothing. None where too few are left."""
+    """Fit slopes and floors >= 0 with table @ (slopes, floors) ~ variances, relative errors counting alike.
+
+    Bins without any noise (of rounded values) are ignored. None where too few are left.
+    """
     from scipy.optimize import nnls
 
     known = variances > 0
@@ -199,8 +203,11 @@ def _least_squares(table: np.ndarray, variances: np.ndarray, channels: int) -> P
 
 @dataclass(frozen=True)
 class _Strip:
-    """Differences of some rows; of their usable pixels: values (d, pixels, channels); of pixels whose eight neighbours
-    `APART` pixels away are usable too (`complete`): level and count (pixels, d, channels)."""
+    """Hold the differences of some rows.
+
+    values (d, pixels, channels) of their usable pixels; level and count (pixels, d, channels) of the pixels
+    (`complete`) whose eight neighbours `APART` pixels away are usable too.
+    """
 
     q: np.ndarray
     values: np.ndarray
@@ -252,9 +259,11 @@ def _pairs_of(colour: np.ndarray) -> list[tuple[int, int, float, float]]:
 
 
 def _colour_of(values: np.ndarray) -> np.ndarray:
-    """(d, channels) unit vector along which values (d, pixels, channels) vary together: the colour of the specular
-    light where it is strong. Noise is not shared by channels, so that the diagonal of their products is fitted
-    (principal factor); two values have no other product and use it."""
+    """Find the unit vectors (d, channels) along which values (d, pixels, channels) vary together.
+
+    They are the colour of the specular light where it is strong. Noise is not shared by channels, so that the diagonal
+    of their products is fitted (principal factor); two values have no other product and use it.
+    """
     joined = values.transpose(0, 2, 1).reshape(values.shape[0] * values.shape[2], values.shape[1])
     products = joined @ joined.T
     strength = products.diagonal().copy()

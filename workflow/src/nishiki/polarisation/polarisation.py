@@ -22,8 +22,11 @@ from nishiki.threads import over_rows
 
 @dataclass(frozen=True)
 class SeparatedView:
-    """diffuse, specular (rows, columns, channels) float32, 0 where not valid; specular may be negative, which is noise.
-    valid (rows, columns) bool: every photograph that was used is valid there, and what divides is known."""
+    """Hold the components of one view.
+
+    diffuse, specular (rows, columns, channels) float32, 0 where not valid; specular may be negative, which is noise.
+    valid (rows, columns) bool: every photograph that was used is valid there, and what divides is known.
+    """
 
     diffuse: np.ndarray
     specular: np.ndarray
@@ -83,7 +86,7 @@ def components(
     sense: int = 1,
     gain: np.ndarray | None = None,
 ) -> SeparatedView:
-    """The two components of planes made by `sum_planes` with `sums.weights`.
+    """Compute the two components of planes made by `sum_planes` with `sums.weights`.
 
     none: all counts as diffuse. circular (Miyazaki et al. 2007, section 2.2): I_d = I_on / beta, I_s = I_off - I_d;
     beta broadcasts against a picture, NaN where it is unknown (those pixels become invalid). crossed, pairs: I_d = 2
@@ -160,8 +163,11 @@ def finish_band(planes, valid, field, to_diffuse, to_specular, kind, diffuse, sp
 
 
 def common_phase(planes: np.ndarray, valid: np.ndarray) -> tuple[float, float]:
-    """Angle psi0 (radians) of the strongest light over a whole picture, and how far its pixels agree on it (0 to 1:
-    length of the sum of their vectors over the sum of their lengths); planes as of `linear`."""
+    """Find the angle psi0 (radians) of the strongest light over a picture, and the agreement of its pixels.
+
+    The agreement, 0 to 1, is the length of the sum of their vectors over the sum of their lengths; planes as of
+    `linear`.
+    """
     cosine, sine = (planes[k][valid].astype(np.float64) for k in (1, 2))
     total = np.array([cosine.sum(), sine.sum()])
     lengths = np.hypot(cosine, sine).sum()
@@ -169,8 +175,11 @@ def common_phase(planes: np.ndarray, valid: np.ndarray) -> tuple[float, float]:
 
 
 def reflected_sense(m11: np.ndarray, m22: np.ndarray) -> int:
-    """Whether a mirror's m22 has the sign of m11 (+1: angles seen from one side) or the opposite (-1: seen along the
-    light, which a reflection reverses), by the picture itself: polarisation that is kept shows in both."""
+    """Decide by the picture whether a mirror's m22 has the sign of m11 (+1) or the opposite (-1).
+
+    +1: angles seen from one side; -1: seen along the light, which a reflection reverses. Polarisation that is kept
+    shows in both elements.
+    """
     return 1 if float(np.sum(np.sign(m11) * m22, dtype=np.float64)) >= 0 else -1
 
 
@@ -180,9 +189,12 @@ FILLED = 0.25  # of a block's pixels must be lit
 
 @dataclass(frozen=True)
 class Beta:
-    """channel (channels,): beta of the whole board; field (rows, columns, channels) float32: by place, NaN where
-    it is below the limit; covered: share of the blocks that the board fills, the others have the channel's value;
-    low: pixels below the limit in a channel; spread: (5th, 95th percentile) of the blocks relative to the channel."""
+    """Hold beta of a board.
+
+    channel (channels,): beta of the whole board; field (rows, columns, channels) float32: by place, NaN where it is
+    below the limit; covered: share of the blocks that the board fills, the others have the channel's value; low: pixels
+    below the limit in a channel; spread: (5th, 95th percentile) of the blocks relative to the channel.
+    """
 
     channel: tuple[float, ...]
     field: np.ndarray
@@ -235,7 +247,7 @@ def board_ratio(
 
 
 def _cells(values: np.ndarray, block: int) -> np.ndarray:
-    """Sums over blocks of block x block pixels, the last ones smaller."""
+    """Sum over blocks of block x block pixels, the last ones smaller."""
     rows, columns = (np.arange(0, size, block) for size in values.shape[:2])
     return np.add.reduceat(np.add.reduceat(values.astype(np.float64), rows, axis=0), columns, axis=1)
 
@@ -315,8 +327,10 @@ class Components:
         self.observations = len(self.views) * len(self.lights)
 
     def read(self, observation: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """diffuse, specular (rows, columns, channels) float32 (specular may be negative: noise), valid (rows, columns)
-        bool of one observation (light_index * views + view_index)."""
+        """Read diffuse, specular (rows, columns, channels) float32 and valid (rows, columns) bool of an observation.
+
+        specular may be negative (noise); the observation is light_index * views + view_index.
+        """
         if not 0 <= observation < self.observations:
             raise UserError(f"{self.path}: no observation {observation}; there are {self.observations}")
         diffuse, specular = (

@@ -45,8 +45,11 @@ def retarder(retardance: float, angle: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Arm:
-    """One side of the instrument: a linear polariser, and before the object a retarder that turns (None: the polariser
-    itself turns). retardance, polariser_angle, offset (of the turning part): radians."""
+    """Describe one side of the instrument.
+
+    A linear polariser, and before the object a retarder that turns (None: the polariser itself turns). retardance,
+    polariser_angle, offset (of the turning part): radians.
+    """
 
     retardance: float | None = None
     polariser_angle: float = 0.0
@@ -68,8 +71,10 @@ class Arm:
 
 
 def design_matrix(generator: Arm, analyser: Arm, angles: np.ndarray) -> np.ndarray:
-    """(n, 16): intensity of state k = row k times the surface's Mueller matrix, row by row. angles (n, 2) radians:
-    generator, analyser."""
+    """Build the design (n, 16): intensity of state k = row k times the surface's Mueller matrix, row by row.
+
+    angles (n, 2) radians: generator, analyser.
+    """
     rows = [np.kron(analyser.analysed(a), generator.generated(g)) for g, a in angles]
     return np.array(rows)
 
@@ -78,8 +83,10 @@ LINEAR = tuple(4 * row + column for row in range(3) for column in range(3))
 
 
 def solvable(design: np.ndarray) -> tuple[tuple[int, ...], float] | None:
-    """Elements of the Mueller matrix (indices into 16) that a design determines: all, or the nine of linear
-    polarisation where nothing in the design depends on the others; with the condition number. None: neither."""
+    """Return the elements of the Mueller matrix (indices into 16) that a design determines, and its condition.
+
+    They are all, or the nine of linear polarisation where nothing in the design depends on the others; None: neither.
+    """
     for elements in (tuple(range(16)), LINEAR):
         rest = [k for k in range(16) if k not in elements]
         if len(design) < len(elements) or np.abs(design[:, rest]).max(initial=0) > 1e-9:
@@ -91,8 +98,10 @@ def solvable(design: np.ndarray) -> tuple[tuple[int, ...], float] | None:
 
 
 def equal_steps(angles_deg: np.ndarray) -> np.ndarray:
-    """The angles, or the multiples of 180/n of n equal steps where each of them is such a multiple rounded to whole
-    degrees: names like 23 and 68 mean 22.5 and 67.5."""
+    """Replace rounded angles by the n equal steps of 180/n that they stand for.
+
+    Names like 23 and 68 mean 22.5 and 67.5; other angles are returned as they are.
+    """
     angles_deg = np.asarray(angles_deg, np.float64)
     count = len(np.unique(angles_deg))
     step = 180 / max(count, 1)
@@ -104,8 +113,10 @@ def equal_steps(angles_deg: np.ndarray) -> np.ndarray:
 
 
 def retardance_of(k1: float, k2: float, wavelength_nm: float) -> float:
-    """Radians, by the dispersion k1 / wavelength + k2 / wavelength^3 (Y. Queau et al., Design and simplified
-    calibration of a Mueller imaging polarimeter for material classification, Optics Letters 43, 2018)."""
+    """Compute radians by the dispersion k1 / wavelength + k2 / wavelength^3.
+
+    Y. Queau et al., Optics Letters 43, 2018.
+    """
     return k1 / wavelength_nm + k2 / wavelength_nm**3
 
 
@@ -113,8 +124,11 @@ MATLAB = ("k_1_g", "k_2_g", "k_1_a", "k_2_a")
 
 
 class ArmFile(Closed):
-    """One arm as a file describes it, in degrees. What turns by the angle in a state's name is the retarder, or,
-    without one, the polariser. retardance_deg, or its dispersion k1 / wavelength + k2 / wavelength^3 (radians, nm)."""
+    """Describe one arm in a file, in degrees.
+
+    The angle in a state's name turns the retarder, or, without one, the polariser. retardance_deg, or its dispersion k1
+    / wavelength + k2 / wavelength^3 (radians, nm).
+    """
 
     polariser_deg: float = 0.0
     offset_deg: float = 0.0
@@ -131,8 +145,10 @@ class InstrumentFile(Closed):
 
 
 def read_instrument(path: Path) -> InstrumentFile:
-    """Read a calibration: YAML as `InstrumentFile`, or MATLAB with k_1_g, k_2_g, k_1_a, k_2_a (dispersion of the
-    retarders of generator and analyser). UserError where it is neither."""
+    """Read a calibration: YAML as `InstrumentFile`, or MATLAB. UserError where it is neither.
+
+    MATLAB: k_1_g, k_2_g, k_1_a, k_2_a (dispersion of the retarders of generator and analyser).
+    """
     if path.suffix.lower() in (".yaml", ".yml"):
         import yaml
 
@@ -152,8 +168,10 @@ def read_instrument(path: Path) -> InstrumentFile:
 
 
 def arms_of(file: InstrumentFile | None, *, wavelength_nm: float | None) -> tuple[Arm | None, Arm | None]:
-    """Generator and analyser in radians; (None, None) without a calibration. UserError where a dispersion is given and
-    no wavelength."""
+    """Return generator and analyser in radians; (None, None) without a calibration.
+
+    UserError where a dispersion is given and no wavelength.
+    """
     if file is None:
         return None, None
     arms = []
@@ -200,7 +218,7 @@ class StateSums:
 def sums_of(
     states: Sequence[str], *, generator: Arm | None = None, analyser: Arm | None = None, method: str = "auto"
 ) -> StateSums:
-    """The sums for these states: '' (none), off/on, analyser angles, or generator/analyser angles (degrees).
+    """Build the sums for states: '' (none), off/on, analyser angles, or generator/analyser angles (degrees).
 
     generator, analyser: the instrument's arms where calibrated; without, angles are those of linear polarisers.
     method auto: generator/analyser series use the Mueller matrix where the arms are given or no parallel and crossed
@@ -241,7 +259,7 @@ def _angles(states: tuple[str, ...]) -> np.ndarray:
 
 
 def _linear(states: tuple[str, ...], angles: np.ndarray) -> StateSums:
-    """a + b cos 2(psi - psi0) = a + c cos 2 psi + s sin 2 psi, linear in a, c, s."""
+    """Solve a + b cos 2(psi - psi0) = a + c cos 2 psi + s sin 2 psi, linear in a, c, s."""
     reported_angles = tuple((float(angle),) for angle in angles)
     distinct = np.unique(np.round(np.remainder(angles, 180.0), 6))
     if len(distinct) == 2 and abs(abs(distinct[1] - distinct[0]) - 90) <= NEARLY:

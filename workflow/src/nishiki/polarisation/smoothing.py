@@ -34,9 +34,12 @@ BAND = 64  # rows that are smoothed at a time
 
 @dataclass(frozen=True)
 class Smoothed:
-    """planes : as `components` takes them; noise : of the photographs, None where it cannot be measured; doubtful :
-    share of the differences below -3 standard deviations of their own noise, which noise alone leaves at about 0.1 %,
-    None where it is not known or amplitudes cannot be negative."""
+    """Hold smoothed planes.
+
+    planes : as `components` takes them; noise : of the photographs, None where it cannot be measured; doubtful : share
+    of the differences below -3 standard deviations of their own noise, which noise alone leaves at about 0.1 %, None
+    where it is not known or amplitudes cannot be negative.
+    """
 
     planes: np.ndarray
     noise: PhotographNoise | None
@@ -97,8 +100,10 @@ def smooth_planes(
 
 
 def _smooth_rows(series: Series, top: int, bottom: int, noise: PhotographNoise, colour: np.ndarray, smoothed):
-    """Rows top .. bottom - 1 of the smoothed planes; their neighbours that share a square with them are read.
-    Returns which values of these rows are below -3 standard deviations of their noise."""
+    """Smooth rows top .. bottom - 1 of the planes; neighbours that share a square with them are read.
+
+    Return which values of these rows are below -3 standard deviations of their noise.
+    """
     height = series.planes.shape[1]
     rows = slice(max(top - PATCH + 1, 0), min(bottom + PATCH - 1, height))
     part = series.rows(rows)
@@ -187,7 +192,9 @@ COSINES = _cosines()
 @njit(cache=True, nogil=True, error_model="numpy")
 def smooth_squares(q, variance, usable, colour, cosines, limit, down, across, sums, weights):
     """Add the smoothed squares at rows `down` and columns `across` to sums (rows, columns, n) with their weights.
-    limit: square of the threshold, in variances."""
+
+    limit: square of the threshold, in variances.
+    """
     n = q.shape[2]
     square, half = np.empty((n, PATCH, PATCH), np.float32), np.empty((PATCH, PATCH), np.float32)
     mirror, sizes, means, kept = np.empty(n, np.float32), np.empty(n), np.empty(n), np.empty(n, np.int64)
@@ -229,8 +236,10 @@ def smooth_squares(q, variance, usable, colour, cosines, limit, down, across, su
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _square_means(q, variance, usable, y0, x0, means, sizes):
-    """Fill means and root mean variances (n,) of a square's usable pixels; the sum of the variances, 0 for too few or
-    where a channel has no noise."""
+    """Fill means and root mean variances (n,) of a square's usable pixels; return the sum of the variances.
+
+    The sum is 0 for too few pixels or where a channel has no noise.
+    """
     count = 0
     means[:], sizes[:] = 0.0, 0.0
     for i in range(PATCH):
@@ -251,8 +260,10 @@ def _square_means(q, variance, usable, y0, x0, means, sizes):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _mirror_of(colour, sizes, mirror):
-    """Fill the vector (n,) of the reflection x - mirror (mirror x) that takes the colour, divided by the noise, to the
-    first axis (Householder)."""
+    """Fill the vector (n,) of the reflection x - mirror (mirror x) that takes the colour to the first axis.
+
+    The colour is divided by the noise (Householder).
+    """
     length = 0.0
     for k in range(len(colour)):
         length += (colour[k] / sizes[k]) ** 2

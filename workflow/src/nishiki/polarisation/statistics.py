@@ -62,9 +62,11 @@ def select_lit(total: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
 
 def noise_of(values: np.ndarray, valid: np.ndarray) -> float | None:
-    """Standard deviation of the noise of (rows, columns, channels), from second differences in both directions, which
-    plane and edge leave alone (J. Immerkaer, Fast noise variance estimation, CVIU 64, 1996; here the median of their
-    absolute values, so that texture counts little). None without a 3 x 3 valid place."""
+    """Estimate the standard deviation of the noise of (rows, columns, channels); None without a 3 x 3 valid place.
+
+    Second differences in both directions vanish on planes and edges (J. Immerkaer, Fast noise variance estimation, CVIU
+    64, 1996); the median of their absolute values is used, so that texture counts little.
+    """
     if min(valid.shape) < 3:
         return None
     along = values[:, :-2] - 2 * values[:, 1:-1] + values[:, 2:]
@@ -97,7 +99,7 @@ class Thinned:
         self.valid: np.ndarray | None = None
 
     def add(self, values: np.ndarray, valid: np.ndarray) -> None:
-        """The next photograph."""
+        """Add the next photograph."""
         if not self.has_fit:
             return
         some = valid[:: self.step, :: self.step]
@@ -114,7 +116,7 @@ class Thinned:
 
 
 def diagnose(sums: StateSums, thinned: Thinned) -> dict:
-    """What the series says of itself; empty for sums without a fit.
+    """Diagnose a series; empty for sums without a fit.
 
     residual: root mean square of what the least squares leaves, relative to the mean of the photographs. unexplained:
     share of the variation between the states that it leaves, of means over 64 values so that noise counts little; 0

@@ -162,8 +162,11 @@ class Tile:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole page. stamp : name by which the file can be told again; footer : its last line; verdict : what is good,
-    what is doubtful, what would improve it most."""
+    """Hold a whole page.
+
+    stamp : name by which the file can be told again; footer : its last line; verdict : what is good, what is doubtful,
+    what would improve it most.
+    """
 
     title: str
     subtitle: str
@@ -214,7 +217,7 @@ def read_json(artifact: Artifact | None, name: str) -> dict[str, Any] | None:
 
 
 def film(artifact: Artifact, file: str, heading: str, caption: str, largest_mb: float) -> Figure | str:
-    """A film of the artifact; a sentence that names it where it is too large for the page, or of another kind."""
+    """Return a film of the artifact; a sentence that names it where it is too large or of another kind."""
     data = artifact.path(file).read_bytes()
     kind = next((mime for ending, mime in FILMS.items() if file.endswith(ending)), None)
     if kind is None or len(data) > largest_mb * 1e6:

@@ -79,9 +79,12 @@ class Scale:
 
 @dataclass(frozen=True)
 class PagePicture:
-    """A picture inside the page: `source` is a data URI; columns, rows its size; scale its colour bar, or None;
-    key: (colour, meaning) of a map of classes; even: what to say in place of a picture of one flat colour;
-    marks: (x, y, text), numbered places in pixels of the picture."""
+    """Hold a picture inside the page.
+
+    `source` is a data URI; columns, rows its size; scale its colour bar, or None; key: (colour, meaning) of a map of
+    classes; even: what to say in place of a picture of one flat colour; marks: (x, y, text), numbered places in pixels
+    of the picture.
+    """
 
     source: str
     columns: int
@@ -107,7 +110,7 @@ class Ruler:
 
 
 def ruler(columns: int, pitch_mm: float | None) -> Ruler | None:
-    """The longest scale bar of 1, 2 or 5 times a power of ten that suits maps of this width; None without a pitch."""
+    """Choose the longest scale bar of 1, 2 or 5 times a power of ten for maps of this width; None without a pitch."""
     if not pitch_mm:
         return None
     longest = RULER_SHARE * columns * pitch_mm
@@ -214,7 +217,7 @@ def class_picture(classes: np.ndarray, key: dict[int, tuple[str, str]]) -> PageP
 
 
 def normal_picture(normals: np.ndarray) -> PagePicture:
-    """Normals as colours in the OpenGL convention: red x, green y (up), blue z, from -1..1 to 0..255."""
+    """Colour normals in the OpenGL convention: red x, green y (up), blue z, from -1..1 to 0..255."""
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
     codes = np.round(np.clip(np.nan_to_num(unit) * 127.5 + 127.5, 0, 255)).astype(np.uint8)
@@ -262,7 +265,7 @@ def _compressed(codes: np.ndarray, *, lossless: bool = False) -> bytes:
 
 
 def file_picture(data: bytes, widest: int) -> PagePicture:
-    """A PNG as picture at most `widest` pixels wide, averaged in linear light. Raises ValueError if it is none."""
+    """Reduce a PNG to at most `widest` pixels across, averaged in linear light. Raises ValueError if it is none."""
     return encoded(_shrunk(data, widest))
 
 
@@ -272,7 +275,7 @@ def file_jpeg(data: bytes, widest: int) -> bytes:
 
 
 def _shrunk(data: bytes, widest: int) -> np.ndarray:
-    """A PNG as codes (rows, columns, 3) uint8 sRGB, at most `widest` columns. Raises ValueError if it is none."""
+    """Decode a PNG as (rows, columns, 3) uint8 sRGB, at most `widest` columns. Raises ValueError if it is none."""
     import cv2
 
     codes = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)

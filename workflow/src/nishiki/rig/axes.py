@@ -266,7 +266,7 @@ def expect_in_range(name: str, degrees: float, range_deg: tuple[float, float]) -
 
 
 def not_homed(name: str) -> DeviceError:
-    """What is raised where an axis is to move whose position is not known."""
+    """Return the error of a move of an axis whose position is unknown."""
     return DeviceError(f"{name}: its position is not known since it was opened or failed. Remedy: home it first")
 
 

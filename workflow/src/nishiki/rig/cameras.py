@@ -150,7 +150,7 @@ class GPhotoCamera:
             raise self._failed("opening it", error, "Remedy: switch it off and on and run again") from None
 
     def _widget(self, name: str) -> Any:
-        """A setting of the camera; None where it has none of this name."""
+        """Return a setting of the camera, or None where it has none of this name."""
         try:
             return self.camera.get_single_config(name)
         except self.gphoto.GPhoto2Error as error:
@@ -162,7 +162,7 @@ class GPhotoCamera:
         return next((widget for name in WIDGETS[quantity] if (widget := self._widget(name)) is not None), None)
 
     def _value(self, quantity: str) -> float | int | None:
-        """What the camera is set to; None where it does not tell."""
+        """Read a quantity that the camera is set to; None where it is not reported."""
         widget = self._of_exposure(quantity)
         number = None if widget is None else number_of(str(widget.get_value()))
         return int(number) if number is not None and quantity == "iso" else number
@@ -222,7 +222,7 @@ def cameras() -> list[tuple[str, str]]:
 
 
 def choices(widget: Any) -> list[str]:
-    """What a setting can be; empty where it is free text or a number."""
+    """List the choices of a setting; empty where it is free text or a number."""
     try:
         return [str(choice) for choice in widget.get_choices()]
     except Exception:  # GPhoto2Error: a setting of another kind
@@ -236,7 +236,7 @@ def setting_names(widget: Any) -> list[str]:
 
 
 def number_of(text: str) -> float | None:
-    """The number in a camera's words for a setting: 1/60, 0.0100s, 2.5, 30", f/5.6, F8, 400; None for auto or bulb.
+    """Parse a camera's value: 1/60, 0.0100s, 2.5, 30", f/5.6, F8, 400; None for auto or bulb.
 
     Examples
     --------
@@ -378,7 +378,7 @@ class WatchedFolder:
 
 
 def run_command(name: str, command: tuple[str, ...]) -> Callable[[], None]:
-    """A release by a command, such as that of the camera's software."""
+    """Make a release that runs a command, such as that of the camera's software."""
 
     def release() -> None:
         text = " ".join(command)

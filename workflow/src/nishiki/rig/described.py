@@ -161,7 +161,7 @@ class DescribedPolariser(Line):
 
 
 def check_state(name: str) -> str:
-    """The canonical name of a polariser state. ValueError where it is none of frames.csv."""
+    """Return the canonical name of a polariser state. ValueError where frames.csv knows none such."""
     try:
         return parse_state(name).name
     except CaptureError as error:

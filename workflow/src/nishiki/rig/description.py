@@ -152,7 +152,7 @@ class RigDescription(Closed):
 
 
 def read_rig(path: Path) -> RigDescription:
-    """The description of a rig. UserError names every key that is wrong, and the file."""
+    """Read the description of a rig. UserError names every wrong key, and the file."""
     return parse(RigDescription, read_yaml(path), str(path))
 
 
@@ -193,7 +193,7 @@ def open_rig(path: Path) -> Rig:
 
 
 def _keep(device: Any, opened: ExitStack) -> Any:
-    """The device, which is closed where a later one does not open."""
+    """Keep a device open; it is closed where a later one does not open."""
     opened.callback(device.close)
     return device
 
@@ -244,7 +244,7 @@ def _open_camera(settings: Any, path: Path, lamps: Any) -> Any:
 
 
 def _open_own(name: str, settings: Any, path: Path, model: type[Closed], device: Callable[..., Any]) -> Any:
-    """A device of the laboratory's own: described in YAML, or a class in Python."""
+    """Open a device of the laboratory's own, described in YAML or by a class in Python."""
     if isinstance(settings, PythonDevice):
         return _own_class(settings, path)
     file = path.parent / settings.file
@@ -253,7 +253,7 @@ def _open_own(name: str, settings: Any, path: Path, model: type[Closed], device:
 
 
 def _own_class(settings: PythonDevice, path: Path) -> Any:
-    """The object that a Python file of the laboratory makes."""
+    """Build the object that a Python file of the laboratory defines."""
     file = path.parent / settings.file
     if not file.is_file():
         raise UserError(f"{path}: no file {file}. Remedy: correct 'file', relative to the description")
@@ -292,7 +292,7 @@ DRIVERS = {
 
 
 def serial_ports() -> tuple[list[str], list[str]]:
-    """A line for each serial port on USB, and for each other one: its name that stays the same, and what it is."""
+    """Return a line for each serial port on USB, and for each other one: its stable name and description."""
     optional("pyserial")
     from serial.tools import list_ports
 
@@ -310,7 +310,7 @@ def serial_ports() -> tuple[list[str], list[str]]:
 
 
 def camera_ports() -> list[str]:
-    """A line for each camera on USB; empty where none is there, or libgphoto2 is not installed."""
+    """Return a line for each camera on USB; empty where none is there or libgphoto2 is not installed."""
     if not installed("gphoto2"):
         return []
     from nishiki.rig.cameras import cameras
@@ -339,7 +339,7 @@ class OpenedRig:
         self._exposure: tuple[Exposure, Exposure] | None = None  # as asked for, as the camera set it
 
     def opened(self) -> Rig:
-        """The devices, opened and at home. UserError where the rig lacks what a frame needs; DeviceError."""
+        """Open the devices and home them. UserError where the rig lacks a device that a frame needs; DeviceError."""
         if self._rig is None:
             rig = self._open_devices(self._description)
             with closed_on_failure(rig):
@@ -399,7 +399,7 @@ def expect_devices(frames: tuple[PlannedFrame, ...], rig: Rig | RigDescription) 
 
 
 def reachable_angle(angle: float, limits: tuple[float, float], where: str) -> float:
-    """The angle, or the same direction one turn on or back, that lies in the range of an axis."""
+    """Return the angle, or the same direction one turn away, inside the range of an axis."""
     for turned in (angle, angle - 360, angle + 360):
         if limits[0] - 1e-9 <= turned <= limits[1] + 1e-9:
             return turned

@@ -251,7 +251,7 @@ class Neighbours:
         use_boards = frame.group == "object" and lights <= set(boards)
 
         def reference(file: str) -> float:
-            """What the brightness of a frame is proportional to: its board's, or the cosine of its lamp's angle."""
+            """Return the expected relative brightness of a frame: its board's, or the cosine of its lamp's angle."""
             if not use_boards:
                 return self.references[file]
             return known[boards[self._by_file[file].light]].rate

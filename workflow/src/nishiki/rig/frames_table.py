@@ -77,7 +77,7 @@ class PlannedFrame:
 
 
 def table_text(frames: tuple[PlannedFrame, ...], plan: Path | str) -> str:
-    """The table as text; columns that no frame uses are left out. plan: the plan's file, relative to the table."""
+    """Format the table as text without unused columns. plan: the plan's file, relative to the table."""
     rows = [_cells(frame) for frame in frames]
     order = [*COLUMNS, *sorted({key for row in rows for key in row} - set(COLUMNS) - set(ESTIMATES)), *ESTIMATES]
     used = [key for key in order if any(row.get(key) for row in rows)]
@@ -97,7 +97,7 @@ def _text(value: object) -> str:
 
 
 def read_table(path: Path) -> tuple[Path, tuple[PlannedFrame, ...]]:
-    """The plan that a table belongs to, and its frames. UserError names the line and the column of a mistake."""
+    """Read a table: its plan and its frames. UserError names the line and the column of a mistake."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except FileNotFoundError:
@@ -177,7 +177,7 @@ def summary(frames: tuple[PlannedFrame, ...], destination: Path) -> str:
 
 
 def existing(path: Path) -> Path:
-    """The path, or the nearest folder above it that exists."""
+    """Return the path, or the nearest folder above it that exists."""
     path = path.absolute()
     while not path.exists():
         path = path.parent
@@ -199,7 +199,7 @@ STEEPEST_DEG = 75.0
 
 
 def expected_fit(views: np.ndarray) -> ShapeFit:
-    """What a fit to views (n, 3) of normal incidence will leave open, before they are measured."""
+    """Estimate the uncertainty of a fit to views (n, 3) of normal incidence before they are measured."""
     incident = np.tile([0.0, 0.0, 1.0], (len(views), 1))
     parts = parts_of(incident, views)
     coefficients = np.array([[BODY_ALBEDO, LAMBERT]])

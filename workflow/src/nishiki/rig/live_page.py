@@ -102,7 +102,7 @@ def serve(state: RunState, title: str, port: int = DEFAULT_PORT) -> Iterator[str
 
 
 def page_html(state: RunState, title: str) -> str:
-    """The page: one HTML file that loads nothing but itself."""
+    """Build the page: one HTML file that loads nothing but itself."""
     with state.lock:
         page = _page(state, title)
     noscript = f'<noscript><meta http-equiv="refresh" content="{REFRESH_MS // 1000 + 1}"></noscript>'

@@ -210,7 +210,7 @@ class ReadPlan:
         return read_lights(path, kind=self.settings.lights_kind)
 
     def frames(self) -> tuple[PlannedFrame, ...]:
-        """The table of frames."""
+        """Return the table of frames."""
         plan = self.settings
         if isinstance(plan, DomePlan):
             groups = _dome_frames(plan, self.lights)
@@ -376,7 +376,7 @@ def _darks(plan: AnyPlan, lit: list[PlannedFrame]) -> list[PlannedFrame]:
 
 
 def _with_estimates(plan: AnyPlan, frames: list[PlannedFrame]) -> list[PlannedFrame]:
-    """The frames with seconds and bytes."""
+    """Add seconds and bytes to the frames."""
     estimate, before, rows = plan.estimate, {}, []
     state: tuple[tuple[str, str], ...] = ()
     for frame in frames:

@@ -113,19 +113,19 @@ class RunState:
         self._at_first = 0
 
     def started(self, frames: tuple[PlannedFrame, ...], kept: set[str], camera: Camera) -> None:
-        """The run begins, or goes on with the frames that are not kept yet."""
+        """Record the start of a run, or its continuation with the remaining frames."""
         with self.lock:
             self.frames, self.kept, self.camera = frames, set(kept), camera
             self._began, self._at_first = time.monotonic(), len(kept)
 
     def photographed(self, frame: PlannedFrame, codes: np.ndarray, measures: Measures) -> None:
-        """A photograph was read, before it is known whether it is kept."""
+        """Record a photograph that was read, before it is accepted or rejected."""
         step = -(-max(codes.shape[:2]) // SEEN_PX)
         with self.lock:
             self.last = LastPhotograph(frame, codes[::step, ::step].copy(), measures)
 
     def happened(self, event: dict[str, Any]) -> None:
-        """A line was added to the journal."""
+        """Record a line that was added to the journal."""
         kind, file = event["event"], event.get("file", "")
         with self.lock:
             if kind == "frame":

@@ -100,7 +100,7 @@ def run_capture(
 
 
 def read_frames_of(plan: Path) -> tuple[ReadPlan, tuple[PlannedFrame, ...]]:
-    """A plan and its frames, from the plan itself or from a table that names it."""
+    """Read a plan and its frames, from the plan itself or from a table that names it."""
     if plan.suffix.lower() == ".tsv":
         plan_file, frames = read_table(plan)
         return read_plan(plan_file), frames
@@ -109,7 +109,7 @@ def read_frames_of(plan: Path) -> tuple[ReadPlan, tuple[PlannedFrame, ...]]:
 
 
 def describe_run(rig: Path, plan: Path, capture: Path) -> str:
-    """What a run would do, without moving anything: the table, its totals, and how many frames are kept already.
+    """Describe a run without moving anything: the table, its totals, and the number of finished frames.
 
     Raises UserError where the plan asks for something that the rig does not have.
     """
@@ -263,8 +263,10 @@ class CaptureRun:
     def _expose(
         self, frame: PlannedFrame, seconds: Callable[[], float | None]
     ) -> tuple[Path, float | None, Measures | None, list[str]]:
-        """Photograph and measure; devices that do not answer are opened again. Returns the file, the seconds of the
-        exposure, what was measured, and why it cannot be kept."""
+        """Photograph and measure; devices that do not answer are opened again.
+
+        Return the file, the seconds of the exposure, the measures, and the reasons for a rejection.
+        """
         losses = 0
         while True:
             try:
@@ -295,7 +297,7 @@ class CaptureRun:
         return path, taken, measures, self.neighbours.reasons_against(frame, measures, taken, self.kept)
 
     def _pick(self, frame: PlannedFrame, files: tuple[Path, ...]) -> Path:
-        """The photograph among the files of an exposure; the JPEG beside a raw file goes to companions/."""
+        """Choose the photograph among the files of an exposure; the JPEG beside a raw file goes to companions/."""
         suffix = Path(frame.file).suffix.lower()
 
         def fits(path: Path) -> bool:

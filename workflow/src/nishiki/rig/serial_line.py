@@ -114,7 +114,7 @@ class SerialLine:
             raise self._lost(f"cannot be sent ({error})") from None
 
     def receive(self, timeout_s: float) -> str | None:
-        """The next complete line without its ending; None where none was complete in time (its beginning is kept).
+        """Return the next complete line without its ending; None on a timeout (its beginning stays in the buffer).
 
         Raises DeviceLost where the port has gone, or the device has restarted.
         """
@@ -180,7 +180,7 @@ class SerialLine:
         raise self._lost(self._instead(lines, expect, timeout_s))
 
     def _instead(self, lines: list[str], expect: str, timeout_s: float) -> str:
-        """What came in place of the answer."""
+        """Describe the lines that came in place of the answer."""
         partial = self._text(self.buffer)
         parts = [repr(line) for line in lines] + ([f"{partial!r} without an end of line"] if partial else [])
         received = ", ".join(parts) or "nothing"
@@ -189,7 +189,7 @@ class SerialLine:
         return f"expected an answer with {expect!r} within {timeout_s:g} s, received {received}"
 
     def _next_line(self, end: float) -> str | None:
-        """The next complete line that arrives before a moment of the monotonic clock."""
+        """Return the next complete line that arrives before a moment of the monotonic clock."""
         while True:
             line, found, rest = self.buffer.partition(self.ending)
             if found:

@@ -48,7 +48,7 @@ class CameraSettings:
 
 
 def camera_from(options, camera: CameraSettings) -> CameraSettings:
-    """A camera with what the command line asks for."""
+    """Change a camera by the options of the command line."""
     level = camera.white_level if options.white_level is None else options.white_level
     return replace(camera, bits=options.bits, noise=not options.no_noise, white_level=level)
 
@@ -207,12 +207,12 @@ class Truth:
         self.group = zarr.open_group(folder / "truth.zarr", mode="w", zarr_format=3)
 
     def make(self, name: str, shape, dtype):
-        """An array to be filled, a chunk each first index and 256 rows."""
+        """Create an array to be filled, a chunk each first index and 256 rows."""
         chunks = (1, min(256, shape[1]), *shape[2:])
         return self.group.create_array(name, shape=shape, dtype=dtype, chunks=chunks)
 
     def put(self, name: str, values: np.ndarray) -> None:
-        """A whole array."""
+        """Store a whole array."""
         chunks = (min(256, values.shape[0]), *values.shape[1:])
         self.group.create_array(name, shape=values.shape, dtype=values.dtype, chunks=chunks)[...] = values
 

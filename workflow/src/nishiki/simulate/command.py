@@ -157,7 +157,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Build the parser of the command line."""
     style = argparse.RawDescriptionHelpFormatter
     text = argparse.ArgumentParser(prog=f"{COMMAND} simulate", description=__doc__, formatter_class=style)
     text.add_argument("--output", required=True, metavar="FOLDER", help="capture folder to make; must not exist yet")

@@ -27,13 +27,13 @@ def hash_uint(key, counter):
 
 @numba.njit(cache=True)
 def uniform(key, counter):
-    """A number in [0, 1) from (key, counter)."""
+    """Draw a number in [0, 1) from (key, counter)."""
     return np.float64(hash_uint(key, counter) >> _SHIFT_11) * _UNIT
 
 
 @numba.njit(cache=True)
 def normal(key, counter):
-    """A standard normal number from (key, counter): Box-Muller on two hashed uniforms (one of the pair is used)."""
+    """Draw a standard normal number from (key, counter): Box-Muller on two hashed uniforms (one is used)."""
     twice = np.uint64(counter) * np.uint64(2)
     radius = math.sqrt(-2.0 * math.log(1.0 - uniform(key, twice)))
     return radius * math.cos(2.0 * math.pi * uniform(key, twice + np.uint64(1)))
@@ -88,7 +88,7 @@ def fractal_noise(x: np.ndarray, y: np.ndarray, *, key: int, octaves: int = 3) -
 
 
 def subkey(seed: int, purpose: str) -> int:
-    """A 63-bit key for one purpose of one seed, so that two purposes never share random numbers."""
+    """Derive a 63-bit key for one purpose of one seed, so that two purposes never share random numbers."""
     import hashlib
 
     digest = hashlib.sha256(f"{int(seed)}:{purpose}".encode()).digest()

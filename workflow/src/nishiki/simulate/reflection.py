@@ -153,7 +153,7 @@ def body(iz, oz, index):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def in_frame(dx, dy, dz, f):
-    """A direction in the frame f = (n, t) of `points.frames`: along the filaments, across them, along the normal."""
+    """Rotate a direction into the frame f = (n, t) of `points.frames`: along, across the filaments, normal."""
     nx, ny, nz, tx, ty, tz = f[0], f[1], f[2], f[3], f[4], f[5]
     bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
     return dx * tx + dy * ty + dz * tz, dx * bx + dy * by + dz * bz, dx * nx + dy * ny + dz * nz

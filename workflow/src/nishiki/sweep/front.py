@@ -11,8 +11,11 @@ NEGLIGIBLE = 0.01
 
 @dataclass(frozen=True)
 class Point:
-    """A variant in the plane of time and loss. time: median over the repeats; low, high: least and greatest of them;
-    loss: the error, less is better (the negative of a measure of which more is better)."""
+    """Place a variant in the plane of time and loss.
+
+    time: median over the repeats; low, high: least and greatest of them; loss: the error, less is better (the negative
+    of a measure of which more is better).
+    """
 
     name: str
     time: float
@@ -22,7 +25,7 @@ class Point:
 
 
 def front(points: Sequence[Point]) -> list[int]:
-    """Indices of the points that no other point beats, from the fastest on.
+    """List the indices of the points that no other point beats, from the fastest on.
 
     A point is beaten by one that is at least as good in time and loss and better in one of them. O(n log n).
     """
@@ -37,7 +40,7 @@ def front(points: Sequence[Point]) -> list[int]:
 
 
 def beaten_by(point: Point, others: Sequence[Point]) -> tuple[list[Point], bool]:
-    """The others that beat `point`, best loss first, and whether at least one of them does so clearly.
+    """List the others that beat `point`, best loss first, and tell whether at least one does so clearly.
 
     Clearly: it is faster beyond the spread of the repeats, or its loss is lower by more than NEGLIGIBLE.
     """
@@ -92,7 +95,7 @@ class Mark:
 
 
 def axis_over(values: Sequence[float], start: float, end: float, *, flipped: bool = False, room: float = 0.08) -> Axis:
-    """An axis that holds all values with some room; logarithmic where they span a wide ratio and none is 0."""
+    """Choose an axis that holds all values with some room; logarithmic for wide ratios without 0."""
     low, high = min(values), max(values)
     logarithmic = low > 0 and high / low >= LOG_FROM
     if logarithmic:
@@ -105,7 +108,7 @@ def axis_over(values: Sequence[float], start: float, end: float, *, flipped: boo
 
 
 def plot(marks: Sequence[Mark], best: Sequence[int], *, x_label: str, y_label: str, higher: bool, title: str) -> str:
-    """The drawing as a file of its own. Lower left is better: where more is better, the axis points down.
+    """Draw a file of its own. Lower left is better: where more is better, the axis points down.
 
     best : indices of the front's marks, from the fastest on.
     """
@@ -130,7 +133,7 @@ def plot(marks: Sequence[Mark], best: Sequence[int], *, x_label: str, y_label: s
 
 
 def draw_sign(drawing: Drawing, kind: str, x: float, y: float, *, filled: bool = True, tip: str = "") -> None:
-    """The sign of a kind of variant: filled on the front, hollow off it."""
+    """Draw the sign of a kind of variant: filled on the front, hollow off it."""
     colour = COLOURS[kind]
     paint = {"fill": colour if filled else PAPER, "stroke": colour, "width": 1.8, "tip": tip}
     if kind == "default":
@@ -146,7 +149,7 @@ def draw_sign(drawing: Drawing, kind: str, x: float, y: float, *, filled: bool =
 
 
 def draw_names(drawing: Drawing, marks: Sequence[Mark], x: Axis, y: Axis) -> None:
-    """A name beside each mark where there is room: the marks that stand out first; others are in tooltip and table."""
+    """Draw a name beside each mark where there is room, conspicuous marks first; others are in the table."""
     boxes = [(x(mark.x) - 7, y(mark.y) - 7, x(mark.x) + 7, y(mark.y) + 7) for mark in marks]
     boxes += [(x(mark.low), y(mark.y) - 4, x(mark.high), y(mark.y) + 4) for mark in marks]
     for mark in sorted(marks, key=lambda mark: (list(COLOURS).index(mark.kind), mark.y)):
@@ -167,7 +170,7 @@ def _overlap(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
 
 
 def draw_legend(drawing: Drawing, kinds: set[str]) -> None:
-    """What the signs mean, below the axis."""
+    """Draw the meaning of the signs below the axis."""
     at = LEFT + 4.0
     for kind in [kind for kind in MEANINGS if kind in kinds]:
         draw_sign(drawing, kind, at, HEIGHT - 14)
@@ -216,7 +219,7 @@ def _standing(default: Point, winners: list[Point], clear: bool, unit: str, high
 
 
 def _faster(default: Point, best: list[Point], unit: str, higher: bool, axis: str) -> list[str]:
-    """The front's variants that save time: the least loss, and the fastest of all where that is another one."""
+    """List the front's variants that save time: the least loss, and the fastest if it is another one."""
     faster = [point for point in best if point.time < WORTH_SAVING * default.time and point.high < default.low]
     if not faster:
         return []
@@ -226,7 +229,7 @@ def _faster(default: Point, best: list[Point], unit: str, higher: bool, axis: st
 
 
 def _better(default: Point, best: list[Point], unit: str, higher: bool, axis: str, *, last_word: bool) -> list[str]:
-    """The front's variants that err less: the cheapest, and the best of all where that is another one."""
+    """List the front's variants with a smaller error: the cheapest, and the best if it is another one."""
     better = [point for point in best if point.loss < default.loss]
     if not better:
         return ["No variant is better at any price."] * last_word
@@ -243,7 +246,7 @@ def compared(point: Point, default: Point, unit: str, higher: bool, axis: str) -
 
 
 def share(ratio: float, axis: str) -> str:
-    """A ratio of times in words, where a word is true to 5 per cent."""
+    """Express a ratio of times in words, where a word is true to 5 per cent."""
     for value, word in WORDS:
         if abs(ratio / value - 1) <= 0.05:
             return f"{word} the {axis}"

@@ -45,7 +45,7 @@ def scene_content(
 
 
 def labelled(measure: MeasureSettings) -> dict[str, str]:
-    """A measure for the page."""
+    """Describe a measure for the page."""
     return {**measure.model_dump(mode="json"), "label": measure.label or measure.path}
 
 
@@ -59,7 +59,7 @@ def points_of(rows: Sequence[VariantRow], number: int, measure: MeasureSettings,
 
 
 def _front(rows: Sequence[VariantRow], points: Sequence[Point]) -> list[int]:
-    """Indices of the rows on the front; those apart are not compared."""
+    """List the indices of the rows on the front; those apart are not compared."""
     compared = [k for k, row in enumerate(rows) if not row.apart]
     return [compared[k] for k in front([points[k] for k in compared])]
 
@@ -114,7 +114,7 @@ def _advice(rows: list[VariantRow], number: int, measure: MeasureSettings, axis:
 
 
 def sweep_content(name: str, title: str, version: str, settings: SweepSettings, scenes: list[dict]) -> dict[str, Any]:
-    """The whole page."""
+    """Build the content of the whole page."""
     return {
         "name": name,
         "title": title,
@@ -126,7 +126,7 @@ def sweep_content(name: str, title: str, version: str, settings: SweepSettings, 
 
 
 def table_rows(content: dict[str, Any]) -> list[dict[str, Any]]:
-    """The flat table: a row for each variant of each scene."""
+    """Build the flat table: a row for each variant of each scene."""
     return [_flat(scene, row) for scene in content["scenes"] for row in scene["rows"]]
 
 
@@ -256,7 +256,7 @@ def table_of_variants(scene: dict[str, Any]) -> Table:
 
 
 def variant_name(row: dict[str, Any]) -> str:
-    """A variant's name, what it is, and whether its bytes were the same in every repeat."""
+    """Format a variant's name, its kind, and whether its bytes were the same in every repeat."""
     roles = {"default": "default", "paper": "paper", "peer": "of others", "apart": "not compared"}
     name = row["name"] + "".join(f" ({meaning})" for role, meaning in roles.items() if row[role])
     return name if row["reproducible"] else Markup("{} <b>not reproducible</b>").format(name)

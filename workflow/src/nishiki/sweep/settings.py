@@ -105,8 +105,11 @@ def _grid(sweep: SweepSettings, stages: Collection[str]) -> list[Variant]:
 
 
 def nested(settings: dict[str, Any], stage: str, stages: Collection[str], where: str) -> dict[str, Any]:
-    """Dotted settings as blocks: {"normals.solver": "lobe"} and, of the stage normals, {"solver": "lobe"} become
-    {"normals": {"solver": "lobe"}}, as does that itself. Raises UserError where one key is given twice."""
+    """Turn dotted settings into blocks. Raises UserError where one key is given twice.
+
+    {"normals.solver": "lobe"} and, of the stage normals, {"solver": "lobe"} become {"normals": {"solver": "lobe"}}, as
+    does that itself.
+    """
     result: dict[str, Any] = {}
     for key, value in settings.items():
         parts = key.split(".")
@@ -127,7 +130,7 @@ def nested(settings: dict[str, Any], stage: str, stages: Collection[str], where:
 
 
 def shown(value: Any) -> str:
-    """A setting's value in a variant's name."""
+    """Format a setting's value for a variant's name."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if value is None:

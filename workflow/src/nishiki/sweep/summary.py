@@ -53,7 +53,7 @@ def candidates(stage: str, geometry: str) -> tuple[MeasureSettings, ...]:
 
 
 def as_measure(given: str | MeasureSettings) -> MeasureSettings:
-    """A measure from its path alone: one of the usual ones where the path is theirs."""
+    """Build a measure from its path alone: one of the usual ones where the path is theirs."""
     if isinstance(given, MeasureSettings):
         return given
     known = (*USUAL_OF_STAGE.values(), *USUAL.values())
@@ -137,8 +137,11 @@ class Spread:
 
 @dataclass(frozen=True)
 class VariantRow:
-    """One variant of one scene. errors: one for each measure; times: seconds and cpu_seconds of all counted stages,
-    the repeats added up one by one; stages: the same stage by stage; bytes: of the artifacts of the counted stages."""
+    """Hold one variant of one scene.
+
+    errors: one for each measure; times: seconds and cpu_seconds summed over the counted stages for each repeat; stages:
+    the same stage by stage; bytes: of the artifacts of the counted stages.
+    """
 
     name: str
     names: tuple[str, ...]
@@ -161,7 +164,7 @@ class VariantRow:
     ahead: tuple[bool, ...] = field(default=())
 
     def as_dict(self) -> dict[str, Any]:
-        """The row as plain data."""
+        """Return the row as plain data."""
         return asdict(self)
 
 

@@ -22,9 +22,11 @@ LEAST = 8
 
 @dataclass(frozen=True)
 class Plane:
-    """Lamps and views in one plane: theta_i, theta_r (n,) signed radians from the normal, below pi/2; values
-    (n, channels) sr^-1; sigma (n,) standard deviation of the mean over channels; measured: False where taken from the
-    interpolated hemisphere."""
+    """Hold reflectances with lamps and views in one plane.
+
+    theta_i, theta_r (n,) signed radians from the normal, below pi/2; values (n, channels) sr^-1; sigma (n,) standard
+    deviation of the mean over channels; measured: False where taken from the interpolated hemisphere.
+    """
 
     theta_i: np.ndarray
     theta_r: np.ndarray
@@ -41,7 +43,7 @@ class Plane:
 def make_plane(
     theta_r, values, *, theta_i=0.0, relative_error: float = 0.02, noise=None, measured: bool = True
 ) -> Plane:
-    """A plane from signed angles (n,) and values (n,) or (n, channels); theta_i is broadcast.
+    """Build a plane from signed angles (n,) and values (n,) or (n, channels); theta_i is broadcast.
 
     noise : standard deviation of the values, same shape, or None. Weights follow from it and from relative_error of the
     value, which stands for everything that the model leaves out.
@@ -204,7 +206,7 @@ def fit_weave(
     confidence: float = 0.95,
     intervals: bool = True,
 ) -> WeaveFit:
-    """The weave model that explains both planes best; deterministic.
+    """Fit the weave model to both planes; deterministic.
 
     reading : "paper" (Takeda and Tanaka, eq. 15), "shaded" or "yarns". lobe : "gauss" (the paper's) or "ggx". contact :
     angle of the weft section's contacts; None: searched. harness : yarns of a repeat, of which one is bound, where the
@@ -263,7 +265,7 @@ def sections_of(p: np.ndarray) -> tuple[WeftSection, WarpSection]:
 
 
 def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str, lobe: str) -> WeaveModel:
-    """The model at the solver's unknowns; strengths of each channel by non-negative least squares over both planes."""
+    """Build the model at the solver's unknowns, with non-negative strengths of each channel over both planes."""
     from scipy.optimize import nnls
 
     f0 = float(np.exp(p[-1]))

@@ -18,9 +18,11 @@ def noise_variance(problem: Problem, cost: float, *, known: bool = False) -> flo
 
 
 def profile_intervals(problem: Problem, p, cost: float, *, confidence: float, variance: float) -> dict:
-    """name -> (low, high) of every unknown, as it is reported: theta_a, contact (radians), a_weft, a_warp (the lobes'
-    widths), index, flank_weft, flank_warp = l / (l + a), flat_warp and contacts_weft, the flat top's and the contacts'
-    share of the section's length."""
+    """Compute the interval (low, high) of every reported unknown by its name.
+
+    Names: theta_a, contact (radians), a_weft, a_warp (the lobes' widths), index, flank_weft, flank_warp = l / (l + a),
+    flat_warp and contacts_weft: shares of the flat top and the contacts in the section's length.
+    """
     ranges = {}
     for at in problem.free:
         ends = profile_interval(problem, p, cost, int(at), confidence=confidence, variance=variance)
@@ -112,9 +114,12 @@ LEAST = 0.05  # share of a direction's largest part from which a parameter is na
 
 @dataclass(frozen=True)
 class Identifiability:
-    """free: products of powers that change nothing. weak: those that the data see, but determine to no better than
-    WEAK, the worst first, and weak_error the relative change that is one standard deviation. singular: values of the
-    Jacobian over the largest, falling."""
+    """Hold the identifiability of the unknowns.
+
+    free: products of powers that change nothing. weak: those determined to no better than WEAK, the worst first;
+    weak_error: the relative change of one standard deviation. singular: values of the Jacobian over the largest,
+    falling.
+    """
 
     free: list[str]
     weak: list[str]
@@ -145,7 +150,7 @@ def identify(predict, parameters: dict[str, float], weight: np.ndarray, *, varia
 
 
 def _slope(predict, parameters: dict[str, float], name: str, step: float = 1e-5) -> np.ndarray:
-    """Derivative by the logarithm of one parameter, central differences."""
+    """Differentiate by the logarithm of one parameter with central differences."""
     up, down = ({**parameters, name: parameters[name] * np.exp(sign * step)} for sign in (1, -1))
     return (predict(up) - predict(down)) / (2 * step)
 
@@ -169,7 +174,7 @@ def _reduced(rows: np.ndarray) -> np.ndarray:
 
 
 def _product(row: np.ndarray, names: list[str]) -> str:
-    """A direction in logarithms as a product of powers, its largest power 1."""
+    """Format a direction in logarithms as a product of powers, its largest power 1."""
     row = row / row[np.argmax(np.abs(row))]
     return " · ".join(
         name if abs(power - 1) < 1e-3 else f"{name}^{power:.2g}"

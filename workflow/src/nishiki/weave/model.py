@@ -174,8 +174,11 @@ def _yarn_factors(weft, warp, across, along, kind, row):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fill_columns(weft, warp, across, along, rows, f0, reading, out):
-    """out (n, 2): gloss and body column of two sections (theta_a, l, r, m, n, contact) in the directions of `rows`,
-    see rows_of; across, along: widths of the lobes, in the other readings those of the weft and the warp plane."""
+    """Fill out (n, 2), the gloss and body columns of two sections in the directions of `rows` (see rows_of).
+
+    A section is (theta_a, l, r, m, n, contact); across, along: widths of the lobes, in the other readings those of the
+    weft and the warp plane.
+    """
     kind, straight = reading % 2, np.zeros(9)
     if reading >= YARNS:
         above = _yarn_factors(weft, warp, across, along, kind, straight)
@@ -200,8 +203,11 @@ def fill_columns(weft, warp, across, along, rows, f0, reading, out):
 
 
 def rows_of(incident, outgoing) -> np.ndarray:
-    """(n, 9) of unit vectors (n, 3) above the horizon: angles of light, view and half vector in the weft plane, the
-    same in the warp plane, cosines of light and view with the normal, of light with the half vector."""
+    """Compute angles and cosines (n, 9) of unit vectors (n, 3) above the horizon.
+
+    Angles of light, view and half vector in the weft plane, the same in the warp plane, cosines of light and view with
+    the normal, and of light with the half vector.
+    """
     incident, outgoing = np.broadcast_arrays(np.asarray(incident, float), np.asarray(outgoing, float))
     middle = incident + outgoing
     length = np.linalg.norm(middle, axis=-1)

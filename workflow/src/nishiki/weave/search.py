@@ -96,7 +96,7 @@ def jacobian(p, low, high, free, rows, split, y, weight, shared, reading):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _step(p, low, high, free, normal, gradient, scale, damping):
-    """The damped step from p; unknowns that it would carry over a bound stop there, and the others are solved anew."""
+    """Compute the damped step from p; unknowns that it would carry over a bound stop there."""
     m = free.size
     fixed, move = np.zeros(m, np.bool_), np.zeros(m)
     for _ in range(m):
@@ -184,8 +184,10 @@ ROUNDS, TOLERANCE, RETURNS = 60, 1e-10, 3
 
 @dataclass(frozen=True)
 class Problem:
-    """Reflectances in both planes, weft first: rows (n, 9) as reading.rows_of, y (n,), weight (n,) = 1 / sigma; the
-    first `split` are in the weft plane. shared: one pair of strengths. free: unknowns that are searched."""
+    """Hold reflectances in both planes, weft first.
+
+    shared: one pair of strengths. free: unknowns that are searched.
+    """
 
     rows: np.ndarray
     split: int
@@ -208,7 +210,7 @@ class Problem:
         return replace(self, **kept, split=self.split if plane == 0 else 0, free=free)
 
     def edges(self, plane: int) -> np.ndarray:
-        """Ends of the intervals of one plane's theta_a in which the model is smooth; see `cells`."""
+        """Return the ends of the intervals of one plane's theta_a in which the model is smooth; see `cells`."""
         part = slice(0, self.split) if plane == 0 else slice(self.split, None)
         return cells(self.rows[part, 3 * plane : 3 * plane + 2].ravel())
 
@@ -221,7 +223,7 @@ def bounds() -> tuple[np.ndarray, np.ndarray]:
 
 
 def cells(theta: np.ndarray) -> np.ndarray:
-    """Ends (cells + 1,) of the intervals of theta_a in which the model is smooth, for lamps and views at theta (n,)."""
+    """Compute the ends (cells + 1,) of the intervals of theta_a in which the model is smooth at theta (n,)."""
     jumps = np.unique(np.round(np.pi / 2 - np.abs(theta), 12))
     jumps = jumps[(jumps > THETA_A[0] + 1e-6) & (jumps < THETA_A[1] - 1e-6)]
     if len(jumps) > CELLS:  # views scattered in angle: the jumps are then many and small
@@ -230,14 +232,14 @@ def cells(theta: np.ndarray) -> np.ndarray:
 
 
 def in_cell(low, high, edges, plane: int, cell: int):
-    """The bounds with one plane's theta_a inside of a cell: its lower end belongs to it, its upper end does not."""
+    """Restrict the bounds to one cell of a plane's theta_a; the lower end belongs to it, the upper does not."""
     low, high = low.copy(), high.copy()
     low[plane * SIZE], high[plane * SIZE] = edges[cell], edges[cell + 1] - 1e-12
     return low, high
 
 
 def starts(edges: np.ndarray, plane: int, start: np.ndarray, free_contact: bool) -> np.ndarray:
-    """The coarse table (cells, points, UNKNOWNS) of one plane; the other plane's unknowns as in `start`."""
+    """Build the coarse table (cells, points, UNKNOWNS) of one plane; the other plane's unknowns as in `start`."""
     unknowns = start[plane * SIZE : (plane + 1) * SIZE]
     humps, contacts = (
         (TABLE["humps"] if unknowns[2] > 0 else unknowns[2:3]),
@@ -327,7 +329,7 @@ def _settle(problem: Problem, candidates: list[np.ndarray]) -> tuple[np.ndarray,
 
 
 def cell_of(edges: np.ndarray, theta_a: float) -> int:
-    """Number of the cell that theta_a lies in."""
+    """Find the number of the cell of theta_a."""
     return int(np.clip(np.searchsorted(edges, theta_a, "right") - 1, 0, len(edges) - 2))
 
 
@@ -339,7 +341,7 @@ def at_bounds(p: np.ndarray, free: np.ndarray) -> list[str]:
 
 
 def clipped(p: np.ndarray, free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The searched unknowns brought within bounds; those that are held stay as they are."""
+    """Clip the searched unknowns to their bounds; fixed ones stay as they are."""
     p = p.copy()
     p[free] = np.clip(p[free], low[free], high[free])
     return p

@@ -85,7 +85,7 @@ def averted_contact(contact, theta):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def side_lengths(shape, theta):
-    """What is seen from signed theta: (length on the + side, on the - side, contact angle on + side, on - side).
+    """Compute the visible lengths and contact angles on the + and the - side from signed theta.
 
     shape: (theta_a, l, r, m, n, contact).
     """
@@ -150,7 +150,7 @@ class Section:
         return out.reshape(np.shape(theta_r))
 
     def elements(self) -> np.ndarray:
-        """The pieces of one period from valley to valley, (pieces, 3): length, slope angle at its start and end.
+        """List the pieces of one period from valley to valley, (pieces, 3): length, slope angle at start and end.
 
         Slope: angle of the tangent above the x axis. The number of yarns is rounded to the next whole one.
         """
@@ -182,7 +182,7 @@ class Section:
         return np.concatenate(points), np.concatenate(normals)
 
     def scaled(self, factor: float):
-        """The same section with all lengths times `factor` > 0."""
+        """Scale all lengths of the section by `factor` > 0."""
         names = ("l", "r", "m") if hasattr(self, "m") else ("l", "r")
         return replace(self, **{name: getattr(self, name) * factor for name in names})
 
@@ -256,8 +256,11 @@ USUAL = {"plain": (2,), "twill": (3, 4), "satin": (5, 8), "unknown": None}  # ya
 
 @dataclass(frozen=True)
 class Surface:
-    """One repeat as a height field: x (columns,), y (rows,) rising, height (rows, columns), all in warp spacings;
-    is_warp (rows, columns) bool: which yarn is on top; pattern (harness, harness) bool, see weave_pattern."""
+    """Hold one repeat as a height field.
+
+    x (columns,), y (rows,) rising, height (rows, columns), all in warp spacings; is_warp (rows, columns) bool: which
+    yarn is on top; pattern (harness, harness) bool, see weave_pattern.
+    """
 
     x: np.ndarray
     y: np.ndarray

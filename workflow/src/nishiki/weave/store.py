@@ -47,7 +47,7 @@ def describe(
 
 
 def describe_yarns(search: YarnSearch, *, confidence: float) -> dict:
-    """The weave of elliptical yarns: binding, those that explain the measurements as well, parameters, ranking."""
+    """Describe the weave of elliptical yarns: binding, equally good bindings, parameters, ranking."""
     best = search.best
     return {
         "weave": best.binding.weave,
@@ -131,12 +131,12 @@ class Weave:
         return self.model.parameters()
 
     def brdf(self) -> WeaveBrdf:
-        """The model as a BRDF of the whole hemisphere."""
+        """Return the model as a BRDF of the whole hemisphere."""
         return brdf_of(self.model)
 
 
 def brdf_of(model: WeaveModel) -> WeaveBrdf:
-    """The model as a BRDF of the whole hemisphere."""
+    """Build the BRDF of the whole hemisphere from a model."""
     return WeaveBrdf(
         diffuse=np.asarray(model.k_d, float),
         specular=np.asarray(model.k_s, float) * model.f0,

@@ -58,9 +58,12 @@ class Samples:
 
 @dataclass(frozen=True)
 class YarnFit:
-    """A fitted weave: x in the order of NAMES and its information matrix, coefficients (channels, 2) of body and
-    Lambert term, cost with all priors; of the samples of normal incidence rms_rel, and variation: standard
-    deviation of the values over their root mean square."""
+    """Hold a fitted weave.
+
+    x in the order of NAMES and its information matrix, coefficients (channels, 2) of body and Lambert term, cost with
+    all priors; of the samples of normal incidence rms_rel, and variation: standard deviation of the values over their
+    root mean square.
+    """
 
     binding: Binding
     x: np.ndarray
@@ -82,7 +85,7 @@ class YarnFit:
 
 
 def weave_of(x: np.ndarray, binding: Binding) -> YarnWeave:
-    """The weave of a vector of parameters in the order of NAMES."""
+    """Build the weave from parameters in the order of NAMES."""
     e = np.exp(x)
     share = 1 / (1 + np.exp(-x))
     return YarnWeave(
@@ -152,7 +155,7 @@ def spread(points: np.ndarray, count: int) -> np.ndarray:
 def fit_binding(
     samples: Samples, binding: Binding, *, start=None, density=(POINTS_ACROSS, POINTS_ALONG), evaluations=10
 ) -> YarnFit:
-    """The yarns that explain the samples best with this binding; the linear parts are eliminated at every step."""
+    """Fit yarns of this binding to the samples; the linear parts are eliminated at every step."""
     from scipy.optimize import least_squares
 
     limits, channels = np.array([np.inf, LAMBERT]), samples.values.shape[1]
@@ -194,8 +197,11 @@ def fit_binding(
 
 @dataclass(frozen=True)
 class YarnSearch:
-    """best: fitted to the end, a usual weave where the samples do not tell it from the best one; alike: bindings, that
-    one first, that explain the samples about as well; ranking: (binding, cost of its short fit) of all."""
+    """Hold the result of a search.
+
+    best: fitted to the end, a usual weave where the samples do not distinguish it from the best one; alike: bindings
+    that explain the samples about as well, the best first; ranking: (binding, cost of its short fit) of all.
+    """
 
     best: YarnFit
     alike: list[Binding]
@@ -203,7 +209,7 @@ class YarnSearch:
 
 
 def search_yarns(measured: Measured, candidates: Iterable[Binding], *, oblique: int = OBLIQUE) -> YarnSearch:
-    """The weave of elliptical yarns that explains a region's reflectances best; candidates by rising harness."""
+    """Search the weave of elliptical yarns that explains a region best; candidates by rising harness."""
     few = samples_of(measured, views=SHORT[0], oblique=oblique)
     short: list[YarnFit] = []
     least, since = np.inf, 0
@@ -230,8 +236,11 @@ def search_yarns(measured: Measured, candidates: Iterable[Binding], *, oblique: 
 
 
 def parameters_of(fit: YarnFit, *, confidence: float) -> dict[str, dict]:
-    """Every number of the weave: value, low, high, determined (False where the samples tell little more than the prior
-    did). Slopes in degrees, over what is seen from above."""
+    """Report every number of the weave: value, low, high, determined.
+
+    determined is False where the samples add little to the prior. Slopes are in degrees, over the surface visible from
+    above.
+    """
     from scipy.stats import norm
 
     reach = INFLATED * float(norm.ppf(0.5 + 0.5 * confidence))

@@ -72,7 +72,7 @@ def warp_at(x, y, form):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def weft_at(x, y, form, binding):
-    """The same of the weft yarn; binding[k]: the column at which weft yarn k comes up."""
+    """Compute height and slope of the weft yarns; binding[k]: the column at which weft yarn k comes up."""
     q, a2, b2 = form[2], form[5], form[6]
     row = math.floor(y / q + 0.5)
     v = (y - row * q) / a2
@@ -251,8 +251,10 @@ def bindings(weave: str = "unknown", most: int = 10, harness: int | None = None)
 
 
 def _over_a_yarn(half_width: float, spacing: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Places over one spacing, its yarn in the middle, and their shares of it: `count` on the yarn, denser towards its
-    sides, and GAP on the gap beside it."""
+    """Place samples over one spacing, its yarn in the middle; return places and their shares.
+
+    `count` lie on the yarn, denser towards its sides, and GAP on the gap beside it.
+    """
     turn = (np.arange(count) + 0.5) / count * np.pi - 0.5 * np.pi
     on, share = half_width * np.sin(turn), np.cos(turn) / np.cos(turn).sum() * 2 * half_width / spacing
     gap = spacing - 2 * half_width
@@ -262,11 +264,13 @@ def _over_a_yarn(half_width: float, spacing: float, count: int) -> tuple[np.ndar
 
 @dataclass(frozen=True)
 class YarnWeave:
-    """A weave of elliptical yarns. spacing_ratio: spacing of the weft over that of the warp. fill: width of a yarn over
-    its spacing; aspect: thickness over width; both (2,) warp, weft. crimp: the warp's share of the amplitudes. bend:
-    length on which a yarn changes sides, in spacings of the crossed yarns. arch: rise of a float over its period.
-    rough (2, 2): GGX roughness of warp and weft along and across the fibres. gain: of the gloss. soft: radians,
-    scatter of the horizons, for yarns differ."""
+    """Describe a weave of elliptical yarns.
+
+    spacing_ratio: spacing of the weft over that of the warp. fill: width of a yarn over its spacing; aspect: thickness
+    over width; both (2,) warp, weft. crimp: the warp's share of the amplitudes. bend: length on which a yarn changes
+    sides, in spacings of the crossed yarns. arch: rise of a float over its period. rough (2, 2): GGX roughness of warp
+    and weft along and across the fibres. gain: of the gloss. soft: radians, scatter of the horizons, for yarns differ.
+    """
 
     binding: Binding
     spacing_ratio: float
@@ -333,8 +337,10 @@ class YarnWeave:
         return out
 
     def slopes(self) -> dict[str, float]:
-        """Mean and 90th percentile, degrees, of the slope in the planes of weft and warp over what is seen from
-        above, and the weft's share of it."""
+        """Compute mean and 90th percentile of the visible slope in the planes of weft and warp, in degrees.
+
+        Also the weft's share of the surface visible from above.
+        """
         points, which, _ = self.points((3 * POINTS_ACROSS, 4 * POINTS_ALONG))
         weight = points[:, 9] * points[:, 2]
         weight /= weight.sum()

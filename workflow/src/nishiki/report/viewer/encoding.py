@@ -44,8 +44,10 @@ DIRECTIONS = ((0.0, 0.0), (45.0, 0.0), (45.0, 90.0), (45.0, 180.0), (45.0, 270.0
 
 @dataclass(frozen=True)
 class Steps:
-    """Steps of the codes: of colour in CIELAB, of small tilts in s (the angle is twice as large), of the body shading
-    as a share of the light."""
+    """Hold the steps of the codes.
+
+    Of colour in CIELAB, of small tilts in s (the angle is twice as large), of the body shading as a share of the light.
+    """
 
     colour: float
     tilt: float

@@ -51,8 +51,7 @@ class Blocks:
 
 
 def write_page(blocks: Blocks, manifest: dict[str, Any], entry: Path) -> dict[str, Any]:
-    """Write index.html of a manifest and its blocks; sizes in bytes, for the diagnostics. entry: the module that the
-    page begins with."""
+    """Write index.html of a manifest and its blocks; return sizes in bytes. entry: the page's first module."""
     from jinja2 import Environment, FileSystemLoader
     from markupsafe import Markup
 

@@ -74,8 +74,10 @@ class Pyramid:
 
 
 def halved(values: np.ndarray) -> np.ndarray:
-    """Return means over 2 x 2 pixels of the fields of (rows, columns, fields), weighted by the first field, that is by
-    what is known of each; the last field is taken from the pixel after the middle."""
+    """Return means over 2 x 2 pixels of the fields of (rows, columns, fields), weighted by the first field.
+
+    The first field is the certainty of each; the last is taken from the pixel after the middle.
+    """
     rows, columns = values.shape[:2]
     values = np.pad(values, ((0, rows % 2), (0, columns % 2), (0, 0)), mode="edge")
     blocks = (values.shape[0] // 2, 2, values.shape[1] // 2, 2)
@@ -88,8 +90,10 @@ def halved(values: np.ndarray) -> np.ndarray:
 
 
 def filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return values (rows, columns, fields) with those that are not known replaced by means of their surroundings, so
-    that a lossy code spends nothing on their edges."""
+    """Fill the unknown values (rows, columns, fields) with means of their surroundings.
+
+    A lossy code then spends nothing on their edges.
+    """
     if known.all():
         return values
     if min(known.shape) < 2 or not known.any():

@@ -52,8 +52,11 @@ SAMPLES = 96  # a crossing
 
 @dataclass(frozen=True)
 class Descent:
-    """The way from one side to the other: two arcs of angle `angle` (radians) and `radius`, and between them a
-    straight part of length `straight`; width along the cloth, height from extreme to extreme. Lengths in mm."""
+    """Describe the way from one side to the other.
+
+    Two arcs of angle `angle` (radians) and `radius`, and between them a straight part of length `straight`; width along
+    the cloth, height from extreme to extreme. Lengths in mm.
+    """
 
     width: float
     height: float
@@ -158,7 +161,7 @@ def _knots(along, length, yarn, system, numbers):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _in_yarn(v, along, z, spacing, length, system, numbers):
-    """Number of the yarn at sideways place v and place `along`, or -1 where the point is in none."""
+    """Find the yarn at sideways place v and place `along`; -1 where the point is in none."""
     yarn, u = _yarn_of(v, spacing, int(numbers[system]))
     shape = int(numbers[system + 3]) + 3 * yarn
     u -= numbers[shape]
@@ -269,7 +272,7 @@ def _yarn_frame(v, along, z, spacing, length, system, numbers):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def frame_at(x, y, z, which, numbers):
-    """Normal n and yarn direction t, unit and perpendicular: (n_x, n_y, n_z, t_x, t_y, t_z); `which` as in `inside`."""
+    """Compute normal n and yarn direction t: (n_x, n_y, n_z, t_x, t_y, t_z); `which` as in `inside`."""
     if which > 0:
         nx, ny, nz, slope = _yarn_frame(x, y, z, numbers[0], numbers[11] * numbers[1], 5, numbers)
         tx, ty, tz = 0.0, 1.0, slope
@@ -300,9 +303,12 @@ _ACROSS, _UP = 20, 28  # voxels a yarn, and in the cloth's height, of the map of
 
 @dataclass(frozen=True)
 class Yarns:
-    """One system. spacing, length (a period along the yarn) in mm. shape : (yarns, 3) offset of the centre line
-    sideways, half width a, half thickness b. path : (yarns, samples, 4) height of the centre line, its slope, roll
-    (shear of the section) and its slope along the yarn. exponent : of the section. power : |u|^e at 0 .. 1."""
+    """Describe the yarns of one system.
+
+    spacing, length (a period along the yarn) in mm. shape : (yarns, 3) offset of the centre line sideways, half width
+    a, half thickness b. path : (yarns, samples, 4) height of the centre line, its slope, roll (shear of the section)
+    and its slope along the yarn. exponent : of the section. power : |u|^e at 0 .. 1.
+    """
 
     spacing: float
     length: float
@@ -315,8 +321,11 @@ class Yarns:
 
 @dataclass(frozen=True)
 class Solids:
-    """Both systems. pattern : (weft, warp) bool over the whole cell, True where the warp is on top. free : (z, y, x)
-    float32 mm, how far from a place in that voxel there is certainly no yarn."""
+    """Describe both systems.
+
+    pattern : (weft, warp) bool over the whole cell, True where the warp is on top. free : (z, y, x) float32 mm, how far
+    from a place in that voxel there is certainly no yarn.
+    """
 
     warp: Yarns
     weft: Yarns
@@ -338,9 +347,12 @@ _HEAD = 18
 
 
 def _pack(warp: Yarns, weft: Yarns) -> np.ndarray:
-    """0, 1 spacing of warp and weft; 2, 3 lowest and highest z; 4 step of a ray. Then for warp (5 ..) and weft (11 ..):
-    number of yarns, samples of a path, exponent, and where shape, path and power begin. One row of numbers, because
-    compiled functions count the references of every array that they hand on, which costs more than the arithmetic."""
+    """Pack the yarns into one row of numbers.
+
+    0, 1 spacing of warp and weft; 2, 3 lowest and highest z; 4 step of a ray. Then for warp (5 ..) and weft (11 ..):
+    number of yarns, samples of a path, exponent, and the starts of shape, path and power. Compiled functions count the
+    references of every array that they hand on, which costs more than the arithmetic.
+    """
     parts, head, end = [], [warp.spacing, weft.spacing, *_heights(warp, weft)], _HEAD
     for yarns in (warp, weft):
         head += [len(yarns.shape), yarns.path.shape[1], yarns.exponent]
@@ -360,8 +372,11 @@ def _heights(warp: Yarns, weft: Yarns) -> tuple[float, float, float]:
 
 
 def make_solids(settings: ClothSettings) -> Solids:
-    """The yarns of one irregular cell. At a crossing warp and weft touch: their amplitudes add up to the sum of their
-    half thicknesses, `warp_crimp` of it being the warp's."""
+    """Make the yarns of one irregular cell.
+
+    At a crossing warp and weft touch: their amplitudes add up to the sum of their half thicknesses, `warp_crimp` of it
+    being the warp's.
+    """
     pattern = weave_pattern(settings.weave, settings.harness, settings.step, face=settings.face)
     pattern = np.tile(pattern, (settings.repeats, settings.repeats))
     contact = 0.5 * (settings.warp.thickness_mm + settings.weft.thickness_mm)
@@ -375,8 +390,11 @@ def make_solids(settings: ClothSettings) -> Solids:
 
 
 def _free_distances(warp: Yarns, weft: Yarns) -> np.ndarray:
-    """Distance of every voxel's centre from the nearest voxel whose centre is in a yarn, less a voxel's diagonal: what
-    of a yarn reaches beyond such voxels is much smaller than that, because sections are blunt."""
+    """Compute for every voxel a distance that is certainly free of yarn.
+
+    It is the distance to the nearest voxel whose centre is in a yarn, less a voxel's diagonal: yarn reaches much less
+    beyond such voxels, because sections are blunt.
+    """
     from scipy.ndimage import distance_transform_edt
 
     counts = (_UP, len(weft.shape) * _ACROSS, len(warp.shape) * _ACROSS)

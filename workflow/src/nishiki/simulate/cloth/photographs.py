@@ -37,8 +37,11 @@ _R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' sequence in two dimen
 
 @dataclass(frozen=True)
 class Shot:
-    """One photograph: row of the session's angles, codes (rows, columns, channels) uint16, exposure in seconds, and the
-    noise-free reflectances (cloths, channels) in 1/sr."""
+    """Hold one photograph.
+
+    row of the session's angles, codes (rows, columns, channels) uint16, exposure in seconds, and the noise-free
+    reflectances (cloths, channels) in 1/sr.
+    """
 
     row: int
     codes: np.ndarray
@@ -63,8 +66,11 @@ def photographs(cloths: tuple[Cloth, ...], settings: GoniometerSettings) -> Iter
 
 
 def on_sensor(cells: list[np.ndarray], cloths, angles_deg: np.ndarray, settings: GoniometerSettings) -> np.ndarray:
-    """BRDF (rows, columns, channels) seen by the pixels: the periodic pictures, turned and foreshortened; the warp
-    points upwards as far as it can. Of two cloths the first lies on the left, the second on the right of the middle."""
+    """Compute the BRDF (rows, columns, channels) in the pixels from the periodic pictures of the cells.
+
+    The warp points upwards as far as it can. Of two cloths the first lies on the left, the second on the right of the
+    middle.
+    """
     view = unit(angles_deg[2], angles_deg[3])
     up = np.array([0.0, 1.0, 0.0]) - view[1] * view
     up /= np.linalg.norm(up)
@@ -80,8 +86,10 @@ def on_sensor(cells: list[np.ndarray], cloths, angles_deg: np.ndarray, settings:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _project(start, stop, key, to_cloth, pitch, sizes, ground, figure, two, out):
-    """Means over a point sequence in each pixel, shifted at random from pixel to pixel: the period of the cloth and a
-    regular grid of samples would beat against each other."""
+    """Average over a point sequence in each pixel, shifted at random from pixel to pixel.
+
+    The period of the cloth and a regular grid of samples would beat against each other.
+    """
     rows, columns, channels = out.shape
     share = 1.0 / _SAMPLES
     for row in range(start, stop):
@@ -105,14 +113,16 @@ def _project(start, stop, key, to_cloth, pitch, sizes, ground, figure, two, out)
 
 
 def region_labels(settings: GoniometerSettings, *, pixels: int = 256, coarser: float = 4.0) -> tuple[np.ndarray, float]:
-    """Label picture (pixels, pixels) uint16 of two cloths as seen along the normal, 1 and 2, and its pitch in mm. It
-    reaches much farther than a photograph along the normal: oblique ones show more of the cloth."""
+    """Draw a label picture (pixels, pixels) uint16 of two cloths along the normal; return its pitch in mm too.
+
+    It reaches much farther than a photograph along the normal: oblique ones show more of the cloth.
+    """
     columns = np.where(np.arange(pixels) < pixels // 2, 1, 2).astype(np.uint16)
     return np.tile(columns, (pixels, 1)), coarser * settings.pitch_mm
 
 
 def exposure_for(light: np.ndarray, settings: GoniometerSettings) -> float:
-    """The longest exposure of the series, in seconds, at which no pixel is brighter than BRIGHTEST."""
+    """Choose the longest exposure of the series, in seconds, at which no pixel is brighter than BRIGHTEST."""
     level = max(float(light.max()) * settings.camera.white_level, 1e-9)
     stop = math.floor(math.log2(BRIGHTEST / level))
     return BASE_S * 2.0 ** min(max(stop, STOPS[0]), STOPS[1])
@@ -134,7 +144,7 @@ HEADING = ("file", "role", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg
 
 
 def settings_from(options) -> GoniometerSettings:
-    """The settings that the command line asks for."""
+    """Build the settings from the options of the command line."""
     values = {"seed": options.seed, "regions": options.two_cloths}
     for name in ("rows", "columns", "pitch_mm", "harness", "flatness", "arch_deg", "filaments", "dye"):
         if getattr(options, name) is not None:
@@ -201,7 +211,7 @@ def describe_capture(capture: Path, settings: GoniometerSettings) -> None:
 
 
 def frame_row(file: str, role: str, angles_deg, exposure_s: float | None) -> tuple:
-    """A row of frames.csv; angles_deg : four numbers, those that are not given are empty."""
+    """Format a row of frames.csv; angles_deg: four numbers, empty where not given."""
     angles = ["" if angle is None else f"{angle:g}" for angle in angles_deg]
     return (file, role, *angles, "" if exposure_s is None else f"{exposure_s:.9g}")
 

@@ -28,8 +28,11 @@ _LIFT = 2e-3  # of the spacing: rays start so far above the surface
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """place : (n, 3) mm, a little above the surface. frame : (n, 6) normal and filament direction. area : (n,) mm².
-    kind : (n,) 0 warp, 1 weft."""
+    """Hold points of the surface.
+
+    place : (n, 3) mm, a little above the surface. frame : (n, 6) normal and filament direction. area : (n,) mm². kind :
+    (n,) 0 warp, 1 weft.
+    """
 
     place: np.ndarray
     frame: np.ndarray
@@ -149,8 +152,11 @@ def _finish(start, stop, place, which, numbers, free, twist, lift, directions, a
 
 @dataclass(frozen=True)
 class Ends:
-    """One end of each chain. point : (n,) which of the surface points it is, -1 = none. place (n, 3) mm, frame (n, 6),
-    kind (n,), toward (n, 3): unit direction to the next point."""
+    """Hold one end of each chain.
+
+    point : (n,) which of the surface points it is, -1 = none. place (n, 3) mm, frame (n, 6), kind (n,), toward (n, 3):
+    unit direction to the next point.
+    """
 
     point: np.ndarray
     place: np.ndarray
@@ -161,8 +167,11 @@ class Ends:
 
 @dataclass(frozen=True)
 class Chains:
-    """first, last : both ends. weight : (n, channels) area × π × what the inner points pass on, mm². order : (n,)
-    number of points, 2 to 1 + bounces."""
+    """Hold random walks.
+
+    first, last: both ends. weight: (n, channels) area × π × transmission of the inner points, mm². order: (n,) number
+    of points, 2 to 1 + bounces.
+    """
 
     first: Ends
     last: Ends

@@ -48,8 +48,11 @@ class Cloth:
 
 
 def make_cloth(settings: ClothSettings, *, candidates: int = 150_000, chains: int = 60_000, bounces: int = 2) -> Cloth:
-    """Yarns, points and paths. candidates : points before those that nothing reaches are left out. chains : random
-    walks. bounces : how often light may meet the yarns after the first time, 0 to 3."""
+    """Make yarns, points and paths.
+
+    candidates: points before unreachable ones are dropped. chains: random walks. bounces: further meetings of light and
+    yarns, 0 to 3.
+    """
     solids = make_solids(settings)
     points = make_points(solids, settings, candidates=candidates)
     paths = make_chains(solids, points, settings, count=chains, bounces=bounces) if bounces and chains else None
@@ -73,9 +76,11 @@ def trace(settings: ClothSettings | Cloth, incident, outgoing, **quality) -> np.
 
 
 def blocks(cloth: Cloth, incident: np.ndarray, outgoing: np.ndarray) -> Iterator[tuple]:
-    """Pairs of directions (n, 3) in blocks that share their rays: (rows, lamps, views, index), which rows of the pairs
-    these are, what their lamps and views reach, and which of these belong together, (pairs, 2). Pairs with a direction
-    not above the horizon are left out."""
+    """Yield blocks of pairs of directions (n, 3) that share their rays: (rows, lamps, views, index).
+
+    rows of the pairs, reach of their lamps and views, and the combinations of these, (pairs, 2). Pairs with a direction
+    not above the horizon are dropped.
+    """
     up = np.flatnonzero((incident[:, 2] > 1e-6) & (outgoing[:, 2] > 1e-6))
     lamps, lamp = _distinct(incident[up])
     views, view = _distinct(outgoing[up])
@@ -90,15 +95,18 @@ def blocks(cloth: Cloth, incident: np.ndarray, outgoing: np.ndarray) -> Iterator
 
 
 def _distinct(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The different directions (to 1e-9), and for each row which of them it is."""
+    """Find the different directions (to 1e-9), and their number for each row."""
     _, first, index = np.unique(np.round(directions, 9), axis=0, return_index=True, return_inverse=True)
     return np.ascontiguousarray(directions[first]), index.reshape(-1)
 
 
 @dataclass(frozen=True)
 class Reach:
-    """What some directions (d, 3) reach: lit (d, points) float32, n·d where the point is reached, else 0; first, last
-    (d, channels, chains) float32, or None: light that enters a path at either end."""
+    """Hold the reach of directions (d, 3).
+
+    lit (d, points) float32, n·d where the point is reached, else 0; first, last (d, channels, chains) float32, or None:
+    light that enters a path at either end.
+    """
 
     directions: np.ndarray
     lit: np.ndarray
@@ -172,8 +180,10 @@ def _bin(start, stop, index, lamps, views, lit, seen, place, frame, area, kind, 
 
 
 def bounced(cloth: Cloth, lamps: Reach, views: Reach, index: np.ndarray) -> np.ndarray:
-    """Light that met the yarns more than once, (pairs, channels) mm²/sr: both ends of every path take turns as the
-    lamp's. Over the cell's area and both cosines it is a BRDF."""
+    """Sum light that met the yarns more than once, (pairs, channels) mm²/sr.
+
+    Both ends of every path take turns as the lamp's. Over the cell's area and both cosines it is a BRDF.
+    """
     out = np.zeros((len(index), cloth.dye.shape[1]))
     if cloth.chains is None:
         return out
@@ -199,8 +209,11 @@ def _reach(start, stop, directions, place, frame, numbers, free, lit):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _ends(start, stop, directions, lit, point, place, frame, kind, toward, numbers, free, surface, dye, out):
-    """What enters each path from each direction. Where the end is a surface point its ray is known. Of other ends the
-    weak ones are drawn by lot and count for more in turn: the same ones in all directions, so that nothing flickers."""
+    """Compute the light that enters each path from each direction.
+
+    Where the end is a surface point its ray is reused. Weak other ends are drawn by lot and count for more in turn: the
+    same ones in all directions, so that nothing flickers.
+    """
     for d in range(start, stop):
         dx, dy, dz = directions[d, 0], directions[d, 1], directions[d, 2]
         for p in range(place.shape[0]):

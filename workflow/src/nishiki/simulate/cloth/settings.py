@@ -96,7 +96,7 @@ AZIMUTHS_DEG = (0.0, 45.0, 90.0)  # of the lamp: weft, bias, warp
 
 
 def unit(theta_deg, phi_deg) -> np.ndarray:
-    """Unit vectors (..., 3) from polar angle and azimuth in degrees; exact on the axes and in the plane."""
+    """Compute unit vectors (..., 3) from polar angle and azimuth in degrees; exact on the axes and in the plane."""
     theta, phi = np.radians(np.asarray(theta_deg, float)), np.radians(np.asarray(phi_deg, float))
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) + 0.0 * phi], axis=-1)
 
@@ -192,8 +192,10 @@ class GoniometerSettings:
 def make_settings(
     weave: str, *, seed: int = 1, dye: str = "black", filaments: str = "silk", harness: int | None = None, **changes
 ) -> ClothSettings:
-    """A cloth of this weave. Each seed varies its sizes by some percent, its roughness, and its yarns; `changes` are
-    fields of ClothSettings, or `flatness` of the warp."""
+    """Make the settings of a weave; each seed varies sizes by some percent, roughness and yarns.
+
+    `changes` are fields of ClothSettings, or `flatness` of the warp.
+    """
     standard, step, warp, weft, crimp, bend, arch = _WEAVES[weave]
     harness = harness or standard
     if weave == "satin" and harness != standard:
@@ -225,7 +227,7 @@ def make_settings(
 
 
 def preset(name: str, *, regions: bool = False, **options) -> GoniometerSettings:
-    """The session of a preset; regions : a second cloth beside the first, with the weft on top and dyed gold.
+    """Build the session of a preset; regions: with a second cloth beside the first, weft on top and dyed gold.
 
     options : those of `make_settings`, and fields of GoniometerSettings.
     """

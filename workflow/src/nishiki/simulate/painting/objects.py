@@ -200,7 +200,7 @@ class SimulatedObject:
 
 
 def make_object(settings: SimulationSettings) -> SimulatedObject:
-    """The object that the settings describe; the same for any number of threads."""
+    """Make the object that the settings describe; the same for any number of threads."""
     palette = make_palette(FINE_NM, alpha=settings.alpha, seed=settings.seed)
     make = {"painting": _painting, "spheres": _spheres}[settings.scene]
     height, label = make(settings, palette)
@@ -293,7 +293,7 @@ def _blossoms(settings, palette, scale, ridge):
 
 
 def _spheres(settings, palette):
-    """A tray of sphere caps, each of one paint, rim slope 55°; between them the tray is flat and grey."""
+    """Make a flat grey tray of sphere caps, each of one paint, rim slope 55°."""
     s, step = settings.supersampling, settings.pitch_mm / settings.supersampling
     rows, columns = settings.rows * s, settings.columns * s
     across = 6 if settings.columns >= settings.rows else 4

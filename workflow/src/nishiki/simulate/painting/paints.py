@@ -85,7 +85,7 @@ def mixture(parts: dict[str, float], wavelengths_nm: np.ndarray) -> np.ndarray:
 
 
 def grey(reflectance: float) -> dict[str, float]:
-    """The mixture of white and black that reflects `reflectance` at 550 nm (bisection in log concentration)."""
+    """Mix white and black to reflect `reflectance` at 550 nm (bisection in log concentration)."""
     low, high = -14.0, 14.0
     at = np.array([550.0])
     for _ in range(80):
@@ -149,8 +149,11 @@ REGION = {name: index for index, name in enumerate(REGIONS)}
 
 @dataclass(frozen=True)
 class Palette:
-    """first, steps : (regions,) first label of a region and how many it has; region : (labels,) region of a label;
-    names : (labels,) text; spectra : (labels, wavelengths) reflectance; roughness : (labels,) GGX alpha."""
+    """Hold the paints of a picture.
+
+    first, steps : (regions,) first label of a region and how many it has; region : (labels,) region of a label; names :
+    (labels,) text; spectra : (labels, wavelengths) reflectance; roughness : (labels,) GGX alpha.
+    """
 
     first: np.ndarray
     steps: np.ndarray
@@ -182,8 +185,11 @@ def make_palette(wavelengths_nm: np.ndarray, *, alpha: float, seed: int) -> Pale
 
 
 def camera_tables(palette: Palette, settings: SimulationSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(table, squared, white): response of each paint (labels, channels) relative to a perfect white, the same for the
-    squared reflectance (light that met the paint twice), and the white's own response (channels,), the largest = 1."""
+    """Compute the responses (table, squared, white) of the camera to the paints.
+
+    table: (labels, channels) relative to a perfect white; squared: of the squared reflectance (light that met the paint
+    twice); white: its own response (channels,), the largest = 1.
+    """
     lamp = planck_spectrum(FINE_NM, settings.lights.colour_temperature_k)
     weights = sensitivities(FINE_NM, settings.camera.channels) * lamp
     white = weights.sum(axis=1)

@@ -77,7 +77,7 @@ class Tables:
 
 
 def make_tables(thing: SimulatedObject, settings: SimulationSettings, *, with_truth: bool) -> Tables:
-    """The colour tables for sample lights, or for check lights with their truth."""
+    """Make the colour tables for sample lights, or for check lights with their truth."""
     table, squared, response = camera_tables(thing.palette, settings)
     parts, squares, whites = [table], [squared], [np.ones(table.shape[1])]
     if with_truth:
@@ -104,7 +104,7 @@ def bands(settings: SimulationSettings) -> Iterator[slice]:
 
 
 def photograph(thing: SimulatedObject, lamp: Lamp, settings: SimulationSettings, tables: Tables) -> Photograph:
-    """The object under one lamp. Truth is returned where `tables` carry it."""
+    """Photograph the object under one lamp. Truth is returned where `tables` carry it."""
     channels = settings.camera.channels
     shape = (settings.rows, settings.columns)
     codes, lit = np.empty((*shape, channels), np.uint16), np.empty(shape, np.uint8)
@@ -141,7 +141,7 @@ def white_board(lamp: Lamp, settings: SimulationSettings, tables: Tables) -> np.
 
 
 def settings_from(options) -> SimulationSettings:
-    """The settings that the command line asks for."""
+    """Build the settings from the options of the command line."""
     if options.lights_as == "camera":
         raise UserError("--lights-as: of a painting expected direction or position, found camera; choose one")
     rows, columns = PRESETS[options.preset]
@@ -254,7 +254,7 @@ class PaintingTruth(Truth):
         self.group.attrs["label_names"] = list(palette.names)
 
     def add(self, lamp: Lamp, shot: Photograph) -> None:
-        """What one photograph shows."""
+        """Add one photograph."""
         self.group["lit"][self.names.index(lamp.name)] = shot.lit
         if lamp.role == "check":
             for name in ("xyz_lamp", "xyz_d65", "gloss", "body"):

@@ -1,5 +1,4 @@
-"""The plan of a picture, and the default one: a mountain and a red gate over a lake at sunrise, a hem of brocade, a row
-of colour patches.
+"""Plan a picture; the default one is a mountain and a red gate over a lake at sunrise, brocade and patches.
 
 All positions are in units of the picture's height: u to the right from the left edge, v downwards from the top edge.
 """
@@ -32,7 +31,7 @@ class CanvasMap:
 
     @classmethod
     def blank(cls, rows: int, columns: int) -> CanvasMap:
-        """A plan of bare ground."""
+        """Make a plan of bare ground."""
         shape = (rows, columns)
         return cls(
             np.zeros(shape, np.uint8),
@@ -44,7 +43,7 @@ class CanvasMap:
         )
 
     def rows_of(self, band: slice) -> CanvasMap:
-        """A view of some rows."""
+        """Return a view of some rows."""
         return CanvasMap(*(getattr(self, name)[band] for name in self.__dataclass_fields__))
 
     def paint(self, where, region, *, tone=None, direction=None, body=None, group=None, size=None) -> None:
@@ -69,7 +68,7 @@ _PATCH_NAMES = (
 
 
 def plan_landscape(rows: int, columns: int, *, seed: int) -> CanvasMap:
-    """The plan of the picture; bands of rows keep the memory of the intermediate arrays bounded."""
+    """Plan the picture; bands of rows keep the memory of the intermediate arrays bounded."""
     plan = CanvasMap.blank(rows, columns)
     for start in range(0, rows, 256):
         band = slice(start, min(start + 256, rows))

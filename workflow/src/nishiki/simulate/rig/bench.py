@@ -67,7 +67,7 @@ class PaintingBench:
         self.dome = SimulatedDome(folder / "dome", len(self.lamps), self.expose)
 
     def photograph(self, lit: set[int]) -> Path:
-        """What the camera would see now: a photograph of the capture by hand."""
+        """Simulate the camera: a photograph of the capture by hand."""
         if self.subject == "dark" or not lit:
             return self.darks[self.darks_taken % len(self.darks)]
         if len(lit) > 1:

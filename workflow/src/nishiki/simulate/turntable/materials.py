@@ -1,5 +1,4 @@
-"""What each place of the object is made of: enamelled porcelain, woven and gilded parts, lacquer, glaze; and
-how it reflects.
+"""Describe the object's materials: enamelled porcelain, woven and gilded parts, lacquer, glaze.
 
 A material is a row m of 15 numbers: 0-2 albedo of the body (red, green, blue); 3-5 reflectance of a metal at normal
 incidence, 0 where there is none; 6, 7 GGX roughness along and across the tangent; 8 Oren-Nayar roughness, radians;
@@ -53,7 +52,7 @@ def _mix(m, red, green, blue, share):
 
 @numba.njit(cache=True)
 def _flower(m, key, u, v, size):
-    """A chrysanthemum about the middle of a cell: u, v mm from it. True where it covers the ground."""
+    """Draw a chrysanthemum about the middle of a cell: u, v mm from it. True where it covers the ground."""
     bits = hash_uint(key, np.uint64(7))
     u -= 5.0 * (uniform(bits, np.uint64(1)) - 0.5)
     v -= 5.0 * (uniform(bits, np.uint64(2)) - 0.5)
@@ -278,7 +277,7 @@ def _fruit(m, key, x, y, z):
 
 @numba.njit(cache=True)
 def _describe(parts, x, y, z, nx, ny, nz, key, m, slope):
-    """The material at (x, y, z) into m; parts (6,): distances from the parts; slope (2,) is scratch."""
+    """Write the material at (x, y, z) into m; parts (6,): distances from the parts; slope (2,) is scratch."""
     part, least = BODY, 1e300
     for k in range(parts.size):
         if parts[k] < least:
@@ -352,8 +351,10 @@ def _describe_all(start, stop, parts, points, normals, key, out):
 
 
 def describe(parts: np.ndarray, points: np.ndarray, normals: np.ndarray, *, key: int) -> np.ndarray:
-    """Materials (n, NUMBERS) float64 at points (n, 3), mm; parts (n, parts): distances from the parts; normals (n, 3):
-    unit, of the smooth surface."""
+    """Compute materials (n, NUMBERS) float64 at points (n, 3), mm.
+
+    parts (n, parts): distances from the parts; normals (n, 3): unit, of the smooth surface.
+    """
     out = np.zeros((len(points), NUMBERS))
     if len(points):
         arrays = (np.ascontiguousarray(a, np.float64) for a in (parts, points, normals))

@@ -87,7 +87,7 @@ def make_optics(view: Viewpoint, settings: TurntableSettings) -> Optics:
 
 
 def blurred(image: np.ndarray) -> np.ndarray:
-    """A (rows, columns, channels) picture behind the lens: normal point spread of BLUR_PIXELS."""
+    """Blur a picture (rows, columns, channels) by the lens: normal point spread of BLUR_PIXELS."""
     from scipy.ndimage import correlate1d
 
     offsets = np.arange(-3, 4)
@@ -139,7 +139,7 @@ EXPOSURE_S = "0.25"
 
 
 def settings_from(options) -> TurntableSettings:
-    """The settings that the command line asks for."""
+    """Build the settings from the options of the command line."""
     if options.lights_as == "direction":
         raise UserError("--lights-as: on a turntable expected position or camera, found direction; choose one")
     values = dict(PRESETS[options.preset])
@@ -220,13 +220,13 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
 
 
 def scan_of(scene: SimulatedScene, settings: TurntableSettings) -> bytes:
-    """The PLY file that a scanner delivers: the object's own triangles or others, with noise."""
+    """Write the PLY file of a scanner: the object's own triangles or others, with noise."""
     surface = make_surface(settings.scan_triangles) if settings.scan_triangles else scene.surface
     return mesh_bytes(*scanned(surface, noise_mm=settings.scan_noise_mm, seed=settings.seed))
 
 
 def mesh_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
-    """A binary PLY file of a triangle mesh, millimetres, float32."""
+    """Write a binary PLY file of a triangle mesh, millimetres, float32."""
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment simulated scan, millimetres\n"
         f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
@@ -255,7 +255,7 @@ class ObjectTruth(Truth):
             self.make(name, shape, kind)
 
     def add(self, place: int, light: Light) -> None:
-        """What one view shows."""
+        """Add one view."""
         diffuse, specular = components(light, self.settings)
         for name, values in (("diffuse", diffuse), ("specular", specular), ("total", diffuse + specular)):
             self.group[name][place] = values.astype(np.float32)

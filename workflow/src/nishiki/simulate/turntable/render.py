@@ -24,9 +24,12 @@ _GATHERED_RAYS = 1 << 19  # at a time
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Per vertex: seen (v, directions) int32, the vertex that each ray meets, -1 = none; toward (directions, 3) unit
-    directions about z, cosine-distributed, turned by `spin` (v,) radians; albedo (v, 3); shine (v, 2): roughness, and
-    1 for metal; normals (v, 3)."""
+    """Hold the surroundings of each vertex.
+
+    seen (v, directions) int32, the vertex that each ray meets, -1 = none; toward (directions, 3) unit directions about
+    z, cosine-distributed, turned by `spin` (v,) radians; albedo (v, 3); shine (v, 2): roughness, and 1 for metal;
+    normals (v, 3).
+    """
 
     seen: np.ndarray
     toward: np.ndarray
@@ -217,8 +220,11 @@ class Light:
 
 @dataclass(frozen=True)
 class _Points:
-    """Where rays met the object: pixel (n,), its number in the pixel (n,), numbers (n, 4) in [0, 1), points, unit
-    normals, directions of the rays (n, 3), distance (n,), parts (n, parts), indirect irradiance and image (n, 3)."""
+    """Hold the places where rays met the object.
+
+    pixel (n,), its number in the pixel (n,), numbers (n, 4) in [0, 1), points, unit normals, directions of the rays (n,
+    3), distance (n,), parts (n, parts), indirect irradiance and image (n, 3).
+    """
 
     pixel: np.ndarray
     sample: np.ndarray
@@ -233,7 +239,7 @@ class _Points:
 
 
 def make_scene(settings: TurntableSettings) -> SimulatedScene:
-    """The object that the settings describe; the same for any number of threads."""
+    """Make the object that the settings describe; the same for any number of threads."""
     surface = make_surface(settings.triangles)
     tree = make_tree(surface.vertices, surface.triangles)
     around = look_around(surface, tree, directions=settings.directions, seed=settings.seed)
@@ -241,7 +247,7 @@ def make_scene(settings: TurntableSettings) -> SimulatedScene:
 
 
 def see(scene: SimulatedScene, view: Viewpoint, settings: TurntableSettings) -> Light:
-    """The light of one view; pixels are means over their area, without blur and noise."""
+    """Render the light of one view; pixels are means over their area, without blur and noise."""
     indirect, radiosity = bounced(scene.around, irradiance(scene, view), settings.bounces)
     mirror = np.zeros_like(indirect)
     if settings.bounces:
@@ -262,7 +268,7 @@ def see(scene: SimulatedScene, view: Viewpoint, settings: TurntableSettings) -> 
 
 
 def lamp_rays(points: np.ndarray, lamp: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit directions (n, 3) and distances (n,) from points to points of the lamp's disc, which faces them.
+    """Compute unit directions (n, 3) and distances (n,) from points to points of the lamp's facing disc.
 
     a, b in [0, 1) choose the point: share of the disc's area inside its radius, and the angle as a share of a turn.
     """

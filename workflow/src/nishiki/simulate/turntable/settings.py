@@ -85,8 +85,11 @@ PRESETS = {
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """One view. rotation (3, 3): object to camera (x right, y down, z into the scene); centre (3,): the camera, mm;
-    lamp (3,): the lamp's centre, mm, object's frame; focal: pixels; principal: column, row of the optical axis."""
+    """Describe one view.
+
+    rotation (3, 3): object to camera (x right, y down, z into the scene); centre (3,): the camera, mm; lamp (3,): the
+    lamp's centre, mm, object's frame; focal: pixels; principal: column, row of the optical axis.
+    """
 
     name: str
     rotation: np.ndarray
@@ -103,7 +106,7 @@ class Viewpoint:
 
 
 def place_views(settings: TurntableSettings) -> tuple[Viewpoint, ...]:
-    """Views in the order of the turn: each has turned the object on by 360°/views, anticlockwise seen from above."""
+    """List the views in the order of the turn: each turns the object by 360°/views, anticlockwise from above."""
     focal = DISTANCE_MM * min(settings.columns / _WIDTH_MM, settings.rows / _HEIGHT_MM)
     principal = (0.5 * settings.columns - 0.5 + 1.7, 0.5 * settings.rows - 0.5 - 0.9)
     elevation = np.radians(ELEVATION_DEG)

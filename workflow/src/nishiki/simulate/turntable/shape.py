@@ -159,8 +159,11 @@ _CREASE = 0.9  # cosine between the gradient and the mean normal of the triangle
 
 @dataclass(frozen=True)
 class Surface:
-    """vertices (v, 3) float64 mm; triangles (f, 3) int32, counter-clockwise seen from outside; normals (v, 3) float64,
-    unit, of the smooth surface; parts (v, parts) float64, distances from the parts, which decide the material."""
+    """Hold the surface.
+
+    vertices (v, 3) float64 mm; triangles (f, 3) int32, counter-clockwise seen from outside; normals (v, 3) float64,
+    unit, of the smooth surface; parts (v, parts) float64, distances from the parts, which decide the material.
+    """
 
     vertices: np.ndarray
     triangles: np.ndarray
@@ -169,7 +172,7 @@ class Surface:
 
 
 def make_surface(triangles: int) -> Surface:
-    """The object with about so many triangles (within some 5 %)."""
+    """Make the object with about this number of triangles (within some 5 %)."""
     # The number of triangles grows with 1/spacing²; two coarser rounds tell the factor well enough.
     spacing = _COARSE_MM
     for _ in range(2):
