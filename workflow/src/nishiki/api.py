@@ -3,8 +3,6 @@
 The workflow works band by band on files; these functions hold one capture or one object in memory.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -257,7 +255,7 @@ def save_picture(path: str | Path, linear: np.ndarray, *, exposure: float = 1.0)
         raise UserError(f"{path}: expected a name that ends in .png or .exr")
 
 
-def read_object(folder: str | Path) -> DecodedObject:
+def read_object(folder: str | Path) -> "DecodedObject":
     """Open a digitised and coded object: mesh, reflection model, and the residual that is decoded on demand.
 
     Parameters
@@ -310,7 +308,7 @@ def read_object(folder: str | Path) -> DecodedObject:
 
 
 def render_view(
-    decoded: DecodedObject, view: str, *, lights: dict[str, float] | None = None, predicted: bool = False
+    decoded: "DecodedObject", view: str, *, lights: dict[str, float] | None = None, predicted: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """Render a captured view of a coded object, from its own residual or from that of its neighbours.
 

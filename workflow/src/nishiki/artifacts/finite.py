@@ -5,8 +5,6 @@ every JSON and CSV file. NaN is let through in Zarr arrays only whose attribute 
 map has no error where there is no truth); infinity never.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

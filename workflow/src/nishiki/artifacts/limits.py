@@ -6,8 +6,6 @@ on with a warning, which stands at the head of the report. The setting `allow` o
 result may exceed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Place every surface point in one of many equal tiles of texels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,7 +54,7 @@ class Atlas:
         np.savez_compressed(path, **{name: np.asarray(getattr(self, name)) for name in self.__dataclass_fields__})
 
     @classmethod
-    def load(cls, path: Path) -> Atlas:
+    def load(cls, path: Path) -> "Atlas":
         """Read what `save` wrote."""
         arrays = load_arrays(path)
         return cls(int(arrays.pop("size")), **arrays)

@@ -5,8 +5,6 @@ turntable's axis; small pieces go to their neighbours; and where the projection 
 triangle over, or lays one onto another, the piece is split. What is left is a bijection from every chart to the plane.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Measure the density of pixels on each triangle, and how well an atlas serves it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numba

@@ -1,7 +1,5 @@
 """Reading texel stacks and pixel samples, tile by tile."""
 
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Compute the surface point behind every texel, and sample what a view shows there."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numba

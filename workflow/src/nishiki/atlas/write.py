@@ -1,7 +1,5 @@
 """Writing texel stacks and pixel samples: one view at a time, tile by tile within it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -15,8 +15,6 @@ ACM Transactions on Graphics 37 (6); D by power iteration: J. Dupuy et al. (2015
 parameters from arbitrary materials with power iterations, Computer Graphics Forum 34 (4).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
@@ -64,7 +62,7 @@ class HalfVectorTable:
         return self.values.shape[2]
 
     @classmethod
-    def of(cls, evaluate: Evaluate) -> HalfVectorTable:
+    def of(cls, evaluate: Evaluate) -> "HalfVectorTable":
         """The table of a BRDF."""
         theta = np.linspace(0, LOWEST, INCIDENT)
         phi = np.linspace(-np.pi, np.pi, AZIMUTHS)

@@ -8,8 +8,6 @@ the noise alone, whatever the surface looks like, and for a camera that counts e
 with gain in electrons a code (photon transfer: Janesick, Photon Transfer, 2007; EMVA Standard 1288).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

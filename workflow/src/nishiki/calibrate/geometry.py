@@ -9,8 +9,6 @@ with p its place in the camera's frame. For one axis all points of the axis fulf
 leave open is the axis. For two axes or more that meet, c is the one point where they do.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

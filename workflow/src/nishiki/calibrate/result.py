@@ -1,7 +1,5 @@
 """Read the photographs of a calibration, and write its result: numbers, files for captures, and a page."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """From photographs of mirror spheres to the result of their calibration: files, numbers, and the page to judge by."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ The target is the ColorChecker Classic with 24 patches. Its reference colours fo
 charts (BabelColor, as tabulated in colour-science), or from a table of the chart's own.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 

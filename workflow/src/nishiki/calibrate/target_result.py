@@ -1,7 +1,5 @@
 """From the photograph of a colour target to the result of its calibration, with the page that shows it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

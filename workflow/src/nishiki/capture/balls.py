@@ -1,7 +1,5 @@
 """Photographs of an object beside mirror balls and without a lights file: the lamps are measured on the balls."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 

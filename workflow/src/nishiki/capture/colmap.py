@@ -6,8 +6,6 @@ points of the camera to the world; the camera's axes are OpenGL's (x right, y up
 radians; k1, k2, p1, p2, k3 are Brown's, as OpenCV orders them. A frame may have its own.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """An existing folder of photographs and lamps made into a capture folder; the sources are only read."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable

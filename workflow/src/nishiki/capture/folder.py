@@ -1,7 +1,5 @@
 """A capture folder as one frozen value: what was photographed, how, under which lamps."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """frames.csv: which photograph is what, and what captures of all geometries have in common."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import os

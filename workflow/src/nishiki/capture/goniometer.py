@@ -1,7 +1,5 @@
 """A goniometer capture: its description, whether its tables belong together, and the capture as one frozen value."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,7 +58,7 @@ class Goniometer(Closed):
         return names
 
     @model_validator(mode="after")
-    def _agree(self) -> Goniometer:
+    def _agree(self) -> "Goniometer":
         if self.table and self.regions:
             raise ValueError("a table of reflectances has no regions: they are places in photographs")
         if not self.table and (self.values, self.azimuths) != ("brdf", "cloth"):
@@ -96,7 +94,7 @@ class GoniometerFile(Session):
         return parsed
 
     @model_validator(mode="after")
-    def _one_a_channel(self) -> GoniometerFile:
+    def _one_a_channel(self) -> "GoniometerFile":
         given, count = self.goniometer.white_reflectance, len(self.camera.channels)
         if isinstance(given, tuple) and len(given) != count and self.goniometer.table is None:
             raise ValueError(f"goniometer.white_reflectance has {len(given)} values for {count} camera.channels")

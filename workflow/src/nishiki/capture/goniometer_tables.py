@@ -1,7 +1,5 @@
 """Tables of reflectances against angles: reading them, in every unit, and writing them as captures."""
 
-from __future__ import annotations
-
 import re
 from array import array
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Recognised layouts of planes, turntables and tables of reflectances written as capture folders."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from dataclasses import dataclass, replace

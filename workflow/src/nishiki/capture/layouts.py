@@ -1,7 +1,5 @@
 """Folders of photographs as other projects leave them: which picture belongs to which lamp."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

@@ -5,8 +5,6 @@ commas, commas or semicolons between the numbers, Windows paths, quoted names wi
 are not of unit length, byte-order marks and blank lines. All are read; what cannot be is an error that names the line.
 """
 
-from __future__ import annotations
-
 import codecs
 import io
 import math

@@ -4,8 +4,6 @@ The photographs, reduced to a few hundred samples, are fitted by Lambert's law w
 is left, the width of the picture in the unit of the lamps, and the strengths tell which reading is right.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Options of `convert`, which every reader of a folder layout gets, and their checks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path

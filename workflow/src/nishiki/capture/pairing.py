@@ -9,8 +9,6 @@ A band is told by a wavelength (`lamp03_450nm.tif`, `450/lamp03.tif`), a colour 
 (`L3_band2.tif`). What is left of the name is the lamp's.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence

@@ -16,8 +16,6 @@ against OpenCV's. Files of PhotoScan before 1.2 state fx, fy, skew and a princip
 in OpenCV's order.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from xml.etree import ElementTree

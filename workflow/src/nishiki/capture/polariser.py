@@ -1,7 +1,5 @@
 """States of the polarisers of one photograph, and whether the states of a capture can be separated."""
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Photographs whose cameras another program found: their files, lenses and poses, and whether these can be."""
 
-from __future__ import annotations
-
 import math
 import re
 import struct
@@ -45,7 +43,7 @@ class RegisteredView:
     lens: Intrinsics
 
     @classmethod
-    def of(cls, name: str, size: tuple[int, int], lens: Intrinsics, pose: np.ndarray) -> RegisteredView:
+    def of(cls, name: str, size: tuple[int, int], lens: Intrinsics, pose: np.ndarray) -> "RegisteredView":
         """size: rows, columns; pose: (3, 4) from world to camera."""
         return cls(name, *size, np.array(lens.as_dict()["matrix"]) @ pose, lens)
 

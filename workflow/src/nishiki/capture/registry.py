@@ -4,8 +4,6 @@ A further layout is one entry here and one module with its two functions. The fi
 evidence is read, so that lamps come before cameras, and photographs before what was computed from them.
 """
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

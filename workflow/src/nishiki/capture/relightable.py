@@ -4,8 +4,6 @@ Unless the user names them, the lamps are ours: RINGS around the normal, within 
 interpolates. Of several that were tried on photographs these give the best normals (docs/notes/imports.md).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

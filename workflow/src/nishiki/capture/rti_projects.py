@@ -15,8 +15,6 @@ spheres), `jpeg-exports` (the photographs that it worked on), and perhaps `cropp
 `original-captures` (raw or TIFF) and `finished-files` (`.ptm`, `.rti`).
 """
 
-from __future__ import annotations
-
 import math
 import re
 import shlex
@@ -142,7 +140,7 @@ class _DomeLamps:
     def read_as(self) -> str:
         return self.kind if self.directions is None else "position_mm"
 
-    def of(self, chosen: list[int]) -> _DomeLamps:
+    def of(self, chosen: list[int]) -> "_DomeLamps":
         far = None if self.directions is None else self.directions[chosen]
         return replace(self, vectors=self.vectors[chosen], directions=far)
 
@@ -285,7 +283,7 @@ class RtiProject:
     folders: dict[str, Path]
 
     @classmethod
-    def of(cls, source: Path) -> RtiProject | None:
+    def of(cls, source: Path) -> "RtiProject | None":
         """The project in a folder, known by `assembly-files` or `jpeg-exports`; None where there is neither.
 
         None, too, where only the folder itself holds pictures: those of the project may be lost, or never were.

@@ -1,7 +1,5 @@
 """The closed schema of capture.yaml: every key that may appear, with its unit, range and meaning."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -42,7 +40,7 @@ class CaptureFile(Session):
     rendered_from: str | None = None
 
     @model_validator(mode="after")
-    def _pitch_for_positions(self) -> CaptureFile:
+    def _pitch_for_positions(self) -> "CaptureFile":
         if self.lights.kind == "position_mm" and self.pixel_pitch_mm is None:
             raise ValueError("lights of kind position_mm need pixel_pitch_mm (millimetres a pixel on the object)")
         return self

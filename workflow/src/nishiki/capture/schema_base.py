@@ -1,7 +1,5 @@
 """What capture.yaml of every geometry shares, and how such a file is read: closed models, and errors in plain words."""
 
-from __future__ import annotations
-
 import re
 from datetime import date as Date
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sealing a capture: a BagIt bag (RFC 8493) whose manifest says what every file was when it was sealed."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

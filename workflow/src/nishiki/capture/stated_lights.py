@@ -4,8 +4,6 @@ A file that can be read in two ways is decided by the photographs (see `lights_e
 that say which it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from pathlib import Path

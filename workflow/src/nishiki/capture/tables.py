@@ -1,7 +1,5 @@
 """Tables of a capture beside frames.csv: projection matrices, points found in pictures, spectra."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Photographs taken over into a capture folder: their names, their channels, copies or hard links."""
 
-from __future__ import annotations
-
 import csv
 import io
 import os

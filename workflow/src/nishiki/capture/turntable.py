@@ -1,7 +1,5 @@
 """A capture of an object from many sides, or of one view under several polariser states, as one frozen value."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Folders of turntables and polarisation series as other projects leave them: which camera took which picture."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The description of a turntable, and whether its tables belong together: frames, views, lamps, states, cameras."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from itertools import product
@@ -51,7 +49,7 @@ class Board(Closed):
         return name
 
     @model_validator(mode="after")
-    def _possible(self) -> Board:
+    def _possible(self) -> "Board":
         if self.marker_mm >= self.square_mm:
             raise ValueError("marker_mm must be smaller than square_mm: a marker lies inside its square")
         needed = self.squares_x * self.squares_y // 2
@@ -70,7 +68,7 @@ class TurntableLights(Closed):
     file: str | None = None
 
     @model_validator(mode="after")
-    def _file_where_needed(self) -> TurntableLights:
+    def _file_where_needed(self) -> "TurntableLights":
         if self.kind == "camera" and self.file:
             raise ValueError("lights of kind camera have no file: the lamp stands beside the camera")
         if self.kind != "camera" and not self.file:
@@ -137,7 +135,7 @@ class TurntableFile(Session):
         return None
 
     @model_validator(mode="after")
-    def _positions_need_a_unit(self) -> TurntableFile:
+    def _positions_need_a_unit(self) -> "TurntableFile":
         if self.lights and self.lights.kind == "position_mm" and self.turntable.unit == "arbitrary":
             raise ValueError("lights of kind position_mm need turntable.unit to be mm, cm or m")
         return self

@@ -4,8 +4,6 @@ Every tile is solved at the same step, so that a bit buys the same error everywh
 what is sought is smooth and monotone in the logarithm of the step, so a secant finds it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -76,7 +74,7 @@ class Sparse:
     values: np.ndarray
 
     @classmethod
-    def of(cls, block: np.ndarray) -> Sparse:
+    def of(cls, block: np.ndarray) -> "Sparse":
         """Keep the entries that are not zero."""
         places = np.flatnonzero(block)
         return cls(block.shape, places.astype(np.int32), block.ravel()[places])

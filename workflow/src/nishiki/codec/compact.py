@@ -5,8 +5,6 @@ walks over the surface from edge to edge and predicts each position from its nei
 come back in the order of that walk.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass

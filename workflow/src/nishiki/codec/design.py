@@ -4,8 +4,6 @@ A tile is seen from an arc of the turn. Views outside the arc cost nothing: they
 it (held-out views, occlusion) are invisible samples, which the solver fills.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, field, fields
 from functools import lru_cache
 
@@ -163,7 +161,7 @@ class Design:
         return asdict(self)
 
     @classmethod
-    def from_dict(cls, values: dict) -> Design:
+    def from_dict(cls, values: dict) -> "Design":
         """Inverse of `as_dict`. UserError where keys are missing or unknown: another version wrote them."""
         names = {f.name for f in fields(cls)}
         if set(values) != names:

@@ -8,8 +8,6 @@ channels before, the bands of the same level before, and the place of the band. 
 tile is the same, trained on the object itself and stored once (`train`), so that tiles are independent.
 """
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import dataclass
 
@@ -43,7 +41,7 @@ class Model:
     rounded: tuple = ()
 
     @classmethod
-    def untrained(cls) -> Model:
+    def untrained(cls) -> "Model":
         """Return the initial assumption: ones are rare."""
         chance = np.full(CONTEXTS, 1 << 20, np.int64)
         weights = np.zeros((GROUPS, INPUTS), np.int64)

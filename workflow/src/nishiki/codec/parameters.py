@@ -8,8 +8,6 @@ they are corrected until the *picture* of the model is right, through the render
 the texture goes, once instead of once a view.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -12,8 +12,6 @@ The unary part (number of digits), the sign and the digit after the leading one 
 own, one set a context; further digits cost a bit each. The bits go through the range coder of the residual.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

@@ -5,8 +5,6 @@ beside (`entropy`). Here the same neighbours, those still to come included, are 
 block's own coefficients are zero under each grade and level tells the bits.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

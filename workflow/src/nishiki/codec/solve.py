@@ -16,8 +16,6 @@ that graze it; one step length for all, as iterative thresholding has it, must f
 others need.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -44,7 +42,7 @@ class Footprints:
     shape: tuple[int, int, int]
 
     @classmethod
-    def of(cls, observation: np.ndarray, s: np.ndarray, t: np.ndarray, shape: tuple[int, int, int]) -> Footprints:
+    def of(cls, observation: np.ndarray, s: np.ndarray, t: np.ndarray, shape: tuple[int, int, int]) -> "Footprints":
         """Build footprints from row s (n,) in [0, rows - 1] and column t (n,) in [0, columns - 1] of a block.
 
         shape: (observations, rows, columns) of the block.
@@ -127,7 +125,7 @@ class Operator:
     norm: float
 
     @classmethod
-    def of_pixels(cls, feet: Footprints) -> Operator:
+    def of_pixels(cls, feet: Footprints) -> "Operator":
         """Build the operator of the image domain: A is the look-up at the pixels."""
         return cls(feet.look_up, feet.spread, float(feet.density().max(initial=0)))
 

@@ -5,8 +5,6 @@
 The index holds, per tile, its extent and the length of each stream; a tile without streams takes no byte beyond it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import struct

@@ -1,7 +1,5 @@
 """One tile from pixels to integers and from integers to texels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial

@@ -10,8 +10,6 @@ corner), the observation axis by frequency. The basis vectors have unit length, 
 inverse is the transpose and the energy of what is left out is the error (Parseval).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -31,7 +29,7 @@ class SparseRows:
     weight: np.ndarray
 
     @classmethod
-    def of(cls, matrix: np.ndarray) -> SparseRows:
+    def of(cls, matrix: np.ndarray) -> "SparseRows":
         """Keep the entries above 1e-15."""
         kept = np.abs(matrix) > NEGLIGIBLE
         width = max(1, int(kept.sum(axis=1).max()))

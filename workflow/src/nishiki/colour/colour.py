@@ -15,8 +15,6 @@ The transfer curve of sRGB (IEC 61966-2-1):
 In the capture's encoding pictures are compared and residuals are coded.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

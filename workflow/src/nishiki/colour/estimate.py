@@ -9,8 +9,6 @@ the training set: the colour differences between its spectra and what the estima
 spectra whose responses lie nearest to a pixel's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 
@@ -83,7 +81,7 @@ class SpectralEstimator:
         return {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
 
     @classmethod
-    def from_arrays(cls, arrays) -> SpectralEstimator:
+    def from_arrays(cls, arrays) -> "SpectralEstimator":
         """Restore the estimator that `to_arrays` wrote, from any mapping of names to arrays."""
         scalars = {"method": str, "ill_conditioned": bool}
         values = {}

@@ -1,7 +1,5 @@
 """Fit each method of spectral estimation, and bring it to one form: a basis, a linear map, a correction."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -5,8 +5,6 @@ kernels (any number of channels). The loops release the interpreter lock instead
 over slices of the pixels run as fast, and compile in half the time.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

@@ -6,8 +6,6 @@ of the response predicts it. Kernel ridge regression with a compact kernel learn
 responses it returns exactly zero, which leaves the Wiener estimate.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Every spectrum inside the project is an array whose last axis is `WAVELENGTHS_NM`: 400 to 700 nm every 5 nm, 61 bands.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

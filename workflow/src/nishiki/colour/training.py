@@ -15,8 +15,6 @@ have yellowed, laid thick or as a glaze over a white ground, and seen through th
 Deterministic for a seed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

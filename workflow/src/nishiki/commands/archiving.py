@@ -1,7 +1,5 @@
 """Commands for the archive of results: verify, pack, prune."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterable
@@ -114,7 +112,7 @@ def _verify_crate(path: Path, threads: int, as_json: bool) -> int:
     return problems
 
 
-def _print_damages(damages: Iterable[Damage], as_json: bool) -> set[Path]:
+def _print_damages(damages: "Iterable[Damage]", as_json: bool) -> set[Path]:
     """Tell each damage; folders of the artifacts that have one."""
     unsound = set()
     for damage in damages:
@@ -124,14 +122,14 @@ def _print_damages(damages: Iterable[Damage], as_json: bool) -> set[Path]:
     return unsound
 
 
-def _print_damage(damage: Damage, as_json: bool) -> None:
+def _print_damage(damage: "Damage", as_json: bool) -> None:
     if as_json:
         print(json.dumps({name: str(value or "") for name, value in asdict(damage).items()}))
     else:
         print(damage)
 
 
-def _summary(targets: AuditTargets, counts: Counts, as_json: bool) -> None:
+def _summary(targets: "AuditTargets", counts: "Counts", as_json: bool) -> None:
     if as_json:
         others = {"unfinished": len(targets.unfinished), "set_aside": len(targets.aside)}
         print(json.dumps({**asdict(counts), **others, "sound": not counts.problems}))
@@ -193,7 +191,7 @@ def expect_outside(target: Path, results: Path) -> None:
             raise UserError(f"{target}: inside the sealed capture {parent}. Remedy: another folder")
 
 
-def _scene(flow: Workflow, name: str, plan: Plan) -> PackedScene:
+def _scene(flow: "Workflow", name: str, plan: "Plan") -> "PackedScene":
     from nishiki.archive.crate import capture_method
     from nishiki.archive.pack import PackedScene
     from nishiki.capture.folder import payload_of
@@ -227,7 +225,7 @@ def _scene(flow: Workflow, name: str, plan: Plan) -> PackedScene:
     )
 
 
-def _artifacts(flow: Workflow, name: str, plan: Plan) -> list[Artifact]:
+def _artifacts(flow: "Workflow", name: str, plan: "Plan") -> "list[Artifact]":
     """List the artifacts of a scene, each made from the others. Raises UserError where a run has to come first."""
     from nishiki.artifacts.artifact import open_artifact
 
@@ -277,7 +275,7 @@ def prune(configfiles, sweeps, unnamed, delete, as_json, gone) -> int:
     return status
 
 
-def _referenced(configurations: tuple[str, ...], sweeps: tuple[str, ...]) -> list[tuple[Path, set[Place], set[str]]]:
+def _referenced(configurations: tuple[str, ...], sweeps: tuple[str, ...]) -> "list[tuple[Path, set[Place], set[str]]]":
     """Results folders with what all configurations and sweeps ask for, and the names of the sweeps."""
     from nishiki.engine.project import load_yaml
     from nishiki.engine.sweep_plan import configuration_of, read_sweep
@@ -325,7 +323,7 @@ def _note(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def _tell(pruning: Pruning, as_json: bool) -> None:
+def _tell(pruning: "Pruning", as_json: bool) -> None:
     for what, items in (("remove", pruning.remove), ("keep", pruning.keep), ("left alone", pruning.left_alone)):
         for item in items:
             _tell_item(what, item, as_json)
@@ -336,7 +334,7 @@ def _tell(pruning: Pruning, as_json: bool) -> None:
         print(f"in all {len(pruning.remove)} folders, {_size(total)}. Nothing was removed; --delete removes them")
 
 
-def _tell_item(what: str, item: Item, as_json: bool) -> None:
+def _tell_item(what: str, item: "Item", as_json: bool) -> None:
     from nishiki.archive.survey import shown
 
     if as_json:
@@ -345,7 +343,7 @@ def _tell_item(what: str, item: Item, as_json: bool) -> None:
         print(f"{what:10} {_size(item.bytes):>10}  {shown(item.folder)}  ({shown(item.why)})")
 
 
-def _delete(pruning: Pruning, as_json: bool) -> int:
+def _delete(pruning: "Pruning", as_json: bool) -> int:
     from nishiki.archive.prune import remove
     from nishiki.archive.survey import shown
 

@@ -1,7 +1,5 @@
 """Commands that look and change nothing: plan, explain, schema; and the state of a stage."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +15,7 @@ if TYPE_CHECKING:
     from nishiki.stages.base import SceneFacts
 
 
-def planned_workflow(configfile: str, scene: str | None = None, **how) -> Workflow:
+def planned_workflow(configfile: str, scene: str | None = None, **how) -> "Workflow":
     """Return the plans of a configuration, or of one of its scenes."""
     from nishiki.engine.project import load_yaml
     from nishiki.engine.workflow import Workflow
@@ -37,7 +35,7 @@ def plan(scene: str | None, configfile: str, as_json: bool) -> None:
         print(json.dumps(summary, sort_keys=True) if as_json else text_of(summary))
 
 
-def scene_plan(flow: Workflow, name: str) -> dict[str, Any]:
+def scene_plan(flow: "Workflow", name: str) -> dict[str, Any]:
     """Everything that the plan of a scene says, as plain values."""
     from nishiki.capture.folder import load_capture
     from nishiki.observations.region import usage_of
@@ -64,7 +62,7 @@ def scene_plan(flow: Workflow, name: str) -> dict[str, Any]:
     }
 
 
-def expect_packages(flow: Workflow) -> None:
+def expect_packages(flow: "Workflow") -> None:
     """UserError where a stage that would run needs a package that is not installed; video has a way without it."""
     for name, made in flow.plans.items():
         for stage, packages in made.packages.items():
@@ -76,7 +74,7 @@ def expect_packages(flow: Workflow) -> None:
                 )
 
 
-def _stage(flow: Workflow, made: Plan, scene: str, stage: str) -> dict[str, Any]:
+def _stage(flow: "Workflow", made: "Plan", scene: str, stage: str) -> dict[str, Any]:
     from nishiki.stages.table import CHAIN
 
     state, reasons = stage_state(flow, scene, stage)
@@ -92,7 +90,7 @@ def _stage(flow: Workflow, made: Plan, scene: str, stage: str) -> dict[str, Any]
     }
 
 
-def described(facts: SceneFacts) -> str:
+def described(facts: "SceneFacts") -> str:
     """One line on a capture: its size and how many lights, views, polariser states or pairs of directions it has."""
     channels = f"{facts.channels} channel{'s' * (facts.channels > 1)}"
     if facts.geometry == "goniometer":
@@ -168,7 +166,7 @@ def _package_lines(packages: dict[str, Any]) -> list[str]:
     return lines + [f"  {name} is not installed. Remedy: {how}" for name, how in packages["missing"].items()]
 
 
-def stage_state(flow: Workflow, scene: str, stage: str) -> tuple[str, list[str]]:
+def stage_state(flow: "Workflow", scene: str, stage: str) -> tuple[str, list[str]]:
     """State of a stage (done | run) and the reasons to run."""
     from nishiki.artifacts.artifact import open_artifact
     from nishiki.artifacts.provenance import differences
@@ -189,7 +187,7 @@ def stage_state(flow: Workflow, scene: str, stage: str) -> tuple[str, list[str]]
     return ("run" if reasons else "done"), reasons
 
 
-def _upstream_reasons(flow: Workflow, scene: str, stage: str, artifact: Artifact) -> list[str]:
+def _upstream_reasons(flow: "Workflow", scene: str, stage: str, artifact: "Artifact") -> list[str]:
     from nishiki.artifacts.artifact import open_artifact
     from nishiki.stages.table import CHAIN
 
@@ -206,7 +204,7 @@ def _upstream_reasons(flow: Workflow, scene: str, stage: str, artifact: Artifact
     return reasons
 
 
-def _nearest(folder: Path, flow: Workflow, scene: str, stage: str) -> list[str]:
+def _nearest(folder: Path, flow: "Workflow", scene: str, stage: str) -> list[str]:
     """List the differences from the newest artifact of the same stage."""
     from nishiki.artifacts.artifact import MANIFEST
     from nishiki.artifacts.provenance import differences
@@ -239,7 +237,7 @@ def explain(scene: str | None, configfile: str, keys: tuple[str, str] | None) ->
         _explain_scene(flow, name, made)
 
 
-def _explain_scene(flow: Workflow, name: str, made: Plan) -> None:
+def _explain_scene(flow: "Workflow", name: str, made: "Plan") -> None:
     for stage in made.stages:
         state, reasons = stage_state(flow, name, stage)
         print(f"{name}/{stage}: {'will run' if state == 'run' else 'up to date'}")

@@ -1,7 +1,5 @@
 """The command view: a scene's interactive viewer or report, or the page of all scenes, in the browser."""
 
-from __future__ import annotations
-
 import functools
 import http.server
 import json
@@ -59,7 +57,7 @@ def view(scene, configfile, port, print_only, other) -> None:
     serve(Path(flow.results), page, port, open_browser=not print_only, query=query)
 
 
-def beside(flow: Workflow, page: Path, scene: str | None, other: str) -> tuple[Path, str]:
+def beside(flow: "Workflow", page: Path, scene: str | None, other: str) -> tuple[Path, str]:
     """Return a viewer's page and the address with the other page, of --beside, left of its divider.
 
     Raises
@@ -86,7 +84,7 @@ def beside(flow: Workflow, page: Path, scene: str | None, other: str) -> tuple[P
     return page, "?" + urllib.parse.urlencode({"beside": address})
 
 
-def page_of(flow: Workflow, scene: str, *, first: str = "") -> Path:
+def page_of(flow: "Workflow", scene: str, *, first: str = "") -> Path:
     """Return the page `first` of a scene, else its viewer, else its report.
 
     Raises
@@ -103,7 +101,7 @@ def page_of(flow: Workflow, scene: str, *, first: str = "") -> Path:
     raise UserError(f"{current}: neither viewer nor report of scene {scene!r} is there. Remedy: ./nishiki run")
 
 
-def write_index(flow: Workflow, why: Mapping[str, str] | None = None) -> Path:
+def write_index(flow: "Workflow", why: Mapping[str, str] | None = None) -> Path:
     """Write the page of all scenes into the folder of the results.
 
     Parameters
@@ -140,7 +138,7 @@ def write_index(flow: Workflow, why: Mapping[str, str] | None = None) -> Path:
     return page
 
 
-def card_of(flow: Workflow, scene: str, why: str):
+def card_of(flow: "Workflow", scene: str, why: str):
     """Build the card of a planned scene (`nishiki.report.page.SceneCard`)."""
     from nishiki.artifacts.artifact import INDEX
 

@@ -8,8 +8,6 @@ Nothing is deleted: a folder that is set aside keeps its files under `<key>.set-
 know what happened; `./nishiki prune` lists it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -6,8 +6,6 @@ on this machine, belongs to a dead run: that is proof, and no clock is asked. Th
 nothing here. One lock serves all scenes of a run: a lock a scene would need as many open files.
 """
 
-from __future__ import annotations
-
 import fcntl
 import getpass
 import json

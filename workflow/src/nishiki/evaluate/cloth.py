@@ -1,7 +1,5 @@
 """Compare predicted and measured reflectance of a cloth, by incidence and in the plane of incidence."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

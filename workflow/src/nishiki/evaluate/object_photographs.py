@@ -1,7 +1,5 @@
 """The counterparts of rendered pictures: photographs, silhouettes, and the truth of a simulated capture."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

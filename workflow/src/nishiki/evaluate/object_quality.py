@@ -1,7 +1,5 @@
 """How near rendered views are to photographs, in the capture's own encoding: figures and pictures of each view."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 
@@ -35,7 +33,7 @@ class Difference:
             return None
         return float(10 * np.log10(PEAK * PEAK * self.samples / self.squares))
 
-    def __add__(self, other: Difference) -> Difference:
+    def __add__(self, other: "Difference") -> "Difference":
         return Difference(
             self.squares + other.squares,
             self.samples + other.samples,

@@ -6,8 +6,6 @@ even and odd bytes, differenced, and packed by zlib; the library in use takes an
 header in text, and float32 samples by rows, in each row by bands (BIL).
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -52,7 +50,7 @@ class EnviWriter:
         )
         self._file = open(path, "wb")
 
-    def __enter__(self) -> EnviWriter:
+    def __enter__(self) -> "EnviWriter":
         return self
 
     def __exit__(
@@ -212,7 +210,7 @@ class ExrWriter:
         self._table = self._file.tell()
         self._file.write(bytes(8 * -(-rows // BLOCK_ROWS)))
 
-    def __enter__(self) -> ExrWriter:
+    def __enter__(self) -> "ExrWriter":
         return self
 
     def __exit__(

@@ -6,8 +6,6 @@ y = (a x + b)^g + e from x = d on, y = c x + f below; or a table over equal step
 matrix profiles with one power law.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -98,7 +96,7 @@ class Curve:
         g, a, b, c, d, e, f = self.formula
         return np.where(codes >= d, np.maximum(a * codes + b, 0) ** g + e, c * codes + f)
 
-    def differs_from(self, other: Curve) -> bool:
+    def differs_from(self, other: "Curve") -> bool:
         """Whether the two give different light, by more than `SAME`."""
         steps = np.linspace(0, 1, 257)
         return bool(np.abs(self.decode(steps) - other.decode(steps)).max() > SAME)
@@ -143,7 +141,7 @@ class Coding:
         matrix = np.linalg.solve(np.array(SRGB_XYZ), np.array(self.to_xyz))
         return None if np.allclose(matrix, np.eye(3), atol=SAME) else matrix
 
-    def differs_from(self, other: Coding) -> bool:
+    def differs_from(self, other: "Coding") -> bool:
         """Whether the two stand for different light: another curve or other primaries."""
         if self.curve.differs_from(other.curve):
             return True

@@ -1,7 +1,5 @@
 """What a camera wrote beside a photograph: exposure, orientation, colour space, model (Exif 2.32, CIPA DC-008)."""
 
-from __future__ import annotations
-
 import io
 import logging
 import os

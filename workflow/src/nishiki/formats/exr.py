@@ -3,8 +3,6 @@
 A channel is called LAYER.NAME (OpenEXR Technical Introduction); alpha, depth and identifiers are no light.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from typing import Any, BinaryIO

@@ -4,8 +4,6 @@ How large what comes from outside may be stands in one table, BOUNDS. A bound is
 before anything of that size is read, decoded or allocated. All are far above what captures hold.
 NISHIKI_BOUNDS="name=value,name=value" raises (or lowers) some for one run."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

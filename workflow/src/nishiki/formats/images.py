@@ -3,8 +3,6 @@
 A damaged or hostile header may claim any size; what it claims is compared with what the file can hold and with the
 bounds of `nishiki.formats.files`, and only then is the file decoded. Channels come in the order red, green, blue."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

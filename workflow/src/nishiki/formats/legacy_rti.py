@@ -21,8 +21,6 @@ and biases as float32, lowest byte first, and the picture from its top row, each
 blue: coefficient = byte / 255 scale + bias, for values 0 to 1.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -238,7 +236,7 @@ class PtmStreams:
     corrections: tuple[int, ...]
 
     @classmethod
-    def of(cls, heading: TextHeading, count: int) -> PtmStreams:
+    def of(cls, heading: TextHeading, count: int) -> "PtmStreams":
         """Read the lists of the heading, for so many streams. Refused where they cannot be followed."""
         heading.integers(1)  # the encoder's quality
         transforms, right, down, order, references, sizes, corrections = (heading.integers(count) for _ in range(7))

@@ -4,8 +4,6 @@ The cut lies midway between the darkest and the lightest value, so that video ra
 compression do not move it. A shape that is painted in the alpha channel counts where the colours have none.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

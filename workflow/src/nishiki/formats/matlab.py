@@ -1,7 +1,5 @@
 """Numbers from MATLAB files up to level 7, by variable: scipy reads them in the process that decodes pictures."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from pathlib import Path

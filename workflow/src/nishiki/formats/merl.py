@@ -12,8 +12,6 @@ arrays, lowest byte first. UTIA: doubles without a heading, (channel, theta_i, p
 Vavra (2014), Template-based sampling of anisotropic BRDFs, Computer Graphics Forum 33 (7)).
 """
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

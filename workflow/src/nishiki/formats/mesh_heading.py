@@ -3,8 +3,6 @@
 PLY as described by G. Turk (The PLY Polygon File Format, Stanford, 1994).
 """
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import dataclass, field

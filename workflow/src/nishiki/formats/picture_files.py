@@ -5,8 +5,6 @@ Files are read from an open handle and never by name. A damaged one may raise an
 stay as the sensor wrote them: the orientation is told and not applied.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -103,7 +101,7 @@ class Picture:
     decode: Callable[[Wanted, Output], np.ndarray]
     profile: bytes = b""
 
-    def coded(self, coding: Coding | None = None) -> Picture:
+    def coded(self, coding: Coding | None = None) -> "Picture":
         """This picture with the coding of its profile, else the given one, else that of its Exif block."""
         coding = icc_coding(self.profile) if self.profile else coding or exif_coding(self.header.exif.colour_space)
         if coding is None or not coding.developed:

@@ -6,8 +6,6 @@ which the system enforces: address space, from what the header claims, and proce
 child that exceeds them, or whose decoder breaks down, costs one CaptureError; the next request starts another child.
 """
 
-from __future__ import annotations
-
 import atexit
 import json
 import mmap

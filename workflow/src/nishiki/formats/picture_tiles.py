@@ -5,8 +5,6 @@ the largest that fits into one tile, not a single pixel), and that of IIIF's Ima
 `REGION/SIZE/0/default.jpg`).
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

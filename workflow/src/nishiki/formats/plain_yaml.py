@@ -4,8 +4,6 @@ An alias stands for its anchor's whole content: nine lists of nine aliases each 
 the result is printed or checked ("billion laughs"). Nothing in a capture or a configuration needs one.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import yaml

@@ -1,7 +1,5 @@
 """What can be wrong with a capture, said so that the person at the camera can mend it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

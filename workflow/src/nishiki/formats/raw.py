@@ -1,7 +1,5 @@
 """Camera raw through LibRaw: linear, the camera's own colours, no white balance, no gamma, 16 bits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, BinaryIO
 

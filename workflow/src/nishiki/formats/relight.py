@@ -11,8 +11,6 @@ spherical harmonics (sh). Weights of tabulated directions: Gaussians between the
 interpolation on a grid over the hemisphere (Ponchio, Corsini and Scopigno, 2018).
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

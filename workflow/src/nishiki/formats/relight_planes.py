@@ -13,8 +13,6 @@ reading order, and files count nodes from 1. The layers of PTM are three terms e
 red, green and blue; those of HSH are terms, whose scale stands as `Bias` and the reverse.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ or, in Zarr's older format, a codec that runs code on reading. Only what this pr
 numbers, the codecs `bytes`, `zstd` and `crc32c`; arrays without pickled objects.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import struct

@@ -1,7 +1,5 @@
 """Text tables of a capture, line by line: bounded, UTF-8, every failure told as a problem of the capture."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

@@ -5,8 +5,6 @@ F0 along the normal and 1 at grazing light, so that an index of refraction n = (
 Places in a texture: u from the left, v from the top.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 Field numbers: TIFF 6.0 (Adobe, 1992) and its technical notes.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from typing import Any, BinaryIO

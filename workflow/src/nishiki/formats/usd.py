@@ -7,8 +7,6 @@ the workflow of specular colours would hold a texture of its strength, but Blend
 reflectance of the index.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import time

@@ -6,8 +6,6 @@ chunks of an array are bands of whole rows (tested). Importing the library takes
 reading through it three times as long for the thousands of large chunks of a capture.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -127,7 +125,7 @@ class BandedArray:
     attrs: dict[str, Any]
 
     @classmethod
-    def of(cls, folder: Path) -> BandedArray:
+    def of(cls, folder: Path) -> "BandedArray":
         """The array in a folder, from its metadata."""
         node = read_json(folder / METADATA)
         codecs = [codec["name"] for codec in node["codecs"]]
@@ -195,7 +193,7 @@ class BandedGroup:
         self.attrs: Mapping[str, Any] = MappingProxyType(read_json(self.folder / METADATA).get("attributes", {}))
 
     @classmethod
-    def create(cls, folder: Path | str, attributes: dict[str, Any] | None = None) -> BandedGroup:
+    def create(cls, folder: Path | str, attributes: dict[str, Any] | None = None) -> "BandedGroup":
         """A new group; FileExistsError where there is something."""
         Path(folder).mkdir(parents=True)
         _write_group(Path(folder), attributes or {})

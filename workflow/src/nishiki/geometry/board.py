@@ -1,7 +1,5 @@
 """Find the corners of a ChArUco board in pictures, and calibrate intrinsics and distortion from several of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

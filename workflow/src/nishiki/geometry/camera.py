@@ -4,8 +4,6 @@ World: the object's own frame, fixed to the object; on a turntable the camera go
 right, y down, z into the scene. Pixels: (column, row), the centre of the top left pixel is (0, 0).
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -37,7 +35,7 @@ class Camera:
     distortion: tuple[float, ...] = field(default=NO_DISTORTION)
 
     @classmethod
-    def from_matrix(cls, name: str, matrix: np.ndarray, *, rows: int, columns: int) -> Camera:
+    def from_matrix(cls, name: str, matrix: np.ndarray, *, rows: int, columns: int) -> "Camera":
         """Camera of a 3x4 projection matrix (any scale and sign), by RQ decomposition.
 
         Raises UserError where the matrix is not 3x4, not finite, or its left 3x3 part is singular.
@@ -88,7 +86,7 @@ class Camera:
         columns = k[0, 0] * plane[:, 0] + k[0, 1] * plane[:, 1] + k[0, 2]
         return np.column_stack([columns, k[1, 1] * plane[:, 1] + k[1, 2]]), depth
 
-    def resize(self, rows: int, columns: int) -> Camera:
+    def resize(self, rows: int, columns: int) -> "Camera":
         """Describe the same camera for its picture resampled to another size."""
         along = np.array([columns / self.columns, rows / self.rows])
         intrinsics = np.diag([*along, 1.0]) @ self.intrinsics
@@ -108,7 +106,7 @@ class Camera:
         }
 
     @classmethod
-    def from_dict(cls, values: dict) -> Camera:
+    def from_dict(cls, values: dict) -> "Camera":
         """Inverse of `as_dict`; keys beyond those of a camera are ignored."""
         arrays = (np.array(values[key], np.float64) for key in ("intrinsics", "rotation", "translation"))
         return cls(values["name"], *arrays, values["rows"], values["columns"], tuple(values["distortion"]))

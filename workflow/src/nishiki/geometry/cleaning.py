@@ -1,7 +1,5 @@
 """Meshes as they come from elsewhere, made sound: what was wrong is counted, nothing is moved."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ its correction removes the contradiction. A rotation of all cameras about the ax
 of their focal lengths, leave the contradiction (almost) as it is and cannot be seen without a mesh.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, pairwise

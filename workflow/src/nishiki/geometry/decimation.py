@@ -5,8 +5,6 @@ by area. A collapse must keep the surface a surface (the edge's two ends share n
 corners) and must not turn a triangle over.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

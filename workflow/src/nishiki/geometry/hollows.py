@@ -14,8 +14,6 @@ inward normals, profile being 0 at the region's border. The depth and steepness 
 pixels of the region are kept. Topology and outlines stay as they are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -68,7 +66,7 @@ class Photographed:
     silhouettes: np.ndarray
 
     @classmethod
-    def of(cls, pictures: Iterable[np.ndarray], silhouettes: list[np.ndarray], cameras: list[Camera]) -> Photographed:
+    def of(cls, pictures: Iterable[np.ndarray], silhouettes: list[np.ndarray], cameras: list[Camera]) -> "Photographed":
         """From linear pictures (rows, columns, channels) and silhouettes (rows, columns) bool at the cameras' size."""
         import cv2
 
@@ -218,7 +216,7 @@ class Hollow:
     direction: np.ndarray
 
     @classmethod
-    def of(cls, mesh: Mesh, region: np.ndarray) -> Hollow:
+    def of(cls, mesh: Mesh, region: np.ndarray) -> "Hollow":
         """Along the mean of the region's inward normals."""
         direction = -mesh.normals[region].sum(axis=0).astype(np.float64)
         profile = profile_of(region, neighbourhoods(mesh))

@@ -5,8 +5,6 @@ the zero level of the smallest, over the views, of the signed distances to the s
 surface lies between the grid points where the outlines put it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 

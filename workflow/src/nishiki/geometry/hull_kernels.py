@@ -6,8 +6,6 @@ stride, open): where its distance map lies in one flat buffer, which part of the
 pixels, and whether the silhouette is cut off by the picture's edge.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

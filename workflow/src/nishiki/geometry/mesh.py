@@ -1,7 +1,5 @@
 """Hold triangle meshes as three arrays, and read and write files of meshes and range scans."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Mapping
@@ -30,7 +28,7 @@ class Mesh:
     normals: np.ndarray
 
     @classmethod
-    def of(cls, vertices: np.ndarray, triangles: np.ndarray) -> Mesh:
+    def of(cls, vertices: np.ndarray, triangles: np.ndarray) -> "Mesh":
         """Build a mesh with normals averaged over the triangles at each vertex, weighted by their areas."""
         vertices = np.ascontiguousarray(vertices, np.float64)
         triangles = np.ascontiguousarray(triangles, np.int32)
@@ -41,7 +39,7 @@ class Mesh:
         np.savez(path, vertices=self.vertices, triangles=self.triangles, normals=self.normals)
 
     @classmethod
-    def load(cls, path: Path) -> Mesh:
+    def load(cls, path: Path) -> "Mesh":
         """Read what `save` wrote."""
         arrays = load_arrays(path)
         return cls(arrays["vertices"], arrays["triangles"], arrays["normals"])

@@ -1,7 +1,5 @@
 """Draw the outline of a mesh in a view, and check that a mesh lies where the silhouettes show the object."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations, product

@@ -7,8 +7,6 @@ The camera stands still and the object turns by angle theta_i about the axis wit
 9 + n unknowns for n views (3 + 3 of the rest pose, 2 of a, 2 of c, n - 1 angles) in place of 6 n.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -123,7 +121,7 @@ class _Lens:
     columns: int
 
     @classmethod
-    def of(cls, intrinsics: np.ndarray, distortion: tuple[float, ...], rows: int, columns: int) -> _Lens:
+    def of(cls, intrinsics: np.ndarray, distortion: tuple[float, ...], rows: int, columns: int) -> "_Lens":
         intrinsics = np.array(intrinsics, np.float64)
         upright = intrinsics.copy()
         upright[0, 1] = 0.0
@@ -361,7 +359,7 @@ class _Model:
     sense: float
 
     @classmethod
-    def of(cls, sights: list[Sight], cameras: list[Camera], steps: str, full_turn: bool) -> _Model:
+    def of(cls, sights: list[Sight], cameras: list[Camera], steps: str, full_turn: bool) -> "_Model":
         axis, angles = _axis_of(cameras)
         across = np.linalg.svd(axis[None])[2][1:]
         sense = 1.0 if np.median(np.remainder(np.diff(angles) + np.pi, 2 * np.pi) - np.pi) >= 0 else -1.0

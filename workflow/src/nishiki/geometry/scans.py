@@ -8,8 +8,6 @@ of multiple range images, Image and Vision Computing 10(3), 1992), on the closes
 overlap only partly (D. Chetverikov et al., The trimmed iterative closest point algorithm, ICPR 2002).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -168,7 +166,7 @@ class Motion:
     translation: np.ndarray
 
     @classmethod
-    def none(cls) -> Motion:
+    def none(cls) -> "Motion":
         """Return the identity motion."""
         return cls(np.eye(3), np.zeros(3))
 
@@ -176,7 +174,7 @@ class Motion:
         """Points (n, 3), moved."""
         return points @ self.rotation.T + self.translation
 
-    def after(self, first: Motion) -> Motion:
+    def after(self, first: "Motion") -> "Motion":
         """Compose this motion after another one."""
         return Motion(self.rotation @ first.rotation, self.rotation @ first.translation + self.translation)
 

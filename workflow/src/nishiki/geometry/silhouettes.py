@@ -5,8 +5,6 @@ hue (a shadow on a coloured cloth) it is still background. The outline runs wher
 the object covers half a pixel.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

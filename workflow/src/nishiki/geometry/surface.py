@@ -1,7 +1,5 @@
 """Surfaces measured and made lighter: distance between two meshes, fewest triangles within a deviation, shape facts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

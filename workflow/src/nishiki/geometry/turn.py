@@ -5,8 +5,6 @@ Calibrated cameras keep to that only to within their errors, and a camera moved 
 goes through every calibrated camera exactly, and follows the turn between them.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np

@@ -8,8 +8,6 @@ In the tree of boxes each node's triangles are halved at the median of their cen
 binary one and needs no links: node k has the children 2 k + 1 and 2 k + 2.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numba

@@ -5,8 +5,6 @@ A surface has the same BRDF with light and view exchanged (Helmholtz; von Helmho
 another direction, and values in per cent violate one or the other.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 
 import numpy as np

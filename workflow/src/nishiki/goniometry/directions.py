@@ -1,7 +1,5 @@
 """Convert angles of the goniometer to unit vectors, and mirror directions in the symmetry planes of a weave."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

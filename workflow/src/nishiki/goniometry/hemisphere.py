@@ -1,7 +1,5 @@
 """The normal-incidence reflectance on the whole hemisphere: symmetry, interpolation, what is measured, what is not."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal
 

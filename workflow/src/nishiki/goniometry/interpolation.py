@@ -1,7 +1,5 @@
 """Interpolate positive functions on the hemisphere, from a grid or from scattered directions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Turn photographs of a cloth and its white boards into reflectances."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol

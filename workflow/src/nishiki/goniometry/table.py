@@ -1,7 +1,5 @@
 """Hold measured reflectances of cloths, and store them in `reflectance.npz` and `reflectance.json`."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -71,7 +69,7 @@ class ReflectanceSet:
     basic: BasicReflectance | None = field(default=None, repr=False)
 
     @classmethod
-    def of(cls, incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, **known) -> ReflectanceSet:
+    def of(cls, incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, **known) -> "ReflectanceSet":
         """Build a set from arrays; values (n,), (n, channels) or (n, regions, channels), the rest by default.
 
         known: any other field. Directions are normalised. ValueError where shapes disagree or values are not finite.
@@ -99,7 +97,7 @@ class ReflectanceSet:
         """(n,) bool: lit along the normal, within normal_deg."""
         return angles(self.incident)[0] < np.radians(self.normal_deg)
 
-    def take(self, chosen: np.ndarray | slice) -> ReflectanceSet:
+    def take(self, chosen: np.ndarray | slice) -> "ReflectanceSet":
         """Select measurements (indices, (n,) bool, or a slice); `basic` is kept, for it may be of all."""
         rows = {name: getattr(self, name)[chosen] for name in ("incident", "outgoing", "values", "noise", "valid")}
         rest = {

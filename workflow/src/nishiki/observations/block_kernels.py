@@ -1,7 +1,5 @@
 """Robust levels of blocks and the pixels that stand out of them, compiled."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit, types
 from numba.extending import overload

@@ -1,7 +1,5 @@
 """Interpolate fields on coarse grids over the picture, and divide planes into bands of rows."""
 
-from __future__ import annotations
-
 import numpy as np
 
 Edges = tuple[np.ndarray, np.ndarray]

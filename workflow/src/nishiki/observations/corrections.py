@@ -6,8 +6,6 @@ the room, lamps that failed and photographs that repeat another one (`nishiki.ph
 measured before anything was put right is kept beside what was done.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol

@@ -1,7 +1,5 @@
 """The photographs of a capture, decoded one at a time into the channels that a scene needs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -66,7 +64,7 @@ class FrameReader:
         *,
         prove: bool = True,
         unopened: Collection[str] = (),
-    ) -> FrameReader:
+    ) -> "FrameReader":
         """Look at the first photograph's header, and prove that a sealed capture's tables are as they were sealed.
 
         channels: auto, all, luminance, green (of names without it the middle one), or the name of one stored channel;

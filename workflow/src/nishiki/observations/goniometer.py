@@ -1,7 +1,5 @@
 """Reading what a goniometer measured: linear light of one photograph's window at a time, or the given table."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Check a goniometer's data: sizes, saturation, boards and regions of photographs; energy and symmetry of tables."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

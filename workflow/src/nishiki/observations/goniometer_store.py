@@ -1,7 +1,5 @@
 """Writing what a goniometer measured: the window of every photograph as codes, or the given table."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

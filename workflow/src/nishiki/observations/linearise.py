@@ -1,7 +1,5 @@
 """From stored codes to linear light, and whether the camera really is linear."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

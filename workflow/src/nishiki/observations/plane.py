@@ -1,7 +1,5 @@
 """Reading the ingested frames: bands of white-normalised observations, with what may not be used marked."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator
 from functools import cached_property
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Compiled decoding: stored codes to white-normalised observations, with what may not be used marked."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit, types
 from numba.extending import overload

@@ -1,7 +1,5 @@
 """Writing the ingested frames: the camera's own codes, re-tiled, with all that is needed to read them as light."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Compare the opened photographs of a turntable with what its capture states: sizes, white boards, polarisers."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path

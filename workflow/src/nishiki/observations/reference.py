@@ -4,8 +4,6 @@ A board tells how bright its lamp was at each place, and so the gain that makes 
 2004, eq. 3).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -150,7 +148,7 @@ class Gains:
     defect: np.ndarray
     problems: tuple[Problem, ...]
 
-    def of(self, kept: np.ndarray) -> Gains:
+    def of(self, kept: np.ndarray) -> "Gains":
         """Select the frames of these numbers."""
         levels, uniformity = (tuple(some[j] for j in kept) if some else () for some in (self.levels, self.uniformity))
         return replace(self, gain=self.gain[kept], levels=levels, uniformity=uniformity)

@@ -1,7 +1,5 @@
 """Choose the part of a capture that is read: region of interest, mask, and the files that a plan needs."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path

@@ -13,8 +13,6 @@ substitute: shifts that follow the direction of the lamp look like slopes at the
 the residual.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,7 +104,7 @@ class Window:
         middle = (np.array(self.inside.shape[::-1]) - 1) / 2 if not len(rows) else (columns.mean(), rows.mean())
         return self.corner + self.step * middle
 
-    def part(self, rows: slice, columns: slice) -> Window:
+    def part(self, rows: slice, columns: slice) -> "Window":
         """A part of it, with pictures that are views."""
         corner = self.corner + self.step * (columns.start, rows.start)
         return Window(self.pictures[:, rows, columns], self.inside[rows, columns], corner, self.step)

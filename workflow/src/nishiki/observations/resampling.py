@@ -9,8 +9,6 @@ object, one number a channel. rho and n follow pixel by pixel from the lit photo
 codes of all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the stores of all three geometries share: counting photographs, judging their samples, the small arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, Protocol
@@ -31,7 +29,7 @@ class Settings(Protocol):
     tile_mib: int
     compression: Literal["none", "zstd"]
     without: tuple[str, ...]
-    correct: Wishes
+    correct: "Wishes"
 
 
 class PhotographCounter:

@@ -1,7 +1,5 @@
 """Compare the silhouettes of a turntable with its cameras and with a given mesh, as problems with their remedies."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -70,7 +68,7 @@ def mesh_problems(
     return [kind("mesh-placement", block.mesh, what, expected=expected, found=facts, remedy=remedy)]
 
 
-def _remedy(block: Turntable, found: Placement, world: np.ndarray) -> str:
+def _remedy(block: Turntable, found: "Placement", world: np.ndarray) -> str:
     """The keys that bring the mesh there, on top of those that are given already; world: factors on its axes."""
     scale, order, signs = block.mesh_placement
     old = list(found.order)
@@ -100,7 +98,7 @@ class Pictures:
         usable = capture.matrices is not None and len(capture.views) >= FEWEST_VIEWS
         self.wanted = set() if not usable or capture.silhouette_of(capture.views[0]) else set(capture.views)
 
-    def add(self, view: str, codes: np.ndarray, reader: FrameReader) -> None:
+    def add(self, view: str, codes: np.ndarray, reader: "FrameReader") -> None:
         """Find the silhouette in the first photograph of a view; codes (rows, columns, channels) of the reader."""
         if view not in self.wanted:
             return
@@ -161,7 +159,7 @@ def capture_problems(
     return mesh_problems(capture, [silhouettes[view] for view in views], cameras, world.mirror, sure=given)
 
 
-def describe_coherence(found: Coherence, cameras: list[Camera], files: dict[str, str]) -> list[Problem]:
+def describe_coherence(found: "Coherence", cameras: list[Camera], files: dict[str, str]) -> list[Problem]:
     """What a coherence says, as at most one problem; files: given silhouette of each view, empty where found."""
     names = [camera.name for camera in cameras]
     facts = f"{100 * found.contradiction:.1f} % of the outlines miss the hull of the other views"

@@ -1,7 +1,5 @@
 """Reading the views of an object: linear light of one photograph at a time, with what may not be used marked."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path

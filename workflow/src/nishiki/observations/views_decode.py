@@ -1,7 +1,5 @@
 """Compiled: one photograph's codes to linear values, with what may not be used marked."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

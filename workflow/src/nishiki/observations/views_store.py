@@ -1,7 +1,5 @@
 """Write the views of an object: the camera's codes, with lamps, cameras and boards beside them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """White boards of a turntable: those that normalise every view, and those that are kept for each polariser state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The differences are sums of planes, q_j = sum_p Q_jp plane_p (circular: I_off - 
 var(I) = slope I + floor in each channel (shot noise; read noise and rounding).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -216,7 +214,7 @@ class _Strip:
     count: np.ndarray
 
     @classmethod
-    def of(cls, series: Series, rows: slice) -> _Strip:
+    def of(cls, series: Series, rows: slice) -> "_Strip":
         part, usable = series.rows(rows), series.usable[rows]
         q = series.differences(part)
         across = usable[:, : -2 * APART] & usable[:, APART:-APART] & usable[:, 2 * APART :]

@@ -4,8 +4,6 @@ The diffuse part left the body after many scatterings and is taken as unpolarise
 the lamp's polariser gave it. Derivations: docs/notes/stages/polarise.md.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path

@@ -7,8 +7,6 @@ Every method here is linear in the photographs up to the last step, so that a vi
 photographs once and adding it, weighted, to a few planes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

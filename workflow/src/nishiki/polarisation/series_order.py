@@ -10,8 +10,6 @@ reversals of the list. Y is taken orthogonal to the mean picture, its slopes and
 that moves a little and stray light then leave no misfit, whatever the order.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

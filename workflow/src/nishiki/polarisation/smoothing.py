@@ -14,8 +14,6 @@ estimates of the diffuse part: that of the crossed polarisers, and all light les
 is not smoothed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

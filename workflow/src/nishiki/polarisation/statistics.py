@@ -1,7 +1,5 @@
 """Count what a separation gives, and how well a series agrees with its own model."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

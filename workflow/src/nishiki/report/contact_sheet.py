@@ -1,7 +1,5 @@
 """The photographs of a capture against each other as a contact sheet: what each shows beside what is stated of it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

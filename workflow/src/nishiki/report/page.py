@@ -4,8 +4,6 @@ Texts that are given as `str` are escaped. Markup in a text is a `markupsafe.Mar
 into it.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import re
@@ -114,7 +112,7 @@ class Fold:
     kind: ClassVar[str] = "fold"
     title: str
     summary: str
-    blocks: Sequence[Block]
+    blocks: "Sequence[Block]"
     code: str = ""
     mark: str = ""
 

@@ -1,7 +1,5 @@
 """The page of a scene: the sections of its stages, then what was left out, conditions, how it was made and verified."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol

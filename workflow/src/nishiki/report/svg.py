@@ -1,7 +1,5 @@
 """Drawings as SVG text: curves, light directions, bars. Plain shapes only, no script, no outside reference."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

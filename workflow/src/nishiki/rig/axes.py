@@ -10,8 +10,6 @@ Between them the table may send the heartbeat `#`. It turns by angles, not to th
 is where it stood when it was switched on. So the angle is counted here, and lost with the connection.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import time

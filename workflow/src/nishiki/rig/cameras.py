@@ -7,8 +7,6 @@ The camera is released by the operator, by the shutter cable of a dome, or by a 
 appears in the folder. Files are copied, and stay in the folder for the camera's software.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import shutil

@@ -5,8 +5,6 @@ through all diodes and releases at each: it is not used, since such a run can ne
 continued. The dome's computer answers in words, and lights all diodes when it starts.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from typing import Annotated, Any

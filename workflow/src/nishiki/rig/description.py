@@ -1,7 +1,5 @@
 """Read the description of a rig in YAML, list the ports of this computer, and open the devices."""
 
-from __future__ import annotations
-
 import glob
 import importlib.util
 import math
@@ -102,7 +100,7 @@ class GrblSettings(Closed):
     baud: Baud = Field(115200, description="bits per second")
 
     @model_validator(mode="after")
-    def _possible(self) -> GrblSettings:
+    def _possible(self) -> "GrblSettings":
         if self.units_per_degree == 0:
             raise ValueError("units_per_degree must not be 0")
         if not self.range_deg[0] < self.range_deg[1]:
@@ -145,7 +143,7 @@ class RigDescription(Closed):
     polarisers: dict[str, PolariserSettings] = Field({}, description="polarisers by name")
 
     @model_validator(mode="after")
-    def _release_of_a_dome(self) -> RigDescription:
+    def _release_of_a_dome(self) -> "RigDescription":
         if getattr(self.camera, "release", None) == "lamps" and not isinstance(self.lamps, DomeSettings):
             raise ValueError("release: lamps needs lamps of kind dome: only they have a shutter cable")
         return self

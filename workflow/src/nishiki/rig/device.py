@@ -3,8 +3,6 @@
 A laboratory adds a device of its own by writing one class with the methods below; no base class is needed.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -181,7 +179,7 @@ class Rig:
             except DeviceError:
                 pass  # what cannot be reached any more needs no closing
 
-    def __enter__(self) -> Rig:
+    def __enter__(self) -> "Rig":
         return self
 
     def __exit__(self, *exception: object) -> None:

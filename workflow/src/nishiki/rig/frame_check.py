@@ -5,8 +5,6 @@ squared distance), and lamps that stand beside each other light the object alike
 ratio of the finest detail to detail twice as coarse, which hardly depends on the contrast.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ photograph, its prior knowledge of yarns stands for that fit, with the informati
 incidence will add to it.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import shutil

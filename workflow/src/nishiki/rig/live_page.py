@@ -1,7 +1,5 @@
 """The page of a capture run that is under way, for a browser on this computer."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import threading

@@ -1,7 +1,5 @@
 """A few lines of YAML that say what a rig photographs, and the table of frames that they expand to."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -110,7 +108,7 @@ class Plan(Closed):
         return suffix
 
     @model_validator(mode="after")
-    def _agree(self) -> Plan:
+    def _agree(self) -> "Plan":
         if isinstance(self.exposure_s, tuple) and (self.kind != "goniometer" or not self.exposure_s):
             raise ValueError("several exposures of one direction are possible with kind: goniometer only")
         if self.exposure_s is None and self.white and self.white.exposure_s:

@@ -1,7 +1,5 @@
 """Write what a capture run leaves behind: its journal, its progress, and the tables of the capture."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -12,8 +12,6 @@ A frame is journalled with its digest before it is renamed into the capture. Aft
 tells that the photograph in incoming/ is that frame.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import fcntl

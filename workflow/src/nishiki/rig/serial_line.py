@@ -4,8 +4,6 @@ Every device behind a serial port speaks through this module, so that time-outs,
 the middle are treated in one place.
 """
 
-from __future__ import annotations
-
 import errno
 import re
 import time

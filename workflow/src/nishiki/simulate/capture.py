@@ -1,7 +1,5 @@
 """Provide what all simulated captures share: camera settings, the sensor, and the files of a capture."""
 
-from __future__ import annotations
-
 import csv
 import math
 import sys

@@ -1,7 +1,5 @@
 """Random numbers and smooth noise that depend on a key and a position only, never on order or number of threads."""
 
-from __future__ import annotations
-
 import math
 
 import numba

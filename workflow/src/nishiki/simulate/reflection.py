@@ -3,8 +3,6 @@
 All values are relative to a perfect white diffuser that faces the lamp: π · f_r · cosθ_i.
 """
 
-from __future__ import annotations
-
 import math
 
 import numba

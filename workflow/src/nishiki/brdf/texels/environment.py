@@ -10,8 +10,6 @@ Gauss-Newton with weights that fall with the residual, for cast shadows, highlig
 from one direction in the lamp frame, if left-out views confirm it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -14,8 +14,6 @@ Limits.  Both terms are 0 where the lamp or (I_s) the camera is behind the surfa
 infinity a lobe without end (1 everywhere).  Parameters and normals that are not finite count as 0.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -69,7 +67,7 @@ class Lighting:
             raise UserError(f"lighting: expected one of {', '.join(KINDS)}, found {self.kind!r}")
 
     @classmethod
-    def from_capture(cls, lamp: dict, *, lights: int, unit: str) -> Lighting:
+    def from_capture(cls, lamp: dict, *, lights: int, unit: str) -> "Lighting":
         """Lighting as a capture declares it: {"kind", "vectors" (lights, 3) or None}, `unit` of the world's lengths.
 
         Raises UserError where a direction has no length, a place is given but the world's unit is no length, or the
@@ -104,7 +102,7 @@ class Lighting:
         }
 
     @classmethod
-    def from_dict(cls, values: dict) -> Lighting:
+    def from_dict(cls, values: dict) -> "Lighting":
         """Inverse of `as_dict`."""
         harmonics = tuple(_rows(light) for light in values["harmonics"])
         return cls(values["kind"], _rows(values["vectors"]), harmonics, float(values["reference"]))

@@ -10,8 +10,6 @@ chart borders.  Cost and memory are linear in the texels, and texels come tile b
 push.)
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +45,7 @@ class Neighbourhood:
         total = sum((sums.sum(axis=0) for _, sums in self.parts), np.zeros(1 + self.size))
         return total[1:] / total[0] if total[0] > 0 else np.asarray(default, float)
 
-    def field(self, coarse: float, default: np.ndarray) -> Field:
+    def field(self, coarse: float, default: np.ndarray) -> "Field":
         """The smooth field; coarse: precision with which the next coarser lattice counts; default (size,): value where
         no texel of the whole object says anything."""
         mean = self.mean(default)

@@ -8,8 +8,6 @@ How strongly texels are drawn follows from the data: the scatter of texels about
 uncertainty.  Passes 1 and 2 leave some twenty bytes a texel in memory; texels are read anew in every pass.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -122,7 +120,7 @@ class _First:
     stride: int
 
     @classmethod
-    def of(cls, tile: Tile, capture: Capture, method: str, lattice: Lattice) -> _First:
+    def of(cls, tile: Tile, capture: Capture, method: str, lattice: Lattice) -> "_First":
         total, specular = capture.observe(tile)
         fit = texel_fit.first_fit(total, specular, method=method)
         informed = fit.information > 0
@@ -146,7 +144,7 @@ class _Widths:
     width: str
 
     @classmethod
-    def of(cls, first: list[_First], lattice: Lattice, width: str) -> _Widths:
+    def of(cls, first: list[_First], lattice: Lattice, width: str) -> "_Widths":
         around = Neighbourhood(lattice, 1, [f.part for f in first])
         default = np.log([DEFAULT_SIGMA])
         guess = around.field(1 / SCATTER_SIGMA**2, default)
@@ -180,7 +178,7 @@ class _Second:
     sample: np.ndarray
 
     @classmethod
-    def of(cls, tile: Tile, capture: Capture, widths: _Widths, first: _First, lattice: Lattice) -> _Second:
+    def of(cls, tile: Tile, capture: Capture, widths: _Widths, first: _First, lattice: Lattice) -> "_Second":
         total, specular = capture.observe(tile)
         places = tile.positions.reshape(-1, 3)
         sigma = widths.sigma(places[first.texel], first.fit.log_sigma, first.fit.information)
@@ -208,7 +206,7 @@ class _Gloss:
     width: str
 
     @classmethod
-    def of(cls, second: list[_Second], first: list[_First], lattice: Lattice, width: str) -> _Gloss:
+    def of(cls, second: list[_Second], first: list[_First], lattice: Lattice, width: str) -> "_Gloss":
         # of the observations that K_s is solved from: with components all light, whose diffuse part fits less well
         noise = texel_fit.noise_of(np.concatenate([s.residual for s in second] or [np.empty(0)]))
         channels = second[0].ks.shape[1] if second else 1

@@ -8,8 +8,6 @@ and K_s at a given sigma with a prior for K_s from the neighbours (`nishiki.brdf
 relative: how much information the texel has, in units of 1 / noise^2, noise being the scene's (see `noise_of`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -167,7 +165,7 @@ class Tile:
     specular: np.ndarray | None = None
 
     @property
-    def joined(self) -> Tile:
+    def joined(self) -> "Tile":
         """The same with the total radiance instead of its components."""
         return self if self.specular is None else replace(self, values=self.values + self.specular, specular=None)
 

@@ -1,7 +1,5 @@
 """Search the circles of mirror balls: edges around moving highlights, and rays of two balls that meet."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from itertools import combinations, product
 

@@ -1,7 +1,5 @@
 """Describe what was found on mirror balls, and draw it into a photograph."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

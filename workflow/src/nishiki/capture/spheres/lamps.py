@@ -13,8 +13,6 @@ log E, means over a lamp (its strength) and over a place (reflectance of the sur
 Origin and scale follow the outlines while these move: what an outline leaves uncertain, all lamps share.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -88,7 +86,7 @@ class LampFit:
         with np.errstate(divide="ignore", invalid="ignore"):
             return self.directions / self.inverse_distance[:, None]
 
-    def widened(self, sigma: np.ndarray) -> LampFit:
+    def widened(self, sigma: np.ndarray) -> "LampFit":
         """The same with a further uncertainty of the directions (lamps,) in radians, of which the fit knows nothing."""
         wider = np.hypot(self.direction_sigma, sigma)
         with np.errstate(divide="ignore", invalid="ignore"):

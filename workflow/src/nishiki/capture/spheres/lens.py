@@ -1,7 +1,5 @@
 """Estimate the focal length of photographs of mirror balls, and the point and the scale that follow from it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from nishiki.capture.spheres.findings import Findings, SphereInput

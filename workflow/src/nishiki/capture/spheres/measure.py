@@ -5,8 +5,6 @@ outlines from the edges that all photographs share (`outline`), highlights from 
 others, the lens from the agreement of the balls (`lens`), one fit of all lamps and outlines (`lamps`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

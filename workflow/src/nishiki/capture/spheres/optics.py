@@ -10,8 +10,6 @@ parameters are column, row and radius. At a point P of the sphere with normal n 
 mirror shows the lamp in direction d = 2 (n . v) n - v.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +43,7 @@ class SphereCamera:
     centre: tuple[float, float]
 
     @classmethod
-    def of(cls, rows: int, columns: int, focal_px: float | None = None, centre=None) -> SphereCamera:
+    def of(cls, rows: int, columns: int, focal_px: float | None = None, centre=None) -> "SphereCamera":
         """Make a camera whose principal point is the middle of the photograph, unless given."""
         return cls(rows, columns, focal_px, centre or ((columns - 1) / 2, (rows - 1) / 2))
 

@@ -1,7 +1,5 @@
 """Outlines of mirror spheres, from the edges that photographs under different lamps share."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -50,7 +48,7 @@ class Outline:
         """Column, row and radius in pixels of the circle nearest to the outline."""
         return circle_of(self.parameters, camera)
 
-    def under(self, camera: SphereCamera) -> Outline:
+    def under(self, camera: SphereCamera) -> "Outline":
         """The outline that another camera sees along the same edge points."""
         parameters = solve_outline(self.points, camera)
         covariance = _jackknife(self.points, circle_of(parameters, camera), camera) + _shifted(parameters, camera)

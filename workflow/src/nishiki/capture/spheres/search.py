@@ -7,8 +7,6 @@ values over time. A ball is a place near which most photographs have such a high
 How well lamps explain the photographs of a scene: Lambert's law on blocks of pixels beside the mirror spheres.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Light from all around: how much of it reaches each vertex of both sides, and what a cloth makes of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +25,7 @@ class Surroundings:
     corners: np.ndarray
 
     @classmethod
-    def of(cls, scene: ClothScene, light: AmbientLight) -> Surroundings:
+    def of(cls, scene: ClothScene, light: AmbientLight) -> "Surroundings":
         """Test light.rays directions over each side of every vertex."""
         fields = (smoothed(values, scene.mesh.triangles) for values in openness(scene, light.rays, light.reach))
         return cls(light, *fields, np.ascontiguousarray(scene.mesh.triangles))

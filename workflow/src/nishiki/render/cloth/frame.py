@@ -1,7 +1,5 @@
 """A picture of a scene: what each sample shows, the light that reaches it, and the cloth's reflection of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The points behind a picture's samples in the cloth's own frame: where the eye is, where a lamp is, and its shadow."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +38,7 @@ class Samples:
     bent: int
     a_pixel: int
 
-    def take(self, rows: np.ndarray) -> Samples:
+    def take(self, rows: np.ndarray) -> "Samples":
         """Some of them."""
         names = ("pixel", "number", "triangle", "weights", "material", "back", "place", "frame", "outgoing")
         return Samples(

@@ -1,7 +1,5 @@
 """The models of a cloth by region, as stored, and dyed: another body below the same gloss."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path

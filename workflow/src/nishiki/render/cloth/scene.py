@@ -11,8 +11,6 @@ new change of variables for efficient BRDF representation, 1998). The table has 
 It holds q = sqrt(f i_z o_z), which is finite at the horizon, and is linear between nodes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
 from typing import ClassVar, Protocol
@@ -106,7 +104,7 @@ class ClothScene:
     scale: float
 
     @classmethod
-    def of(cls, surfaces: list[Surface]) -> ClothScene:
+    def of(cls, surfaces: list[Surface]) -> "ClothScene":
         """Return the surfaces together. UserError where there is no triangle, or a number that is not finite."""
         if not surfaces or not all(len(surface.mesh.triangles) for surface in surfaces):
             raise UserError("scene: expected surfaces with at least one triangle each")
@@ -153,7 +151,7 @@ class BrdfTable:
     channels: int = 3
 
     @classmethod
-    def of(cls, brdf: Brdf) -> BrdfTable:
+    def of(cls, brdf: Brdf) -> "BrdfTable":
         """Evaluate a BRDF at the nodes, on all threads."""
         square = EDGE * np.linspace(-1, 1, SIDES)
         rings = np.minimum(np.linspace(0, 1, RINGS), OUTERMOST)

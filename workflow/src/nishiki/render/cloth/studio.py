@@ -1,7 +1,5 @@
 """The studio: a surface on paper, lamps that stand where the camera says, dyes by their colours."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -84,7 +82,7 @@ class Studio:
     surroundings: Surroundings
     paper: Matte | None
 
-    def turned(self, angle: float) -> Studio:
+    def turned(self, angle: float) -> "Studio":
         """Return the cloth turned about the vertical, radians: seen from a camera that went round it with its lamps.
 
         The paper must look the same from all sides (wall=False).
@@ -97,7 +95,7 @@ class Studio:
         lamps = tuple(light.lamp(azimuth) for light in self.lights)
         return replace(self, camera=camera, azimuth=azimuth, lamps=lamps)
 
-    def lit_from(self, angle: float) -> Studio:
+    def lit_from(self, angle: float) -> "Studio":
         """Return the lamps turned about the vertical."""
         return replace(self, lamps=tuple(light.lamp(self.azimuth + angle) for light in self.lights))
 

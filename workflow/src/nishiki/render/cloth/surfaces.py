@@ -1,7 +1,5 @@
 """Surfaces to be covered with cloth, and the direction of the weft at their vertices."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

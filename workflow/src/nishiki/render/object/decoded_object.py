@@ -1,7 +1,5 @@
 """Opening a decoded object from the artifacts of the stages, ready to be rendered."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,7 +35,7 @@ class DecodedObject:
     ceiling: float | None
 
     @classmethod
-    def open(cls, inputs: Mapping[str, Artifact]) -> DecodedObject:
+    def open(cls, inputs: Mapping[str, Artifact]) -> "DecodedObject":
         """From the artifacts of cameras, mesh, texels, reflection and residual; ingest gives the ceiling alone."""
         texels = Texels(inputs["texels"].folder)
         lighting = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())["lighting"]

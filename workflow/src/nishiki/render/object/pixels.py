@@ -1,7 +1,5 @@
 """Kernels between texels and pixels: sorting pixels by tile, bilinear look-up, and the rim of the silhouette."""
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

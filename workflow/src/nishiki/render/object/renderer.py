@@ -10,8 +10,6 @@ were solved for, so that a captured view is reproduced up to what the coder thre
 tiles in view are decoded, each once for all pictures of a batch.
 """
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
@@ -68,7 +66,7 @@ class ObjectRenderer:
 
     def __init__(
         self,
-        decoded: DecodedObject,
+        decoded: "DecodedObject",
         mesh: Mesh,
         geometry: Callable,
         *,

@@ -9,8 +9,6 @@ at every texel: direction and fall-off are those of the lamp's middle, and V is 
 those of `nishiki.render.object.renderer`; a residual belongs to the light of the capture and is left out.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -236,7 +234,7 @@ class LitObject:
         """Of the whole mesh, for shadows."""
         return make_tree(self.mesh.vertices, self.mesh.triangles)
 
-    def seen_by(self, camera: Camera) -> LampsInView:
+    def seen_by(self, camera: Camera) -> "LampsInView":
         """Return the lamps as they stand when the object is seen from a camera."""
         return LampsInView(self, TO_LAMP_FRAME @ camera.rotation, camera.centre)
 

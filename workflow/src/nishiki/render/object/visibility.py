@@ -1,7 +1,5 @@
 """Whether captured views see a point of the surface, from what a renderer has: the mesh and the cameras."""
 
-from __future__ import annotations
-
 import threading
 from collections import OrderedDict
 

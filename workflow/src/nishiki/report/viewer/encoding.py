@@ -16,8 +16,6 @@ Body shading. Its terms (a, b, d[, e_x, e_y]) are given by their factors f at a 
 principal axes: a step is then a relative step of the light that leaves a pixel.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,7 +51,7 @@ class Steps:
     tilt: float
     shading: float
 
-    def scaled(self, colour: float) -> Steps:
+    def scaled(self, colour: float) -> "Steps":
         """Return all in the proportion that gives this step of colour."""
         factor = colour / self.colour
         return Steps(colour, self.tilt * factor, self.shading * factor)
@@ -67,7 +65,7 @@ class PlaneCode:
     high: float
 
     @classmethod
-    def over(cls, values: np.ndarray, step: float) -> PlaneCode:
+    def over(cls, values: np.ndarray, step: float) -> "PlaneCode":
         """Return a code of this step, or of a wider one where the values (n,) need it, that is centred on them."""
         low, high = np.percentile(values, (100 - FARTHEST, FARTHEST)) if values.size else (0.0, 0.0)
         half = max(float(high - low), step * TOP) / 2
@@ -92,7 +90,7 @@ class PrincipalCode:
     planes: tuple[PlaneCode, ...]
 
     @classmethod
-    def of(cls, vectors: np.ndarray, features: np.ndarray, step: float) -> PrincipalCode:
+    def of(cls, vectors: np.ndarray, features: np.ndarray, step: float) -> "PrincipalCode":
         """Fit to vectors (samples, n); features (n, m): what is seen of them. Axes below `SEEN` steps are dropped."""
         mean = vectors.mean(axis=0)
         root = np.linalg.cholesky(
@@ -122,7 +120,7 @@ class PrincipalCode:
             out = out + plane.decode(values)[..., None] * component.astype(np.float32)
         return out
 
-    def backwards(self) -> PrincipalCode:
+    def backwards(self) -> "PrincipalCode":
         """Return the same with the axes of the smallest spread first."""
         return PrincipalCode(self.mean, self.components[::-1], self.projections[:, ::-1], self.planes[::-1])
 
@@ -148,7 +146,7 @@ class ColourCode:
     @classmethod
     def of(
         cls, coefficients: np.ndarray, to_xyz: list[np.ndarray], basis: np.ndarray | None, step: float
-    ) -> ColourCode:
+    ) -> "ColourCode":
         """Fit to coefficients (samples, K); to_xyz: (3, K) of each lamp, the first being daylight; step: in CIELAB."""
         luminance = to_xyz[0][1]
         mean = coefficients.mean(axis=0)
@@ -208,7 +206,7 @@ class NormalCode:
     fineness: float
 
     @classmethod
-    def of(cls, normals: np.ndarray, step: float) -> NormalCode:
+    def of(cls, normals: np.ndarray, step: float) -> "NormalCode":
         """Fit to normals (samples, 3)."""
         tilts = np.abs(_stereographic(normals))
         farthest = min(np.percentile(tilts, FARTHEST), 1.0) if tilts.size else 1.0

@@ -1,7 +1,5 @@
 """The page of a viewer: its modules, manifest and blocks of data, beside it or inside it."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

@@ -4,8 +4,6 @@ Memory holds the rows of one row of tiles of each level, never a whole map. A ti
 pixels, so that it can be interpolated by itself.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Callable

@@ -11,8 +11,6 @@ x along the weft, y along the warp, z up; lengths in mm. A yarn's section in a p
 solids as `Solids.numbers` and `Solids.free`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from math import gcd

@@ -1,7 +1,5 @@
 """Photograph a simulated cloth on the goniometer, and write the capture's folder with the truth behind it."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator

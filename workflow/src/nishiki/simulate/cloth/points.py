@@ -5,8 +5,6 @@ other is the product of two factors, one for the lamp's direction and one for th
 lamp's, so that the result is reciprocal to the last bit but rounding.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@
 over paths that meet the yarns several times. Both parts are symmetric in i and o.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Cloths and sessions: what they are made of, by name, checked when they are made."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lay brush strokes and build the simulated object: its relief, its paints, its varnish."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ reflection at the inner side of the surface: Saunderson (J. Opt. Soc. Am. 32, 19
 short ramp of mixtures, every step of a ramp is one label.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Photograph a simulated painting, and write the capture's folder with the truth behind it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path

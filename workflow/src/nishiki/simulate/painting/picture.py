@@ -3,8 +3,6 @@
 All positions are in units of the picture's height: u to the right from the left edge, v downwards from the top edge.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +28,7 @@ class CanvasMap:
     size: np.ndarray
 
     @classmethod
-    def blank(cls, rows: int, columns: int) -> CanvasMap:
+    def blank(cls, rows: int, columns: int) -> "CanvasMap":
         """Make a plan of bare ground."""
         shape = (rows, columns)
         return cls(
@@ -42,7 +40,7 @@ class CanvasMap:
             np.ones(shape, np.float32),
         )
 
-    def rows_of(self, band: slice) -> CanvasMap:
+    def rows_of(self, band: slice) -> "CanvasMap":
         """Return a view of some rows."""
         return CanvasMap(*(getattr(self, name)[band] for name in self.__dataclass_fields__))
 

@@ -1,7 +1,5 @@
 """The height of the painting: canvas weave under paint, slopes, cast shadows, and one bounce of light on it."""
 
-from __future__ import annotations
-
 import math
 
 import numba

@@ -1,7 +1,5 @@
 """Declare the settings of a simulated capture of a painting, and the lamp that they place."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Light that leaves the object towards the camera under one lamp, averaged over each camera pixel."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

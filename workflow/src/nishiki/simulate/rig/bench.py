@@ -4,8 +4,6 @@ The dome releases the camera on its shutter cable; the photograph under the lamp
 of the camera's software. Programs reach it all through a serial port, a folder and a terminal, as with a real dome.
 """
 
-from __future__ import annotations
-
 import csv
 import os
 import select

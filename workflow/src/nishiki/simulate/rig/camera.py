@@ -1,7 +1,5 @@
 """Pictures for libgphoto2's virtual camera, which appears in a process that starts with VCAMERADIR set."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 CAPACITY = 1 << 20

@@ -1,7 +1,5 @@
 """A simulated ComXim turntable: turns that take time, the heartbeat, refusals."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

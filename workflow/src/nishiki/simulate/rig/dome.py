@@ -1,7 +1,5 @@
 """A simulated dome with the protocol <3,n>, and what it lights."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A simulated controller with GRBL 1.1: start, homing, moves that take time, soft limits, alarms."""
 
-from __future__ import annotations
-
 import re
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A simulated device behind a pseudo-terminal: what it answers, and what can go wrong on a serial line."""
 
-from __future__ import annotations
-
 import errno
 import os
 import select
@@ -98,7 +96,7 @@ class SimulatedLine(threading.Thread):
         self.join(timeout=5)
         self.unplug()
 
-    def __enter__(self) -> SimulatedLine:
+    def __enter__(self) -> "SimulatedLine":
         return self
 
     def __exit__(self, *exception: object) -> None:

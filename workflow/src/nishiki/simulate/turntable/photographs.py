@@ -1,7 +1,5 @@
 """Photograph a simulated object on the turntable, and write the capture's folder with the truth behind it."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 

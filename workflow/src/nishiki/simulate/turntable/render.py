@@ -1,7 +1,5 @@
 """Render a view of the simulated object as light, with what reaches a point by way of other parts."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a simulated turntable capture looks like: its settings, and where the camera stands, seen from the object."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

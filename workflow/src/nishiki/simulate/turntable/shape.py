@@ -3,8 +3,6 @@
 Lengths in mm; the axis of the turntable is the y axis (upwards), the jar stands on y = 0.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

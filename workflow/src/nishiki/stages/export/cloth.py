@@ -1,7 +1,5 @@
 """Export: files of the draped cloth for other programs, and how far its material there is from the fitted model."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from functools import partial
@@ -41,7 +39,7 @@ class ExportedCloth:
     brdf: Brdf
 
     @classmethod
-    def of(cls, inputs: dict[str, Artifact]) -> ExportedCloth:
+    def of(cls, inputs: dict[str, Artifact]) -> "ExportedCloth":
         """Return the cloth of the pictures in the artifact of cloth_render."""
         shown = parse(ClothRenderSettings, inputs["cloth_render"].settings, "settings of cloth_render")
         models = ClothModels(inputs["cloth_brdf"].folder)

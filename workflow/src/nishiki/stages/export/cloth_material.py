@@ -12,8 +12,6 @@ D_s: Estevez and Kulla (2017), Production friendly microfacet sheen BRDF; V_s: N
 next-gen material pipeline for The Order: 1886, the visibility that three.js, Babylon.js and Filament use.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -52,7 +50,7 @@ class GltfCloth:
     channels: int = 3
 
     @classmethod
-    def of_parameters(cls, x: np.ndarray, along_warp: bool) -> GltfCloth:
+    def of_parameters(cls, x: np.ndarray, along_warp: bool) -> "GltfCloth":
         """Return base, roughness, anisotropy, weight, specular colour, sheen colour, sheen roughness (13,)."""
         return cls(x[:3], float(x[3]), float(x[4]), float(x[5]), x[6:9], x[9:12], float(x[12]), along_warp)
 

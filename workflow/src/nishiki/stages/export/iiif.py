@@ -4,8 +4,6 @@ Image API 3.0, level 0 (files alone, no image server), and Presentation API 3.0:
 from, its scale in millimetres (Physical Dimension service), and what capture.yaml says of object, maker and rights.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import tempfile

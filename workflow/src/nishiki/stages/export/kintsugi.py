@@ -11,8 +11,6 @@ Our lobe K_s / n.v exp(-phi^2 / (2 sigma^2)), relative to a white that faces the
 masking. The tables are such lobes of eight widths, and the weights of a texel the least squares of its own lobe.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -100,7 +98,7 @@ class LobeBasis:
     weights: np.ndarray
 
     @classmethod
-    def of(cls, ks: np.ndarray, sigma: np.ndarray) -> LobeBasis:
+    def of(cls, ks: np.ndarray, sigma: np.ndarray) -> "LobeBasis":
         """Of lobes at texels: ks (rows, columns, 3), relative to a lamp of strength 1; sigma (rows, columns), radians.
 
         All texels have the mean colour of the gloss. The strongest 0.1 % of the weights of a function are clipped.

@@ -8,8 +8,6 @@ that faces the lamp, becomes the lobe of Trowbridge and Reitz with the same peak
 Without a white board albedo is relative to a lamp of unknown strength and may be above 1: `lamp_strength` divides it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -143,7 +141,7 @@ class ObjectLook:
         """Return the same in the words of USD and MaterialX."""
         return SurfaceLook(self.colour, self.roughness, self.normal_reflectance, weight=self.specular)
 
-    def of_one_strength(self) -> ObjectLook:
+    def of_one_strength(self) -> "ObjectLook":
         """With the mean of the strength everywhere, which is what USD can say.
 
         Roughness keeps the height of each texel's highlight, w F0 / (4 alpha^2): a weaker gloss is a wider one.

@@ -1,7 +1,5 @@
 """The surface of an object for formats of scenes, and what a viewer shows of it against the photographs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,7 +45,7 @@ class SeenPoints:
     covered: np.ndarray
 
     @classmethod
-    def of(cls, look: ObjectLook, view: int) -> SeenPoints:
+    def of(cls, look: ObjectLook, view: int) -> "SeenPoints":
         """Of the triangles that have a place in the textures."""
         decoded, layout = look.decoded, look.layout
         camera, mesh = decoded.cameras[view], decoded.mesh

@@ -1,7 +1,5 @@
 """The sections of a cloth's page on its reflection: discs of all views, lobes, and errors of the models."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any

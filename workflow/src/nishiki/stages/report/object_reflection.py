@@ -1,7 +1,5 @@
 """The sections of an object's page on its texels: parameters as sheets of charts, cost of the residual."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The section of a cloth's page on its weave: cross-sections, parameters with their intervals, the fit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Cloth_viewer: a page on which a cloth hangs, lies flat and is dyed under any lamp, data beside it or inside it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

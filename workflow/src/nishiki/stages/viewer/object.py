@@ -4,8 +4,6 @@ Nothing is coded anew. The page holds the streams of the stage `residual` byte f
 integer arithmetic; mesh and charts come as integers, wavelets as sparse matrices, cameras and lamps as numbers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

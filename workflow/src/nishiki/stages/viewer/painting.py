@@ -1,7 +1,5 @@
 """Viewer: a page on which a painting is seen under moving lamps, its data beside it or inside it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

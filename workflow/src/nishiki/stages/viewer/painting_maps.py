@@ -4,8 +4,6 @@ A record of a pixel holds, in this order: known (1 or 0), normal (3), coefficien
 or 5), region.
 """
 
-from __future__ import annotations
-
 import json
 import zlib
 from dataclasses import dataclass
@@ -54,7 +52,7 @@ class PaintingMaps:
     parameters: dict[str, Any] | None
 
     @classmethod
-    def of(cls, inputs: dict[str, Artifact]) -> PaintingMaps:
+    def of(cls, inputs: dict[str, Artifact]) -> "PaintingMaps":
         """Return the maps of the upstream artifacts."""
         brdf = inputs.get("brdf")
         return cls(
@@ -127,7 +125,7 @@ class PaintingCode:
     channels: int
 
     @classmethod
-    def of(cls, maps: PaintingMaps, band_rows: int, steps: Steps) -> PaintingCode:
+    def of(cls, maps: PaintingMaps, band_rows: int, steps: Steps) -> "PaintingCode":
         """Fit to a sample of the maps."""
         values = maps.sample(band_rows)
         channels = values.shape[1] - 5 - maps.terms
