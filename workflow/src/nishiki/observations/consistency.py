@@ -206,7 +206,7 @@ class ReducedPhotographs:
         """Measure the movement of the camera."""
         windows = []
         for k, (rows, columns) in enumerate(self.places or []):
-            pictures = np.stack([self.windows[i][k] for i in places]).astype(np.float32)
+            pictures = [self.windows[i][k] for i in places]
             corner = np.array([columns.start, rows.start], float)
             windows.append(Window(pictures, self.mask[rows, columns] != 0, corner, np.ones(2), MARGIN))
         grey = values.mean(axis=3)

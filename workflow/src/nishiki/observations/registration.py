@@ -13,6 +13,7 @@ substitute: shifts that follow the direction of the lamp look like slopes at the
 the residual.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,12 +87,12 @@ class Movement:
 class Window:
     """The same window of all photographs.
 
-    pictures: (lights, rows, columns) float32 linear light; inside: (rows, columns) bool, the object; corner: column and
-    row of its first pixel in the whole picture; step: pixels of the whole picture to one of the window; margin: pixels
-    around it that serve the alignment only.
+    pictures: of all lights, (rows, columns) float32 or float16 linear light; inside: (rows, columns) bool, the object;
+    corner: column and row of its first pixel in the whole picture; step: pixels of the whole picture to one of the
+    window; margin: pixels around it that serve the alignment only.
     """
 
-    pictures: np.ndarray
+    pictures: Sequence[np.ndarray]
     inside: np.ndarray
     corner: np.ndarray
     step: np.ndarray
@@ -107,7 +108,8 @@ class Window:
     def part(self, rows: slice, columns: slice) -> "Window":
         """A part of it, with pictures that are views."""
         corner = self.corner + self.step * (columns.start, rows.start)
-        return Window(self.pictures[:, rows, columns], self.inside[rows, columns], corner, self.step)
+        pictures = [picture[rows, columns] for picture in self.pictures]
+        return Window(pictures, self.inside[rows, columns], corner, self.step)
 
 
 def choose_places(
@@ -246,17 +248,17 @@ def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
     return float(values[order][np.searchsorted(total, total[-1] / 2)]) if total[-1] > 0 else 0.0
 
 
-def _features(pictures: np.ndarray, inside: np.ndarray) -> np.ndarray:
+def _features(pictures: Sequence[np.ndarray], inside: np.ndarray) -> np.ndarray:
     """Laplacians of the logarithms (lights, rows, columns), clipped, 0 at and beyond the rim of the object."""
     import cv2
 
     depth = cv2.distanceTransform(np.pad(inside.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
     taper = np.clip((depth - 4) / 8, 0, 1).astype(np.float32)
-    features = np.zeros_like(pictures)
+    features = np.zeros((len(pictures), *inside.shape), np.float32)
     if not (taper > 0).any():
         return features
     for picture, out in zip(pictures, features, strict=True):
-        known = np.where(np.isfinite(picture), picture, 0)
+        known = np.where(np.isfinite(picture), picture, np.float32(0))
         floor = FLOOR * np.percentile(known[taper > 0], 80)
         if floor <= 0:
             continue
@@ -289,7 +291,7 @@ def _compare(window: Window, pairs: np.ndarray, movement: Movement) -> tuple[np.
     return shifts * window.step, heights
 
 
-def align_window(window: Window, movement: Movement, *, replicate: bool = True) -> tuple[np.ndarray, np.ndarray]:
+def align_window(window: Window, movement: Movement, *, replicate: bool = True) -> tuple[list[np.ndarray], np.ndarray]:
     """The pictures brought to the first one by a movement, and where they show the object, without the margin.
 
     replicate: pixels beyond the border are those at it; otherwise NaN.
@@ -297,21 +299,21 @@ def align_window(window: Window, movement: Movement, *, replicate: bool = True) 
     import cv2
 
     pictures, inside, edge = window.pictures, window.inside, window.margin
-    if movement.largest.any():
-        moved, size, flags = [], inside.shape[::-1], cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-        for j, picture in enumerate(pictures):
+    rows, columns = (slice(edge, max(n - edge, edge + 1)) for n in inside.shape)
+    aligned, size, flags = [], inside.shape[::-1], cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    for j, picture in enumerate(pictures):
+        if movement.largest.any():
             matrix = movement.matrix(j)
             turned = matrix[:, :2]
             offset = (turned @ window.corner + matrix[:, 2] - window.corner) / window.step
             local = np.column_stack([turned, offset])
+            picture = np.asarray(picture, np.float32)
             picture = cv2.warpAffine(picture, local, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
             if not replicate:
                 shown = cv2.warpAffine(np.ones(inside.shape, np.uint8), local, size, flags=cv2.WARP_INVERSE_MAP)
                 picture[shown == 0] = np.nan
-            moved.append(picture)
-        pictures = np.stack(moved)
-    rows, columns = (slice(edge, max(n - edge, edge + 1)) for n in inside.shape)
-    return pictures[:, rows, columns], inside[rows, columns]
+        aligned.append(picture[rows, columns])
+    return aligned, inside[rows, columns]
 
 
 def _peaks(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
