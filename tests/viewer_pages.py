@@ -220,7 +220,17 @@ def enhanced(scene: PlaneScene, state: dict[str, Any]) -> np.ndarray:
     (light,) = lights_of(scene, state)
     visibility = cast_shadows(scene.height, [light], pitch=scene.pitch).visibility
     slopes = scene.normals[..., :2] / np.maximum(scene.normals[..., 2:], 0.2)
-    if name == "raking":
+    if name == "unsharp":
+        rows, columns = np.indices(scene.shape)
+        ring = [(y, x) for r in (1, 3) for y in (-r, 0, r) for x in (-r, 0, r) if x or y]
+        beside = [
+            np.clip(rows + y, 0, rows.max()) * scene.shape[1] + np.clip(columns + x, 0, columns.max()) for y, x in ring
+        ]
+        mean = np.mean([scene.normals.reshape(-1, 3)[each] for each in beside], axis=0)
+        normals = scene.normals + 4 * strength * (scene.normals - mean)
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        scene = replace(scene, normals=normals.astype(np.float32))
+    if name in ("raking", "relief"):
         normals = scene.normals * [1 + 4 * strength, 1 + 4 * strength, 1]
         normals = (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).astype(np.float32)
         covariance = None if scene.slopes is None else slope_covariance(normals)
@@ -244,6 +254,8 @@ def enhanced(scene: PlaneScene, state: dict[str, Any]) -> np.ndarray:
         around = np.pad(slopes, ((1, 1), (1, 1), (0, 0)), mode="edge")
         bend = around[1:-1, 2:, 0] - around[1:-1, :-2, 0] + around[:-2, 1:-1, 1] - around[2:, 1:-1, 1]
         shown = (lit + ambient) * np.clip(1 + 6 * strength * bend, 0.3, 1.7)[..., None] + gloss
+    elif name in ("unsharp", "relief"):
+        shown = lit + ambient + gloss
     else:
         spectra = scene.coefficients @ scene.basis
         colour = (spectra * light.spectrum) @ cie_1931_cmfs().T / (light.spectrum @ cie_1931_cmfs()[1])

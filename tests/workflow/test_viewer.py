@@ -173,7 +173,7 @@ def test_tilted_picture_is_that_of_render_and_its_relief_is_lifted(viewed, shown
     assert np.mean(apart) < 0.25 * np.mean(without)
 
 
-@pytest.mark.parametrize("enhancement", ["specular", "curvature", "raking"])
+@pytest.mark.parametrize("enhancement", ["specular", "curvature", "raking", "unsharp", "relief"])
 def test_an_enhancement_is_what_its_formula_says(viewed, shown, enhancement):
     current = viewed.folder / "results/tiny/current"
     scene = viewer_pages.plane_scene(

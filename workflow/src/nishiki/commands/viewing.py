@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 PAGE = "index.html"
 """The page of all scenes, in the folder of the results."""
+NOTES = "annotations.json"
 VIEWERS = ("viewer/index.html", "object_viewer/index.html", "cloth_viewer/index.html")
 OPENED_FIRST = (*VIEWERS, "report.html")
 """What is opened of a scene: the first that is there, in its folder `current`."""
@@ -180,14 +181,35 @@ def _read(path: Path) -> dict:
     return values if isinstance(values, dict) else {}
 
 
-class _Quiet(http.server.SimpleHTTPRequestHandler):
+class ResultsHandler(http.server.SimpleHTTPRequestHandler):
+    """Serve results, and keep the notes of a viewer's page in results/SCENE/annotations.json."""
+
     def log_message(self, format: str, *arguments: object) -> None:
         """Print no requests."""
+
+    def translate_path(self, path: str) -> str:
+        """Return the file of an address: the notes of a scene belong to none of its results."""
+        found = Path(super().translate_path(path))
+        within = found.relative_to(self.directory).parts
+        return str(Path(self.directory, within[0], NOTES) if found.name == NOTES and len(within) > 2 else found)
+
+    def do_PUT(self) -> None:
+        """Keep the notes that a page of this server sends."""
+        place = Path(self.translate_path(self.path))
+        content = self.rfile.read(int(self.headers.get("Content-Length", 0)))
+        own = self.headers.get("Host", "").startswith("127.0.0.1:")
+        if not own or place.name != NOTES or not place.with_name("current").is_dir():
+            return self.send_error(403)
+        partial = place.with_name(f".{NOTES}.{owner()}.partial")
+        partial.write_bytes(content)
+        os.replace(partial, place)
+        self.send_response(204)
+        self.end_headers()
 
 
 def serve(results: Path, page: Path, port: int, *, open_browser: bool, query: str = "") -> None:
     """Serve the results to this machine's browsers alone until interrupted (port 0: any that is free)."""
-    handler = functools.partial(_Quiet, directory=str(results))
+    handler = functools.partial(ResultsHandler, directory=str(results))
     try:
         server = http.server.ThreadingHTTPServer(("127.0.0.1", port), handler)
     except OSError as error:

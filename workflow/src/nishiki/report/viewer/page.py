@@ -67,6 +67,7 @@ def write_page(blocks: Blocks, manifest: dict[str, Any], entry: Path) -> dict[st
         style=Markup((PAGE / "style.css").read_text(encoding="utf-8")),
     )
     blocks.output.path("index.html").write_text(html, encoding="utf-8")
+    blocks.output.path("embed.js").write_bytes((PAGE / "embed.js").read_bytes())
     return {
         "page_bytes": len(html.encode("utf-8")),
         "data_bytes": sum(blocks.bytes.values()),

@@ -1,3 +1,4 @@
+// @ts-check
 // Cameras of a turntable, as nishiki.geometry has them: captured, between captured ones, and free.
 
 import {

@@ -1,3 +1,4 @@
+// @ts-check
 // Surfaces and materials of a cloth's page, from their blocks of data to the graphics processor.
 import { attribute, texture } from "viewer/gl";
 

@@ -1,3 +1,4 @@
+// @ts-check
 // From spectra to the display's sRGB, as nishiki.colour and nishiki.render.display compute it.
 // Matrices are arrays of rows.
 

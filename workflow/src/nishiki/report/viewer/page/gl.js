@@ -1,3 +1,4 @@
+// @ts-check
 // WebGL2 helpers: context, programs, textures, framebuffers, reading back.
 
 /** Beginning of every shader. */

@@ -1,3 +1,4 @@
+// @ts-check
 // The choice of a lamp's spectrum: a name of the manifest, a black body, or a table of the user's own.
 import { choice, element, slider } from "viewer/dom";
 import { text } from "viewer/texts";

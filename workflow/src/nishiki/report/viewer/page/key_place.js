@@ -1,5 +1,5 @@
 // A cross that the arrow keys move over the picture, for whoever uses no pointer: Enter reads the values under it, or puts an
-// end of the ruler there.
+// end of the ruler or a note there.
 import { text } from "viewer/texts";
 
 const STEP = 8; // CSS pixels of an arrow key
@@ -19,11 +19,13 @@ export class KeyPlace {
   /** What a key does with the tools for values and for the ruler; whether it did anything. */
   key({ key, shiftKey }) {
     const { app, canvas } = this, step = ARROWS[key];
-    if (!["probe", "ruler"].includes(app.tool) || shiftKey || !(step || key === "Enter")) return false;
+    if (!["probe", "ruler", "annotate"].includes(app.tool) || shiftKey || !(step || key === "Enter")) return false;
     const most = [canvas.clientWidth - 1, canvas.clientHeight - 1];
     const from = app.place ?? most.map((length) => length / 2);
     app.place = step ? from.map((v, k) => Math.min(Math.max(v + STEP * step[k], 0), most[k])) : from;
-    if (app.tool === "ruler") this.#measure(key === "Enter");
+    if (app.tool === "annotate") {
+      if (key === "Enter") app.annotations.begin(...app.place), app.annotations.end();
+    } else if (app.tool === "ruler") this.#measure(key === "Enter");
     else if (key === "Enter" || app.flat) app.probe(...this.#pixel()); // an object's values take a while
     app.redraw();
     return true;

@@ -1,9 +1,29 @@
+// @ts-check
 // What is shown: the appearance, an enhancement of it, or a layer with its legend.
 import { choice, element, slider, tick } from "viewer/dom";
+import { copy } from "viewer/state";
 import { text } from "viewer/texts";
 
-const ENHANCEMENTS = ["none", "specular", "curvature", "raking"];
+const ENHANCEMENTS = ["none", "specular", "curvature", "raking", "unsharp", "relief"];
+const RAKING_DEG = 10; // elevation of the lamp in raking light
+const PRESETS = {
+  plain: () => ({}),
+  raking: (first, [lamp]) => ({ lamps: [{ ...first.lamps[0], ...lamp, elevation_deg: RAKING_DEG, distance: null }] }),
+  specular: () => ({ enhance: "specular" }),
+  unsharp: () => ({ enhance: "unsharp" }),
+  relief: () => ({ enhance: "relief" }),
+};
 const BARS = { grey: "linear-gradient(to right,#000,#fff)", diverging: "linear-gradient(to right,#2166ac,#f7f7f7,#b2182b)" };
+
+/** Buttons that bring the picture as it opens, in raking light, or enhanced; the view stays. */
+export function presets(app) {
+  const { state, first } = app;
+  return element("div", { className: "buttons", role: "group", "aria-label": text("presets") }, Object.entries(PRESETS).map(([name, made]) => {
+    const { lamps, layer, enhance, strength } = first, wanted = { lamps, layer, enhance, strength, ...made(first, state.lamps) };
+    const pressed = Object.entries(wanted).every(([key, value]) => JSON.stringify(state[key]) === JSON.stringify(value));
+    return element("button", { type: "button", "aria-pressed": `${pressed}`, onclick: () => app.set(copy(wanted)) }, text(`preset.${name}`));
+  }));
+}
 
 /** The section "layers" of a painting, an object or a cloth. */
 export function layersSection(app) {

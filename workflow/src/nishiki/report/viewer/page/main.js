@@ -1,15 +1,18 @@
 // The page: one scene on a canvas, its state, and the panel that changes the state.
+import { Annotations } from "viewer/annotations";
 import { Beside, follow, pageBeside } from "viewer/beside";
 import { afterPicture, element } from "viewer/dom";
 import { lampsSection } from "viewer/lamps";
-import { layersSection, showLegend } from "viewer/layers";
+import { layersSection, presets, showLegend } from "viewer/layers";
+import { lensOf } from "viewer/lens";
 import { Loader } from "viewer/loader";
 import { drawOverlay, written } from "viewer/overlay";
 import { probeSection } from "viewer/probe";
 import { RoundTools } from "viewer/round_tools";
+import { download, pictureOf } from "viewer/save";
 import { bookmark, copy, firstState, fromBookmark } from "viewer/state";
 import { LANGUAGES, preferred, speak, text } from "viewer/texts";
-import { FlatTools, toolbar } from "viewer/tools";
+import { actions, FlatTools, toolbar } from "viewer/tools";
 
 const BOOKMARK_AFTER = 400; // ms without a change
 const MOST_RATIO = 2; // pixels of the canvas to one of CSS
@@ -22,7 +25,7 @@ class App {
   constructor(manifest, Scene) {
     Object.assign(this, { manifest, Scene, flat: manifest.chain === "painting", tool: manifest.chain === "painting" ? "light" : "move" });
     this.preview = this.flat; // until the first picture is drawn
-    Object.assign(this, { lamp: 0, ruler: [], place: null, mark: null, probed: undefined, probes: 0, asked: false, opened: new Set(["light"]) });
+    Object.assign(this, { lamp: 0, ruler: [], place: null, mark: null, lens: null, probed: undefined, probes: 0, asked: false, opened: new Set(["light"]) });
   }
 
   async open() {
@@ -36,6 +39,8 @@ class App {
     if (other) this.first.compare = { divider: 0.5, state: null };
     this.state = fromBookmark(location.hash, this.first);
     this.scene.onready = () => this.redraw();
+    this.annotations = this.scene.pointAt ? new Annotations(this) : null;
+    this.bare = searchParams.has("embed");
     if (searchParams.has("part")) follow(this);
     else if (other) this.beside = new Beside(this, other);
     if (this.flat) new FlatTools(this, canvas);
@@ -46,7 +51,10 @@ class App {
     });
     this.wireDivider();
     by("sheet").onclick = () => this.toggleSheet();
+    document.addEventListener("fullscreenchange", () => this.showPanel());
+    this.showPanel();
     this.rebuild();
+    if (!searchParams.has("part")) await this.annotations?.open();
     if (address !== null && !other) this.say(text("beside.refused", { address }));
   }
 
@@ -66,7 +74,7 @@ class App {
   /** The state changed in a way that the panel shows with other controls. */
   rebuild() {
     const active = document.activeElement?.getAttribute("aria-label") ?? document.activeElement?.textContent;
-    const inside = ["tools", "panel"].find((name) => by(name).contains(document.activeElement));
+    const inside = ["tools", "actions", "panel"].find((name) => by(name).contains(document.activeElement));
     speak(this.state.language);
     document.title = this.manifest.title;
     canvas.setAttribute("aria-label", text(this.flat ? "canvas.flat" : "canvas.object", { title: this.manifest.title }));
@@ -74,6 +82,7 @@ class App {
     canvas.dataset.tool = this.tool;
     by("tools").setAttribute("aria-label", text("tools"));
     by("tools").replaceChildren(...toolbar(this));
+    by("actions").replaceChildren(...actions(this));
     by("divider").setAttribute("aria-label", text("divider"));
     by("sheet").textContent = text("controls");
     by("panel").replaceChildren(...this.panel());
@@ -86,13 +95,15 @@ class App {
     return [
       element("h1", {}, title),
       element("p", { className: "from" }, text("from", { scene, key, version })),
+      this.flat && presets(this),
       this.section("light", lampsSection(this)),
       this.section("layers", layersSection(this)),
       this.section("probe", probeSection(this)),
+      this.annotations && this.section("annotations", this.annotations.section()),
       this.section("compare", this.compareSection()),
       this.section("bookmark", this.bookmarkSection()),
       this.section("help", this.helpSection()),
-    ];
+    ].filter(Boolean);
   }
 
   section(name, children) {
@@ -132,10 +143,9 @@ class App {
   }
 
   helpSection() {
-    const keys = this.flat ? ["l m t p r"] : [`m p${this.scene.offers.includes("ruler") ? " r" : ""}`];
-    keys.push("← → ↑ ↓", "⇧ ← → ↑ ↓", "Enter", "+ −", "0");
-    const { width_mm, height_mm, unit } = this.scene.bounds(), large = unit === "mm" && Math.max(width_mm, height_mm) >= 100;
-    const size = [width_mm, height_mm].map((length) => (large ? `${Number((length / 10).toPrecision(3))} cm` : written(length, unit))).join(" × ");
+    const keys = this.flat ? ["l m t p r a g"] : [`m p${this.scene.offers.includes("ruler") ? " r" : ""}${this.annotations ? " a" : ""}`];
+    keys.push("f s", "← → ↑ ↓", "⇧ ← → ↑ ↓", "Enter", "+ −", "0");
+    const { width_mm, height_mm, unit } = this.scene.bounds(), size = [width_mm, height_mm].map((length) => written(length, unit)).join(" × ");
     const languages = element("select", { "aria-label": text("language"), onchange: () => ((this.state.language = languages.value), this.rebuild()) },
       Object.entries(LANGUAGES).map(([code, name]) => element("option", { value: code, selected: code === this.state.language }, name)));
     return [
@@ -171,6 +181,25 @@ class App {
     this.tool = name;
     if (name === "probe") this.opened.add("probe");
     this.rebuild();
+  }
+
+  async savePicture() {
+    const { manifest, state } = this, [lamp] = state.lamps;
+    const name = [manifest.scene, state.layer !== "appearance" ? state.layer : lamp && `${Math.round(lamp.azimuth_deg)}-${Math.round(lamp.elevation_deg)}`];
+    download(`${name.filter(Boolean).join("-")}.png`, "image/png", await pictureOf(this, by("overlay")));
+    if (this.beside) this.say(text("save.alone"));
+  }
+
+  toggleFullScreen() {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else document.documentElement.requestFullscreen().catch((error) => this.say(error.message));
+  }
+
+  /** The controls stand beside the picture, unless it fills a screen or a frame: then a button brings them. */
+  showPanel() {
+    document.body.classList.toggle("bare", this.bare || Boolean(document.fullscreenElement));
+    this.resize();
+    this.redraw();
   }
 
   fit() {
@@ -271,6 +300,10 @@ class App {
       by("divider").setAttribute("aria-valuenow", Math.round(100 * compare.divider));
     }
     this.beside?.show(cut / width);
+    const lens = this.flat && this.tool === "lens" && this.lens && lensOf(scene, state, this.lens);
+    if (lens) scene.draw(lens.state, lens.region);
+    Object.assign(by("lens"), { hidden: !lens });
+    if (lens) Object.assign(by("lens").style, Object.fromEntries(["x", "y", "width", "height"].map((side, k) => [["left", "top", "width", "height"][k], `${lens.region[side] / this.ratio}px`])));
     drawOverlay(this, by("overlay"));
     showLegend(this, by("legend"));
     if (this.preview) this.sharpen();

@@ -259,17 +259,17 @@ export class ObjectScene extends RoundScene {
     };
   }
 
-  /** Point of the surface at (x, y) of the canvas, mm; null beside the object. */
+  /** Point of the surface at (x, y) of the canvas, in mm or the cameras' unit; null beside the object. */
   pointAt(x, y, state) {
     const { camera } = this.cameraOf(this.views.of(state), this.canvas);
     const place = new ObjectProbe(this).placeAt(camera, x, y);
-    return place && scale(place, this.millimetres);
+    return place && scale(place, this.millimetres ?? 1);
   }
 
   /** Place on the canvas of a point, mm; as events have it, with whole numbers at the corners of pixels. */
   fromScene(point, state) {
     const { camera } = this.cameraOf(this.views.of(state), this.canvas);
-    return projected(camera, scale(point, 1 / this.millimetres)).map((v) => v + 0.5);
+    return projected(camera, scale(point, 1 / (this.millimetres ?? 1))).map((v) => v + 0.5);
   }
 
   /** Pixels of the canvas to a millimetre at the depth of the object's middle. */

@@ -1,3 +1,4 @@
+// @ts-check
 // Lamps of an object as a camera has them: those of the capture, fixed to the camera, or the state's own.
 import { centreOf } from "viewer/cameras";
 import { freeLamps } from "viewer/free_lamps";

@@ -1,20 +1,21 @@
+// @ts-check
 // Drawn over the picture: scale bar, ruler, the place that was probed.
 import { drawing } from "viewer/dom";
 
 const LONGEST = 180; // CSS pixels of the scale bar
-const NARROW = 700, BUTTON = 52; // a narrow page has a button below the scale bar
+const BUTTON = 52; // CSS pixels of the button below the scale bar, where there is one
 
 /** Redraw; app.ruler: [] or one or two points in the unit of the scene; app.mark: the point that was probed; app.place: CSS
  * pixels of the cross that keys move. */
 export function drawOverlay(app, svg) {
   const { scene, state, ratio } = app;
   svg.replaceChildren();
-  if (app.place && ["probe", "ruler"].includes(app.tool)) svg.append(...cross(app.place));
-  if (!app.flat && !scene.offers.includes("ruler")) return;
-  const { unit, width_mm } = scene.bounds(); // scale: CSS pixels to the unit
-  const scale = (app.flat ? (scene.fit() * state.view.zoom * scene.manifest.columns) / width_mm : scene.scaleOf(state)) / ratio;
   const at = (point) => scene.fromScene(point, state).map((v) => v / ratio);
-  const width = svg.clientWidth, height = svg.clientHeight - (innerWidth <= NARROW ? BUTTON : 0);
+  if (app.annotations) svg.append(...app.annotations.marks(at));
+  if (app.place && ["probe", "ruler", "annotate"].includes(app.tool)) svg.append(...cross(app.place));
+  if (!scaleOf(app)) return;
+  const { unit } = scene.bounds(), scale = scaleOf(app) / ratio; // CSS pixels to the unit
+  const width = svg.clientWidth, height = svg.clientHeight - (getComputedStyle(document.getElementById("sheet")).display === "none" ? 0 : BUTTON);
   const power = 10 ** Math.floor(Math.log10(LONGEST / scale));
   const length = [5, 2, 1].map((k) => k * power).find((each) => each * scale <= LONGEST) ?? power;
   svg.append(...segment([width - 16 - length * scale, height - 18], [width - 16, height - 18], true), words(width - 16 - (length * scale) / 2, height - 26, written(length, unit)));
@@ -26,11 +27,13 @@ export function drawOverlay(app, svg) {
   }
 }
 
-/** A length with its unit; large ones in cm or m. */
-export function written(length, unit) {
-  if (unit !== "mm") return `${Number(length.toPrecision(4))} ${unit}`.trim();
-  const [value, name] = length >= 1000 ? [length / 1000, "m"] : length >= 100 ? [length / 10, "cm"] : length < 0.1 ? [length * 1000, "µm"] : [length, "mm"];
-  return `${Number(value.toPrecision(4))} ${name}`;
+/** A length with its unit, the same one at every place of the page. */
+export const written = (length, unit) => `${Number(length.toPrecision(4))} ${unit}`.trim();
+
+/** Pixels of the canvas to the unit of the scene; null where nothing is measured. */
+export function scaleOf({ scene, state, flat }) {
+  if (flat) return (scene.fit() * state.view.zoom * scene.manifest.columns) / scene.bounds().width_mm;
+  return scene.offers.includes("ruler") ? scene.scaleOf(state) : null;
 }
 
 const cross = ([x, y]) => ["shade", "line"].map((name) => drawing("path", { class: name, d: `M${x - 9} ${y}h6m6 0h6M${x} ${y - 9}v6m0 6v6` }));

@@ -14,7 +14,7 @@ import { Shadows } from "viewer/shadows";
 import { MOST_LAMPS } from "viewer/state";
 import { Tiles } from "viewer/tiles";
 
-const ENHANCEMENTS = ["none", "specular", "curvature", "raking"];
+const ENHANCEMENTS = ["none", "specular", "curvature", "raking", "unsharp", "relief"];
 const LAYER_COLOURS = ["grey", "diverging", "flags"];
 const BACKGROUND = 0.106;
 const FRONTAL = { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 };

@@ -1,3 +1,4 @@
+// @ts-check
 // Colours of a painting under lamps of any spectrum, as the shader takes them.
 import * as colour from "viewer/colour";
 

@@ -1,3 +1,4 @@
+// @ts-check
 // Shaders of the painting. Shading follows nishiki.render.plane.kernel term by term.
 
 /** What a shader of the tiles writes: the picture, codes of its luminance, or the normals. */
@@ -40,6 +41,9 @@ void main() {
 #endif
 }`;
 
+/** Neighbours whose mean the unsharp normals leave, in pixels of the level: within the border of a tile. */
+const AROUND = [1, 3].flatMap((r) => [[r, 0], [-r, 0], [0, r], [0, -r], [r, r], [-r, r], [r, -r], [-r, -r]]);
+
 /** GLSL that reads plane k of the tile: constant indices, because indices that vary cost a software rasteriser dearly. */
 const plane = (k) => `values${Math.floor(k / 3)}.${"rgb"[k % 3]}`;
 const repeat = (count, line) => Array.from({ length: count }, (_, k) => line(k)).join("\n  ");
@@ -51,7 +55,7 @@ const colourOf = (j, chroma) => `vec3 body = colours[${j} * (CHROMA + 2) + 1]${A
     total += body * diffuse + whites[${j}] * specular;`;
 
 /** Defines: PLANES, CHROMA, TERMS, SHADES (planes of the body shading), LAMPS, LOBES, REGIONS, BLURRED, SHADOWS. */
-export const paintingFragment = ({ PLANES, CHROMA, TERMS, SHADES, LAMPS, LOBES }) => `
+export const paintingFragment = ({ PLANES, CHROMA, SHADES, LAMPS, LOBES }) => `
 uniform sampler2DArray planes;
 uniform vec2 origin;             // of the tile with its border, in pixels of the level
 uniform float side;
@@ -80,7 +84,7 @@ uniform sampler2DArray visibility;
 uniform vec4 shadowPlace;        // scale and offset of its part of the map
 #endif
 uniform int shown;               // one of SHOWN
-uniform int enhance;             // 0 none, 1 specular, 2 curvature, 3 raking
+uniform int enhance;             // 0 none, 1 specular, 2 curvature, 3 raking, 4 unsharp, 5 relief
 uniform float strength;
 in vec2 at;
 out vec4 result;
@@ -96,8 +100,8 @@ vec3 decodedNormal(vec2 code) {
   return vec3(2.0 * s, 1.0 - square) / (1.0 + square);
 }
 
-/** Raking light shows a steeper relief. */
-vec3 steepened(vec3 n) { return enhance == 3 ? normalize(vec3(n.xy * (1.0 + 4.0 * strength), n.z)) : n; }
+/** Raking light and the exaggerated relief show steeper slopes. */
+vec3 steepened(vec3 n) { return enhance == 3 || enhance == 5 ? normalize(vec3(n.xy * (1.0 + 4.0 * strength), n.z)) : n; }
 
 vec2 slopeAt(vec2 place) {
   vec3 n = steepened(decodedNormal(codes(0, clamp(place, vec2(0.5), size - 0.5)).rg));
@@ -143,6 +147,13 @@ void main() {
     return;
   }
   n = steepened(n);
+  vec2 here = n.xy / max(n.z, 0.2);
+  if (enhance == 4) { // away from the mean of the normals around it
+    vec3 around = vec3(0.0);
+    ${AROUND.map(([x, y]) => `around += decodedNormal(codes(0, clamp(at + vec2(${x}, ${y}), vec2(0.5), size - 0.5)).rg);`).join("\n    ")}
+    n = normalize(n + 4.0 * strength * (n - around / ${AROUND.length}.0));
+    n.z = max(n.z, 0.05);
+  }
   float u = values0.b * top;
   vec4 table = texelFetch(gloss, ivec2(0, region), 0);
   float contrast = (table.x - 1.0) * (table.x + 1.0);
@@ -153,13 +164,13 @@ void main() {
   ${repeat(LOBES, (k) => `vec2 lobe${k} = texelFetch(gloss, ivec2(${k + 1}, region), 0).xy;`)}
 #endif
 #if BLURRED && LOBES > 0
-  vec2 here = n.xy / max(n.z, 0.2);
   vec3 spread = vec3(0.0);
   ${repeat(4, (k) => `{
     vec2 d = slopeAt(at + stride * vec2(${["1, 0", "-1, 0", "0, 1", "0, -1"][k]})) - here;
     spread += vec3(d.x * d.x, d.x * d.y, d.y * d.y);
   }`)}
   spread *= blur / 24.0;
+  here = n.xy / max(n.z, 0.2);
 #endif
 #if TERMS > 0
   ${repeat(SHADES, (k) => `float shade${k} = mix(shadeRange[${k}].x, shadeRange[${k}].y, ${plane(3 + CHROMA + k)});`)}

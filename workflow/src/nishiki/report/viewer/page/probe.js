@@ -1,3 +1,4 @@
+// @ts-check
 // Values under the cursor: position, normal, layers, spectrum with its band of error, gloss, the photographs' values.
 import { drawing, element } from "viewer/dom";
 import { text } from "viewer/texts";

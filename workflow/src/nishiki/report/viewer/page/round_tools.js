@@ -3,11 +3,11 @@
 import { KeyPlace } from "viewer/key_place";
 import { Orbit } from "viewer/orbit";
 
-const KEYS = { m: "move", p: "probe", r: "ruler" };
+const KEYS = { m: "move", p: "probe", r: "ruler", a: "annotate" };
 const CLICK = 5; // pixels that a click may wander
 
 /** Tools of a scene, for the toolbar. */
-export const toolsOf = (scene) => Object.values(KEYS).filter((name) => name !== "ruler" || scene.offers.includes("ruler"));
+export const toolsOf = (scene) => Object.values(KEYS).filter((name) => (name === "ruler" ? scene.offers.includes("ruler") : name !== "annotate" || scene.pointAt));
 
 export class RoundTools {
   /** app: {scene, state, tool, ratio, ruler, chooseTool, setView, fit, probe, measure, say, rulerText} */
@@ -15,16 +15,23 @@ export class RoundTools {
     Object.assign(this, { app, from: [], measuring: false });
     this.keys = new KeyPlace(app, canvas);
     canvas.addEventListener("keydown", (event) => this.key(event)); // before those of the camera
-    new Orbit(canvas, app.scene, () => app.state, (view) => app.setView(view), () => app.tool !== "ruler");
+    new Orbit(canvas, app.scene, () => app.state, (view) => app.setView(view), () => !["ruler", "annotate"].includes(app.tool));
     canvas.addEventListener("pointerdown", (event) => this.down(event));
-    canvas.addEventListener("pointermove", (event) => this.measuring && this.measure(event, [app.ruler[0]]));
+    canvas.addEventListener("pointermove", (event) => {
+      if (this.measuring) this.measure(event, [app.ruler[0]]);
+      else if (app.tool === "annotate" && event.isPrimary) app.annotations.extend(event.offsetX, event.offsetY);
+    });
     canvas.addEventListener("pointerup", (event) => this.up(event));
-    canvas.addEventListener("pointercancel", () => (this.measuring = false));
+    canvas.addEventListener("pointercancel", () => {
+      this.measuring = false;
+      if (app.annotations) app.annotations.drawn = null;
+    });
   }
 
   down(event) {
     this.from = [event.offsetX, event.offsetY];
     this.measuring = false;
+    if (this.app.tool === "annotate" && event.isPrimary && !event.shiftKey) this.app.annotations.begin(...this.from);
     if (this.app.tool !== "ruler" || !event.isPrimary || event.shiftKey) return;
     this.app.measure([]);
     this.measuring = this.measure(event, []);
@@ -39,6 +46,7 @@ export class RoundTools {
 
   up({ offsetX, offsetY }) {
     const { app } = this, still = Math.hypot(offsetX - this.from[0], offsetY - this.from[1]) < CLICK;
+    app.annotations?.end();
     if (still && app.tool === "probe") app.probe(offsetX * app.ratio, offsetY * app.ratio);
     if (this.measuring && app.ruler.length === 2) app.say(app.rulerText());
     this.measuring = false;
@@ -49,6 +57,8 @@ export class RoundTools {
     const { app } = this, tool = KEYS[event.key];
     if (event.key === "0") app.fit();
     else if (tool && toolsOf(app.scene).includes(tool)) app.chooseTool(tool);
+    else if (event.key === "f") app.toggleFullScreen();
+    else if (event.key === "s") app.savePicture();
     else if (!this.keys.key(event)) return;
     event.preventDefault();
   }

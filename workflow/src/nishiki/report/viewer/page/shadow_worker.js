@@ -202,7 +202,7 @@ export function work() {
           else r0 = Math.round(r);
           if (k >= beyond) {
             // a square that is too low is passed over; none later in it can be higher above the line of sight
-            let steps = 0;
+            let steps;
             for (const { bits, across, tops } of squares) {
               steps = Math.min(stepsWithin(c0, c, stepColumn, bits), stepsWithin(r0, r, stepRow, bits));
               if (Math.max(tops[(r0 >> bits) * across + (c0 >> bits)] / pitch - start, 0) <= needed) {

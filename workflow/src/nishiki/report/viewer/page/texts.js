@@ -1,3 +1,4 @@
+// @ts-check
 // The page's texts in the languages that it knows.
 
 const all = JSON.parse(document.getElementById("texts").textContent);

@@ -1,4 +1,4 @@
-// What a pointer and the keys do on a flat picture: light, move, tilt, probe, ruler. Wheel and pinch zoom with every tool;
+// What a pointer and the keys do on a flat picture: light, move, tilt, probe, ruler, notes, lens. Wheel and pinch zoom with every tool;
 // the right or middle button moves the picture.
 import { drawing, element } from "viewer/dom";
 import { panned, tilted, zoomed } from "viewer/flat";
@@ -11,27 +11,42 @@ const ICONS = {
   light: "M12 3v2M12 19v2M3 12h2M19 12h2M5.6 5.6l1.4 1.4M17 17l1.4 1.4M5.6 18.4L7 17M17 7l1.4-1.4M12 8a4 4 0 1 0 0 8a4 4 0 1 0 0-8",
   move: "M12 3v18M3 12h18M12 3l-3 3M12 3l3 3M12 21l-3-3M12 21l3-3M3 12l3-3M3 12l3 3M21 12l-3-3M21 12l-3 3",
   tilt: "M4 9l16-4v10L4 19zM12 2v2M12 21v-2M9 5l3-3l3 3",
-  probe: "M10 3a7 7 0 1 0 0 14a7 7 0 1 0 0-14M15 15l6 6M10 7v6M7 10h6",
+  probe: "M12 2v7M12 15v7M2 12h7M15 12h7M12 11.5v1",
   ruler: "M3 16L16 3l5 5L8 21zM6 13l2 2M9 10l3 3M12 7l2 2",
+  annotate: "M4 20l1-5L16 4l4 4L9 19zM14 6l4 4",
+  lens: "M4 4h11v11H4zM15 15l6 6M7 9.5h5M9.5 7v5",
+  save: "M12 3v11M8 10l4 4l4-4M4 16v5h16v-5",
+  full: "M3 9V3h6M15 3h6v6M21 15v6h-6M9 21H3v-6",
   next: "M9 5l7 7l-7 7",
   previous: "M15 5l-7 7l7 7",
-  fit: "M4 9V4h5M15 4h5v5M20 15v5h-5M9 20H4v-5",
+  fit: "M4 5h16v14H4zM8 12h8M10 10l-2 2l2 2M14 10l2 2l-2 2",
 };
-const KEYS = { l: "light", m: "move", t: "tilt", p: "probe", r: "ruler" };
+const KEYS = { l: "light", m: "move", t: "tilt", p: "probe", r: "ruler", a: "annotate", g: "lens" };
 const KEY_ZOOM = 1.25, KEY_PAN = 60, KEY_LAMP = 0.05, KEY_TILT = 5; // factor; pixels; of the unit disc; degrees
 const TILT = 180; // degrees of a drag over the whole height of the canvas
 const CLICK = 5; // pixels that a click may wander
+const LENS = 220; // CSS pixels along a side
 
 /** The buttons on the picture. app: {tool, chooseTool(name), fit()} */
 export function toolbar(app) {
-  const icon = (name) => drawing("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, drawing("path", { d: ICONS[name] }));
   const names = app.flat ? Object.values(KEYS) : toolsOf(app.scene);
-  const step = (name, by) => element("button", { type: "button", title: text(`tool.${name}`), "aria-label": text(`tool.${name}`), onclick: () => app.setView(app.scene.capturedView(app.state, by)) }, icon(name));
+  return names.map((name) => button(name, () => app.chooseTool(name), app.tool === name));
+}
+
+/** The buttons that do something at once. app: {scene, fit(), setView(view), savePicture(), toggleFullScreen()} */
+export function actions(app) {
+  const step = (by) => () => app.setView(app.scene.capturedView(app.state, by));
   return [
-    ...names.map((name) => element("button", { type: "button", title: text(`tool.${name}`), "aria-label": text(`tool.${name}`), "aria-pressed": app.tool === name, onclick: () => app.chooseTool(name) }, icon(name))),
-    element("button", { type: "button", title: text("tool.fit"), "aria-label": text("tool.fit"), onclick: () => app.fit() }, icon("fit")),
-    ...(app.scene.capturedView ? [step("next", 1), step("previous", -1)] : []),
+    button("fit", () => app.fit()),
+    ...(app.scene.capturedView ? [button("next", step(1)), button("previous", step(-1))] : []),
+    button("save", () => app.savePicture()),
+    ...(document.fullscreenEnabled ? [button("full", () => app.toggleFullScreen())] : []),
   ];
+}
+
+function button(name, onclick, pressed) {
+  const icon = drawing("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, drawing("path", { d: ICONS[name] })), title = text(`tool.${name}`);
+  return element("button", { type: "button", title, "aria-label": title, "aria-pressed": pressed === undefined ? null : `${pressed}`, onclick }, icon);
 }
 
 /** Listens on the canvas of a flat scene. */
@@ -43,6 +58,7 @@ export class FlatTools {
     canvas.addEventListener("pointerdown", (event) => this.down(event));
     canvas.addEventListener("pointermove", (event) => this.move(event));
     for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => this.up(event));
+    canvas.addEventListener("pointerleave", () => app.lens && this.lens(null));
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("keydown", (event) => this.key(event));
     canvas.addEventListener("wheel", (event) => {
@@ -76,15 +92,25 @@ export class FlatTools {
     if (this.pointers.size > 1 || this.moves) return;
     if (this.app.tool === "ruler") this.app.measure([this.app.scene.pointAt(...this.at(event), this.app.state)]);
     else if (this.app.tool === "light") this.light(event);
+    else if (this.app.tool === "annotate") this.app.annotations.begin(event.offsetX, event.offsetY);
+    else if (this.app.tool === "lens") this.lens(event);
+  }
+
+  /** Show the lens at an event; null: nowhere. */
+  lens(event) {
+    this.app.lens = event && { at: this.at(event), size: LENS * this.app.ratio, raised: event.pointerType === "touch" };
+    this.app.redraw();
   }
 
   move(event) {
+    if (this.app.tool === "lens" && this.pointers.size < 2 && !this.moves) this.lens(event);
     const before = this.pointers.get(event.pointerId);
     if (!before) return;
     const here = this.at(event), [dx, dy] = [here[0] - before[0], here[1] - before[1]];
     this.pointers.set(event.pointerId, here);
     const { tool, scene, state } = this.app;
     if (this.pointers.size > 1) {
+      this.app.annotations.drawn = null;
       const [, other] = [...this.pointers].find(([id]) => id !== event.pointerId);
       const reach = (point) => Math.max(Math.hypot(point[0] - other[0], point[1] - other[1]), 1);
       this.pan(dx / 2, dy / 2);
@@ -92,11 +118,15 @@ export class FlatTools {
     } else if (tool === "move" || this.moves) this.pan(dx, dy);
     else if (tool === "light") this.light(event);
     else if (tool === "tilt") this.tilt((-dx * TILT) / this.canvas.height, (dy * TILT) / this.canvas.height);
+    else if (tool === "annotate") this.app.annotations.extend(event.offsetX, event.offsetY);
     else if (tool === "ruler") this.app.measure([this.app.ruler[0], scene.pointAt(...here, state)]);
   }
 
   up(event) {
     if (!this.pointers.delete(event.pointerId)) return;
+    if (event.type === "pointercancel") this.app.annotations.drawn = null;
+    this.app.annotations.end();
+    if (event.pointerType === "touch" && this.app.lens) this.lens(null);
     const here = this.at(event), wandered = Math.hypot(here[0] - this.started[0], here[1] - this.started[1]);
     if (this.app.tool === "probe" && wandered < CLICK * this.app.ratio && !this.moves) this.app.probe(...here);
     if (this.app.tool === "ruler" && this.app.ruler.length === 2) this.app.say(this.app.rulerText());
@@ -116,6 +146,8 @@ export class FlatTools {
     else if (event.key === "+" || event.key === "=") this.zoom(KEY_ZOOM);
     else if (event.key === "-") this.zoom(1 / KEY_ZOOM);
     else if (event.key === "0") app.fit();
+    else if (event.key === "f") app.toggleFullScreen();
+    else if (event.key === "s") app.savePicture();
     else if (arrow) this.arrow(arrow, event.shiftKey);
     else return;
     event.preventDefault();
