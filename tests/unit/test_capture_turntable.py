@@ -363,7 +363,7 @@ REFUSED = {
     "list names a missing photograph": (broken_list(f"1\n{LINE.replace('o1', 'o7')}\n"), "photograph-missing", "o7"),
     "list with a number too few": (broken_list(f"1\n{LINE[:-2]}\n"), "camera-values", "20 values"),
     "list with a word": (broken_list(f"1\n{LINE[:-1]}near\n"), "camera-values", "no number"),
-    "nothing but photographs": (lambda f: None, "layout-unknown", "GENERATOR_ANALYSER"),
+    "nothing but photographs": (lambda f: None, "layout-unknown", "no lights file"),
 }  # fmt: skip
 
 

@@ -204,7 +204,8 @@ REFUSED = {
     "half a letter": (two_bytes_cut_off, "a.lp: not UTF-16-LE text", "Save it as UTF-8"),
     "a lights file": (lights_file_in_place_of_a_folder, "no folder, no table", "Name the folder of the photographs"),
     "no lamps": (lambda folder: photographs(folder, PNG), "no lamps found", "--lights"),
-    "nothing": (lambda folder: folder.mkdir(), "no lamps found", "--list"),
+    "nothing": (lambda folder: folder.mkdir(), "no photographs", "--list"),
+    "a folder of folders": (lambda folder: photographs(folder / "day 2", PNG), "some in day 2", "run '"),
 }  # fmt: skip
 
 

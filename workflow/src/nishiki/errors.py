@@ -42,6 +42,7 @@ OF_THE_MACHINE = {
     errno.EROFS: "Remedy: make it writable, or name another folder with the key results, and run again",
     errno.EACCES: "Remedy: check its permissions and run again",
     errno.EPERM: "Remedy: check its permissions and run again",
+    errno.ENOTDIR: "Remedy: name a folder; part of this path is a file",
     errno.EIO: "Remedy: check the disk, then ./nishiki verify, and run again",
     errno.EMFILE: "Remedy: raise the limit of open files (ulimit -n) and run again",
 } | dict.fromkeys(

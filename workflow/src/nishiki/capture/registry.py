@@ -46,7 +46,7 @@ from nishiki.capture.turntable_layouts import (
 )
 from nishiki.formats.files import Refused, bound, files_with, leads_out
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
-from nishiki.formats.problems import CaptureError, refuse
+from nishiki.formats.problems import CaptureError, name_some, refuse
 
 UNKNOWN = "no lamps found, nor cameras"
 SourceLayout = Layout | RoundLayout | Rendering | MeasuredTable
@@ -62,8 +62,6 @@ class FolderLayout:
     ----------
     name : str
         What users call it.
-    signs : str
-        What it is recognised by, as the message says that no layout was recognised.
     matches : callable
         Function (source, options) -> evidence, such as the lights file, or None; quick. CaptureError where the layout
         is recognised and ambiguous.
@@ -74,69 +72,38 @@ class FolderLayout:
     """
 
     name: str
-    signs: str
     matches: Callable[[Path, ConvertOptions], Any]
     read: Callable[[Path, Any, ConvertOptions], SourceLayout]
     files: bool = False
 
 
-CAMERAS: tuple[tuple[str, str, Callable, Callable], ...] = (
-    ("COLMAP", "cameras of COLMAP (cameras and images, .txt or .bin)", colmap_folder, read_colmap),
-    ("Meshroom", "cameras of Meshroom (cameras.sfm)", meshroom_file, read_meshroom),
-    (
-        "transforms.json",
-        "cameras of Blender, nerfstudio or another NeRF program (transforms.json)",
-        transforms_file,
-        read_transforms,
-    ),
-    ("Metashape", "cameras of Metashape (.xml)", metashape_file, read_metashape),
-    ("Bundler", "cameras of Bundler (bundle.out with list.txt)", bundler_file, read_bundler),
+CAMERAS: tuple[tuple[str, Callable, Callable], ...] = (
+    ("COLMAP", colmap_folder, read_colmap),
+    ("Meshroom", meshroom_file, read_meshroom),
+    ("transforms.json", transforms_file, read_transforms),
+    ("Metashape", metashape_file, read_metashape),
+    ("Bundler", bundler_file, read_bundler),
 )
-"""Programs whose cameras are read: name, signs, what finds their file or folder, and what reads it."""
+"""Programs whose cameras are read: name, what finds their file or folder, and what reads it."""
 
 LAYOUTS = (
-    FolderLayout(
-        "RTIBuilder project",
-        "a project of RTIBuilder (assembly-files, jpeg-exports)",
-        lambda source, options: RtiProject.of(source),
-        read_rtibuilder,
-    ),
-    FolderLayout(
-        "lights file",
-        "a .lp file, Relight's .relight, or an info.json with lights",
-        find_lights_file,
-        read_with_lights_file,
-    ),
+    FolderLayout("RTIBuilder project", lambda source, options: RtiProject.of(source), read_rtibuilder),
+    FolderLayout("lights file", find_lights_file, read_with_lights_file),
     FolderLayout(
         "DiLiGenT",
-        DIRECTIONS,
         lambda source, options: source / DIRECTIONS if (source / DIRECTIONS).is_file() else None,
         read_diligent,
     ),
-    FolderLayout("mirror spheres", "folders of mirror spheres with circle_data.txt", find_spheres, read_with_spheres),
-    *(FolderLayout(f"cameras of {name}", signs, find, cameras_of(name, read)) for name, signs, find, read in CAMERAS),
-    FolderLayout("list of cameras", "a list of cameras (*_par.txt)", find_camera_list, read_middlebury),
-    FolderLayout("camera matrices", "a .mat file with matrices P", find_matrices, read_numbered),
-    FolderLayout("polarisation series", "photographs named GENERATOR_ANALYSER in degrees", find_states, read_series),
-    FolderLayout(
-        "relightable image",
-        "a relightable image (.ptm, .rti, a folder of relight or webRTIViewer)",
-        recognise_relightable,
-        read_relightable,
-        files=True,
-    ),
-    FolderLayout(
-        "table of reflectances",
-        "a table of reflectances (.csv, .brdf, .bin, .binary)",
-        recognise_table,
-        read_measurements,
-        files=True,
-    ),
+    FolderLayout("mirror spheres", find_spheres, read_with_spheres),
+    *(FolderLayout(f"cameras of {name}", find, cameras_of(name, read)) for name, find, read in CAMERAS),
+    FolderLayout("list of cameras", find_camera_list, read_middlebury),
+    FolderLayout("camera matrices", find_matrices, read_numbered),
+    FolderLayout("polarisation series", find_states, read_series),
+    FolderLayout("relightable image", recognise_relightable, read_relightable, files=True),
+    FolderLayout("table of reflectances", recognise_table, read_measurements, files=True),
 )
 
-LAST_RESORT = FolderLayout(
-    "mirror balls", "mirror balls in the frame of the photographs", find_photographs, read_with_balls
-)
+LAST_RESORT = FolderLayout("mirror balls", find_photographs, read_with_balls)
 """Read where no entry of the registry matches. It is none itself, because whether it applies needs all pixels."""
 
 
@@ -163,26 +130,26 @@ def read_source(source: Path, options: ConvertOptions, *, search: bool = True) -
         what = "no folder, no table of reflectances and no relightable image" if source.exists() else "no such folder"
         refuse("folder-missing", str(source), what, remedy=remedy)
     photographs = LAST_RESORT.matches(source, options)  # says what is wrong with pictures that are not read
-    found = None
     if photographs and search:
         try:
             return LAST_RESORT.read(source, photographs, options)
         except CaptureError as e:
             if e.problems[0].kind != "layout-unknown":
                 raise
-            found = e.problems[0].what
-    remedy = (
-        "Name the lights file with --lights. Without one, photograph mirror balls under the same lamps and measure "
-        "these: ./nishiki calibrate spheres BALLS CALIBRATION, then --lights CALIBRATION/lamps.dome. Or write "
-        "capture.yaml and frames.csv by hand (docs/capture-folder.md). Recognised by themselves are "
-        + "; ".join(entry.signs for entry in (*LAYOUTS, LAST_RESORT))
-    )
-    if not files_with(source, IMAGE_SUFFIXES):
-        found = "no photograph in this folder"
-        remedy = f"Name the folder that holds the photographs; ./nishiki convert {shlex.quote(str(source))} --list"
-    elif found:
-        found = found.removesuffix(".")
-    refuse("layout-unknown", str(source), UNKNOWN, found=found or "", remedy=remedy)
+    if files_with(source, IMAGE_SUFFIXES):
+        remedy = (
+            "Name the lights file with --lights. Without one, photograph mirror balls under the same lamps and measure "
+            "these: ./nishiki calibrate spheres BALLS CALIBRATION, then --lights CALIBRATION/lamps.dome. Everything "
+            "that is recognised by itself: docs/capture-folder.md and docs/imports.md"
+        )
+        found = "photographs, but no lights file, and no mirror ball in them"
+        refuse("layout-unknown", str(source), UNKNOWN, found=found, remedy=remedy)
+    inner = [each for each in sorted(source.iterdir()) if each.is_dir() and files_with(each, IMAGE_SUFFIXES)]
+    named = shlex.quote(str(inner[0] if inner else source))
+    remedy = f"Name one of them: ./nishiki run {named}" if inner else "Name the folder that holds the photographs"
+    remedy += f"; what each folder holds: ./nishiki convert {shlex.quote(str(source))} --list"
+    found = f"some in {name_some(each.name for each in inner)}" if inner else ""
+    refuse("layout-unknown", str(source), "no photographs in this folder", found=found, remedy=remedy)
 
 
 NOTHING = ConvertOptions()

@@ -254,7 +254,7 @@ def prune(configfiles, sweeps, unnamed, delete, as_json, gone) -> int:
     Exit status 1 where something that was to be removed could not be.
     """
     from nishiki.archive.prune import decide
-    from nishiki.engine.running_lock import refuse_while_running, registered
+    from nishiki.engine.running_lock import records, refuse_while_running, registered
 
     status = 0
     for results, planned, known in _referenced(configfiles or (CONFIGURATION,), sweeps):
@@ -263,7 +263,9 @@ def prune(configfiles, sweeps, unnamed, delete, as_json, gone) -> int:
         _refuse_unknown_sweeps(results, known, unnamed)
         decision = {"sweeps": known, "unnamed": unnamed, "hosts": gone}
         if not delete:
-            _tell_runs(results)
+            for record in records(results):
+                if record.state in ("alive", "elsewhere"):
+                    _note(f"{results}: a run may be alive, --delete would refuse: {record}")
             _tell(decide(results, planned, **decision), as_json)
             continue
         refuse_while_running(results, "nothing is removed")
@@ -309,14 +311,6 @@ def _refuse_unknown_sweeps(results: Path, known: set[str], unnamed: bool) -> Non
     if unknown:
         remedy = "Remedy: --sweep with its file keeps what it needs; --unnamed lists it and that for removal"
         raise UserError(f"{folder / unknown[0]}: a sweep that no given configuration names. {remedy}")
-
-
-def _tell_runs(results: Path) -> None:
-    from nishiki.engine.running_lock import records
-
-    for record in records(results):
-        if record.state in ("alive", "elsewhere"):
-            _note(f"{results}: a run may be alive, --delete would refuse: {record}")
 
 
 def _note(text: str) -> None:

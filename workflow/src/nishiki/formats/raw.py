@@ -25,7 +25,11 @@ def open_raw(file: BinaryIO, name: str) -> Picture:
         with rawpy.imread(file) as raw:
             sizes, channels, other = raw.sizes, 1 if raw.num_colors == 1 else 3, raw.other
     except Exception as e:  # LibRaw's own errors, and what its binding makes of a file that is none
-        raise CaptureError(error("image-unreadable", name, "camera raw cannot be read", found=str(e))) from e
+        remedy = "Copy the file again from the camera, or develop it to 16-bit linear TIFF with its own program"
+        found = e.args[0].decode() if e.args and isinstance(e.args[0], bytes) else str(e)
+        raise CaptureError(
+            error("image-unreadable", name, "camera raw cannot be read", found=found, remedy=remedy)
+        ) from e
     if exif.exposure_s is None and other is not None:  # raw files that are no TIFF
         exif = replace(exif, exposure_s=other.shutter_speed or None, f_number=other.aperture or None,
                        iso=other.iso_speed or None)  # fmt: skip

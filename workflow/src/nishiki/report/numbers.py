@@ -27,13 +27,8 @@ def plain(value: float, digits: int = 4, *, padded: bool = False) -> str:
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     if "." in mantissa and not padded:
         mantissa = mantissa.rstrip("0").rstrip(".")
-    power = power_of_ten(int(exponent))
+    power = "10" + str(int(exponent)).translate(_RAISED)
     return power if mantissa == "1" else f"{mantissa.replace('-', '−')} × {power}"
-
-
-def power_of_ten(exponent: int) -> str:
-    """Return 10 with a raised exponent."""
-    return "10" + str(exponent).translate(_RAISED)
 
 
 def figure(value: float | None, digits: int = 3, unit: str = "") -> str:
