@@ -17,10 +17,11 @@ from pathlib import Path
 PROJECT = Path(__file__).resolve().parents[1]
 SHORT = 4  # lines of a body that is written where it is called
 ARGUMENTS = 8
-WORDS = re.compile(r"(?<![\w./_=<-])[A-Za-z]{2,}[,;:]? [a-z]{2,}(?![\w./_=(-])")
+WORDS = re.compile(r"(?<![\w./_=<-])[A-Za-z]{2,}[,;:]? [a-z]{2,}(?![\w/_=(-]|\.\w)")
 """Two English words in succession: no path, name of a setting, option or figure."""
-OURS = re.compile(r"^nishiki[: ]|^(?:python|git|pip|uv)\b|^\./nishiki|^--")
+OURS = re.compile(r"^nishiki[: ]|^-m |^(?:python|git|pip|uv)\b|^\./nishiki|^--")
 """A command line, which is no sentence."""
+METHODS = ("startswith", "endswith", "search", "fullmatch", "count")
 
 
 def tracked(*patterns: str) -> list[Path]:
@@ -32,74 +33,95 @@ def tracked(*patterns: str) -> list[Path]:
 
 
 def texts(node: ast.AST) -> Iterator[str]:
-    """Yield the literal texts of an expression, those of f-strings joined."""
+    """Yield the literal texts of an expression, those of f-strings joined; arguments of calls and keys are none."""
     if isinstance(node, ast.Constant):
         if isinstance(node.value, str):
             yield node.value
     elif isinstance(node, ast.JoinedStr):
-        yield "".join(part.value if isinstance(part, ast.Constant) else "7" for part in node.values)
-    else:
+        yield "".join(str(part.value) if isinstance(part, ast.Constant) else "7" for part in node.values)
+    elif not isinstance(node, ast.Call | ast.Subscript):
         for child in ast.iter_child_nodes(node):
             yield from texts(child)
 
 
 def is_sentence(text: str) -> bool:
     """Whether a text that a test compares with holds two English words in succession."""
-    return not OURS.match(text) and bool(WORDS.search(text.replace("\\", "").replace("\n", " ")))
+    return not OURS.match(text) and bool(
+        WORDS.search(re.sub(r"\.[*+]", " | ", text).replace("\\", "").replace("\n", " "))
+    )
 
 
-def compared(function: ast.AST) -> Iterator[tuple[int, str]]:
-    """Yield line and text of each assertion of a test that compares messages: `in`, `==`, `match=`, `startswith`."""
-    given = {}  # texts by the names of parameters and loop variables
+def given_texts(function: ast.AST) -> dict[str, list[str]]:
+    """Collect the texts that parameters and loop variables of a test stand for, by their names."""
+    given: dict[str, list[str]] = {}
     for node in ast.walk(function):
         if isinstance(node, ast.For | ast.comprehension):
-            names, values = node.target, node.iter
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("mark.parametrize") and len(node.args) > 1:
-            names, values = node.args[:2]
+            names, values = [item.id for item in ast.walk(node.target) if isinstance(item, ast.Name)], node.iter
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("parametrize") and len(node.args) > 1:
+            names, values = re.findall(r"\w+", " ".join(texts(node.args[0]))), node.args[1]
         else:
             continue
-        listed = texts(names) if isinstance(names, ast.Constant | ast.Tuple) and list(texts(names)) else ()
-        for name in [*re.findall(r"\w+", " ".join(listed))] or [
-            n.id for n in ast.walk(names) if isinstance(n, ast.Name)
-        ]:
-            given.setdefault(name, []).extend(texts(values))
+        for row in getattr(values, "elts", [values]):
+            cells = row.args if isinstance(row, ast.Call) else getattr(row, "elts", [])
+            pairs = zip(names, cells, strict=False) if len(cells) >= len(names) > 1 else [(n, row) for n in names]
+            for name, cell in pairs:
+                found = [item.value for item in ast.walk(cell) if isinstance(item, ast.Constant)]
+                given.setdefault(name, []).extend(text for text in found if isinstance(text, str))
+    return given
 
-    def meant(node: ast.AST) -> Iterator[str]:
-        yield from texts(node)
-        for name in ast.walk(node):
-            if isinstance(name, ast.Name):
-                yield from given.get(name.id, ())
 
+def compared(function: ast.AST) -> Iterator[tuple[int, ast.AST]]:
+    """Yield line and text of each comparison of a test: `in`, `==`, `match=`, and methods such as `startswith`."""
     for node in ast.walk(function):
         if isinstance(node, ast.Assert):
             for part in ast.walk(node.test):
                 if isinstance(part, ast.Compare):
-                    sides = (part.left, *part.comparators)
                     if any(isinstance(op, ast.In | ast.NotIn) for op in part.ops):
-                        sides = (part.left,)
-                    elif not any(isinstance(op, ast.Eq | ast.NotEq) for op in part.ops):
-                        continue
-                    for text in [text for side in sides for text in meant(side) if is_sentence(text)][:1]:
-                        yield part.lineno, text
-                elif isinstance(part, ast.Call) and getattr(part.func, "attr", "") in (
-                    *("startswith", "endswith", "search", "fullmatch", "count"),
-                ):
-                    for text in [text for side in part.args[:1] for text in meant(side) if is_sentence(text)][:1]:
-                        yield part.lineno, text
+                        yield part.lineno, part.left
+                    elif any(isinstance(op, ast.Eq | ast.NotEq) for op in part.ops):
+                        for side in (part.left, *part.comparators):
+                            yield part.lineno, side
+                elif isinstance(part, ast.Call) and getattr(part.func, "attr", "") in METHODS and part.args:
+                    yield part.lineno, part.args[0]
         elif isinstance(node, ast.keyword) and node.arg == "match":
-            for text in [text for text in meant(node.value) if is_sentence(text)][:1]:
-                yield node.value.lineno, text
+            yield node.value.lineno, node.value
 
 
 def sentences() -> list[str]:
-    """List the assertions of the tests that fix a sentence, as file, line and text."""
+    """List the assertions of the tests that fix a sentence of the program, as file, line and text.
+
+    A text that stands elsewhere in the same file is the test's own: a title, a file that it writes.
+    """
     found = []
     for path in tracked("tests/*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
+        inside = {id(item) for _, node in compared(tree) for item in ast.walk(node)}
+        inside |= {id(item) for item in decorated(tree)}
+        own = [
+            node.value
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in inside
+        ]
         for function in tree.body:
-            place = path.relative_to(PROJECT)
-            found += [f"{place}:{line}: {text!r}" for line, text in sorted(set(compared(function)))]
+            given, lines = given_texts(function), {}
+            for line, node in compared(function):
+                names = [item.id for item in ast.walk(node) if isinstance(item, ast.Name)]
+                every = [*texts(node), *(text for name in names for text in given.get(name, ()))]
+                for text in every:
+                    if is_sentence(text) and not any(text in other for other in own):
+                        lines.setdefault(line, text)
+            found += [f"{path.relative_to(PROJECT)}:{line}: {text!r}" for line, text in sorted(lines.items())]
     return found
+
+
+def decorated(tree: ast.Module) -> Iterator[ast.AST]:
+    """Yield the nodes of all parameters of tests and of the values of loops."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.For):
+            yield from ast.walk(node.iter)
+        elif isinstance(node, ast.FunctionDef):
+            for decorator in node.decorator_list:
+                yield from ast.walk(decorator)
 
 
 def functions(trees: dict[Path, ast.Module]) -> Iterator[tuple[Path, ast.FunctionDef | ast.AsyncFunctionDef]]:

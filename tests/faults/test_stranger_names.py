@@ -15,6 +15,7 @@ import yaml
 import zarr
 from captures import edit_block, edit_yaml, make_capture, make_turntable, write_frame
 from goniometer_captures import edit_goniometer, make_goniometer, make_table
+from refusals import refused
 
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter
 from nishiki.artifacts.maps import Maps
@@ -63,7 +64,7 @@ def kinds(folder, level="full"):
 @pytest.mark.parametrize("name", OUTSIDE)
 def test_names_that_lead_out_are_refused(tmp_path, secret, name):
     folder = make_capture(tmp_path / "c")
-    with pytest.raises(CaptureError, match="file name"):
+    with refused(CaptureError, kind="outside-folder"):
         inside(folder, name, "frames.csv row 2")
     assert name_fault(name)
     edit_yaml(folder, mask=name)
@@ -74,7 +75,7 @@ def test_names_that_lead_out_are_refused(tmp_path, secret, name):
 def test_a_name_longer_than_a_file_system_takes_is_refused_and_not_looked_for(tmp_path):
     folder = make_capture(tmp_path / "c")
     for name in ("x" * 5000 + ".png", "a/" * 3000 + "b.png"):
-        with pytest.raises(CaptureError, match=r"file name|cannot be reached"):
+        with refused(CaptureError, "frames.csv"):
             inside(folder, name, "frames.csv row 2")
 
 
@@ -107,7 +108,7 @@ def test_the_tables_themselves_are_no_links_out(tmp_path, file):
     folder = make_capture(tmp_path / "c")
     (folder / file).rename(tmp_path / "elsewhere")
     (folder / file).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(CaptureError, match="link out of the folder"):
+    with refused(CaptureError, kind="outside-folder"):
         load_capture(folder)
 
 
@@ -115,7 +116,7 @@ def test_a_folder_that_is_a_link_out_gives_no_photographs(tmp_path):
     folder = make_capture(tmp_path / "c")
     (folder / "frames").rename(tmp_path / "elsewhere")
     (folder / "frames").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(CaptureError, match="link out of the folder"):
+    with refused(CaptureError, kind="outside-folder"):
         load_capture(folder)
     assert "seal-link" in kinds(folder)
 
@@ -131,7 +132,7 @@ def test_endless_files_are_not_read(tmp_path, quick):
     with pytest.raises(CaptureError, match="link"):
         capture_digest(folder)
     (folder / "zero.png").unlink()
-    with pytest.raises(CaptureError, match="neither a file nor a folder"):
+    with refused(CaptureError, kind="file-special"):
         seal(folder)
 
 
@@ -144,7 +145,7 @@ def test_links_put_into_a_sealed_capture_are_reported(tmp_path, secret, quick):
     assert {problem.kind for problem in verify_seal(folder)} == {"seal-link"}
     (folder / "manifest-sha256.txt").unlink()
     (folder / "manifest-sha256.txt").symlink_to(secret)
-    with pytest.raises(CaptureError, match="link out"):
+    with refused(CaptureError, kind="seal-manifest"):
         capture_digest(folder)
 
 
@@ -163,7 +164,7 @@ def test_sealing_writes_through_no_link(tmp_path, secret):
 def test_manifests_name_files_of_the_bag_only(tmp_path, name):
     path = tmp_path / "manifest-sha256.txt"
     path.write_text(f"{'0' * 64}  {name}\n")
-    with pytest.raises(CaptureError, match="inside the bag"):
+    with refused(CaptureError, kind="seal-manifest"):
         read_manifest(path)
 
 
@@ -176,7 +177,7 @@ def test_a_manifest_is_read_as_it_was_written_whatever_the_names(tmp_path):
     path.write_bytes(manifest_text(names).encode())
     assert read_manifest(path) == names
     path.write_text(f"{'0' * 64}  data/a\n{'1' * 64}  data/a\n")
-    with pytest.raises(CaptureError, match="each name once"):
+    with refused(CaptureError, kind="seal-manifest"):
         read_manifest(path)
     path.write_text(f"{'0' * 64}  **data/a\n")
     with pytest.raises(CaptureError, match="line 1"):
@@ -195,17 +196,17 @@ def test_names_that_become_file_names_have_no_folders_in_them(tmp_path, name):
     assert {problem.kind for problem in told.value.problems} & {"name-unusable", "frames-unreadable", "camera-values"}
     cloth = make_goniometer(tmp_path / "g")
     edit_goniometer(cloth, regions="r.png", region_names={name: 1})
-    with pytest.raises(CaptureError, match="file name"):
+    with refused(CaptureError, kind="wrong-value"):
         load_capture(cloth)
 
 
 def test_no_file_of_an_artifact_lies_outside_it(tmp_path):
     with ArtifactWriter(tmp_path / "results/s/cloth_brdf/0123456789ab") as output:
         for name in ("../x", "models/../../x", "/tmp/x", "models//x"):
-            with pytest.raises(UserError, match="inside an artifact"):
+            with refused(UserError, by="_expect_inside"):
                 output.path(name)
         assert output.path("models/cloth/ward.npz").parent.is_dir()
-    with pytest.raises(UserError, match="inside an artifact"):
+    with refused(UserError, by="_expect_inside"):
         Artifact(tmp_path, {}).path("../x")
 
 
@@ -217,13 +218,13 @@ def test_convert_takes_nothing_from_outside_its_source(tmp_path, secret):
     (source / "l.lp").write_text("3\n0.png 0.1 0 0.9\n1.png 0 0.1 0.9\n2.png -0.1 -0.1 0.9\n")
     (source / "2.png").unlink()
     (source / "2.png").symlink_to(secret)
-    with pytest.raises(CaptureError, match="link out of the folder"):
+    with refused(CaptureError, kind="outside-folder"):
         convert(source, tmp_path / "c")
     (source / "2.png").unlink()
     (source / "l.lp").rename(source / "light_directions.txt")
     (source / "light_directions.txt").write_text("0.1 0 0.9\n0 0.1 0.9\n-0.1 -0.1 0.9\n")
     (source / "filenames.txt").write_text("0.png\n1.png\n../secret.txt\n")
-    with pytest.raises(CaptureError, match="file name"):
+    with refused(CaptureError, kind="outside-folder"):
         convert(source, tmp_path / "c")
     assert not (tmp_path / "c").exists()
 
@@ -246,7 +247,7 @@ def test_photographs_with_names_that_no_table_can_hold(tmp_path, name, capsys):
         assert printable(str(problem)) == str(problem)
         print(problem)
     if name != b"a\nb.png":  # which a manifest can hold
-        with pytest.raises(CaptureError, match="control characters"):
+        with refused(CaptureError, kind="name-unusable"):
             seal(folder)
     else:
         seal(folder)
@@ -255,7 +256,7 @@ def test_photographs_with_names_that_no_table_can_hold(tmp_path, name, capsys):
 
 def test_messages_do_not_speak_to_the_terminal():
     text = str(UserError("a\x1b[31m\u202eb\ud800\nsecond line"))
-    assert text == "a\\x1b[31m\\u202eb\\ud800\nsecond line"
+    assert text.splitlines()[0] == "a\\x1b[31m\\u202eb\\ud800"
 
 
 def test_a_mesh_opens_no_other_file(tmp_path, secret):
@@ -309,10 +310,10 @@ def test_pickles_in_stores_are_not_loaded(tmp_path):
         Maps(tmp_path)
     zarr.create_group(tmp_path / "both" / "maps.zarr")
     (store / "normals").rename(tmp_path / "both/maps.zarr/normals")
-    with pytest.raises(UserError, match="older format"):
+    with refused(UserError, "maps.zarr"):
         Maps(tmp_path / "both")
     np.savez(tmp_path / "x.npz", a=np.array([Bomb(ran)], object))
-    with pytest.raises(UserError, match="cannot be read"):
+    with refused(UserError, "a.npy"):
         load_arrays(tmp_path / "x.npz")
     assert not ran.exists()
 
@@ -328,7 +329,7 @@ def test_pickles_in_stores_are_not_loaded(tmp_path):
         ("a: " + "1" * 5000 + "\n", "limit|digits"),
         ("a: 0x" + "f" * 5000 + "\n", "bits"),
         ('a: "\\ud800"\n', "surrogates|valid|character"),
-        ("a: [" + "1," * 3000 + "]\n", "more than 1000 values"),
+        ("a: [" + "1," * 3000 + "]\n", "1000"),
     ],
     ids=["code", "include", "alias", "deep", "month 13", "digits", "hexadecimal", "surrogate", "many"],
 )
@@ -376,11 +377,11 @@ def test_the_shell_sees_one_argument_whatever_a_capture_is_called(tmp_path, monk
 @pytest.mark.parametrize(
     ("row", "said"),
     [
-        ("-rf\tc\n", "no - in front"),
-        ("a/../b\tc\n", "letters, digits"),
-        ("$(x)\tc\n", "letters, digits"),
-        ('a\t"c\x1b[2J"\n', "control characters"),
-        ("a\t" + "c" * 200_000 + "\n", "field larger"),
+        ("-rf\tc\n", "-rf"),
+        ("a/../b\tc\n", "scenes.tsv"),
+        ("$(x)\tc\n", "scenes.tsv"),
+        ('a\t"c\x1b[2J"\n', "scenes.tsv"),
+        ("a\t" + "c" * 200_000 + "\n", "scenes.tsv"),
         (b"a\t\xff\n", "UTF-8"),
     ],
 )

@@ -16,6 +16,7 @@ import zarr
 from captures import make_turntable
 from fuzz.corpus import make_store, matlab, tiff
 from goniometer_captures import HEADING
+from refusals import refused
 
 from nishiki.capture.folder import load_capture
 from nishiki.capture.frames import read_frames
@@ -145,7 +146,7 @@ def test_a_bound_is_raised_by_name(tmp_path, monkeypatch):
     path = tmp_path / "x.png"
     cv2.imwrite(str(path), np.zeros((100, 100), np.uint8))
     monkeypatch.setenv("NISHIKI_BOUNDS", "image_pixels=9999")
-    with pytest.raises(CaptureError, match=r"at most 9999 pixels.*NISHIKI_BOUNDS=image_pixels"):
+    with refused(CaptureError, "9999", "NISHIKI_BOUNDS=image_pixels", kind="image-absurd"):
         read_header(path)
     monkeypatch.setenv("NISHIKI_BOUNDS", "image_pixels=10000, image_side=100")
     assert read_header(path).rows == 100
@@ -182,7 +183,7 @@ def test_arrays_claim_no_more_than_they_hold(tmp_path, monkeypatch, quick):
     monkeypatch.setenv("NISHIKI_BOUNDS", "arrays_bytes=1000000")
     path.write_bytes(zipped((1 << 20,), "|u1", b"\0" * (1 << 20)))
     assert path.stat().st_size < 3000
-    with pytest.raises(UserError, match="larger than is read"):
+    with refused(UserError, "x.npz"):
         load_arrays(path)
 
 
@@ -228,7 +229,7 @@ def test_a_chunk_unpacks_to_no_more_than_its_array_says(tmp_path, quick):
     assert zstd_content_size(good) == 4 * 5 * 4
     for content in (bomb, good + bomb, good[:6], b"\x28\xb5\x2f\xfd\x00\x58" + good[6:], b"\0" * 50):
         chunk.write_bytes(content)
-        with pytest.raises(UserError, match="chunk of another size"):
+        with refused(UserError, "s.zarr"):
             open_group(tmp_path / "s.zarr")
     chunk.unlink()
     chunk.symlink_to("/dev/zero")
@@ -347,7 +348,7 @@ def test_matlab_files_as_the_reference_reads_them(tmp_path, packed):
     assert found["P"].shape == (1, 3)
     for mine, theirs in zip(found["P"].ravel(), expected["P"].ravel(), strict=True):
         np.testing.assert_array_equal(mine, theirs)
-    with pytest.raises(ValueError, match="no numbers"):
+    with refused(ValueError, "'t'"):
         read_matlab(tmp_path / "x.mat", ("t",))
     assert matlab(packed=packed)
 
@@ -402,16 +403,16 @@ def test_tables_of_photographs(tmp_path, name, quick):
 def test_tables_larger_than_their_bound_are_not_read(tmp_path, monkeypatch):
     monkeypatch.setenv("NISHIKI_BOUNDS", "table_bytes=1000,lights=3,reflectances_values=20")
     (tmp_path / "l.lp").write_text("2000\n" + "0.1 0.2 0.9\n" * 2000)
-    with pytest.raises(CaptureError, match="larger than is read"):
+    with refused(CaptureError, kind="lights-unreadable"):
         read_lights(tmp_path / "l.lp")
     (tmp_path / "l.txt").write_text("0.1 0.2 0.9\n" * 4)
-    with pytest.raises(CaptureError, match="at most 3 lights"):
+    with refused(CaptureError, "3", kind="lights-many"):
         read_lights(tmp_path / "l.txt")
     (tmp_path / "r.csv").write_text("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,red\n" + "0,0,0,0,1\n" * 5)
-    with pytest.raises(CaptureError, match="larger than is read"):
+    with refused(CaptureError, kind="table-many"):
         read_table(tmp_path / "r.csv", "r.csv")
     (tmp_path / "r.brdf").write_text("1 500\n" + "0 0 0 0 1\n" * 5)
-    with pytest.raises(CaptureError, match="larger than is read"):
+    with refused(CaptureError, kind="table-many"):
         read_table(tmp_path / "r.brdf", "r.brdf")
 
 
@@ -458,7 +459,7 @@ def test_thousands_of_lights_and_boards_are_compared_at_once(tmp_path, quick):
 def test_lights_at_infinite_angles(tmp_path):
     """`inf` degrees: the sine has no value there (found in lights, table of angles)."""
     (tmp_path / "l.csv").write_text("light,azimuth_deg,polar_deg\na,10,45\nb,100,inf\n")
-    with pytest.raises(CaptureError, match="row cannot be read"):
+    with refused(CaptureError, kind="lights-unreadable"):
         read_lights(tmp_path / "l.csv")
 
 
@@ -477,7 +478,7 @@ def test_superscripts_are_no_numbers(tmp_path):
 
 def test_a_short_row_of_a_scene_table(tmp_path):
     (tmp_path / "scenes.tsv").write_text("capture\tscene\nonly\n")
-    with pytest.raises(UserError, match="scene name"):
+    with refused(UserError, "scenes.tsv"):
         load_project({"scenes": str(tmp_path / "scenes.tsv")})
 
 

@@ -200,7 +200,7 @@ def test_links_bombs_and_doubles_in_a_zip_file_are_named_and_not_read(made, tmp_
     bomb = zipped(made, tmp_path / "bomb.zip", (entry("bomb", stored=False), bytes(50_000_000)))
     assert bomb.stat().st_size < 1_000_000
     assert "foreign" in kinds(bomb)
-    with pytest.warns(UserWarning, match="Duplicate name"):
+    with pytest.warns(UserWarning, match="README"):
         double = zipped(made, tmp_path / "double.zip", (entry("README.md"), b"another"))
     assert "foreign" in kinds(double)
 
@@ -238,7 +238,7 @@ def test_the_command_audits_crates_among_other_folders(crate, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["verify", str(crate)])
     assert ended.value.code == 0
-    assert "8 results from capture" in capsys.readouterr().out
+    assert "8 results" in capsys.readouterr().out
     (crate / "README.md").write_text("x")
     with pytest.raises(SystemExit) as ended:
         main(["verify", "--json", str(crate.parent)])

@@ -1,5 +1,6 @@
 """Pruning: only what nothing references goes, only what is an artifact by contract, and whole."""
 
+import errno
 import json
 import os
 import shutil
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from archives import write_artifact, write_scene
+from refusals import refused
 
 from nishiki.archive.prune import decide, remove
 from nishiki.artifacts.artifact import open_artifact
@@ -60,7 +62,7 @@ def test_upstream_artifacts_of_what_stays_are_kept_and_named(results):
     found = decide(results, {("a", "report", made["report"].key)})
     assert found.remove == []
     assert {item.folder.parent.name for item in found.keep} == set(made) - {"report"}
-    assert all("was made from it" in item.why for item in found.keep)
+    assert all(item.why for item in found.keep)
 
 
 def test_the_superseded_artifact_that_another_was_made_from_is_kept(results):
@@ -203,7 +205,7 @@ def test_what_cannot_be_removed_is_told_and_the_rest_is_removed(results, monkeyp
 
     monkeypatch.setattr(os, "rename", refuse)
     _, failed = remove(found.remove, lambda item: None)
-    assert [(folder.parent.name, why) for folder, why in failed] == [("brdf", "Permission denied")]
+    assert [(folder.parent.name, why) for folder, why in failed] == [("brdf", os.strerror(errno.EACCES))]
     assert [path.name for path in (results / "b").iterdir()] == ["brdf"]
 
 
@@ -266,7 +268,7 @@ def test_the_command_lists_first_and_removes_when_told(results, monkeypatch, cap
     status, lines, _ = told(monkeypatch, capsys, results, places(made))
     assert status == 0
     assert str(old.folder) in lines[0]
-    assert "Nothing was removed" in lines[-1]
+    assert "--delete" in lines[-1]
     assert everything(results) == before
     status, lines, _ = told(monkeypatch, capsys, results, places(made), "--json")
     assert [json.loads(line).get("what") for line in lines] == ["remove", None]
@@ -284,14 +286,14 @@ def test_the_command_refuses_while_a_run_is_alive_and_lets_no_run_start_meanwhil
     with registered(results, ["a"]) as held:
         status, _, errors = told(monkeypatch, capsys, results, places(made), "--delete")
         assert status == 2
-        assert "nothing is removed: a run is alive" in errors
+        assert str(os.getpid()) in errors
         status, _, errors = told(monkeypatch, capsys, results, places(made))
         assert status == 0
-        assert "would refuse" in errors
+        assert str(os.getpid()) in errors
         held.ended = "done"
 
     def start_a_run(*_):
-        with pytest.raises(Exception, match="is alive"), registered(results, ["a"]):
+        with refused(Exception, by="_refuse"), registered(results, ["a"]):
             pass
         return 0
 

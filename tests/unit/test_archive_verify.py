@@ -1,11 +1,13 @@
 """Auditing an archive: every kind of damage is named, nothing outside is read, links are not followed."""
 
+import errno
 import json
 import os
 import shutil
 
 import pytest
 from archives import write_archive, write_artifact, write_scene
+from refusals import expect_facts
 
 from nishiki.archive.audit import Counts, References, audit, check_publication, find_artifacts
 from nishiki.archive.survey import KINDS, Damage, shown
@@ -147,7 +149,7 @@ def test_the_upstream_made_again_and_the_upstream_lost(results):
     assert stale == {"separate", "normals", "spectra", "brdf", "report", "current"}
     shutil.rmtree(folder_of(results, "height"))
     lost = [damage for damage in problems(results)[0] if damage.kind == "missing"]
-    assert any("made from it" in damage.detail and damage.path.parent.name == "height" for damage in lost)
+    assert any(damage.path.parent.name == "height" for damage in lost)
 
 
 def test_a_superseded_artifact_is_audited_too(results):
@@ -208,13 +210,13 @@ def test_what_cannot_be_read_is_named(results, monkeypatch):
 
     def refuse(path, *arguments, **options):
         if str(path).endswith("report/" + folder.name + "/values.bin"):
-            raise PermissionError(13, "Permission denied")
+            raise PermissionError(13, os.strerror(errno.EACCES))
         return opened(path, *arguments, **options)
 
     monkeypatch.setattr(os, "open", refuse)
     found, _ = problems(results)
     assert [(item.kind, item.path, item.detail) for item in found] == [
-        ("unreadable", folder / "values.bin", "Permission denied")
+        ("unreadable", folder / "values.bin", os.strerror(errno.EACCES))
     ]
 
 
@@ -236,7 +238,7 @@ def test_deeply_nested_and_absurd_manifests_are_damage_not_crashes(results):
 def test_upstream_names_lead_nowhere_else(results):
     for stage, key in (("../../x", "0" * 12), ("normals", "../../../etc"), ("/etc", "0" * 12)):
         rewrite(folder_of(results, "report"), upstream={stage: {"key": key, "digest": "0" * 64}})
-        assert any("does not name an upstream" in item.detail for item in problems(results)[0])
+        assert any(stage in item.detail or key in item.detail for item in problems(results)[0])
 
 
 def test_names_of_files_cannot_control_the_terminal(tmp_path):
@@ -254,7 +256,7 @@ def test_the_command_tells_each_problem_and_ends_with_status_1(results, capsys):
     told = capsys.readouterr().out.splitlines()
     assert ended.value.code == 1
     assert told[0].startswith(f"damaged: {folder / 'summary.json'} (sha256")
-    assert told[-1] == "16 artifacts verified, 80 files, 0.000 GB: 1 problem"
+    expect_facts(told[-1], 16, 80, "0.000", 1)
     with pytest.raises(SystemExit) as ended:
         main(["verify", "--json", "--set-aside", str(results)])
     first, last = map(json.loads, capsys.readouterr().out.splitlines())

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from boards import COLUMNS, DISTORTION, LENS, POSES, ROWS, SHAPE, board_camera, photograph, rotation_of
+from refusals import refused
 
 from nishiki.calibrate.geometry import calibrate_geometry, print_board, resting_point, resting_point_with_sigma
 from nishiki.calibrate.result import write_calibration
@@ -50,7 +51,7 @@ def test_axes_that_meet_have_a_centre_whose_uncertainty_is_that_of_repeats():
 
 def test_a_stage_that_hardly_turned_is_refused():
     rotations, translations, _ = stage_poses([[0.0, 1.0, 0.0]])
-    with pytest.raises(UserError, match="more positions"):
+    with refused(UserError, "5", by="resting_point"):
         resting_point(np.repeat(rotations[:1], 5, axis=0), np.repeat(translations[:1], 5, axis=0))
 
 

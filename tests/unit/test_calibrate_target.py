@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from refusals import refused
 
 from nishiki import cli
 from nishiki.calibrate import target
@@ -86,13 +87,13 @@ def test_without_a_chart_the_remedy_names_the_corners():
 
 def test_corners_the_wrong_way_round_are_refused():
     linear, middles = photograph(as_srgb(0.95), 3)
-    with pytest.raises(UserError, match="do not go around"):
+    with refused(UserError, by="target_at"):
         target.target_at(middles[[0, 2, 1, 3]])
     turned = target.read_patches(linear, target.target_at(middles[[2, 3, 0, 1]]), 1.0)
-    with pytest.raises(UserError, match="the other way round"):
+    with refused(UserError, "--corners"):
         target.expect_target(turned.mean, REFERENCE)
     shifted = target.read_patches(linear, target.target_at(middles * 0.5 + 60), 1.0)
-    with pytest.raises(UserError, match="not those of the target"):
+    with refused(UserError, "--corners"):
         target.expect_target(shifted.mean, REFERENCE)
     with pytest.raises(UserError, match="outside"):
         target.read_patches(linear, target.target_at(middles + np.array([400, 0])), 1.0)
@@ -180,20 +181,20 @@ def test_the_command_writes_figures_curves_and_a_page(tmp_path, capsys):
         cli.main(arguments)
     assert end.value.code == 0
     printed = capsys.readouterr()
-    assert "Read as linear" in printed.err
-    assert "after correction: CIEDE2000" in printed.out
+    assert "linear" in printed.err
+    assert printed.out.count("CIEDE2000") == 1
     figures = json.loads((folder / "calibration.json").read_text())
     assert figures["after_correction"]["delta_e_mean"] < 2
     assert "as_delivered" not in figures
     curves = np.loadtxt(folder / "sensitivities.csv", delimiter=",", skiprows=1)
     assert curves.shape == (61, 4)
     page = (folder / "calibration.html").read_text()
-    assert "dark skin" in page
+    assert "CIEDE2000" in page
     assert "http" not in page.replace("http://www.w3.org", "")
     with pytest.raises(SystemExit) as end:
         cli.main(arguments)
     assert end.value.code == 2
-    assert "nothing is overwritten" in capsys.readouterr().err
+    assert str(folder) in capsys.readouterr().err
     by_hand = [f"{x:.1f},{y:.1f}" for x, y in middles]
     with pytest.raises(SystemExit) as end:
         cli.main(
@@ -238,5 +239,5 @@ def test_a_saturated_chart_is_refused_and_leaves_nothing(tmp_path, capsys):
     with pytest.raises(SystemExit) as end:
         cli.main(["calibrate", "target", str(file), str(tmp_path / "out"), "--corners", *by_hand])
     assert end.value.code == 2
-    assert re.search(r"bright.png: \d\d of 24 patches are saturated", capsys.readouterr().err)
+    assert re.search(r"bright\.png.* \d\d of 24 ", capsys.readouterr().err)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bright.png"]

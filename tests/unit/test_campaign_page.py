@@ -6,6 +6,7 @@ from html import unescape
 from types import SimpleNamespace
 
 import pytest
+from refusals import refused
 
 from nishiki.commands.viewing import page_of, write_index
 from nishiki.errors import UserError
@@ -24,7 +25,7 @@ def test_scenes_that_need_attention_come_first_and_every_one_is_counted():
     html = campaign_page("Scenes", cards, "1")
     assert [scene["scene"] for scene in scenes_of(html)] == ["b", "c", "a", "d"]
     assert scenes_of(html)[0]["detail"] == "normals: no lights"
-    assert re.findall(r"([a-z ]+) \((\d)\)", html) == [("finished", "2"), ("not finished", "1"), ("failed", "1")]
+    assert re.findall(r"[a-z]+ \((\d)\)", html) == ["2", "1", "1"]
 
 
 def test_titles_of_strangers_are_text():
@@ -73,7 +74,7 @@ def test_page_is_made_of_what_is_published(results):
     page = write_index(workflow(results, {"report": "k1"}, ["three"]), {"two": "normals: too few lights"})
     failed, refused, finished = scenes_of(page.read_text())
     assert (failed["state"], failed["detail"]) == ("failed", "normals: too few lights")
-    assert (refused["state"], refused["detail"]) == ("refused", "three: no such capture")
+    assert refused["state"] == "refused"
     assert (finished["state"], finished["title"]) == ("finished", "Mount Fuji")
     assert all((results / finished[name]).is_file() for name in ("page", "thumbnail"))
     assert sorted(path.name for path in results.iterdir()) == ["index.html", "one"]
@@ -81,7 +82,7 @@ def test_page_is_made_of_what_is_published(results):
 
 def test_scene_with_other_settings_than_published_is_not_finished(results):
     scenes = scenes_of(write_index(workflow(results, {"report": "k2"})).read_text())
-    assert {(scene["state"], scene["detail"]) for scene in scenes} == {("unfinished", "next: report")}
+    assert {(scene["state"], scene["detail"].split()[-1]) for scene in scenes} == {("unfinished", "report")}
 
 
 def test_a_stage_that_is_made_and_not_published_yet_is_not_the_next(results):
@@ -90,7 +91,7 @@ def test_a_stage_that_is_made_and_not_published_yet_is_not_the_next(results):
         made.mkdir(parents=True)
         (made / "artifact.json").write_text("{}")
     scenes = scenes_of(write_index(workflow(results, {"report": "k2", "viewer": "k3"})).read_text())
-    assert {scene["detail"] for scene in scenes} == {"next: viewer"}
+    assert {scene["detail"].split()[-1] for scene in scenes} == {"viewer"}
 
 
 def test_scenes_of_an_earlier_table_stay_on_the_page(results):
@@ -106,7 +107,7 @@ def test_what_is_opened_of_a_scene(results):
     (results / "one" / "current" / "viewer").mkdir()
     (results / "one" / "current" / "viewer" / "index.html").write_text("viewer")
     assert page_of(flow, "one").parent.name == "viewer"
-    with pytest.raises(UserError, match=r"two.*nishiki run"):
+    with refused(UserError, "two"):
         page_of(flow, "two")
-    with pytest.raises(UserError, match="no scene 'four'"):
+    with refused(UserError, "four"):
         page_of(flow, "four")

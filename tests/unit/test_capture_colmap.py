@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.spatial.transform import Rotation
 
 from nishiki.capture.colmap import read_colmap
@@ -61,7 +62,7 @@ def test_a_reconstruction_becomes_a_turntable(tmp_path, kind, place):
     photographs(source if place == "." else source / "images", [name for name, _, _ in around()] + ["other.png"])
     write_model(source / place, kind)
     conversion = convert(source, tmp_path / "capture")
-    assert conversion.layout == "turntable with cameras of COLMAP"
+    assert conversion.layout.endswith(" COLMAP")
     assert any("other.png" in str(note) for note in conversion.warnings)
     capture = load_capture(tmp_path / "capture")
     assert capture.settings.turntable.full_turn
@@ -137,19 +138,19 @@ def test_files_that_end_anywhere_are_read_or_refused(tmp_path, kind):
     suffix = ".txt" if kind == "text" else ".bin"
     for file in (f"cameras{suffix}", f"images{suffix}"):
         content = (tmp_path / file).read_bytes()
-        refused = 0
+        count = 0
         for length in range(len(content)):
             (tmp_path / file).write_bytes(content[:length])
             try:
                 read_colmap(tmp_path)
             except CaptureError:
-                refused += 1
+                count += 1
         (tmp_path / file).write_bytes(content)
-        assert refused > (len(content) * 0.9 if kind == "binary" else 5)
+        assert count > (len(content) * 0.9 if kind == "binary" else 5)
     (tmp_path / "images.txt").unlink(missing_ok=True)
     (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 2**60))
     (tmp_path / "cameras.bin").write_bytes(struct.pack("<Q", 0))
-    with pytest.raises(CaptureError, match="more than the"):
+    with refused(CaptureError, kind="cameras-unreadable"):
         read_colmap(tmp_path)
 
 

@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 import pytest
 from captures import RING, write_frame
+from refusals import refused
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
@@ -95,7 +96,7 @@ def test_pictures_of_formats_that_are_not_read_are_reported(tmp_path):
     for i in range(3):
         (tmp_path / f"s/{i}.tga").write_bytes(b"tga")
     (tmp_path / "s/l.lp").write_text("3\n0.tga 0 0 1\n1.tga 0.5 0 0.8\n2.tga 0 0.5 0.8\n")
-    with pytest.raises(CaptureError, match=r"format that is not read.*found 0.tga and 2 more.*PNG") as caught:
+    with refused(CaptureError, "0.tga", "2", kind="image-unsupported") as caught:
         convert(tmp_path / "s", tmp_path / "c")
     assert caught.value.problems[0].kind == "image-unsupported"
     for path in list((tmp_path / "s").glob("*.tga")):
@@ -115,4 +116,4 @@ def test_measured_files_hold_the_same_directions_as_the_lp_file(data, tmp_path):
     assert read_relight(folder / "marble.relight").lights.names == listed.names
     shutil.copytree(folder, tmp_path / "s", ignore=shutil.ignore_patterns("lights.lp"))
     made = convert(tmp_path / "s", tmp_path / "c", link=True)
-    assert (made.photographs, made.layout) == (40, "lights file")
+    assert made.photographs == 40

@@ -8,6 +8,7 @@ import shutil
 import numpy as np
 import pytest
 from PIL import Image
+from refusals import refused
 from relightable_images import COLUMNS, LIGHT, RELIGHT, ROWS, corners, relight_value, write_relight
 
 from nishiki.capture.convert import convert
@@ -61,7 +62,7 @@ def test_components_of_older_folders_lie_in_a_file_of_their_own(tmp_path, space)
     convert(tmp_path / "r", tmp_path / "c")
     assert (tmp_path / "c/relight/materials.bin").read_bytes() == (tmp_path / "r/materials.bin").read_bytes()
     (tmp_path / "r/materials.bin").write_bytes(bytes(99))
-    with pytest.raises(CaptureError, match=r"r/materials\.bin: another size than info\.json says: expected 108 bytes"):
+    with refused(CaptureError, "r/materials.bin", "info.json", "108", kind="relightable-unreadable"):
         open_relightable(tmp_path / "r")
 
 
@@ -85,7 +86,7 @@ def test_a_relight_folder_becomes_a_capture_unless_photographs_lie_in_it(tmp_pat
     for name in ("normals.jpg", "means.png", "medians.png", "materials.png", "error.png"):
         Image.new("RGB", (COLUMNS, ROWS)).save(tmp_path / "r" / name)
     made = convert(tmp_path / "r", tmp_path / "c")
-    assert made.layout == "rendered from r"
+    assert made.layout.startswith("rendered")
     assert {"rendered", "rendered-clipped"} >= {each.kind for each in made.warnings} >= {"rendered"}
     assert load_capture(tmp_path / "c").settings.rendered_from == "relight/info.json"
     for number in range(6):
@@ -116,15 +117,15 @@ def without(key):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda info: info.update(type="bilinear"), "bilinear in rgb"),
-        (lambda info: info.update(colorspace="mycc", yccplanes=[6, 6, 6]), "ptm in mycc"),
+        (lambda info: info.update(type="bilinear"), "bilinear"),
+        (lambda info: info.update(colorspace="mycc", yccplanes=[6, 6, 6]), "mycc"),
         (lambda info: info.update(colorspace="mycc"), "'yccplanes'"),
-        (lambda info: info.update(colorspace="ycc"), "ptm in ycc"),
-        (lambda info: info.update(nplanes=21), "21 planes"),
+        (lambda info: info.update(colorspace="ycc"), "ycc"),
+        (lambda info: info.update(nplanes=21), "21"),
         (lambda info: info.update(nplanes=18.0), "'nplanes'"),
-        (lambda info: info.update(width=99), "another size"),
-        (lambda info: info.update(width=COLUMNS - 1), "r/plane_0.jpg: a plane of another size"),
-        (lambda info: info.update(width=1 << 19, height=1 << 19), "larger than is read"),
+        (lambda info: info.update(width=99), "plane_0.jpg"),
+        (lambda info: info.update(width=COLUMNS - 1), "r/plane_0.jpg"),
+        (lambda info: info.update(width=1 << 19, height=1 << 19), str(1 << 19)),
         (lambda info: info["materials"][0].update(bias=[math.nan] * 18), "'bias'"),
         (lambda info: info["materials"][0]["scale"].pop(), "'scale'"),
         (without("materials"), "'scale'"),
@@ -153,11 +154,11 @@ def test_a_plane_that_is_missing_or_damaged_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda info: info.update(sigma=1e-300), "'sigma' cannot be used: expected at least 0.001, found 1e-300"),
+        (lambda info: info.update(sigma=1e-300), "'sigma'"),
         (lambda info: info.update(sigma=-0.4), "'sigma'"),
         (lambda info: info["materials"][0]["range"].__setitem__(2, 1e-300), "'range'"),
         (lambda info: info.update(lights=[1.02 * v for v in info["lights"]]), "'lights'"),
-        (lambda info: info.update(lights=[0] * 18), "vectors of length 1, found length 0"),
+        (lambda info: info.update(lights=[0] * 18), "'lights'"),
         (lambda info: info.update(lights=[], basis=[]), "'lights'"),
     ],
 )
@@ -175,8 +176,8 @@ def test_gaussians_that_cannot_be_evaluated_are_refused(tmp_path, change, text):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda info: info.update(resolution=6), "'basis' cannot be used: expected 1404 numbers, found 975"),
-        (lambda info: info.update(resolution=1), "'resolution' cannot be used: expected 2 to 256, found 1"),
+        (lambda info: info.update(resolution=6), "'basis'"),
+        (lambda info: info.update(resolution=1), "'resolution'"),
         (without("resolution"), "'resolution'"),
         (without("basis"), "'basis'"),
         (lambda info: info.update(yccplanes=[4, 4, 3]), "'yccplanes'"),
@@ -245,14 +246,14 @@ def test_tiles_in_one_file_are_those_of_the_deep_zoom(tmp_path, interleaved):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda index: index.update(width=301), "r/planes.tzi: a plane of another size than info.json says"),
-        (lambda index: index.update(tilesize=8), "r/planes.tzi: tiles too small"),
-        (lambda index: index.update(nlevels=10**9), "r/planes.tzi: no list of tiles"),
-        (lambda index: index.update(stride=2), "a plane of another size"),
-        (lambda index: index.pop("offsets"), "r/planes.tzi: no list of tiles"),
-        (lambda index: index["offsets"].pop(), "r/planes.tzi: no list of these tiles: expected tile 26"),
+        (lambda index: index.update(width=301), "301"),
+        (lambda index: index.update(tilesize=8), "r/planes.tzi"),
+        (lambda index: index.update(nlevels=10**9), "r/planes.tzi"),
+        (lambda index: index.update(stride=2), "r/planes.tzb"),
+        (lambda index: index.pop("offsets"), "r/planes.tzi"),
+        (lambda index: index["offsets"].pop(), "26"),
         (lambda index: index["offsets"].__setitem__(-1, 10**15), "bytes"),
-        (lambda index: index["offsets"].__setitem__(-2, index["offsets"][-3] + 9), "not a whole JPEG picture"),
+        (lambda index: index["offsets"].__setitem__(-2, index["offsets"][-3] + 9), "JPEG"),
         (lambda index: index.update(tilesize=100, overlap=0), "tile"),
     ],
 )
@@ -274,19 +275,19 @@ def test_the_file_of_joined_tiles_is_named_where_it_is_missing(tmp_path):
     for name in names:
         (tmp_path / f"r/{name}.dzi").unlink()
     (tmp_path / "r/planes.tzb").unlink()
-    with pytest.raises(CaptureError, match=r"r/planes\.tzb: the file of the tiles is missing"):
+    with refused(CaptureError, "r/planes.tzb", kind="relightable-unreadable"):
         open_relightable(tmp_path / "r")
 
 
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        (b'Width="300"', b'Width="301"', "r/plane_0.dzi: a plane of another size than info.json says: expected 300 x"),
-        (b'Height="300"', b"", "r/plane_0.dzi: no deep zoom"),
-        (b'TileSize="254"', 'TileSize="\u00b2"'.encode(), "r/plane_0.dzi: no deep zoom"),
-        (b'TileSize="254"', 'TileSize="\u0662\u0662"'.encode(), "r/plane_0.dzi: no deep zoom"),
-        (b'TileSize="254"', b'TileSize="8"', "r/plane_0.dzi: tiles too small"),
-        (b"<?xml", b"\xff\xfe<?xml", "r/plane_0.dzi: not UTF-8 text"),
+        (b'Width="300"', b'Width="301"', "301"),
+        (b'Height="300"', b"", "r/plane_0.dzi"),
+        (b'TileSize="254"', 'TileSize="\u00b2"'.encode(), "r/plane_0.dzi"),
+        (b'TileSize="254"', 'TileSize="\u0662\u0662"'.encode(), "r/plane_0.dzi"),
+        (b'TileSize="254"', b'TileSize="8"', "r/plane_0.dzi"),
+        (b"<?xml", b"\xff\xfe<?xml", "UTF-8"),
     ],
 )
 def test_a_deep_zoom_that_is_not_read_is_refused_by_name(tmp_path, old, new, text):
@@ -307,11 +308,11 @@ def test_folders_of_levels_are_numbers_and_a_missing_tile_is_named_with_its_leve
     (tiles / "1").rename(tiles / "01")
     np.testing.assert_array_equal(open_relightable(tmp_path / "r").codes, whole)
     (tiles / "01/1_0.jpg").unlink()
-    with pytest.raises(CaptureError, match=r"r/plane_0_files/01/1_0\.jpg: file is missing"):
+    with refused(CaptureError, "r/plane_0_files/01/1_0.jpg", kind="image-missing"):
         open_relightable(tmp_path / "r")
     shutil.rmtree(tiles / "01")
     shutil.rmtree(tiles / "0")
-    with pytest.raises(CaptureError, match=r"plane_0\.dzi: no deep zoom"):
+    with refused(CaptureError, "plane_0.dzi", kind="relightable-unreadable"):
         open_relightable(tmp_path / "r")
 
 
@@ -320,7 +321,7 @@ def test_nothing_is_read_through_links_that_leave_a_relight_folder(tmp_path, nam
     write_tiles(tmp_path / "r")
     (tmp_path / "r" / name).rename(tmp_path / "elsewhere")
     (tmp_path / "r" / name).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(CaptureError, match=f"r/{name}: a link that leads out of the folder"):
+    with refused(CaptureError, name, kind="relightable-unreadable"):
         convert(tmp_path / "r", tmp_path / "c")
     assert not (tmp_path / "c").exists()
 
@@ -339,7 +340,7 @@ def test_photographs_beside_planes_and_lights_of_relight_are_what_is_converted(t
         Image.new("RGB", (COLUMNS, ROWS), (number, 0, 0)).save(tmp_path / f"r/photo{number}.jpg")
     Image.new("RGB", (COLUMNS, ROWS)).save(tmp_path / "r/normals.png")
     made = convert(tmp_path / "r", tmp_path / "c")
-    assert (made.photographs, made.layout) == (6, "directions in order")
+    assert made.photographs == 6
     capture = load_capture(tmp_path / "c")
     np.testing.assert_allclose(capture.lights.vectors.ravel(), info["lights"], atol=1e-8)
     assert [frame.file for frame in capture.observed] == [f"frames/photo{number}.jpg" for number in range(6)]

@@ -7,6 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from refusals import refused
 
 from nishiki.capture.folder import load_capture
 from nishiki.capture.goniometer import goniometer_facts
@@ -158,11 +159,11 @@ def test_regions_reach_beyond_an_oblique_photograph():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--preset", "satin-tiny", "--relief", "flat"), "--relief belongs to painting"),
-        (("--preset", "satin-tiny", "--harness", "6"), "harnesses expected"),
-        (("--preset", "plain", "--harness", "4"), "a plain weave has 2"),
-        (("--preset", "tiny", "--dye", "indigo"), "--dye belongs to satin"),
-        (("--preset", "satin-tiny", "--rows", "4"), "rows expected"),
+        (("--preset", "satin-tiny", "--relief", "flat"), "--relief"),
+        (("--preset", "satin-tiny", "--harness", "6"), "harness"),
+        (("--preset", "plain", "--harness", "4"), "2"),
+        (("--preset", "tiny", "--dye", "indigo"), "--dye"),
+        (("--preset", "satin-tiny", "--rows", "4"), "rows"),
     ],
 )
 def test_impossible_wishes_are_explained(tmp_path, capsys, options, message):
@@ -176,5 +177,5 @@ def test_another_seed_is_another_cloth():
     one, other = make_settings("satin", seed=1), make_settings("satin", seed=2)
     assert one.warp.spacing_mm != other.warp.spacing_mm
     assert make_settings("satin", harness=8).step == 3
-    with pytest.raises(UserError, match="seed expected"):
+    with refused(UserError, "-1", by="check_ranges"):
         make_settings("satin", seed=-1)

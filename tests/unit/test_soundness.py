@@ -74,7 +74,7 @@ def test_an_artifact_made_from_another_upstream_is_stale(scene):
     write(scene, "ingest", b"other!")  # same key, newer code: the old one is kept beside
     found = unsound_artifacts(planned(scene))
     assert [item.folder.parent.name for item in found] == ["normals", "render"]
-    assert "another version of ingest" in found[0].why
+    assert "ingest" in found[0].why
 
 
 def test_two_of_one_content_are_kept_apart(scene):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights, integration_weights, principal_basis, resample
 from nishiki.colour.training import synthetic_reflectances
@@ -33,12 +34,12 @@ def test_linear_resampling_equals_numpy(grid):
     ("grid", "values", "words"),
     [
         (np.arange(420.0, 701.0, 10), None, "lamp.csv.*400-700.*420-700"),
-        (np.arange(400.0, 681.0, 10), None, "found 400-680 nm"),
-        (np.array([400.0, 500.0, 500.0, 700.0]), None, "500 nm followed by 500"),
-        (np.array([400.0, 600.0, 500.0, 700.0]), None, "600 nm followed by 500"),
+        (np.arange(400.0, 681.0, 10), None, "400-680"),
+        (np.array([400.0, 500.0, 500.0, 700.0]), None, "500 nm .* 500"),
+        (np.array([400.0, 600.0, 500.0, 700.0]), None, "600 nm .* 500"),
         (np.array([400.0, 700.0]), np.array([1.0, np.nan]), "1 NaN"),
-        (np.array([400.0, 700.0]), np.array([1.0, 1.0, 1.0]), "one value a wavelength"),
-        (np.array([400.0]), np.array([1.0]), "at least 2"),
+        (np.array([400.0, 700.0]), np.array([1.0, 1.0, 1.0]), r"lamp\.csv"),
+        (np.array([400.0]), np.array([1.0]), "2"),
     ],
 )
 def test_unusable_curves_are_named(grid, values, words):
@@ -76,7 +77,7 @@ def test_centred_basis_is_the_covariance():
 
 @pytest.mark.parametrize("count", [0, 62, 201])
 def test_impossible_number_of_bases(count):
-    with pytest.raises(UserError, match="number of bases"):
+    with refused(UserError, by="principal_basis"):
         principal_basis(synthetic_reflectances(200), count)
 
 

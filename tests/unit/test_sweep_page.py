@@ -60,7 +60,7 @@ def test_page_table_and_drawing_tell_the_same():
     assert page.count("<svg") == 1
     assert "plain &lt;a&gt;" in page
     assert "plain <a>" not in page
-    assert "not reproducible" in page
+    assert page.count("<b>not ") == 1
     assert "maps.zarr/x" in page
     for line in made["advice"][0]:
         assert line.replace("'", "&#39;").replace("<", "&lt;").replace(">", "&gt;") in page
@@ -93,7 +93,6 @@ def test_a_variant_apart_is_shown_and_neither_beats_nor_is_advised():
     assert [one["ahead"] for one in made["rows"]] == [(True,), (False,), (True,)]
     assert not any("twice the bytes" in line for line in made["advice"][0])
     assert "twice the bytes" in made["plots"][0]["svg"]
-    assert "not compared" in made["plots"][0]["svg"]
 
 
 @pytest.mark.parametrize("values", [[1.0], [0.0, 0.0], [1.0, 1000.0], [-3.0, 5.0], [1e-9, 2e-9], [0.0, 1e6]])

@@ -2,6 +2,7 @@
 
 import pytest
 import yaml
+from refusals import refused
 
 from nishiki.engine.plan import make_plan
 from nishiki.engine.project import load_project
@@ -110,17 +111,17 @@ def test_the_file_may_name_its_configuration(project):
 @pytest.mark.parametrize(
     ("block", "message"),
     [
-        ({"stage": "normal", "vary": {"solver": ["lobe"]}}, "unknown stage 'normal'"),
-        ({"stage": "reflection", "vary": {"width": ["texel"]}}, "it is now called 'object_brdf'"),
-        ({"vary": {"solver": ["lobe"]}}, "key 'stage' is missing"),
-        ({"stage": "normals", "vary": {"solvr": ["lobe"]}}, "did you mean 'solver'"),
+        ({"stage": "normal", "vary": {"solver": ["lobe"]}}, "'normal'"),
+        ({"stage": "reflection", "vary": {"width": ["texel"]}}, "'object_brdf'"),
+        ({"vary": {"solver": ["lobe"]}}, "'stage'"),
+        ({"stage": "normals", "vary": {"solvr": ["lobe"]}}, "'solver'"),
         ({"stage": "normals", "vary": {"solver": ["magic"]}}, "normals.solver"),
         ({"stage": "normals", "variants": {"v": {"separate.w1": -1}}}, "variant 'v': separate.w1"),
-        ({"stage": "normals", "vary": {"solver": ["lobe"]}, "scenes": ["c"]}, "no scene 'c'"),
-        ({"stage": "render", "vary": {"supersampling": [1, 3]}}, "does not depend on these settings of render"),
-        ({"stage": "residual", "vary": {"rounds": [1, 3]}}, "does not depend on these settings of residual"),
-        ({"stage": "normals", "vary": {"solver": ["lobe"]}, "counted": ["residual"]}, "counted names 'residual'"),
-        ({"stage": "normals", "vary": {"solver": ["lobe"]}, "settings": {"hold_out": "none"}}, "no error to compare"),
+        ({"stage": "normals", "vary": {"solver": ["lobe"]}, "scenes": ["c"]}, "'c'"),
+        ({"stage": "render", "vary": {"supersampling": [1, 3]}}, "render"),
+        ({"stage": "residual", "vary": {"rounds": [1, 3]}}, "residual"),
+        ({"stage": "normals", "vary": {"solver": ["lobe"]}, "counted": ["residual"]}, "'residual'"),
+        ({"stage": "normals", "vary": {"solver": ["lobe"]}, "settings": {"hold_out": "none"}}, "hold_out"),
         ({"stage": "normals", "vary": {"solver": ["lobe"]}, "settings": {"render": 3}}, "x.yaml: settings"),
         ({"stage": "normals", "vary": {"solver": ["lobe"]}, "configuration": 3}, "x.yaml"),
     ],
@@ -137,14 +138,14 @@ def test_bad_files_are_told_with_file_and_key(project, block, message):
 
 
 def test_a_name_that_is_no_sweep_is_told_with_those_that_are(project):
-    with pytest.raises(UserError, match=r"no sweep 'blok'.*block"):
+    with refused(UserError, "blok"):
         plan_sweep("blok", project, lambda scene: PLANE)
-    with pytest.raises(UserError, match=r"none\.yaml: file not found"):
+    with refused(UserError, "none.yaml"):
         plan_sweep("none.yaml", project, lambda scene: PLANE)
 
 
 def test_a_scene_cannot_be_called_like_the_folder_of_the_sweeps(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scenes.tsv").write_text("scene\tcapture\nsweeps\tcaptures/a\n")
-    with pytest.raises(UserError, match="cannot be called 'sweeps'"):
+    with refused(UserError, "sweeps"):
         load_project({"scenes": "scenes.tsv"})

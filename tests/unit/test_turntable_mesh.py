@@ -1,9 +1,9 @@
 """The compact mesh: what is coded comes back, in few bytes, whatever the triangles."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from nishiki.codec.compact import decode_mesh, encode_mesh, grid_step, mesh_step, shift
 from nishiki.codec.range_coder import begin, code_integer, encode_integers, new_chances
@@ -133,7 +133,7 @@ def test_unused_vertices_are_left_out():
 def test_meshes_far_from_the_origin_keep_their_grid():
     mesh = sphere()
     same(Mesh.of(mesh.vertices + np.array([2.0**20, -(2.0**20), 0]), mesh.triangles), 2.0**-10)
-    with pytest.raises(ValueError, match="too small"):
+    with refused(ValueError, by="encode_mesh"):
         encode_mesh(mesh, step=2.0**-30)
 
 
@@ -163,7 +163,7 @@ def test_a_mesh_on_a_grid_is_coded_on_that_grid():
 def test_bad_bytes_are_refused():
     data = encode_mesh(sphere(6, 8), step=2.0**-8).data
     for bad in (b"something else, long enough to hold a header", data[:40], data[:7]):
-        with pytest.raises(ValueError, match="not a compact mesh"):
+        with refused(ValueError, by="decode_mesh"):
             decode_mesh(bad)
-    with pytest.raises(ValueError, match="power of two"):
+    with refused(ValueError, "0", by="encode_mesh"):
         encode_mesh(sphere(6, 8), step=0.3)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.turn import camera_between, fit_turn, rotation_matrix, rotation_vector, scaled, turned, twist
@@ -134,5 +135,5 @@ def test_open_paths_do_not_run_over_their_ends():
     assert found.views.tolist() == [1]
     end = neighbours(half, half.locate(6, 0.5), method="cubic")
     assert end.views.tolist() == [4, 5, 6, 7]
-    with pytest.raises(ValueError, match="at least one"):
+    with refused(ValueError, by="neighbours"):
         neighbours(half, 0.0, without=frozenset(range(8)))
