@@ -28,7 +28,7 @@ class Screen:
 
     def __init__(self, stream: TextIO, *, live: bool | None = None):
         self.stream = stream
-        self.live = _is_terminal(stream) if live is None else live
+        self.live = stream.isatty() and os.environ.get("TERM", "dumb") != "dumb" if live is None else live
         self._shown = ""
         self._last = time.monotonic()
 
@@ -70,7 +70,3 @@ class Screen:
         with suppress(OSError, ValueError):  # a terminal that is gone must not stop the run
             self.stream.write(text)
             self.stream.flush()
-
-
-def _is_terminal(stream: TextIO) -> bool:
-    return stream.isatty() and os.environ.get("TERM", "dumb") != "dumb"

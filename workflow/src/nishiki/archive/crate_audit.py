@@ -68,7 +68,9 @@ def audit_crate(audit: CrateAudit, *, threads: int, tell: Callable[[int, int, st
     yield from _names(audit, listing, listed)
     digests_read: dict[str, str] = {}
     yield from _contents(audit, tree, listing, listed, digests_read, threads, tell)
-    surveys = _surveys(tree, listing)
+    everything = [*listing.files, *listing.links, *listing.others]
+    folders = sorted({(match[1], match[2]) for name in everything if (match := ARTIFACT_FOLDER.match(name))})
+    surveys = [survey_artifact(tree, folder, name=key) for folder, key in folders]
     for survey in surveys:
         yield from _artifact(survey, digests_read)
     yield from _chain(audit, surveys)
@@ -132,12 +134,6 @@ def _digest(tree: Tree, name: str) -> tuple[str, str, str]:
         return name, tree.digest(name), ""
     except OSError as error:
         return name, "", str(error.strerror)
-
-
-def _surveys(tree: Tree, listing: Listing) -> list[Survey]:
-    everything = [*listing.files, *listing.links, *listing.others]
-    folders = sorted({(match[1], match[2]) for name in everything if (match := ARTIFACT_FOLDER.match(name))})
-    return [survey_artifact(tree, folder, name=key) for folder, key in folders]
 
 
 def _artifact(survey: Survey, digests_read: dict[str, str]) -> Iterator[Damage]:

@@ -105,7 +105,11 @@ def open_artifact(folder: Path, *, contents: bool = True) -> Artifact:
         wrong = [
             f"{name} (SHA-256 differs)"
             for name, entry in manifest["files"].items()
-            if not _looks_sound(folder / name, entry)
+            if (
+                _tail(folder / name) != entry["tail"]
+                if "tail" in entry
+                else file_digest(folder / name) != entry["sha256"]
+            )
         ]
     if wrong:
         shown = "; ".join(wrong[:5]) + (f"; and {len(wrong) - 5} more" if len(wrong) > 5 else "")
@@ -203,10 +207,6 @@ def _is_chunk(name: str) -> bool:
     """Whether a file is a chunk of a Zarr store: all that we write end with a checksum (CRC-32C, or that of zstd)."""
     parts = name.split("/")
     return any(part.endswith(".zarr") for part in parts[:-1]) and parts[-1] != "zarr.json"
-
-
-def _looks_sound(path: Path, entry: dict[str, Any]) -> bool:
-    return _tail(path) == entry["tail"] if "tail" in entry else file_digest(path) == entry["sha256"]
 
 
 def _tail(path: Path) -> str:

@@ -139,7 +139,11 @@ def _arguments(model: type[Guarded], description: str, words: Sequence[str] | No
         prog=f"stage.py {model.STAGE}",
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="settings:\n" + "\n".join(_help_of(model)),
+        epilog="settings:\n"
+        + "\n".join(
+            f"  {name:18} {field.description or ''} (default {field.default!r})"
+            for name, field in model.model_fields.items()
+        ),
     )
     parser.add_argument("--scene", default=NAMELESS, help="name of the scene, for stamps and messages")
     parser.add_argument("--inputs", nargs="*", default=[], metavar="FOLDER", help="artifacts of the upstream stages")
@@ -159,13 +163,6 @@ def _arguments(model: type[Guarded], description: str, words: Sequence[str] | No
         help="results folder of the stage (the key is appended), or the path of the artifact.json to make",
     )
     return parser.parse_args(words)
-
-
-def _help_of(model: type[Guarded]) -> list[str]:
-    return [
-        f"  {name:18} {field.description or ''} (default {field.default!r})"
-        for name, field in model.model_fields.items()
-    ]
 
 
 def _run(

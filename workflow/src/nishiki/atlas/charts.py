@@ -240,7 +240,8 @@ def cut(
     usable = areas > 0
     labels = nearest_direction(vertices, normals, areas, neighbours, up=up, front=front, smoothing=range_of_normals)
     labels = components(np.where(usable, labels, -1).astype(np.int32), neighbours)
-    lengths = edge_lengths(vertices[mesh.triangles])
+    corners = vertices[mesh.triangles]
+    lengths = np.nan_to_num(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2), posinf=0.0)
     totals = [0, 0]
     for _ in range(2):  # what splits leave behind is merged once more
         labels = merge_small(
@@ -298,11 +299,6 @@ def nearest_direction(vertices, normals, areas, neighbours, *, up, front, smooth
     rounds = int(np.clip((smoothing * extent / max(mean_edge, 1e-300)) ** 2, 1, 400))
     mean = smoothed(normals, areas, neighbours, rounds=rounds)
     return np.argmax(mean @ np.concatenate([axes, -axes]).T, axis=1).astype(np.int32)
-
-
-def edge_lengths(corners: np.ndarray) -> np.ndarray:
-    """(f, 3) float64: length of the edge from corner k to corner k + 1 of (f, 3, 3); 0 where not finite."""
-    return np.nan_to_num(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2), posinf=0.0)
 
 
 def directions_of(labels: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> np.ndarray:

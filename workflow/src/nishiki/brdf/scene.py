@@ -170,7 +170,7 @@ def _least_squares(columns, y):
     aa, ay = np.sum(first**2, axis=0), first.T @ y
     alone = np.maximum(ay, 0) / np.where(aa > 0, aa, 1)
     if len(columns) == 1:
-        return (alone,), _rss(y, first, alone)
+        return (alone,), np.sum((y[:, None] - first * alone) ** 2, axis=0)
     second = columns[1]
     bb, by, ab = np.sum(second**2, axis=0)[None, :], (second.T @ y)[None, :], first.T @ second
     aa, ay = aa[:, None], ay[:, None]
@@ -185,11 +185,6 @@ def _least_squares(columns, y):
     s = np.where(inside, s, np.where(first_wins, s1, 0))
     t = np.where(inside, t, np.where(first_wins, 0, t1))
     return (s, t), float(y @ y) - s * ay - t * by
-
-
-def _rss(y, columns, strengths):
-    """Residual sums of squares of one-column fits, from the residuals."""
-    return np.sum((y[:, None] - columns * strengths) ** 2, axis=0)
 
 
 def _covariance(phi, sigma, root, beta, gamma, variance):

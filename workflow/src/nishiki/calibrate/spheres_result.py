@@ -56,12 +56,9 @@ def calibrate_spheres(given: SphereInput) -> Calibration:
 
 def lp_text(files: Sequence[str], vectors: np.ndarray) -> str:
     """Format an .lp file: the number of lamps, then file name and vector of each."""
-    rows = [f"{_quoted(file)} {x:.9g} {y:.9g} {z:.9g}\n" for file, (x, y, z) in zip(files, vectors, strict=True)]
+    quoted = [f'"{file}"' if " " in file else file for file in files]
+    rows = [f"{file} {x:.9g} {y:.9g} {z:.9g}\n" for file, (x, y, z) in zip(quoted, vectors, strict=True)]
     return f"{len(rows)}\n" + "".join(rows)
-
-
-def _quoted(file: str) -> str:
-    return f'"{file}"' if " " in file else file
 
 
 def dome_text(names: list[str], directions: np.ndarray, positions: np.ndarray | None, width_mm: float) -> str:

@@ -121,7 +121,11 @@ def calibrate_target(given: TargetInput) -> Calibration:
     if recovered is not None:
         numbers["sensitivities"] = {"residual": recovered.residual, "left_out": recovered.left_out}
         lines["camera"] = {"channels": ["red", "green", "blue"], "sensitivities": "sensitivities.csv"}
-        files["sensitivities.csv"] = _table_of_curves(recovered.curves)
+        rows = [
+            ",".join([f"{nm:g}", *(f"{value:.5f}" for value in values)])
+            for nm, values in zip(WAVELENGTHS_NM, recovered.curves.T, strict=True)
+        ]
+        files["sensitivities.csv"] = "\n".join(["wavelength_nm,red,green,blue", *rows]) + "\n"
     left_out = ", ".join(names[k] for k in np.flatnonzero(~patches.usable))
     warnings = [f"Saturated and left out: {left_out}. Photograph the target with less light."] if left_out else []
     if given.encoding is None:
@@ -160,14 +164,6 @@ def _chart_of_its_own(path: Path, names: tuple[str, ...]) -> np.ndarray:
     if len(curves.names) != len(names):
         raise UserError(f"{path}: expected {len(names)} columns after wavelength_nm, found {len(curves.names)}")
     return np.array([np.interp(WAVELENGTHS_NM, curves.wavelengths_nm, values) for values in curves.values.T])
-
-
-def _table_of_curves(curves: np.ndarray) -> str:
-    """Sensitivities (3, 61) as captures take them."""
-    rows = ["wavelength_nm,red,green,blue"]
-    for nm, values in zip(WAVELENGTHS_NM, curves.T, strict=True):
-        rows.append(",".join([f"{nm:g}", *(f"{value:.5f}" for value in values)]))
-    return "\n".join(rows) + "\n"
 
 
 def _sections(

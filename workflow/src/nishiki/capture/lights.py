@@ -270,7 +270,9 @@ def _parse_line(line: str) -> tuple[str | None, list[float]] | None:
     None where it is no such line.
     """
     for candidate in (line, re.sub(r"\s#.*$", "", line)):
-        for tokens in _splittings(candidate):
+        # at blanks (numbers may then have decimal commas), semicolons or commas
+        blank = [t.rstrip(",;") for t in candidate.split() if t.strip(",;")]
+        for tokens in (blank, *([t.strip() for t in candidate.split(mark)] for mark in ";,")):
             numbers = [_number(t) for t in tokens]
             picture = max((i for i, t in enumerate(tokens) if IMAGE_SUFFIX.search(t.strip("\"'"))), default=None)
             start = max(len(tokens) - 3, 0) if picture is None else picture + 1
@@ -278,12 +280,6 @@ def _parse_line(line: str) -> tuple[str | None, list[float]] | None:
             if len(found) >= (3 if picture is None else 2) and len(found) == len(tokens) - start:
                 return _name_before(candidate, tokens, start), found
     return None
-
-
-def _splittings(line: str) -> list[list[str]]:
-    """Ways to take a line apart: at blanks (numbers may then have decimal commas), semicolons, commas."""
-    blank = [t.rstrip(",;") for t in line.split() if t.strip(",;")]
-    return [blank, [t.strip() for t in line.split(";")], [t.strip() for t in line.split(",")]]
 
 
 def _number(token: str) -> float | None:

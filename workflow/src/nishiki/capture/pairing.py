@@ -266,7 +266,10 @@ def _match_lamps(sorted_files: BandFiles, lights: Lights, kind: str) -> tuple[Li
         named = lights_from_vectors(lamps, lights.vectors, file="lights", kind=kind, frontal=False)
         return named, lamps
     by_name = {same_name(lamp): lamp for lamp in lamps}
-    matched = [_lamp_of(name, by_name) for name in lights.names]
+    matched = []
+    for light in lights.names:  # called as the lamp, or as one of its files
+        names = [_tidied(light), *(_split_name(light, pattern)[0] for pattern in PATTERNS)]
+        matched.append(next((by_name[same_name(name)] for name in names if same_name(name) in by_name), None))
     if max(Counter(filter(None, matched)).values(), default=2) == 1:  # a lamp without any file is called missing
         kept = [lamp or light for lamp, light in zip(matched, lights.names, strict=True)]
         return (lights, kept) if count > len(lamps) else None
@@ -278,12 +281,6 @@ def _match_lamps(sorted_files: BandFiles, lights: Lights, kind: str) -> tuple[Li
         return None
     vectors = lights.vectors[list(first.values())]
     return lights_from_vectors(list(first), vectors, file="lights", kind=kind, frontal=False), list(first)
-
-
-def _lamp_of(light: str, by_name: dict[str, str]) -> str | None:
-    """The lamp of a light, which is called as the lamp or as one of its files."""
-    names = [_tidied(light), *(_split_name(light, pattern)[0] for pattern in PATTERNS)]
-    return next((by_name[same_name(name)] for name in names if same_name(name) in by_name), None)
 
 
 def _say_bands(source: Path, channels: Sequence[str], files: Sequence[Sequence[Path]]) -> Problem:

@@ -22,21 +22,9 @@ FULL_RANGE = 0xFFFFFFFF
 UNIT = 65536
 
 
-def _stretch_table() -> np.ndarray:
-    p = (np.arange(4096) + 0.5) / 4096
-    return np.round(np.log(p / (1 - p)) * 256).astype(np.int64)
-
-
-def _squash_table() -> np.ndarray:
-    p = 65536 / (1 + np.exp(-np.arange(-3071, 3072) / 256))
-    return np.clip(np.round(p), 4, 65532).astype(np.int64)
-
-
-def _rate_table() -> np.ndarray:
-    return np.round(65536 / (np.arange(LIMIT + 1) + 1.6)).astype(np.int64)
-
-
-STRETCH, SQUASH, RATE = _stretch_table(), _squash_table(), _rate_table()
+STRETCH = np.round(np.log((np.arange(4096) + 0.5) / (4095.5 - np.arange(4096))) * 256).astype(np.int64)
+SQUASH = np.clip(np.round(65536 / (1 + np.exp(-np.arange(-3071, 3072) / 256))), 4, 65532).astype(np.int64)
+RATE = np.round(65536 / (np.arange(LIMIT + 1) + 1.6)).astype(np.int64)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

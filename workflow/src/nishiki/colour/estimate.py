@@ -200,7 +200,11 @@ def fit_estimator(
     else:
         parts = fit_regression(problem, bases, None if method == "wiener" else (centres, radius, ridge))
     estimator = _assemble(problem, parts, method, white_width, unit_tolerance)
-    return _with_exact_white(estimator, parts.white) if white_width > 0 else estimator
+    if white_width == 0:
+        return estimator
+    # The anchor is what the very code that serves pixels lacks at the white response.
+    estimated = estimate_spectra(np.ones(estimator.linear.shape[1]), estimator).coefficients
+    return replace(estimator, anchor=parts.white - estimated)
 
 
 def estimate_spectra(
@@ -332,12 +336,6 @@ def _assemble(problem: Problem, parts: Parts, method: str, white_width: float, u
         ill_conditioned=parts.ill_conditioned,
         training_rmse=parts.training_rmse,
     )
-
-
-def _with_exact_white(estimator: SpectralEstimator, white: np.ndarray) -> SpectralEstimator:
-    """Anchor = what the very code that serves pixels lacks at the white response."""
-    estimated = estimate_spectra(np.ones(estimator.linear.shape[1]), estimator).coefficients
-    return replace(estimator, anchor=white - estimated)
 
 
 def _check_settings(method, noise, white_width, centres, radius, ridge, condition_limit, unit_tolerance):

@@ -224,7 +224,8 @@ def synthetic_reflectances(count: int = 2000, *, seed: int = 20240) -> np.ndarra
         raise UserError(f"synthetic training set: expected at least 10 spectra, found {count}; ask for more")
     draw = Draw(seed)
     absorption, scattering = _mixtures(draw, count)
-    _add_binder(draw, absorption, scattering)
+    absorption += _yellow(draw, count, (1e-3, 3e-2))  # the binder: oil, egg, gum or resin, yellow with age
+    scattering += draw.log_uniform(1e-3, 3e-2, count, 1)
     thick = reflectance_of_thick_layer(absorption, scattering)
     depth = draw.log_uniform(0.02, 3.0, count, 1)
     ground = draw.uniform(0.75, 0.95, count, 1) / (
@@ -360,13 +361,6 @@ def _whites(draw: Draw, count: int) -> tuple[np.ndarray, np.ndarray]:
     tail = np.exp(-np.maximum((WAVELENGTHS_NM - place) / decay, -1.0))
     absorption = tail + draw.log_uniform(2e-4, 3e-3, count, 1) + _yellow(draw, count, (2e-4, 3e-2))
     return absorption, (WAVELENGTHS_NM / 550.0) ** -draw.uniform(0.0, 0.6, count, 1)
-
-
-def _add_binder(draw: Draw, absorption: np.ndarray, scattering: np.ndarray) -> None:
-    """Absorption and scattering of oil, egg, gum or resin, in place: little of both, yellow with age."""
-    count = len(absorption)
-    absorption += _yellow(draw, count, (1e-3, 3e-2))
-    scattering += draw.log_uniform(1e-3, 3e-2, count, 1)
 
 
 def _yellow(draw: Draw, count: int, strength: tuple[float, float]) -> np.ndarray:

@@ -18,7 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from nishiki.artifacts.artifact import INDEX, MANIFEST, Artifact, open_artifact
+from nishiki.artifacts.artifact import INDEX, MANIFEST, open_artifact
 from nishiki.artifacts.provenance import file_digest, library_version
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
@@ -111,15 +111,12 @@ def _of_scene(stages: list[tuple[str, Path, tuple[str, ...]]], contents: bool) -
         except UserError as error:
             yield Unsound(folder, str(error).removeprefix(f"{folder}: "))
             continue
-        stale = [other for other in upstream if other in sound and _made_from(artifact, other) != sound[other]]
+        made_from = {other: part.get("digest") for other, part in artifact.manifest["upstream"].items()}
+        stale = [other for other in upstream if other in sound and made_from.get(other) != sound[other]]
         if stale:
             yield Unsound(folder, f"made from another version of {stale[0]} than the present one")
         else:
             sound[name] = file_digest(folder / MANIFEST)
-
-
-def _made_from(artifact: Artifact, upstream: str) -> str:
-    return str(artifact.manifest["upstream"].get(upstream, {}).get("digest"))
 
 
 def set_aside(folder: Path) -> Path:

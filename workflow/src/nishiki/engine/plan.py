@@ -68,16 +68,12 @@ def left_parts(
     """Parts of the capture that no stage looks at, in a fixed order, and the reason for each, by its words."""
     looked = {part for stage in stages for part in CHAIN[stage].looks_at(facts, settings, asked)}
     without = tuple(part for part in PARTS if facts.parts.get(part) and part not in looked)
-    return without, {f"{facts.parts[part]} {PARTS[part].what}": _why(part, facts, settings) for part in without}
-
-
-def _why(part: str, facts: SceneFacts, settings: SceneSettings) -> str:
-    return PARTS[part].idle(facts, settings) or "no stage of the plan looks at them"
-
-
-def packages_of(stage: Stage, facts: SceneFacts, settings: SceneSettings) -> tuple[str, ...]:
-    """Those of the stage's libraries that it loads in this scene."""
-    return tuple(name for name in stage.libraries if idle_reason(stage, name, facts, settings) is None)
+    reasons = {
+        f"{facts.parts[part]} {PARTS[part].what}": PARTS[part].idle(facts, settings)
+        or "no stage of the plan looks at them"
+        for part in without
+    }
+    return without, reasons
 
 
 def idle_reason(stage: Stage, package: str, facts: SceneFacts, settings: SceneSettings) -> str | None:
@@ -180,7 +176,9 @@ def _outline(scene: Scene, facts: SceneFacts) -> Outline:
     settings = {name: _filled(name, scene, facts, held_out) for name in chain}
     left_out: dict[str, str] = {}
     needed: set[str] = set()
-    products = scene.products if scene.settings.leave_out == "auto" else _all_products(chain)
+    products = scene.products
+    if scene.settings.leave_out == "nothing":  # first those that pull in others: reasons to leave out name the cause
+        products = tuple(stage.asked_as for name, stage in reversed(chain.items()) if name != "ingest")
     for product in products:
         stage = next((name for name in chain if product in (name, chain[name].product)), None)
         if stage is None:
@@ -196,7 +194,11 @@ def _outline(scene: Scene, facts: SceneFacts) -> Outline:
             left_out[name] = "no product asked for needs it"
     settings["ingest"], reasons = _read_by_ingest(scene, facts, settings, needed, held_out)
     left_out |= reasons
-    packages = {name: packages_of(chain[name], facts, settings) for name in chain if name in needed}
+    packages = {
+        name: tuple(each for each in stage.libraries if idle_reason(stage, each, facts, settings) is None)
+        for name, stage in chain.items()
+        if name in needed
+    }
     idle = _idle(chain, packages, facts, settings)
     stages: dict[str, StageOutline] = {}
     for name in packages:
@@ -206,11 +208,6 @@ def _outline(scene: Scene, facts: SceneFacts) -> Outline:
         values = settings[name].model_dump(mode="json")
         stages[name] = StageOutline(values, canonical(values), _reads(name, settings[name], stages), packages[name])
     return Outline(stages, left_out, held_out, packages, idle)
-
-
-def _all_products(chain: dict[str, Stage]) -> tuple[str, ...]:
-    """Every product of a chain, those first that pull in others, so that reasons to leave out name the cause."""
-    return tuple(stage.asked_as for name, stage in reversed(chain.items()) if name != "ingest")
 
 
 def _read_by_ingest(

@@ -117,7 +117,10 @@ def open_relight(folder: Path) -> RelightFolder:
     Refused where the kind is not read, or info.json contradicts itself; CaptureError where a picture cannot be decoded.
     """
     name = f"{folder.name}/{INFO}"
-    info = _info(folder, name)
+    try:
+        info = json_object(read_text(within(folder, INFO), "table_bytes", name=name))
+    except ValueError as e:
+        raise Refused(name, "not JSON", found=str(e)[:80], remedy=REMEDY) from None
     kind, space = str(info.get("type")), str(info.get("colorspace"))
     rows, columns = (_whole(info, key, name) for key in ("height", "width"))
     triples = _triples(info, name) if space == "mycc" else None
@@ -214,13 +217,6 @@ def _expect_at_least(least: float, key: str, value: float, name: str) -> None:
 
 def _unusable(name: str, key: str, expected: str, found: str) -> Refused:
     return Refused(name, f"'{key}' cannot be used", expected=expected, found=found, remedy=REMEDY)
-
-
-def _info(folder: Path, name: str) -> dict[str, Any]:
-    try:
-        return json_object(read_text(within(folder, INFO), "table_bytes", name=name))
-    except ValueError as e:
-        raise Refused(name, "not JSON", found=str(e)[:80], remedy=REMEDY) from None
 
 
 def _whole(info: dict[str, Any], key: str, name: str) -> int:

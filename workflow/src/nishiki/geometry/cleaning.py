@@ -47,7 +47,8 @@ def clean(vertices: np.ndarray, triangles: np.ndarray, *, cameras: list[Camera] 
     unreferenced = len(vertices) - len(np.unique(triangles))
     vertices, triangles, merged = merge_equal(vertices, triangles)
     triangles, degenerate = without_degenerate(vertices, triangles)
-    triangles, duplicates = without_duplicates(triangles)
+    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)  # whatever the order of the vertices
+    triangles, duplicates = triangles[np.sort(first)], len(triangles) - len(first)
     triangles, crowded_edges, crowded = without_crowded(vertices, triangles)
     if not len(triangles):
         raise ValueError("no triangle with an area is left")
@@ -85,12 +86,6 @@ def without_degenerate(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.
     a, b, c = triangles.T
     sound &= (a != b) & (b != c) & (c != a)
     return triangles[sound], int((~sound).sum())
-
-
-def without_duplicates(triangles: np.ndarray) -> tuple[np.ndarray, int]:
-    """One triangle for each three vertices, the first, whatever their order."""
-    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
-    return triangles[np.sort(first)], len(triangles) - len(first)
 
 
 def without_crowded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, int, int]:

@@ -238,7 +238,8 @@ def _expect_one(sight: Sight, lens: _Lens, vector: np.ndarray, inliers: np.ndarr
     best = poses[order[0]]
     variance = max(sums[order[0]] / max(1, 2 * len(points) - 6), 0.02**2)
     for other in order[1:]:
-        apart = _degrees_apart(lens, best, poses[other])
+        turn = lens.camera("", best).rotation @ lens.camera("", poses[other]).rotation.T
+        apart = float(np.degrees(np.linalg.norm(_rotation_vector(turn))))
         if apart > SAME_POSE_DEG and sums[other] - sums[order[0]] < DISTINCT * variance:
             raise UserError(
                 f"view {sight.name!r}: its points lie in a plane and two cameras, {apart:.0f} degrees apart, "
@@ -247,11 +248,6 @@ def _expect_one(sight: Sight, lens: _Lens, vector: np.ndarray, inliers: np.ndarr
                 "aside"
             )
     return best
-
-
-def _degrees_apart(lens: _Lens, one: np.ndarray, other: np.ndarray) -> float:
-    turn = lens.camera("", one).rotation @ lens.camera("", other).rotation.T
-    return float(np.degrees(np.linalg.norm(_rotation_vector(turn))))
 
 
 FOLDS = 3

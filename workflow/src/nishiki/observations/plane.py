@@ -153,7 +153,7 @@ class Observations:
 
         first, last = self._channel_range(channel)
         rows, width = codes.shape[1:3]
-        gain, dark = self._fields(chosen)
+        gain, dark = on_one_grid(self.gain[chosen], self.dark if len(self.dark) == 1 else self.dark[chosen])
         edges = self.edges
         if gain.shape[1:3] == (1, 1):
             edges = tuple(np.array([0, n]) for n in self.shape)
@@ -229,9 +229,3 @@ class Observations:
         if isinstance(channel, str) or not 0 <= channel < count:
             raise ValueError(f"channel {channel!r}: None, 'mean' or 0..{count - 1}")
         return int(channel), int(channel) + 1
-
-    def _fields(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gain and dark of the chosen lights on one grid."""
-        gain = self.gain[chosen]
-        dark = self.dark if len(self.dark) == 1 else self.dark[chosen]
-        return on_one_grid(gain, dark)

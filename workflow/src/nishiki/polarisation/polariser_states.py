@@ -110,14 +110,6 @@ def equal_steps(angles_deg: np.ndarray) -> np.ndarray:
     return angles_deg
 
 
-def retardance_of(k1: float, k2: float, wavelength_nm: float) -> float:
-    """Compute radians by the dispersion k1 / wavelength + k2 / wavelength^3.
-
-    Y. Queau et al., Optics Letters 43, 2018.
-    """
-    return k1 / wavelength_nm + k2 / wavelength_nm**3
-
-
 MATLAB = ("k_1_g", "k_2_g", "k_1_a", "k_2_a")
 
 
@@ -182,7 +174,8 @@ def arms_of(file: InstrumentFile | None, *, wavelength_nm: float | None) -> tupl
                     "Remedy: set "
                     "polarise.wavelength_nm, or name the channel by it ('630 nm')"
                 )
-            retardance = retardance_of(*arm.dispersion, wavelength_nm)
+            k1, k2 = arm.dispersion  # Y. Queau et al., Optics Letters 43, 2018
+            retardance = k1 / wavelength_nm + k2 / wavelength_nm**3
         arms.append(Arm(retardance, float(np.radians(arm.polariser_deg)), float(np.radians(arm.offset_deg))))
     return arms[0], arms[1]
 

@@ -108,11 +108,6 @@ def sharpness(codes: np.ndarray) -> float | None:
     return fine / coarse if coarse > 0 else None
 
 
-def expected_level(reference: float, neighbours: list[tuple[float, float]]) -> float:
-    """Level that neighbours lead to expect: `reference` times the median of their levels over their references."""
-    return reference * float(np.median([level / known for known, level in neighbours]))
-
-
 def reasons_against(
     group: str,
     measures: Measures,
@@ -258,4 +253,5 @@ class Neighbours:
         pairs = [(value, rate) for value, rate in pairs if value > 0 and rate > 0]
         if not pairs:
             return None
-        return expected_level(reference(frame.file), pairs) * (exposure_s or 1.0), settings.checks.brightness
+        brighter = float(np.median([level / known for known, level in pairs]))
+        return reference(frame.file) * brighter * (exposure_s or 1.0), settings.checks.brightness

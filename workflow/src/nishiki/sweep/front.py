@@ -159,14 +159,11 @@ def draw_names(drawing: Drawing, marks: Sequence[Mark], x: Axis, y: Axis) -> Non
             left = right - {"start": 0, "middle": width / 2, "end": width}[anchor]
             box = (left, up - 9, left + width, up + 3)
             inside = left >= LEFT and box[2] <= WIDTH - RIGHT and box[1] >= TOP and box[3] <= HEIGHT - BOTTOM
-            if inside and not any(_overlap(box, other) for other in boxes):
+            apart = (box[2] <= b[0] or b[2] <= box[0] or box[3] <= b[1] or b[3] <= box[1] for b in boxes)
+            if inside and all(apart):
                 boxes.append(box)
                 drawing.text(right, up, mark.name, anchor=anchor, size=11)
                 break
-
-
-def _overlap(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
-    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def draw_legend(drawing: Drawing, kinds: set[str]) -> None:

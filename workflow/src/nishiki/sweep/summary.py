@@ -203,15 +203,10 @@ def variant_row(
         reproducible=all(record["same"] for record in everything),
         different=tuple(sorted(different)),
         keys=dict(keys),
-        machines=tuple(sorted({machine_of(record) for record in everything})),
+        machines=tuple(sorted({f"{r['processor']}, {r['cpus']} cores, Python {r['python']}" for r in everything})),
         load=max((record["load_before"] for record in everything), default=0.0),
         default=default,
         paper=paper,
         peer=peer,
         apart=apart,
     )
-
-
-def machine_of(record: dict[str, Any]) -> str:
-    """One line about the machine of a repeat."""
-    return f"{record['processor']}, {record['cpus']} cores, Python {record['python']}"

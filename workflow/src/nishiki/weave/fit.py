@@ -224,9 +224,13 @@ def fit_weave(
     model = model_of(p, weft, warp, reading, lobe)
     variance = noise_variance(problem, cost)
     ranges = profile_intervals(problem, p, cost, confidence=confidence, variance=variance) if intervals else {}
+    rms_rel = {}
+    for name, plane in (("weft", weft), ("warp", warp)):
+        missed = model.predict(name, plane.theta_i, plane.theta_r).mean(axis=-1) - plane.mean
+        rms_rel[name] = float(np.sqrt(np.sum(missed**2) / max(np.sum(plane.mean**2), 1e-300)))
     return WeaveFit(
         model=model,
-        rms_rel={name: _rms(model, name, plane) for name, plane in (("weft", weft), ("warp", warp))},
+        rms_rel=rms_rel,
         variance=variance,
         intervals=ranges,
         identifiability=_identifiability(model, weft, warp, problem, variance),
@@ -285,11 +289,6 @@ def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str, lobe: str) -
         reading=reading,
         lobe=lobe,
     )
-
-
-def _rms(model: WeaveModel, name: str, plane: Plane) -> float:
-    missed = model.predict(name, plane.theta_i, plane.theta_r).mean(axis=-1) - plane.mean
-    return float(np.sqrt(np.sum(missed**2) / max(np.sum(plane.mean**2), 1e-300)))
 
 
 def _identifiability(model: WeaveModel, weft: Plane, warp: Plane, problem: Problem, variance: float) -> Identifiability:

@@ -123,11 +123,6 @@ def _check(scene: ClothScene, takes: list[RenderVariant], lamps: list[Lamp], sup
             )
 
 
-def _parts(rows: np.ndarray) -> list[np.ndarray]:
-    """Return rows in portions."""
-    return [rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE)]
-
-
 def _add_lamps(colours, scene, takes, lamps, samples: Samples, shadows: bool, tally: _Tally) -> None:
     """Add what the lamps make the samples send to the eye to colours (takes, n, 3)."""
     tally.samples += len(samples.pixel)
@@ -176,5 +171,7 @@ def _add_around(colours, takes, samples: Samples, surroundings: Surroundings, ta
         for material, brdf in enumerate(take.materials):
             if take.around and id(brdf) not in tables:
                 tables[id(brdf)] = share_of(brdf)
-            for rows in _parts(np.flatnonzero(samples.material == material)) if take.around else ():
+            chosen = np.flatnonzero(samples.material == material)
+            for start in range(0, len(chosen), AT_ONCE) if take.around else ():
+                rows = chosen[start : start + AT_ONCE]
                 colours[k, rows] += take.around * surroundings.radiance(tables[id(brdf)], samples.take(rows))

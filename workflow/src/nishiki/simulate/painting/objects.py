@@ -233,17 +233,13 @@ def _varnish_waves(settings):
     return waves
 
 
-def brush_scale(settings: SimulationSettings) -> float:
-    """Size of brushes and threads: follows the picture up to a limit, and is never too fine for the camera."""
-    return max(min(settings.rows * settings.pitch_mm / PICTURE_HEIGHT_MM, 1.2), 3.0 * settings.pitch_mm)
-
-
 def _painting(settings, palette):
     s = settings.supersampling
     plan = plan_landscape(settings.rows, settings.columns, seed=settings.seed)
     paint = np.zeros((settings.rows * s, settings.columns * s), np.float32)
     label = np.full(paint.shape, palette.first[REGION["ground"]], np.uint8)
-    scale = brush_scale(settings)
+    # the size of brushes and threads follows the picture up to a limit, and is never too fine for the camera
+    scale = max(min(settings.rows * settings.pitch_mm / PICTURE_HEIGHT_MM, 1.2), 3.0 * settings.pitch_mm)
     step = settings.pitch_mm / s
     ridge = 1.0 if settings.relief == "impasto" else 0.12
     for layer in range(len(LAYERS)):

@@ -197,7 +197,9 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
         rows = [("light", "x", "y", "z"), (LAMP, *(f"{value:.3f}" for value in constants.LAMP_MM))]
         write_csv(capture / "lights.csv", rows)
     if options.mesh == "scan":
-        (capture / "object.ply").write_bytes(scan_of(scene, settings))
+        surface = make_surface(settings.scan_triangles) if settings.scan_triangles else scene.surface
+        points = scanned(surface, noise_mm=settings.scan_noise_mm, seed=settings.seed)
+        (capture / "object.ply").write_bytes(mesh_bytes(*points))
     write_description(
         capture,
         f"Simulated jar on a turntable (seed {settings.seed})",
@@ -215,12 +217,6 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
         },
     )
     store.finish(truth_attributes(settings, views), truth_readme(settings))
-
-
-def scan_of(scene: SimulatedScene, settings: TurntableSettings) -> bytes:
-    """Write the PLY file of a scanner: the object's own triangles or others, with noise."""
-    surface = make_surface(settings.scan_triangles) if settings.scan_triangles else scene.surface
-    return mesh_bytes(*scanned(surface, noise_mm=settings.scan_noise_mm, seed=settings.seed))
 
 
 def mesh_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:

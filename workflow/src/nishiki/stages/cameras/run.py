@@ -117,7 +117,11 @@ def located(context: Context, views: Views, source: str, points: dict | None) ->
         diagnostics["boards"] = {"seen": len(boards.pictures), "unseen": list(boards.unseen), "legacy": boards.legacy}
     matrix, distortion, calibration = lens_of(views, boards, settings)
     diagnostics["calibration"] = calibration.as_dict() if calibration else None
-    sights = board_sights(views, boards) if source == "boards" else point_sights(points)
+    sights = (
+        board_sights(views, boards)
+        if source == "boards"
+        else {name: Sight(name, table[:, 2:], table[:, :2]) for name, table in points.items()}
+    )
     poses = [
         estimate_pose(sights[name], matrix, distortion, rows=rows, columns=columns, outlier_px=limit)
         for name in context.progress.over(views.views, "view")
@@ -191,11 +195,6 @@ def board_sights(views: Views, boards: Detection) -> dict[str, Sight]:
             "views, with the board sharp and not glossy; or correspondences"
         )
     return sights
-
-
-def point_sights(points: dict[str, np.ndarray]) -> dict[str, Sight]:
-    """Return correspondences by view."""
-    return {name: Sight(name, table[:, 2:], table[:, :2]) for name, table in points.items()}
 
 
 def on_one_axis(

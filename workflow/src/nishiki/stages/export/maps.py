@@ -12,7 +12,7 @@ from nishiki.formats.banded_pictures import EnviWriter, ExrWriter, strips, write
 from nishiki.formats.coding import ROMM, icc_profile
 from nishiki.render.display import normals_as_colours
 from nishiki.stages.export.registry import software
-from nishiki.stages.export.scene import ExportedScene, Relief, reliefs
+from nishiki.stages.export.scene import ExportedScene, reliefs
 
 AXES = "x right, y up, z out of the surface towards the camera; row 0 is the top"
 
@@ -124,20 +124,15 @@ def write_ply(context: Context, scene: ExportedScene) -> tuple[int, int, int]:
     with open(context.output.path("exports/height.ply"), "wb") as file:
         file.write(("\n".join(heading) + "\n").encode("ascii", "replace"))
         for relief in reliefs(scene, most, colours=colours):
-            file.write(vertex_bytes(relief))
+            points = np.empty(len(relief.places), VERTEX)
+            points["place"], points["normal"] = relief.places, relief.normals
+            points["colour"] = np.floor(255 * srgb_encode(relief.colours) + 0.5)
+            file.write(points.tobytes())
         for relief in reliefs(scene, most, colours=None):
             faces = np.empty(len(relief.triangles), FACE)
             faces["count"], faces["corner"] = 3, relief.triangles
             file.write(faces.tobytes())
     return step, counted, corners
-
-
-def vertex_bytes(relief: Relief) -> bytes:
-    """Return vertices of a band as the PLY holds them."""
-    points = np.empty(len(relief.places), VERTEX)
-    points["place"], points["normal"] = relief.places, relief.normals
-    points["colour"] = np.floor(255 * srgb_encode(relief.colours) + 0.5)
-    return points.tobytes()
 
 
 def write_albedo(context: Context, scene: ExportedScene) -> dict:

@@ -68,7 +68,10 @@ def write(context: Context, scene: ExportedScene) -> dict:
         errors = stored.errors(stored.decoded(folder, frames), photographs, hold_out, shown)
         if kind == "ptm" and settings.single_file:
             exact = StoredModel(model, np.full(model.planes, 255.0), np.zeros(model.planes))
-            errors |= exact.errors(file_rows(folder / PTM, frames), photographs, hold_out, {"ptm file": model})
+            coefficients = read_ptm(folder / PTM)
+            stored = ((band, coefficients(band)) for band in frames.bands())
+            rows = ((band, values.reshape(*values.shape[:2], -1).transpose(2, 0, 1)) for band, values in stored)
+            errors |= exact.errors(rows, photographs, hold_out, {"ptm file": model})
         for name, psnr_db in errors.items():
             kinds[name] = {"planes": model.planes, "psnr_db": psnr_db}
         kinds[kind] |= {"width": getattr(model, "width", None), "ridge": getattr(model, "ridge", None)}
@@ -225,14 +228,6 @@ class StoredModel:
                 errors[name].include(each)
         groups = {"fitted": slice(0, len(fitted))} | ({"check": slice(len(fitted), None)} if len(checked) else {})
         return {name: {group: each.decibels(part) for group, part in groups.items()} for name, each in errors.items()}
-
-
-def file_rows(path: Path, frames: Observations) -> Iterator[DecodedRows]:
-    """Yield a band at a time of a .ptm file, in units of its coefficients."""
-    coefficients = read_ptm(path)
-    for band in frames.bands():
-        values = coefficients(band)
-        yield band, values.reshape(*values.shape[:2], -1).transpose(2, 0, 1)
 
 
 def write_layers(folder: Path, scene: ExportedScene, context: Context) -> None:

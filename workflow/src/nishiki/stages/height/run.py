@@ -39,10 +39,7 @@ def run(context: Context) -> dict:
     if correction is not None:
         error = np.minimum(np.hypot(error, correction), UNKNOWN)
     out.write("expected_error", error, unit="radians, rms angle of the normal; pi / 2 where there is no estimate")
-    return {"unit": "mm" if pitch else "pixels", **diagnostics, **percentiles_deg(error[valid])}
-
-
-def percentiles_deg(error: np.ndarray) -> dict[str, float]:
-    """Return median and 95th percentile of the normals' expected error (pixels,), radians, in degrees."""
-    middle, high = np.degrees(np.percentile(error[:: max(1, error.size // 100_000)], [50, 95]))
-    return {"expected_error_median_deg": float(middle), "expected_error_p95_deg": float(high)}
+    thinned = error[valid][:: max(1, int(valid.sum()) // 100_000)]
+    middle, high = np.degrees(np.percentile(thinned, [50, 95]))
+    expected = {"expected_error_median_deg": float(middle), "expected_error_p95_deg": float(high)}
+    return {"unit": "mm" if pitch else "pixels", **diagnostics, **expected}

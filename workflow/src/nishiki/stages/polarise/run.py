@@ -67,7 +67,12 @@ def run(context: Context) -> dict:
         "views": len(views.views),
         "lights": list(views.lights),
         "unit": unit_of(views, sums, boards),
-        "boards": {light: board_diagnostics(boards[light]) for light in views.lights},
+        "boards": {
+            light: {"channel": board.channel, "covered": board.covered, "low_pixels": board.low, "spread": board.spread}
+            if (board := boards[light])
+            else None
+            for light in views.lights
+        },
         "pictures": pictures,
         **totals(statistics),
         "by_view": [{**asdict(one), **facts} for one, facts in zip(statistics, facts_of_views, strict=True)],
@@ -187,13 +192,6 @@ def unit_of(views: Views, sums: StateSums, boards: dict[str, Beta | None]) -> st
     """
     divided = sums.method != "circular" and all(board is not None for board in boards.values())
     return "white board" if views.attributes["white_board"] or divided else "full scale"
-
-
-def board_diagnostics(board: Beta | None) -> dict | None:
-    """Return a board in the diagnostics."""
-    if board is None:
-        return None
-    return {"channel": board.channel, "covered": board.covered, "low_pixels": board.low, "spread": board.spread}
 
 
 def wavelength_of(views: Views, settings: PolariseSettings) -> float | None:
