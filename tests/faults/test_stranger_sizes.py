@@ -7,6 +7,7 @@ import pickle
 import struct
 import zipfile
 import zlib
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -32,11 +33,16 @@ from nishiki.formats.files import BOUNDS, bound, read_json
 from nishiki.formats.images import read_codes, read_header
 from nishiki.formats.matlab import read_matlab
 from nishiki.formats.problems import CaptureError
-from nishiki.formats.stored import load_arrays, open_group, zstd_content_size
+from nishiki.formats.stored import _content_size, load_arrays, open_group
 from nishiki.geometry.mesh import read_triangles
 from nishiki.observations.plane import Observations
 
 PROJECT = Path(__file__).resolve().parents[2]
+
+
+def zstd_content_size(data: bytes) -> int | None:
+    """Bytes that zstd frames unpack to, from their headers; None where one does not tell, or is damaged."""
+    return _content_size(BytesIO(data), len(data))
 
 
 def png(rows, columns, depth=8, colour=2):

@@ -224,12 +224,10 @@ class RunHandler(LogHandlerBase):
         why = message or status or "it left no message"
         self.screen.tell(text + ("" if message else f", {why}") + (f"; log: {log}" if log else ""))
         for job in jobs:
-            self._record_failure({"scene": job.scene, "stage": job.stage, "name": job.name, "why": why, "log": log})
-
-    def _record_failure(self, failure: dict[str, str]) -> None:
-        if self._failures >= 0:
-            with suppress(OSError):
-                os.write(self._failures, json.dumps(failure).encode() + b"\n")
+            failure = {"scene": job.scene, "stage": job.stage, "name": job.name, "why": why, "log": log}
+            if self._failures >= 0:
+                with suppress(OSError):
+                    os.write(self._failures, json.dumps(failure).encode() + b"\n")
 
     def _read_logs(self, names: list[str]) -> None:
         """Show what the stages said in logs that a cluster wrote."""

@@ -187,13 +187,9 @@ def join(parts: Sequence[Artifact], folder: Path) -> None:
             target = folder / name
             if not target.exists():
                 target.parent.mkdir(parents=True, exist_ok=True)
-                _link(part.path(name), target)
+                try:
+                    os.link(part.path(name), target)
+                except OSError:  # another file system, or one without hard links
+                    shutil.copyfile(part.path(name), target)
             elif file_digest(target) != file_digest(part.path(name)):
                 raise UserError(f"{part.path(name)}: another part has another. Remedy: delete the parts and run again")
-
-
-def _link(source: Path, target: Path) -> None:
-    try:
-        os.link(source, target)
-    except OSError:  # another file system, or one without hard links
-        shutil.copyfile(source, target)

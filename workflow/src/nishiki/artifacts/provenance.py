@@ -263,19 +263,15 @@ def _imports(path: Path) -> tuple[Path, ...]:
         parts = name.split(".")
         local = path.parent / f"{parts[0]}.py"
         if parts[0] == PACKAGE:
-            modules |= set(_module_files(name))
+            packages = [
+                SOURCE.joinpath(*parts[: end + 1], "__init__.py") for end in range(len(parts))
+            ]  # import runs them
+            candidates = [SOURCE.joinpath(*parts).with_suffix(".py"), *packages]
+            modules |= {path for path in candidates if path.is_file()}
         elif len(parts) == 1 and local.is_file() and not _is_module(path):
             modules.add(local.resolve())  # a script's neighbour in scripts/
     declared = {STAGES / "table.py", *STAGES.glob("*/__init__.py")}
     return tuple(sorted(modules - {path, SOURCE / PACKAGE / "__init__.py"} - declared))
-
-
-def _module_files(name: str) -> list[Path]:
-    """Return the module's file and those of the packages that contain it (importing it runs them)."""
-    parts = name.split(".")
-    packages = [SOURCE.joinpath(*parts[: end + 1], "__init__.py") for end in range(len(parts))]
-    candidates = [SOURCE.joinpath(*parts).with_suffix(".py"), *packages]
-    return [path for path in candidates if path.is_file()]
 
 
 def data_files(modules: list[Path]) -> list[Path]:

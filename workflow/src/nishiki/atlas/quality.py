@@ -102,13 +102,6 @@ def texels_per_unit(
     return np.stack([side * ratio, side / ratio], axis=1)
 
 
-def texel_areas(atlas: Atlas) -> np.ndarray:
-    """Area (f,) float64 of each triangle in texels."""
-    corners = atlas.corners.astype(np.float64)
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
-
-
 def stretch_percentiles(mesh: Mesh, atlas: Atlas, percentiles=(50, 90, 99, 100)) -> list[float]:
     """Compute percentiles, by surface area, of the stretch of the texels.
 
@@ -147,7 +140,10 @@ def texels_per_pixel(mesh: Mesh, atlas: Atlas, camera: Camera, triangle: np.ndar
     areas = np.empty(len(mesh.triangles), np.float32)
     corners = np.ascontiguousarray(mesh.triangles, np.int32)
     facing_areas(np.ascontiguousarray(pixels), depths, corners, camera.rows, camera.columns, areas)
-    ratio = np.sqrt(texel_areas(atlas) / np.where(areas > 0, areas, np.inf))[triangle]
+    texels = atlas.corners.astype(np.float64)
+    first, second = texels[:, 1] - texels[:, 0], texels[:, 2] - texels[:, 0]
+    in_texels = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
+    ratio = np.sqrt(in_texels / np.where(areas > 0, areas, np.inf))[triangle]
     ratio = ratio[ratio > 0]
     return float(np.median(ratio)) if len(ratio) else None
 

@@ -130,15 +130,10 @@ def fit_points(phi, amplitude, attenuation, diffuse, weights, strengths, reports
         best = np.maximum(basis @ (np.sqrt(w)[:, None] * y) / max(basis @ basis, 1e-300), 0)
         reports[p, vp.GAMMA], reports[p, vp.RSS] = gamma, 2 * solution.cost
         reports[p, vp.RSS_DIFFUSE] = np.sum(w[:, None] * (y - np.outer(q, best)) ** 2)
-        reports[p, vp.CURVATURE] = _projected_curvature(solution.jac)
+        others, last = solution.jac[:, :-1], solution.jac[:, -1]
+        rest = last - others @ np.linalg.lstsq(others, last, rcond=None)[0]
+        reports[p, vp.CURVATURE] = float(rest @ rest)
         reports[p, vp.NEAREST], reports[p, vp.LIT] = x.min(), np.sum(x < 2 * gamma)
-
-
-def _projected_curvature(jacobian):
-    """Squared length of the last column off the span of the others."""
-    others, last = jacobian[:, :-1], jacobian[:, -1]
-    rest = last - others @ np.linalg.lstsq(others, last, rcond=None)[0]
-    return float(rest @ rest)
 
 
 GAMMA_BOUNDS = (1e-3, 1.6)

@@ -79,7 +79,11 @@ def calibrate_target(given: TargetInput) -> Calibration:
     light = None if given.light is None else _spectrum(given.light)
     names, reflectances = chart_reflectances()
     if given.reflectances:
-        reflectances = _chart_of_its_own(given.reflectances, names)
+        curves = read_curves(given.reflectances)
+        if len(curves.names) != len(names):
+            found = f"expected {len(names)} columns after wavelength_nm, found {len(curves.names)}"
+            raise UserError(f"{given.reflectances}: {found}")
+        reflectances = np.array([np.interp(WAVELENGTHS_NM, curves.wavelengths_nm, each) for each in curves.values.T])
     header = read_header(given.photograph)
     assumed = "srgb" if header.sample == "uint8" and header.kind != "raw" else "linear"
     coding = header.coding_used(given.encoding or ("file" if header.coding else assumed))
@@ -156,14 +160,6 @@ def _spectrum(text: str) -> np.ndarray:
         return illuminant(text)
     curves = read_curves(Path(text))
     return np.interp(WAVELENGTHS_NM, curves.wavelengths_nm, curves.values[:, 0])
-
-
-def _chart_of_its_own(path: Path, names: tuple[str, ...]) -> np.ndarray:
-    """Reflectances (24, 61) from a table with one column a patch, in the chart's order."""
-    curves = read_curves(path)
-    if len(curves.names) != len(names):
-        raise UserError(f"{path}: expected {len(names)} columns after wavelength_nm, found {len(curves.names)}")
-    return np.array([np.interp(WAVELENGTHS_NM, curves.wavelengths_nm, values) for values in curves.values.T])
 
 
 def _sections(

@@ -189,7 +189,13 @@ def find_bands(
         if share >= LEAST_SHARE:
             files = complete_bands(sorted_files.channels, dict(zip(kept, table, strict=True)), str(source))
             named = sorted({path for bands in files for path in bands})
-            notes = [_say_bands(source, sorted_files.channels, files)]
+            example = ", ".join(path.relative_to(source).as_posix() for path in files[0][:3])
+            channels, remedy = (
+                ", ".join(sorted_files.channels),
+                "If that is wrong, list the files in frames.csv by hand",
+            )
+            what = f"the photographs are taken for {len(sorted_files.channels)} bands of {len(files)} lamps: {channels}"
+            notes = [warning("bands-assumed", source.name, what, found=f"{example} of one lamp", remedy=remedy)]
             left = [path.name for path in _all_pictures(source, pictures) if path not in set(named)]
             if left:
                 what = "pictures of no lamp and band were left out"
@@ -281,10 +287,3 @@ def _match_lamps(sorted_files: BandFiles, lights: Lights, kind: str) -> tuple[Li
         return None
     vectors = lights.vectors[list(first.values())]
     return lights_from_vectors(list(first), vectors, file="lights", kind=kind, frontal=False), list(first)
-
-
-def _say_bands(source: Path, channels: Sequence[str], files: Sequence[Sequence[Path]]) -> Problem:
-    example = ", ".join(path.relative_to(source).as_posix() for path in files[0][:3])
-    what = f"the photographs are taken for {len(channels)} bands of {len(files)} lamps: {', '.join(channels)}"
-    remedy = "If that is wrong, list the files in frames.csv by hand"
-    return warning("bands-assumed", source.name, what, found=f"{example} of one lamp", remedy=remedy)

@@ -4,8 +4,8 @@ What `PARTS` does not name (the photographs that a fit needs, their white boards
 masks) is always read.
 """
 
-from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from nishiki.artifacts.closed import Closed
@@ -120,57 +120,11 @@ class Plan:
         return f"{self.scene.name}/{stage}/{self.stages[stage].key}"
 
 
-@dataclass(frozen=True)
-class StageOutline:
-    """A planned stage before its key: settings (as values and as canonical text), and the stages that it reads."""
+def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
+    """Plan a scene: the stages that its products reach and its capture can feed.
 
-    settings: dict[str, Any]
-    text: str
-    reads: tuple[str, ...]
-    packages: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Outline:
-    """Hold the common parts of the plans of scenes with equal settings and products: everything but the keys.
-
-    The captures of these scenes differ in their digest only.
+    Raises UserError where a product that was asked for by name cannot be made, with the reason.
     """
-
-    stages: dict[str, StageOutline]
-    left_out: dict[str, str]
-    held_out: tuple[str, ...]
-    packages: dict[str, tuple[str, ...]]
-    idle: dict[str, str]
-
-
-def make_plan(scene: Scene, facts: SceneFacts, known: dict[Hashable, Outline] | None = None) -> Plan:
-    """Plan of a scene: the stages that its products reach and its capture can feed.
-
-    known: outlines of earlier plans, used where they fit, and added to; they hold as long as the settings of these
-    scenes are alive. Raises UserError where a product that was asked for by name cannot be made, with the reason.
-    """
-    if known is None:
-        outline = _outline(scene, facts)
-    else:
-        kind = (id(scene.settings), scene.products, _but_digest(facts))
-        outline = known.get(kind) or known.setdefault(kind, _outline(scene, facts))
-    keys = {"capture": facts.capture_digest}
-    stages: dict[str, PlannedStage] = {}
-    for name, stage in outline.stages.items():
-        upstream = {other: keys[other] for other in stage.reads}
-        keys[name] = key_of_text(name, CHAIN[name].version, stage.text, upstream)
-        stages[name] = PlannedStage(name, keys[name], stage.settings, upstream, stage.packages)
-    return Plan(scene, facts, stages, outline.left_out, outline.held_out, outline.packages, outline.idle)
-
-
-def _but_digest(facts: SceneFacts) -> Hashable:
-    """Everything in the facts of a scene but the digest of its capture, which nothing but the keys depends on."""
-    values = (getattr(facts, item.name) for item in fields(facts) if item.name != "capture_digest")
-    return tuple(tuple(sorted(value.items())) if isinstance(value, Mapping) else value for value in values)
-
-
-def _outline(scene: Scene, facts: SceneFacts) -> Outline:
     chain = chain_of(facts.geometry)
     held_out = held_out_of(scene.settings.hold_out, scene, facts)
     settings = {name: _filled(name, scene, facts, held_out) for name in chain}
@@ -200,14 +154,17 @@ def _outline(scene: Scene, facts: SceneFacts) -> Outline:
         if name in needed
     }
     idle = _idle(chain, packages, facts, settings)
-    stages: dict[str, StageOutline] = {}
+    keys = {"capture": facts.capture_digest}
+    stages: dict[str, PlannedStage] = {}
     for name in packages:
         if chain[name].asked_as == "report":
             reasons_shown = left_out | {f"package {package}": why for package, why in idle.items()}
             settings[name] = settings[name].model_copy(update={"left_out": reasons_shown})
         values = settings[name].model_dump(mode="json")
-        stages[name] = StageOutline(values, canonical(values), _reads(name, settings[name], stages), packages[name])
-    return Outline(stages, left_out, held_out, packages, idle)
+        upstream = {other: keys[other] for other in _reads(name, settings[name], stages)}
+        keys[name] = key_of_text(name, CHAIN[name].version, canonical(values), upstream)
+        stages[name] = PlannedStage(name, keys[name], values, upstream, packages[name])
+    return Plan(scene, facts, stages, left_out, held_out, packages, idle)
 
 
 def _read_by_ingest(

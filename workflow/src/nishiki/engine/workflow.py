@@ -2,14 +2,14 @@
 
 import os
 import shlex
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
 from nishiki.artifacts.artifact import MANIFEST
 from nishiki.artifacts.provenance import canonical, code_digest, library_version, program_of
 from nishiki.engine.facts import remembered_facts
-from nishiki.engine.plan import Outline, Plan, PlannedStage, make_plan
+from nishiki.engine.plan import Plan, PlannedStage, make_plan
 from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project, scene_with_exports
 from nishiki.engine.scheduling import Scheduling
 from nishiki.engine.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
@@ -84,7 +84,6 @@ class Workflow(Scheduling):
                 raise UserError(unknown_scene(name, self.project.scenes))
         self.sweep: PlannedSweep | None = None
         self._swept: dict[tuple[str, str, str], PlannedStage] = {}
-        self._outlines: dict[Hashable, Outline] = {}
         self._known_facts: dict[tuple[Path, Path | None], SceneFacts] = {}
         plans = Plans(list(only or self.project.scenes), self._plan)
         self.plans: Mapping[str, Plan] = plans
@@ -108,8 +107,8 @@ class Workflow(Scheduling):
         scene = self.project.scenes[name]
         facts = self._facts(scene)
         if formats := self.project.configuration.exports.get(name):
-            return make_plan(scene_with_exports(scene, facts.geometry, formats), facts)
-        return make_plan(scene, facts, self._outlines)
+            scene = scene_with_exports(scene, facts.geometry, formats)
+        return make_plan(scene, facts)
 
     def _plan_sweep(self, named: str) -> None:
         """Plans of all variants; a scene's own plan is that of its first variant, the scene as it is configured."""

@@ -164,12 +164,6 @@ def _expect_chunks(folder: Path, unpacked: int, *, packed: bool, check: int) -> 
     return count + place.is_file()
 
 
-def zstd_content_size(data: bytes) -> int | None:
-    """Bytes that zstd frames unpack to, from their headers (RFC 8878, 3.1.1); None where one does not tell, or is
-    damaged."""
-    return _content_size(BytesIO(data), len(data))
-
-
 def _content_size(file: BinaryIO, end: int) -> int | None:
     """`zstd_content_size` of the first `end` bytes of a file. Only headers are read: that of a block of at most 128 KiB
     says where the next one is."""

@@ -60,6 +60,8 @@ def merge(
     """
     from scipy.spatial import cKDTree
 
+    from nishiki.geometry.mesh import vertex_normals
+
     if len(scans) == 1 and faces[0] is not None:
         return scans[0], faces[0], {"merged": False, "guessed_triangles": 0}
     cell = float(np.ptp(np.concatenate(scans), axis=0).max()) / cells
@@ -67,8 +69,9 @@ def merge(
         *(_filled(each, triangles_of, 3 * cell) for each, triangles_of in zip(scans, faces, strict=True)), strict=True
     )
     points = np.concatenate(scans)
-    normals = [_scan_normals(each, triangles_of) for each, triangles_of in zip(scans, faces, strict=True)]
-    if any(scan_normals is None for scan_normals in normals):
+    if all(triangles is not None for triangles in faces):
+        normals = [vertex_normals(*scan).astype(np.float64) for scan in zip(scans, faces, strict=True)]
+    else:
         normals = [_outward_normals(each, points.mean(axis=0)) for each in scans]
     vertices, triangles = _poisson(points, np.concatenate(normals), cells)
     distance, _ = cKDTree(points).query(vertices)
@@ -98,13 +101,6 @@ def _spacing(points: np.ndarray) -> float:
 
     distance, _ = cKDTree(points).query(points[:: max(1, len(points) // 5000)], k=min(4, len(points)))
     return float(np.median(distance[:, -1]))
-
-
-def _scan_normals(points: np.ndarray, triangles: np.ndarray | None) -> np.ndarray | None:
-    """Compute normals of a scan's own triangles; None without triangles."""
-    from nishiki.geometry.mesh import vertex_normals
-
-    return None if triangles is None else vertex_normals(points, triangles).astype(np.float64)
 
 
 def _outward_normals(points: np.ndarray, centre: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Turn photographs of a cloth and its white boards into reflectances."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -316,7 +316,10 @@ def read_all(
         for k, mask in enumerate(masks):
             reading = read_window(photograph.linear, mask & photograph.usable, photograph.saturated)
             over = [read_window(w.linear, mask & w.usable, w.saturated) for w in boards_read] if boards_read else None
-            white, white_noise = _light_of(over or [middles[int(w)] for w in board.which], board.factors)
+            shown = over or [middles[int(w)] for w in board.which]
+            white = np.array([r.mean * f for r, f in zip(shown, board.factors, strict=True)]).mean(axis=0)
+            noises = np.array([r.noise * f for r, f in zip(shown, board.factors, strict=True)])
+            white_noise = np.sqrt((noises**2).sum(axis=0)) / len(noises)
             values[i, k], noise[i, k] = reflectance(reading.mean, reading.noise, white, white_noise, white_reflectance)
             pixels[i, k], saturated[i, k] = reading.pixels, reading.saturated
             valid[i, k] = reading.pixels > 0 and reading.saturated <= saturated_share and bool((values[i, k] > 0).all())
@@ -341,10 +344,3 @@ def _masks(photograph: Photograph, angles_deg: np.ndarray, window_px: int, regio
         regions.labels, shape, theta_r=theta, phi_r=phi, upright=regions.upright, scale=regions.scale
     )
     return [seen == number for number in regions.numbers]
-
-
-def _light_of(readings: Sequence[WindowSample], factors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean light of the boards, each times its factor, and its standard deviation."""
-    means = np.array([r.mean * f for r, f in zip(readings, factors, strict=True)])
-    noises = np.array([r.noise * f for r, f in zip(readings, factors, strict=True)])
-    return means.mean(axis=0), np.sqrt((noises**2).sum(axis=0)) / len(means)

@@ -196,18 +196,15 @@ def _reference_problems(reader: FrameReader, tick: Tick) -> list[Problem]:
     edges = tuple(block_edges(n, CHECK_BLOCK) for n in (reader.rows, reader.columns))
     try:
         darks = measure_darks(reader, edges, tick)
-        whites = measure_whites(reader, darks, edges, tick).problems if _complete(reader.capture) else ()
+        # white boards and exposures are there for every light, or for none; if not, it is reported already
+        lit = [f for f in reader.capture.frames if f.role in ("sample", "white")]
+        plain = {f.light for f in lit if f.role == "white" and not f.polariser}
+        timed = sum(f.exposure is not None for f in lit)
+        complete = timed in (0, len(lit)) and (not plain or plain >= set(reader.capture.light_names))
+        whites = measure_whites(reader, darks, edges, tick).problems if complete else ()
         return [*darks.problems, *whites]
     except CaptureError as e:
         return list(e.problems)
-
-
-def _complete(capture: TurntableCapture) -> bool:
-    """Whether white boards and exposures are there for every light, or none; if not, it is reported already."""
-    lit = [f for f in capture.frames if f.role in ("sample", "white")]
-    plain = {f.light for f in lit if f.role == "white" and not f.polariser}
-    timed = sum(f.exposure is not None for f in lit)
-    return timed in (0, len(lit)) and (not plain or plain >= set(capture.light_names))
 
 
 def _frame_problems(reader: FrameReader, frame: Frame, pictures: Pictures, levels: PolariserLevels) -> list[Problem]:

@@ -153,18 +153,13 @@ def measure_movement(whole: Window, windows: list[Window], directions: np.ndarra
     shape = whole.step[::-1] * whole.inside.shape
     count, centre = len(directions), whole.corner + whole.step * (np.array(whole.inside.shape[::-1]) - 1) / 2
     movement = Movement(np.zeros((count, 2)), *np.zeros((3, count)), float(np.hypot(*shape)) / 2, centre)
-    pairs = choose_pairs(directions)
+    # pairs of photographs: those of similar lamps, and each with the one before
+    nearest = np.argsort(-(directions @ directions.T) - 9 * np.eye(count), axis=1)[:, 1 : NEIGHBOURS + 1]
+    similar = {(min(j, k), max(j, k)) for j in range(count) for k in nearest[j]}
+    pairs = np.array(sorted(similar | {(j, j + 1) for j in range(count - 1)}), np.int64)
     for chosen in (parts, windows or parts):
         movement = solve_movement(chosen, pairs, movement)
     return movement
-
-
-def choose_pairs(directions: np.ndarray) -> np.ndarray:
-    """Choose pairs (pairs, 2) int64 of photographs: those of similar lamps, and each with the one before."""
-    count = len(directions)
-    nearest = np.argsort(-(directions @ directions.T) - 9 * np.eye(count), axis=1)[:, 1 : NEIGHBOURS + 1]
-    pairs = {(min(j, k), max(j, k)) for j in range(count) for k in nearest[j]}
-    return np.array(sorted(pairs | {(j, j + 1) for j in range(count - 1)}), np.int64)
 
 
 def solve_movement(windows: list[Window], pairs: np.ndarray, before: Movement) -> Movement:

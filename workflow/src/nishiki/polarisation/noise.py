@@ -162,7 +162,9 @@ def measure_noise(series: Series) -> tuple[PhotographNoise | None, np.ndarray]:
     brightness gives the variance c_l^2 var(q_k) + c_k^2 var(q_l), from which slope and floor of the channels follow by
     non-negative least squares of the relative error. With one or two channels they are taken of q itself.
     """
-    strips = [_Strip.of(series, rows) for rows in _strips(*series.planes.shape[1:3])]
+    rows, columns = series.planes.shape[1:3]
+    tops = range(0, rows - 2 * APART, STRIP * -(-rows * columns // MOST_PIXELS))  # evenly spread
+    strips = [_Strip.of(series, slice(top, min(top + STRIP, rows))) for top in tops]
     colour = _colour_of(np.concatenate([strip.values for strip in strips], axis=1))
     order, edges = _bins(np.concatenate([strip.level for strip in strips]).mean(axis=(1, 2)))
     level, count = (np.concatenate([getattr(s, name) for s in strips])[order] for name in ("level", "count"))
@@ -229,12 +231,6 @@ class _Strip:
         """(pixels,) second differences down and across of (rows, columns)."""
         along = values[:, : -2 * APART] - 2 * values[:, APART:-APART] + values[:, 2 * APART :]
         return (along[: -2 * APART] - 2 * along[APART:-APART] + along[2 * APART :])[self.complete]
-
-
-def _strips(rows: int, columns: int) -> list[slice]:
-    """Evenly spread strips of rows with at most about `MOST_PIXELS` pixels."""
-    every = -(-rows * columns // MOST_PIXELS)
-    return [slice(top, min(top + STRIP, rows)) for top in range(0, rows - 2 * APART, STRIP * every)]
 
 
 def _bins(level: np.ndarray) -> tuple[np.ndarray, list[tuple[int, int]]]:

@@ -25,7 +25,10 @@ def main() -> None:
     if not name.isidentifier() or program_of(name).parent.parent != STAGES:
         print(f"nishiki: unknown stage {name!r}. {_usage()}", file=sys.stderr)
         raise SystemExit(2)
-    who = _who(name, arguments[1:])
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--scene", default="")
+    scene = parser.parse_known_args(arguments[1:])[0].scene
+    who = f"{scene}/{name}" if scene else name
     warnings.formatwarning = lambda text, category, file, line, source=None: (
         f"nishiki {who}: warning: {category.__name__}: {' '.join(str(text).split())} ({file}:{line})\n"
     )
@@ -52,14 +55,6 @@ def _usage() -> str:
     from nishiki.stages.table import NAMES
 
     return f"usage: stage.py NAME --help. Stages: {', '.join(NAMES)}"
-
-
-def _who(stage: str, arguments: list[str]) -> str:
-    """Return scene and stage, for messages."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--scene", default="")
-    scene = parser.parse_known_args(arguments)[0].scene
-    return f"{scene}/{stage}" if scene else stage
 
 
 def _bug(who: str, error: Exception) -> str:

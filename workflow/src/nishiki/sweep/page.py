@@ -27,7 +27,11 @@ def scene_content(
     evaluation: str,
 ) -> dict[str, Any]:
     """Everything about one scene of a sweep. rows : all variants, errors in the order of `measures`."""
-    fronts = [_front(rows, points_of(rows, k, measure, axis)) for k, measure in enumerate(measures)]
+    compared = [k for k, row in enumerate(rows) if not row.apart]
+    fronts = []
+    for number, measure in enumerate(measures):
+        points = points_of(rows, number, measure, axis)
+        fronts.append([compared[k] for k in front([points[k] for k in compared])])
     rows = [replace(row, ahead=tuple(number in indices for indices in fronts)) for number, row in enumerate(rows)]
     return {
         "scene": scene,
@@ -56,12 +60,6 @@ def points_of(rows: Sequence[VariantRow], number: int, measure: MeasureSettings,
         Point(row.name, row.times[axis].median, row.times[axis].low, row.times[axis].high, sign * row.errors[number])
         for row in rows
     ]
-
-
-def _front(rows: Sequence[VariantRow], points: Sequence[Point]) -> list[int]:
-    """List the indices of the rows on the front; those apart are not compared."""
-    compared = [k for k, row in enumerate(rows) if not row.apart]
-    return [compared[k] for k in front([points[k] for k in compared])]
 
 
 def _plot(scene, rows: list[VariantRow], number: int, measure: MeasureSettings, axis: str, best: list[int]) -> dict:

@@ -260,14 +260,6 @@ def _problem(weft: Plane, warp: Plane, reading: int, contact, harness, index) ->
     return problem, start
 
 
-def sections_of(p: np.ndarray) -> tuple[WeftSection, WarpSection]:
-    """Both sections, scaled to a period of 1, from the solver's unknowns."""
-    theta_a, length, radius, _, yarns, contact = shape_of(p[:SIZE], 0)
-    weft = WeftSection(theta_a, length, radius, yarns, contact)
-    warp = WarpSection(*shape_of(p[SIZE : 2 * SIZE], 1)[:4])
-    return weft.scaled(1 / weft.period), warp.scaled(1 / warp.period)
-
-
 def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str, lobe: str) -> WeaveModel:
     """Build the model at the solver's unknowns, with non-negative strengths of each channel over both planes."""
     from scipy.optimize import nnls
@@ -279,8 +271,12 @@ def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str, lobe: str) -
     matrix = columns(*shapes, widths, _rows(weft, warp), f0=f0, reading=READINGS[reading] + LOBES[lobe]) / sigma
     strengths = np.array([nnls(matrix, column)[0] for column in values.T])
     root = np.sqrt(f0)
+    theta_a, length, radius, _, yarns, contact = shape_of(p[:SIZE], 0)
+    weft = WeftSection(theta_a, length, radius, yarns, contact)
+    warp = WarpSection(*shape_of(p[SIZE : 2 * SIZE], 1)[:4])
     return WeaveModel(
-        *sections_of(p),
+        weft.scaled(1 / weft.period),
+        warp.scaled(1 / warp.period),
         a_weft=float(np.exp(p[3])),
         a_warp=float(np.exp(p[SIZE + 3])),
         index=float((1 + root) / (1 - root)),

@@ -197,16 +197,6 @@ STEP = 2e-6
 """Metres; it turns no normal of the smooth surface by more than 0.05 degrees."""
 
 
-def write_drape(path: Path, points: np.ndarray) -> None:
-    """Write a grid of points (n, n, 3), metres, as whole steps of 2 micrometres.
-
-    Differences of differences along both axes are small, so that they compress to half of what single precision takes.
-    """
-    steps = np.round(points / STEP).astype(np.int32)
-    differences = np.diff(np.diff(steps, axis=0, prepend=0), axis=1, prepend=0)
-    np.savez_compressed(path, differences=differences)
-
-
 def read_drape(path: Path = FILE) -> np.ndarray:
     """Read a square of cloth that fell over a ball: points (n, n, 3) in metres, [i, j] at weft i and warp j, y up.
 

@@ -163,7 +163,8 @@ def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
     coefficients = _block_means(scene.coefficients, factor)
     shading = None if scene.shading is None else _block_means(scene.shading, factor)
-    labels = None if scene.labels is None else _block_middles(scene.labels, factor)
+    middles = [np.minimum(np.arange(0, n, factor) + factor // 2, n - 1) for n in scene.normals.shape[:2]]
+    labels = None if scene.labels is None else np.ascontiguousarray(scene.labels[np.ix_(*middles)])
     reduced = dataclasses.replace(
         scene,
         normals=normals,
@@ -186,11 +187,6 @@ def _block_means(values, factor):
     sums = np.stack([np.add.reduceat(plane, columns, axis=1) for plane in planes], axis=2)
     sizes = [np.diff(np.append(start, n)) for start, n in zip((rows, columns), values.shape, strict=False)]
     return (sums / (sizes[0][:, None] * sizes[1])[..., None]).astype(np.float32)
-
-
-def _block_middles(values, factor):
-    rows, columns = (np.minimum(np.arange(0, n, factor) + factor // 2, n - 1) for n in values.shape)
-    return np.ascontiguousarray(values[np.ix_(rows, columns)])
 
 
 def _resolve_band(shading, inside, across, down, background, xyz, flags, coverage):

@@ -97,7 +97,10 @@ def _sweep_light(surface, pieces, count: int, light: Light, pitch: float) -> np.
     first, last = int(np.floor(min(0.0, -drift))) - 1, int(np.ceil(rows - 1 + max(0.0, -drift))) + 1
     phase = (-slope * (columns - 1)) % 1.0 if flip else 0.0
     step = pitch * np.hypot(1.0, slope)
-    floor = _lowest_tangent(elevation, light.angular_radius)
+    # Horizons below the floor cannot matter: half the tangent of the lamp's lower edge, as the sweep averages two
+    # lines. Not the edge itself: a line that is lit would then weigh too little against one in shadow.
+    lower = elevation - light.angular_radius
+    floor = 0.5 * float(np.tan(lower)) if lower > 0 else -1e30
     out = np.ones(surface.shape, np.float32)
 
     def lines(begin, end):
@@ -109,14 +112,6 @@ def _sweep_light(surface, pieces, count: int, light: Light, pitch: float) -> np.
     over_rows(lines, last - first + 1)
     out = out[:, ::-1] if flip else out
     return out.T if swap else out
-
-
-def _lowest_tangent(elevation: float, radius: float) -> float:
-    """Horizons below this cannot matter: half the tangent of the lamp's lower edge, as the sweep averages two lines.
-
-    Not the edge itself: a line that is lit would then weigh too little against one in shadow.
-    """
-    return 0.5 * float(np.tan(elevation - radius)) if elevation > radius else -1e30
 
 
 def _march_light(surface, pieces, light, pitch, out) -> None:

@@ -351,7 +351,11 @@ def _pack(warp: Yarns, weft: Yarns) -> np.ndarray:
     number of yarns, samples of a path, exponent, and the starts of shape, path and power. Compiled functions count the
     references of every array that they hand on, which costs more than the arithmetic.
     """
-    parts, head, end = [], [warp.spacing, weft.spacing, *_heights(warp, weft)], _HEAD
+    tops = [y.shape[:, 2] + np.abs(y.path[..., 2]).max(axis=1) * y.shape[:, 1] for y in (warp, weft)]
+    low = min(np.min(y.path[..., 0].min(axis=1) - top) for y, top in zip((warp, weft), tops, strict=True))
+    high = max(np.max(y.path[..., 0].max(axis=1) + top) for y, top in zip((warp, weft), tops, strict=True))
+    step = _STEP * 2.0 * min(warp.shape[:, 2].min(), weft.shape[:, 2].min())  # of a ray, mm
+    parts, head, end = [], [warp.spacing, weft.spacing, low, high, step], _HEAD
     for yarns in (warp, weft):
         head += [len(yarns.shape), yarns.path.shape[1], yarns.exponent]
         for values in (yarns.shape, yarns.path, yarns.power):
@@ -359,14 +363,6 @@ def _pack(warp: Yarns, weft: Yarns) -> np.ndarray:
             parts.append(values.ravel())
             end += values.size
     return np.concatenate([np.array([*head, 0.0]), *parts])
-
-
-def _heights(warp: Yarns, weft: Yarns) -> tuple[float, float, float]:
-    """Lowest and highest z, length of a step of a ray; mm."""
-    tops = [y.shape[:, 2] + np.abs(y.path[..., 2]).max(axis=1) * y.shape[:, 1] for y in (warp, weft)]
-    low = min(np.min(y.path[..., 0].min(axis=1) - top) for y, top in zip((warp, weft), tops, strict=True))
-    high = max(np.max(y.path[..., 0].max(axis=1) + top) for y, top in zip((warp, weft), tops, strict=True))
-    return low, high, _STEP * 2.0 * min(warp.shape[:, 2].min(), weft.shape[:, 2].min())
 
 
 def make_solids(settings: ClothSettings) -> Solids:

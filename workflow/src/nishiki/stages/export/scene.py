@@ -272,7 +272,10 @@ def reliefs(scene: ExportedScene, most: int, *, colours: np.ndarray | None) -> I
         count += int(here.sum())
         u = np.broadcast_to(right / columns, here.shape)
         v = np.broadcast_to((down / rows)[:, None], here.shape)
-        triangles = _triangles(np.concatenate([above[None], numbers]) if top else numbers)
+        places = np.concatenate([above[None], numbers]) if top else numbers
+        corners = np.stack([places[:-1, :-1], places[:-1, 1:], places[1:, :-1], places[1:, 1:]], axis=-1)
+        corners = corners[corners.min(axis=-1) >= 0]  # two triangles between four neighbours that are all there
+        triangles = corners[:, [0, 2, 1, 1, 2, 3]].reshape(-1, 3)
         above = numbers[-1]
         yield Relief(
             step,
@@ -287,11 +290,3 @@ def reliefs(scene: ExportedScene, most: int, *, colours: np.ndarray | None) -> I
 def _with_edges(values: np.ndarray, edges: tuple[int, int]) -> np.ndarray:
     """Values (rows, columns, ...) with the first and last column once more, and so many more first and last rows."""
     return np.pad(values, [edges, (1, 1), *[(0, 0)] * (values.ndim - 2)], mode="edge")
-
-
-def _triangles(numbers: np.ndarray) -> np.ndarray:
-    """Return (t, 3): two triangles between four neighbours that are all there; numbers (rows, columns), -1: none."""
-    a, b, c, d = numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, :-1], numbers[1:, 1:]
-    all_there = np.minimum(np.minimum(a, b), np.minimum(c, d)) >= 0
-    a, b, c, d = (corner[all_there] for corner in (a, b, c, d))
-    return np.stack([np.stack([a, c, b], axis=-1), np.stack([b, c, d], axis=-1)], axis=1).reshape(-1, 3)

@@ -56,7 +56,10 @@ def run(context: Context) -> dict:
         statistics.append(figures)
         facts_of_views.append(facts)
         if place in shown and number < len(views.views):
-            exposure = exposure or exposure_of(separated)
+            if not exposure:  # at most full scale, but for the brightest half per cent of the whole
+                total = (separated.diffuse + separated.specular)[separated.valid]
+                top = float(np.percentile(total, 99.5)) if total.size else 0.0
+                exposure = 1 / top if top > 0 else 1.0
             pictures[picture(context, views.views[place], place, separated, exposure)] = views.views[place]
     return {
         "method": sums.method,
@@ -214,13 +217,6 @@ def totals(statistics: list[SeparationStatistics]) -> dict:
         "specular_share": values["specular"] / sum_of_means if known and sum_of_means > 0 else None,
         "valid": float(np.mean([one.valid for one in statistics])),
     }
-
-
-def exposure_of(view: SeparatedView) -> float:
-    """Return factor that brings all but the brightest half per cent of the whole to at most full scale."""
-    total = (view.diffuse + view.specular)[view.valid]
-    top = float(np.percentile(total, 99.5)) if total.size else 0.0
-    return 1 / top if top > 0 else 1.0
 
 
 def picture(context: Context, name: str, place: int, view: SeparatedView, exposure: float) -> str:

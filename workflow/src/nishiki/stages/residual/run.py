@@ -47,8 +47,10 @@ DECIBELS = 20 / math.log(10)  # of a factor e in amplitude
 def run(context: Context) -> dict:
     """Refine the parameters, find the step for the target, store the pass that meets it."""
     settings = context.settings
-    others = parts_beside(context)
-    texels = Texels(context.inputs["texels"].folder)
+    inputs, texels = context.inputs, Texels(context.inputs["texels"].folder)
+    mesh, cameras = Mesh.load(inputs["mesh"].path("mesh.npz")), load_cameras(inputs["cameras"].path("cameras.json"))
+    lighting = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())["lighting"]
+    others = cost_of(mesh, texels.atlas.chart, cameras, lighting, {}).parts  # what a renderer needs beside the residual
     reflection = context.inputs["object_brdf"].folder
     source = ArtifactSource(texels, ParameterMaps(reflection), settings)
     fitted = json.loads((reflection / "object_brdf.json").read_text())
@@ -102,14 +104,6 @@ def run(context: Context) -> dict:
         "bits_per_pixel": bits,
         "economy": economy(decision),
     }
-
-
-def parts_beside(context: Context) -> dict[str, int]:
-    """Bytes of what a renderer needs beside the residual: mesh, charts, cameras, lamps."""
-    inputs = context.inputs
-    mesh, cameras = Mesh.load(inputs["mesh"].path("mesh.npz")), load_cameras(inputs["cameras"].path("cameras.json"))
-    lighting = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())["lighting"]
-    return cost_of(mesh, Texels(inputs["texels"].folder).atlas.chart, cameras, lighting, {}).parts
 
 
 def left_by_model(source: "ArtifactSource", scene: CodedScene, piloted: Pilot) -> Left:
