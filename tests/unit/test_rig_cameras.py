@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from nishiki.rig.cameras import WatchedFolder, number_of, run_command
+from nishiki.rig.cameras import FolderSettings, WatchedFolder, number_of, run_command
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
 from nishiki.simulate.rig.camera import CAPACITY, VirtualCamera
 
@@ -47,7 +47,7 @@ def test_photographs_of_the_virtual_camera_are_those_before_its_lens(virtual, tm
     (tmp_path / "b.jpg").write_bytes(jpeg(160).ljust(CAPACITY, b"\0"))
     code = f"""
 import shutil
-camera = GPhotoCamera("camera", settings={{"capturetarget": "Memory card"}})
+camera = GPhotoCamera("camera", GPhotoSettings(kind="gphoto", settings={{"capturetarget": "Memory card"}}))
 print(camera.configure(Exposure(seconds=0.02, aperture=8.0)))
 for name in "ab":
     shutil.copyfile(f"{tmp_path}/{{name}}.jpg", "{virtual.picture}")
@@ -55,7 +55,7 @@ for name in "ab":
     print(len(paths), paths[0].name, paths[0].read_bytes() == Path(f"{tmp_path}/{{name}}.jpg").read_bytes())
 camera.close()
 camera.close()
-again = GPhotoCamera("camera", model="Nikon DSC D750")
+again = GPhotoCamera("camera", GPhotoSettings(kind="gphoto", model="Nikon DSC D750"))
 print(len(again.photograph(Path("{tmp_path}/photographs"))))
 """
     lines = run_with_camera(tmp_path / "camera", code)
@@ -74,14 +74,14 @@ def tell(call):
     except DeviceError as error:
         print(type(error).__name__, error)
 
-camera = GPhotoCamera("camera")
+camera = GPhotoCamera("camera", GPhotoSettings(kind="gphoto"))
 tell(lambda: camera.configure(Exposure(iso=100)))
 tell(lambda: camera.configure(Exposure(seconds=30.0)))
 tell(lambda: camera.configure(Exposure(seconds=0.018)).seconds)
 camera.close()
-tell(lambda: GPhotoCamera("camera", settings={"whitebalance": "Daylight"}))
-tell(lambda: GPhotoCamera("camera", settings={"capturetarget": "Nowhere"}))
-tell(lambda: GPhotoCamera("camera", model="Canon EOS R5"))
+tell(lambda: GPhotoCamera("camera", GPhotoSettings(kind="gphoto", settings={"whitebalance": "Daylight"})))
+tell(lambda: GPhotoCamera("camera", GPhotoSettings(kind="gphoto", settings={"capturetarget": "Nowhere"})))
+tell(lambda: GPhotoCamera("camera", GPhotoSettings(kind="gphoto", model="Canon EOS R5")))
 """
     lines = run_with_camera(tmp_path / "camera", code)
     expected = [
@@ -115,7 +115,7 @@ class Interrupted:
     def file_get(self, *place):
         raise gphoto2.GPhoto2Error(-1)
 
-camera = GPhotoCamera("camera")
+camera = GPhotoCamera("camera", GPhotoSettings(kind="gphoto"))
 real = camera.camera
 for code in (-7, -10, -52, -53, -1):
     camera.camera = Sleeping(code)
@@ -184,7 +184,8 @@ def write_slowly(path, data):
 
 
 def watch(folder, release, **options):
-    return WatchedFolder("camera", folder, release, wait_s=2.0, complete_s=0.15, **options)
+    options = {"wait_s": 2.0, "complete_s": 0.15, **options}
+    return WatchedFolder("camera", folder, FolderSettings(kind="folder", folder=str(folder), **options), release)
 
 
 def test_a_photograph_is_taken_once_it_is_complete(folders):
@@ -250,17 +251,17 @@ def test_more_files_than_an_exposure_has_are_refused(folders):
 
 def test_a_photograph_that_does_not_come_is_waited_for_no_longer_than_said(folders):
     source, target = folders
-    camera = WatchedFolder("camera", source, lambda: None, wait_s=0.2, complete_s=0.05)
+    camera = watch(source, lambda: None, wait_s=0.2, complete_s=0.05)
     with pytest.raises(DeviceLost, match=r"expected 1 new file.*within 0\.2 s, found nothing.*Remedy"):
         camera.photograph(target)
-    camera = WatchedFolder("camera", source, (source / "empty.jpg").touch, wait_s=0.2, complete_s=0.05)
+    camera = watch(source, (source / "empty.jpg").touch, wait_s=0.2, complete_s=0.05)
     with pytest.raises(DeviceLost, match=r"found empty\.jpg \(0 bytes\)"):
         camera.photograph(target)
 
 
 def test_a_folder_that_is_not_there_can_be_waited_for(tmp_path):
     with pytest.raises(DeviceLost, match="cannot be read"):
-        WatchedFolder("camera", tmp_path / "nowhere")
+        watch(tmp_path / "nowhere", None)
 
 
 def test_the_operator_is_asked_to_release(folders, capsys):

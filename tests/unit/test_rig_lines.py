@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
 from nishiki.rig import axes, described, serial_line
-from nishiki.rig.axes import ComXimTurntable, Grbl, GrblAxis
+from nishiki.rig.axes import ComXimSettings, ComXimTurntable, Grbl, GrblAxis, GrblSettings
 from nishiki.rig.described import (
     BracketDome,
     DescribedAxis,
     DescribedLamps,
     DescribedPolariser,
+    DomeSettings,
     HomeMadeAxis,
     HomeMadeLamps,
     HomeMadePolariser,
@@ -167,8 +168,17 @@ def test_a_port_that_another_program_uses_is_refused():
 # GRBL
 
 
-def axis_of(controller, **options):
-    return GrblAxis("turntable", controller, "X", -1.0, **options)
+def axis_of(controller, axis="X", units_per_degree=-1.0, **options):
+    options |= {"axis": axis, "units_per_degree": units_per_degree}
+    return GrblAxis("turntable", controller, GrblSettings(kind="grbl", port=controller.port, **options))
+
+
+def table_of(port, **options):
+    return ComXimTurntable("turntable", ComXimSettings(kind="comxim", port=str(port), **options))
+
+
+def dome_of(port, count, **options):
+    return BracketDome("dome", DomeSettings(kind="dome", port=str(port), count=count, **options))
 
 
 @pytest.mark.parametrize("restarts", [True, False])
@@ -202,7 +212,7 @@ def test_a_move_returns_when_the_axis_stands(port):
 def test_two_axes_share_a_controller_and_are_homed_once(port):
     with SimulatedGrbl(port) as device:
         controller = Grbl("controller", str(port))
-        first, second = axis_of(controller), GrblAxis("arm", controller, "Y", -2.0, range_deg=(-5.0, 90.0))
+        first, second = axis_of(controller), axis_of(controller, "Y", -2.0, range_deg=(-5.0, 90.0))
         first.home()
         second.home()
         second.move_to(45.0)
@@ -246,7 +256,7 @@ def test_an_open_door_is_explained(port):
 def test_an_axis_that_the_controller_has_not_is_refused(port):
     with SimulatedGrbl(port):
         with pytest.raises(DeviceError, match="no axis A; it has X, Y, Z"):
-            GrblAxis("tilt", Grbl("controller", str(port)), "A").home()
+            axis_of(Grbl("controller", str(port)), "A").home()
 
 
 @pytest.mark.parametrize("fault", DESTRUCTIVE)
@@ -337,7 +347,7 @@ def test_a_controller_that_reports_in_another_way_is_refused_at_once(port, kind,
 def test_a_comxim_turntable_stands_where_it_was_sent(tmp_path_factory, angles):
     path = tmp_path_factory.mktemp("line") / "port"
     with SimulatedComXim(path, speed=1e6) as device:
-        table = ComXimTurntable("turntable", str(path), reference="table")
+        table = table_of(path, reference="table")
         table.home()
         for angle in angles:
             table.move_to(angle)
@@ -347,7 +357,7 @@ def test_a_comxim_turntable_stands_where_it_was_sent(tmp_path_factory, angles):
 
 def test_the_zero_of_a_comxim_table_needs_a_person_unless_the_table_keeps_it(port, monkeypatch):
     with SimulatedComXim(port) as device:
-        table = ComXimTurntable("turntable", str(port))
+        table = table_of(port)
         with pytest.raises(DeviceError, match="home it first"):
             table.move_to(10.0)
         with pytest.raises(DeviceError, match=r"zero mark.*without a terminal.*Remedy"):
@@ -362,18 +372,18 @@ def test_the_zero_of_a_comxim_table_needs_a_person_unless_the_table_keeps_it(por
 
 def test_a_comxim_table_with_the_other_spelling_is_explained(port):
     with SimulatedComXim(port, command="TURNSINGLE"):
-        table = ComXimTurntable("turntable", str(port), reference="table")
+        table = table_of(port, reference="table")
         with pytest.raises(DeviceError, match=r"CR\+ERR=12.*command: TURNSINGLE"):
             table.home()
         table.close()
-        table = ComXimTurntable("turntable", str(port), command="TURNSINGLE", reference="table")
+        table = table_of(port, command="TURNSINGLE", reference="table")
         table.home()
 
 
 @pytest.mark.parametrize("fault", [fault for fault in DESTRUCTIVE if fault != "restart"])
 def test_no_fault_leaves_a_comxim_table_with_a_position(port, fault):
     with SimulatedComXim(port) as device:
-        table = ComXimTurntable("turntable", str(port), reference="table")
+        table = table_of(port, reference="table")
         table.home()
         device.faults.append(fault)
         with pytest.raises(DeviceLost, match=r"turntable.*CT\+TRUNSINGLE\(0,90\).*Remedy"):
@@ -387,7 +397,7 @@ def test_no_fault_leaves_a_comxim_table_with_a_position(port, fault):
 
 def test_a_dome_lights_one_lamp_alone(port):
     with SimulatedDome(port, 16) as device:
-        lamps = BracketDome("dome", str(port), 16, settle_s=0.0)
+        lamps = dome_of(port, 16, settle_s=0.0)
         assert device.lit == set()  # not all, as after the start
         for lamp in (1, 16, 3):
             lamps.light(lamp)
@@ -405,7 +415,7 @@ def test_a_dome_lights_one_lamp_alone(port):
 def test_a_dome_releases_the_camera_on_its_cable(port):
     seen = []
     with SimulatedDome(port, 4, seen.append) as device:
-        lamps = BracketDome("dome", str(port), 4, settle_s=0.0)
+        lamps = dome_of(port, 4, settle_s=0.0)
         lamps.light(2)
         lamps.release()
         device.dead = {2}
@@ -416,7 +426,7 @@ def test_a_dome_releases_the_camera_on_its_cable(port):
 
 def test_the_light_is_steady_when_the_call_returns(port):
     with SimulatedDome(port, 4):
-        lamps = BracketDome("dome", str(port), 4, settle_s=0.2)
+        lamps = dome_of(port, 4, settle_s=0.2)
         start = time.monotonic()
         lamps.light(1)
         assert time.monotonic() - start >= 0.2
@@ -425,13 +435,13 @@ def test_the_light_is_steady_when_the_call_returns(port):
 @pytest.mark.parametrize("fault", DESTRUCTIVE)
 def test_a_dome_that_fails_is_lost_and_can_be_opened_again(port, fault):
     with SimulatedDome(port, 8) as device:
-        lamps = BracketDome("dome", str(port), 8, settle_s=0.0)
+        lamps = dome_of(port, 8, settle_s=0.0)
         device.faults.append(fault)
         with pytest.raises(DeviceLost, match=r"dome.*'<3,4>'.*Remedy"):
             lamps.light(5)
         lamps.close()
         device.plug()
-        again = BracketDome("dome", str(port), 8, settle_s=0.0)
+        again = dome_of(port, 8, settle_s=0.0)
         again.light(5)
         assert device.lit == {4}
 
@@ -441,7 +451,7 @@ def test_a_dome_with_other_commands_is_explained(port):
         device.ends = lambda text: text.endswith(">")
         device.answers = {"<0>": "<INCORRECT FUNCTION CALL: 0>"}
         with pytest.raises(DeviceError, match="does not know the command"):
-            BracketDome("dome", str(port), 8)
+            dome_of(port, 8)
 
 
 # Home-made devices

@@ -13,8 +13,12 @@ is where it stood when it was switched on. So the angle is counted here, and los
 import math
 import re
 import time
+from typing import Literal
 
-from nishiki.rig.device import DeviceError, DeviceLost, ask_operator, closed_on_failure
+from pydantic import Field, model_validator
+
+from nishiki.artifacts.closed import Closed
+from nishiki.rig.device import Baud, DeviceError, DeviceLost, ask_operator, closed_on_failure
 from nishiki.rig.serial_line import SerialLine
 
 GREETING = r"^Grbl"
@@ -202,51 +206,47 @@ class Grbl:
         return match[1], dict(zip("XYZABC", values, strict=False))
 
 
+class GrblSettings(Closed):
+    """An axis of a controller with GRBL 1.1; axes with the same port share the controller."""
+
+    kind: Literal["grbl"]
+    port: str = Field(description="serial port")
+    axis: Literal["X", "Y", "Z", "A", "B", "C"] = Field(description="letter of the axis")
+    units_per_degree: float = Field(1.0, description="units of the controller for a degree; negative: the other way")
+    home_deg: float = Field(0.0, description="angle at which homing ends")
+    range_deg: tuple[float, float] = Field((0.0, 360.0), description="smallest and largest angle")
+    baud: Baud = Field(115200, description="bits per second")
+
+    @model_validator(mode="after")
+    def _possible(self) -> "GrblSettings":
+        if self.units_per_degree == 0:
+            raise ValueError("units_per_degree must not be 0")
+        if not self.range_deg[0] < self.range_deg[1]:
+            raise ValueError("range_deg must begin with the smaller angle")
+        return self
+
+
 class GrblAxis:
-    """One axis of a GRBL controller.
+    """One axis of a GRBL controller, which other axes may share."""
 
-    Parameters
-    ----------
-    name : str
-        Name in messages.
-    controller : Grbl
-        The controller, which other axes may share.
-    letter : str
-        X, Y, Z, A, B or C.
-    units_per_degree : float
-        Units of the controller for a degree; negative where it counts the other way.
-    home_deg : float
-        Angle, in degrees, at which homing ends.
-    range_deg : tuple of float
-        Smallest and largest angle, in degrees.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        controller: Grbl,
-        letter: str,
-        units_per_degree: float = 1.0,
-        home_deg: float = 0.0,
-        range_deg: tuple[float, float] = (0.0, 360.0),
-    ) -> None:
-        self.name, self.controller, self.letter = name, controller, letter
-        self.units_per_degree, self.home_deg, self.range_deg = units_per_degree, home_deg, range_deg
+    def __init__(self, name: str, controller: Grbl, settings: GrblSettings) -> None:
+        self.name, self.controller, self.settings = name, controller, settings
+        self.range_deg = settings.range_deg
 
     def home(self) -> None:
         """Home all axes of the controller, unless they are."""
         self.controller.home()
-        if self.letter not in self.controller.home_position:
+        if self.settings.axis not in self.controller.home_position:
             axes = ", ".join(self.controller.home_position)
-            raise DeviceError(f"{self.name}: the controller has no axis {self.letter}; it has {axes}")
+            raise DeviceError(f"{self.name}: the controller has no axis {self.settings.axis}; it has {axes}")
 
     def move_to(self, degrees: float) -> None:
         """Turn to an angle and return when the axis stands."""
         expect_in_range(self.name, degrees, self.range_deg)
         if not self.controller.homed:
             raise not_homed(self.name)
-        start = self.controller.home_position[self.letter]
-        self.controller.move(self.letter, start + (degrees - self.home_deg) * self.units_per_degree)
+        settings, start = self.settings, self.controller.home_position[self.settings.axis]
+        self.controller.move(settings.axis, start + (degrees - settings.home_deg) * settings.units_per_degree)
 
     def close(self) -> None:
         """Close the controller, with all of its axes."""
@@ -275,30 +275,27 @@ STEP_DEG = 0.01
 """Angles are sent with two decimals, and counted as they were sent."""
 
 
+class ComXimSettings(Closed):
+    """A ComXim turntable."""
+
+    kind: Literal["comxim"]
+    port: str = Field(description="serial port")
+    baud: Baud = Field(115200, description="bits per second")
+    command: Literal["TRUNSINGLE", "TURNSINGLE"] = Field("TRUNSINGLE", description="how its firmware spells a turn")
+    reference: Literal["operator", "table"] = Field(
+        "operator",
+        description="zero: a person turns the table to its mark; or the table's own, while it has power",
+    )
+
+
 class ComXimTurntable:
-    """A ComXim turntable as an axis.
+    """A ComXim turntable as an axis."""
 
-    Parameters
-    ----------
-    name : str
-        Name in messages.
-    port : str
-        Serial port.
-    baud : int
-        Bits per second.
-    command : {"TRUNSINGLE", "TURNSINGLE"}
-        How the table's firmware spells the command that turns it.
-    reference : {"operator", "table"}
-        How its zero is found: a person turns it to its mark; or it returns to the zero that it keeps while switched on.
-    """
-
-    def __init__(
-        self, name: str, port: str, baud: int = 115200, command: str = "TRUNSINGLE", reference: str = "operator"
-    ) -> None:
-        self.name, self.command, self.reference = name, command, reference
+    def __init__(self, name: str, settings: ComXimSettings) -> None:
+        self.name, self.settings = name, settings
         self.angle: float | None = None
         self.range_deg = (0.0, 360.0)
-        self.line = SerialLine(name, port, baud, ending=";", ignore=b"#")
+        self.line = SerialLine(name, settings.port, settings.baud, ending=";", ignore=b"#")
         with closed_on_failure(self.line):
             # Opening the port can reach the table as noise, which it answers with CR+ERR: either answer shows that it
             # is there.
@@ -306,9 +303,9 @@ class ComXimTurntable:
             self.line.discard()
 
     def home(self) -> None:
-        """Find the zero; see `reference`."""
+        """Find the zero; see the setting `reference`."""
         self.angle = None
-        if self.reference == "operator":
+        if self.settings.reference == "operator":
             ask_operator(self.name, "turn the table by hand to its zero mark")
             self._ask("CT+SETZERO()")
         else:
@@ -337,14 +334,14 @@ class ComXimTurntable:
 
     def _turn(self, degrees: float) -> None:
         direction = 0 if degrees > 0 else 1
-        self._ask(f"CT+{self.command}({direction},{abs(degrees):.2f})".replace(".00)", ")"))
+        self._ask(f"CT+{self.settings.command}({direction},{abs(degrees):.2f})".replace(".00)", ")"))
         self.line.answer(r"CR\+EVENT=TB_END", TURN_S, r"CR\+ERR=(\d+)", self._explain)
 
     def _ask(self, text: str) -> None:
         self.line.ask(text, r"CR\+OK", COMXIM_ANSWER_S, r"CR\+ERR=(\d+)", self._explain)
 
     def _explain(self, refusal: re.Match[str]) -> str:
-        other = "TURNSINGLE" if self.command == "TRUNSINGLE" else "TRUNSINGLE"
+        other = "TURNSINGLE" if self.settings.command == "TRUNSINGLE" else "TRUNSINGLE"
         return (
             f"The table refuses the command. Remedy: write 'command: {other}' into its description if its firmware "
             "spells it so; otherwise switch the table off and on and run again"

@@ -15,10 +15,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+from pydantic import Field
+
+from nishiki.artifacts.closed import Closed
 from nishiki.packages import optional
-from nishiki.rig.device import DeviceError, DeviceLost, Exposure, closed_on_failure
+from nishiki.rig.device import DeviceError, DeviceLost, Exposure, Files, Pause, Seconds, closed_on_failure
 
 WIDGETS = {
     "seconds": ("shutterspeed", "shutterspeed2", "exposuretime"),
@@ -38,36 +41,25 @@ CLAIMED = -53
 """libgphoto2's error where another program has the camera."""
 
 
+class GPhotoSettings(Closed):
+    """A camera on USB."""
+
+    kind: Literal["gphoto"]
+    model: str | None = Field(None, description="as ./nishiki rig ports prints it; left out: the only camera")
+    port: str | None = Field(None, description="such as usb:001,004, where there are several of a model")
+    files: Files = Field(1, description="files of one exposure; 2: raw and JPEG")
+    settings: dict[str, str] = Field({}, description="further settings, by libgphoto2's names")
+
+
 class GPhotoCamera:
-    """A camera on a USB cable.
+    """A camera on a USB cable."""
 
-    Parameters
-    ----------
-    name : str
-        Name in messages.
-    model : str or None
-        The camera's model as `nishiki rig ports` prints it; None: the only one that is connected.
-    port : str or None
-        Its port, such as usb:001,004, where several of one model are connected.
-    files : int
-        Files of one exposure: 1, or 2 for raw and JPEG.
-    settings : dict of str to str
-        Further settings of the camera, by libgphoto2's names, that are made when it is opened.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        model: str | None = None,
-        port: str | None = None,
-        files: int = 1,
-        settings: dict[str, str] | None = None,
-    ) -> None:
-        self.name, self.files, self.exposure_s = name, files, 0.0
+    def __init__(self, name: str, settings: GPhotoSettings) -> None:
+        self.name, self.files, self.exposure_s = name, settings.files, 0.0
         self.gphoto: Any = optional("gphoto2")
-        self.camera: Any = self._open(model, port)
+        self.camera: Any = self._open(settings.model, settings.port)
         with closed_on_failure(self):
-            for key, value in (settings or {}).items():
+            for key, value in settings.settings.items():
                 self._choose(key, value)
 
     def configure(self, exposure: Exposure) -> Exposure:
@@ -259,6 +251,19 @@ COMMAND_S = 60.0
 """Seconds that a command may take that releases the camera."""
 
 
+class FolderSettings(Closed):
+    """A camera whose own software puts its photographs into a folder."""
+
+    kind: Literal["folder"]
+    folder: str = Field(description="that folder")
+    release: Literal["operator", "lamps"] | tuple[str, ...] = Field(
+        "operator", description="who releases: operator, lamps (the dome's shutter cable), or a command as a list"
+    )
+    files: Files = Field(1, description="files of one exposure; 2: raw and JPEG")
+    wait_s: Seconds = Field(120.0, description="seconds from the release until the files are there")
+    complete_s: Pause = Field(1.0, description="seconds for which the size of a complete file does not change")
+
+
 class WatchedFolder:
     """A camera whose photographs appear in a folder.
 
@@ -268,27 +273,16 @@ class WatchedFolder:
         Name in messages.
     folder : Path
         Where its software puts the photographs.
+    settings : FolderSettings
     release : callable or None
         Releases the camera; None: the operator does.
-    files : int
-        Files of one exposure: 1, or 2 for raw and JPEG.
-    wait_s : float
-        Seconds from the release until the files are there; for the operator too.
-    complete_s : float
-        Seconds for which the size of a file must not change before it is taken to be complete.
     """
 
     def __init__(
-        self,
-        name: str,
-        folder: Path,
-        release: Callable[[], None] | None = None,
-        files: int = 1,
-        wait_s: float = 120.0,
-        complete_s: float = 1.0,
+        self, name: str, folder: Path, settings: FolderSettings, release: Callable[[], None] | None = None
     ) -> None:
-        self.name, self.folder, self.release = name, folder, release
-        self.files, self.wait_s, self.complete_s = files, wait_s, complete_s
+        self.name, self.folder, self.files, self.release = name, folder, settings.files, release
+        self.wait_s, self.complete_s = settings.wait_s, settings.complete_s
         self.known = set(self._sizes())
 
     def configure(self, exposure: Exposure) -> Exposure:

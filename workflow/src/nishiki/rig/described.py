@@ -7,7 +7,7 @@ continued. The dome's computer answers in words, and lights all diodes when it s
 
 import re
 import time
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
@@ -15,7 +15,7 @@ from nishiki.artifacts.closed import Closed
 from nishiki.capture.polariser import parse_state
 from nishiki.formats.problems import CaptureError
 from nishiki.rig.axes import expect_in_range, not_homed
-from nishiki.rig.device import DeviceError, ask_operator, closed_on_failure, expect_state
+from nishiki.rig.device import Baud, DeviceError, Pause, Seconds, ask_operator, closed_on_failure, expect_state
 from nishiki.rig.serial_line import SerialLine
 
 GREETING = "RTI-Dome in"
@@ -24,30 +24,23 @@ GREETING_S = 3.0
 ANSWER_S = 3.0
 
 
+class DomeSettings(Closed):
+    """A dome with the protocol <3,n>."""
+
+    kind: Literal["dome"]
+    port: str = Field(description="serial port")
+    count: Annotated[int, Field(ge=1, le=1000)] = Field(description="number of lamps")
+    first: Annotated[int, Field(ge=0)] = Field(0, description="number that the dome gives to lamp 1")
+    settle_s: Pause = Field(0.2, description="seconds from the answer until the light is steady")
+    baud: Baud = Field(9600, description="bits per second")
+
+
 class BracketDome:
-    """A dome with the protocol `<3,n>`.
+    """A dome with the protocol `<3,n>`."""
 
-    Parameters
-    ----------
-    name : str
-        Name in messages.
-    port : str
-        Serial port.
-    count : int
-        Number of lamps.
-    first : int
-        The number that the dome gives to lamp 1.
-    settle_s : float
-        Seconds from the answer until the light is steady.
-    baud : int
-        Bits per second.
-    """
-
-    def __init__(
-        self, name: str, port: str, count: int, first: int = 0, settle_s: float = 0.2, baud: int = 9600
-    ) -> None:
-        self.name, self.count, self.first, self.settle_s = name, count, first, settle_s
-        self.line = SerialLine(name, port, baud, restart=GREETING)
+    def __init__(self, name: str, settings: DomeSettings) -> None:
+        self.name, self.settings, self.count = name, settings, settings.count
+        self.line = SerialLine(name, settings.port, settings.baud, restart=GREETING)
         with closed_on_failure(self.line):
             self.line.greeting(GREETING, GREETING_S)  # a board that does not restart when opened sends none
             self.light(None)
@@ -58,9 +51,9 @@ class BracketDome:
             self._ask("<0>", "All lights turned off")
         else:
             expect_lamp(self.name, lamp, self.count)
-            number = lamp - 1 + self.first
+            number = lamp - 1 + self.settings.first
             self._ask(f"<3,{number}>", rf"Single LED turned on, number: {number}\b")
-        time.sleep(self.settle_s)
+        time.sleep(self.settings.settle_s)
 
     def release(self) -> None:
         """Release the camera on the dome's shutter cable."""
@@ -92,10 +85,6 @@ def expect_lamp(name: str, lamp: int, count: int) -> None:
         )
 
 
-Seconds = Annotated[float, Field(gt=0, le=3600)]
-Pause = Annotated[float, Field(ge=0, le=60)]
-
-
 class Exchange(Closed):
     """One line to a device, and its answer."""
 
@@ -119,7 +108,7 @@ class Line(Closed):
     """The serial line of a home-made device."""
 
     port: str = Field(description="serial port, such as /dev/serial/by-id/usb-...")
-    baud: Annotated[int, Field(ge=50, le=4_000_000)] = Field(115200, description="bits per second")
+    baud: Baud = Field(115200, description="bits per second")
     ending: str = Field("\n", min_length=1, description="what ends a line, in both directions")
     greeting: str = Field("", description="text that the device sends when it starts; empty: it sends none")
     greeting_s: Seconds = Field(3.0, description="seconds to wait for the greeting after the port was opened")

@@ -16,25 +16,21 @@ from nishiki.capture.schema_base import UnquotedStatesLoader, read_mapping
 from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError
 from nishiki.packages import installed, optional
-from nishiki.rig.axes import ComXimTurntable, Grbl, GrblAxis
-from nishiki.rig.cameras import GPhotoCamera, WatchedFolder, run_command
+from nishiki.rig.axes import ComXimSettings, ComXimTurntable, Grbl, GrblAxis, GrblSettings
+from nishiki.rig.cameras import FolderSettings, GPhotoCamera, GPhotoSettings, WatchedFolder, run_command
 from nishiki.rig.described import (
     BracketDome,
     DescribedAxis,
     DescribedLamps,
     DescribedPolariser,
+    DomeSettings,
     HomeMadeAxis,
     HomeMadeLamps,
     HomeMadePolariser,
-    Pause,
-    Seconds,
     States,
 )
 from nishiki.rig.device import Exposure, PromptedPolariser, Rig, closed_on_failure
 from nishiki.rig.frames_table import PlannedFrame
-
-Baud = Annotated[int, Field(ge=50, le=4_000_000)]
-Files = Annotated[int, Field(ge=1, le=2)]
 
 
 class PythonDevice(Closed):
@@ -52,73 +48,6 @@ class DeviceFile(Closed):
     kind: Literal["described"]
     file: str = Field(description="YAML file of the device, relative to the description")
     port: str | None = Field(None, description="serial port, in place of the file's")
-
-
-class GPhotoSettings(Closed):
-    """A camera on USB."""
-
-    kind: Literal["gphoto"]
-    model: str | None = Field(None, description="as ./nishiki rig ports prints it; left out: the only camera")
-    port: str | None = Field(None, description="such as usb:001,004, where there are several of a model")
-    files: Files = Field(1, description="files of one exposure; 2: raw and JPEG")
-    settings: dict[str, str] = Field({}, description="further settings, by libgphoto2's names")
-
-
-class FolderSettings(Closed):
-    """A camera whose own software puts its photographs into a folder."""
-
-    kind: Literal["folder"]
-    folder: str = Field(description="that folder")
-    release: Literal["operator", "lamps"] | tuple[str, ...] = Field(
-        "operator", description="who releases: operator, lamps (the dome's shutter cable), or a command as a list"
-    )
-    files: Files = Field(1, description="files of one exposure; 2: raw and JPEG")
-    wait_s: Seconds = Field(120.0, description="seconds from the release until the files are there")
-    complete_s: Pause = Field(1.0, description="seconds for which the size of a complete file does not change")
-
-
-class DomeSettings(Closed):
-    """A dome with the protocol <3,n>."""
-
-    kind: Literal["dome"]
-    port: str = Field(description="serial port")
-    count: Annotated[int, Field(ge=1, le=1000)] = Field(description="number of lamps")
-    first: Annotated[int, Field(ge=0)] = Field(0, description="number that the dome gives to lamp 1")
-    settle_s: Pause = Field(0.2, description="seconds from the answer until the light is steady")
-    baud: Baud = Field(9600, description="bits per second")
-
-
-class GrblSettings(Closed):
-    """An axis of a controller with GRBL 1.1; axes with the same port share the controller."""
-
-    kind: Literal["grbl"]
-    port: str = Field(description="serial port")
-    axis: Literal["X", "Y", "Z", "A", "B", "C"] = Field(description="letter of the axis")
-    units_per_degree: float = Field(1.0, description="units of the controller for a degree; negative: the other way")
-    home_deg: float = Field(0.0, description="angle at which homing ends")
-    range_deg: tuple[float, float] = Field((0.0, 360.0), description="smallest and largest angle")
-    baud: Baud = Field(115200, description="bits per second")
-
-    @model_validator(mode="after")
-    def _possible(self) -> "GrblSettings":
-        if self.units_per_degree == 0:
-            raise ValueError("units_per_degree must not be 0")
-        if not self.range_deg[0] < self.range_deg[1]:
-            raise ValueError("range_deg must begin with the smaller angle")
-        return self
-
-
-class ComXimSettings(Closed):
-    """A ComXim turntable."""
-
-    kind: Literal["comxim"]
-    port: str = Field(description="serial port")
-    baud: Baud = Field(115200, description="bits per second")
-    command: Literal["TRUNSINGLE", "TURNSINGLE"] = Field("TRUNSINGLE", description="how its firmware spells a turn")
-    reference: Literal["operator", "table"] = Field(
-        "operator",
-        description="zero: a person turns the table to its mark; or the table's own, while it has power",
-    )
 
 
 class PromptSettings(Closed):
@@ -200,8 +129,7 @@ def _open_lamps(settings: Any, path: Path, opened: ExitStack) -> Any:
     if settings is None:
         return None
     if isinstance(settings, DomeSettings):
-        dome = BracketDome("lamps", settings.port, settings.count, settings.first, settings.settle_s, settings.baud)
-        return _keep(dome, opened)
+        return _keep(BracketDome("lamps", settings), opened)
     return _keep(_open_own("lamps", settings, path, DescribedLamps, HomeMadeLamps), opened)
 
 
@@ -212,10 +140,9 @@ def _open_axes(axes: dict[str, Any], path: Path, opened: ExitStack) -> dict[str,
         if isinstance(axis, GrblSettings):
             if axis.port not in controllers:
                 controllers[axis.port] = _keep(Grbl(f"controller of {name}", axis.port, axis.baud), opened)
-            controller = controllers[axis.port]
-            devices[name] = GrblAxis(name, controller, axis.axis, axis.units_per_degree, axis.home_deg, axis.range_deg)
+            devices[name] = GrblAxis(name, controllers[axis.port], axis)
         elif isinstance(axis, ComXimSettings):
-            devices[name] = _keep(ComXimTurntable(name, axis.port, axis.baud, axis.command, axis.reference), opened)
+            devices[name] = _keep(ComXimTurntable(name, axis), opened)
         else:
             devices[name] = _keep(_open_own(name, axis, path, DescribedAxis, HomeMadeAxis), opened)
     return devices
@@ -229,7 +156,7 @@ def _open_polariser(name: str, settings: Any, path: Path) -> Any:
 
 def _open_camera(settings: Any, path: Path, lamps: Any) -> Any:
     if isinstance(settings, GPhotoSettings):
-        return GPhotoCamera("camera", settings.model, settings.port, settings.files, settings.settings)
+        return GPhotoCamera("camera", settings)
     if isinstance(settings, PythonDevice):
         return _own_class(settings, path)
     release: Callable[[], None] | None = None
@@ -237,8 +164,7 @@ def _open_camera(settings: Any, path: Path, lamps: Any) -> Any:
         release = lamps.release
     elif settings.release != "operator":
         release = run_command("camera", settings.release)
-    folder = path.parent / settings.folder
-    return WatchedFolder("camera", folder, release, settings.files, settings.wait_s, settings.complete_s)
+    return WatchedFolder("camera", path.parent / settings.folder, settings, release)
 
 
 def _open_own(name: str, settings: Any, path: Path, model: type[Closed], device: Callable[..., Any]) -> Any:

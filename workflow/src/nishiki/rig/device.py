@@ -8,9 +8,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Annotated, Protocol
+
+from pydantic import Field
 
 from nishiki.errors import UserError
+
+Baud = Annotated[int, Field(ge=50, le=4_000_000)]
+Files = Annotated[int, Field(ge=1, le=2)]
+Seconds = Annotated[float, Field(gt=0, le=3600)]
+Pause = Annotated[float, Field(ge=0, le=60)]
 
 
 class DeviceError(UserError):
