@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from capture_facts import goniometer_facts
 from captures import edit_text, edit_yaml, write_frame
 from goniometer_captures import HEADING, cloth, directions, edit_goniometer, make_goniometer, make_table, quarter_views
 from refusals import refused
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
-from nishiki.capture.goniometer import SAME_DEG, goniometer_facts, nearest
+from nishiki.capture.goniometer import SAME_DEG, nearest
 from nishiki.capture.goniometer_tables import is_table, read_table
 from nishiki.capture.seal import seal
 from nishiki.cli import main

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from capture_facts import turntable_facts
 from captures import edit_block, edit_yaml, make_turntable, ring_of_cameras, write_frame
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,7 +19,6 @@ from nishiki.capture.folder import load_capture
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.seal import seal
 from nishiki.capture.tables import camera_centre, read_cameras
-from nishiki.capture.turntable import turntable_facts
 from nishiki.cli import main
 from nishiki.formats.problems import CaptureError
 from nishiki.geometry.camera import Camera

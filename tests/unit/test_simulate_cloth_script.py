@@ -7,10 +7,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from capture_facts import goniometer_facts
 from refusals import refused
 
 from nishiki.capture.folder import load_capture
-from nishiki.capture.goniometer import goniometer_facts
 from nishiki.errors import UserError
 from nishiki.simulate import command as simulate
 from nishiki.simulate.capture import CameraSettings

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import zarr
+from capture_facts import turntable_facts
 
 from nishiki.capture.folder import load_capture
-from nishiki.capture.turntable import turntable_facts
 from nishiki.formats.images import read_codes
 from nishiki.simulate import command as simulate
 

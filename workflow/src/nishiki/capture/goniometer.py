@@ -15,7 +15,6 @@ from nishiki.capture.options import Azimuths, Values
 from nishiki.capture.schema_base import Positive, Session
 from nishiki.capture.tables import Curves
 from nishiki.formats.files import is_label
-from nishiki.formats.images import read_header
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.goniometry.directions import unit
 
@@ -216,59 +215,6 @@ class GoniometerCapture(Photographed):
             return [f.angles_deg for f in self.observed]
         rows = zip(self.table.incident_deg.tolist(), self.table.outgoing_deg.tolist(), strict=True)
         return [(*incident, *outgoing) for incident, outgoing in rows]
-
-
-@dataclass(frozen=True)
-class GoniometerFacts:
-    """What a plan has to know. measurements: pairs of directions, repeats counted; normal: of these, lit along the
-    normal; incidences: number of directions of light; pixels: kept of one photograph, 1 for a table; regions: a label
-    picture is there."""
-
-    geometry: str
-    measurements: int
-    normal: int
-    incidences: int
-    channels: int
-    pixels: int
-    table: bool
-    regions: bool
-    symmetry: str
-    weave: str
-    has_sensitivities: bool
-    has_illuminant: bool
-
-    @property
-    def oblique(self) -> int:
-        """Measurements not lit along the normal."""
-        return self.measurements - self.normal
-
-
-def goniometer_facts(capture: GoniometerCapture) -> GoniometerFacts:
-    """Facts of a loaded capture; one photograph's header is read, none is decoded."""
-    block, angles = capture.settings.goniometer, capture.angles_deg
-    pixels = 1
-    if capture.table is None:
-        header = read_header(capture.observed[0].path, name=capture.observed[0].file)
-        has_regions = capture.regions is not None
-        pixels = (header.rows if has_regions else min(header.rows, block.crop_px)) * (
-            header.columns if has_regions else min(header.columns, block.crop_px)
-        )
-    normal = sum(a[0] < NORMAL_DEG for a in angles)
-    oblique = {(round(a[0], 1), round(a[1] % 360, 1) % 360) for a in angles if a[0] >= NORMAL_DEG}
-    return GoniometerFacts(
-        geometry=capture.geometry,
-        measurements=len(angles),
-        normal=normal,
-        incidences=len(oblique) + (normal > 0),
-        channels=len(capture.channels),
-        pixels=pixels,
-        table=capture.table is not None,
-        regions=capture.regions is not None,
-        symmetry=block.symmetry,
-        weave=block.weave,
-        has_sensitivities=capture.sensitivities is not None,
-        has_illuminant=capture.illuminant is not None,
-    )
 
 
 def examine_goniometer(

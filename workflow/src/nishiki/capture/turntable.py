@@ -8,10 +8,8 @@ import numpy as np
 
 from nishiki.capture.frames import Frame, Photographed, inside
 from nishiki.capture.lights import Lights, read_lights
-from nishiki.capture.polariser import kind_of
 from nishiki.capture.tables import Curves, arrange_cameras, read_cameras, read_points
 from nishiki.capture.turntable_rules import Intrinsics, TurntableFile, read_intrinsics, turntable_problems
-from nishiki.formats.images import read_header
 from nishiki.formats.mesh_heading import expect_mesh
 from nishiki.formats.problems import Problem
 
@@ -60,77 +58,6 @@ class TurntableCapture(Photographed):
     def silhouette_of(self, view: str) -> Frame | None:
         """The frame whose row names the silhouette of this view."""
         return next((f for f in self.frames if f.view == view and f.silhouette_path), None)
-
-
-@dataclass(frozen=True)
-class TurntableFacts:
-    """What a plan has to know. lights, states: ('',) where unnamed or none; boards: calibration pictures, view_boards:
-    one for every view; white_states: polariser states of white boards, '' for none; scans: how many."""
-
-    geometry: str
-    views: tuple[str, ...]
-    lights: tuple[str, ...]
-    states: tuple[str, ...]
-    polarisation: str
-    white_states: tuple[str, ...]
-    white_board: bool
-    lamp: str
-    full_turn: bool
-    unit: str
-    cameras: bool
-    boards: int
-    view_boards: bool
-    correspondences: bool
-    intrinsics: bool
-    mesh: bool
-    scans: int
-    silhouettes: bool
-    channels: int
-    rows: int
-    columns: int
-    encoding: str
-    has_sensitivities: bool
-    has_illuminant: bool
-
-    @property
-    def pixels(self) -> int:
-        """Of one photograph."""
-        return self.rows * self.columns
-
-
-def turntable_facts(capture: TurntableCapture) -> TurntableFacts:
-    """Facts of a loaded capture; one photograph's header is read, none is decoded."""
-    block, camera = capture.settings.turntable, capture.settings.camera
-    first = capture.observed[0]
-    header = read_header(first.path, name=first.file)
-    boards = capture.frames_of("board")
-    whites = tuple(dict.fromkeys(f.polariser for f in capture.frames_of("white")))
-    return TurntableFacts(
-        geometry=capture.geometry,
-        views=capture.views,
-        lights=capture.light_names,
-        states=capture.states,
-        polarisation=kind_of(capture.states),
-        white_states=whites,
-        white_board="" in whites,
-        lamp=capture.settings.lights.kind if capture.settings.lights else "unknown",
-        full_turn=block.full_turn,
-        unit=block.unit,
-        cameras=capture.matrices is not None,
-        boards=len(boards),
-        view_boards={f.view for f in boards} >= set(capture.views),
-        correspondences=capture.points is not None,
-        intrinsics=capture.intrinsics is not None,
-        mesh=capture.mesh is not None,
-        scans=len(capture.scans),
-        silhouettes=all(capture.silhouette_of(view) for view in capture.views),
-        channels=len(camera.channels),
-        rows=header.rows,
-        columns=header.columns,
-        encoding=header.coding_used(camera.encoding).encoding,
-        has_sensitivities=capture.sensitivities is not None,
-        has_illuminant=capture.illuminant is not None,
-    )
 
 
 def examine_turntable(

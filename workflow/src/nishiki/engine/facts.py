@@ -18,10 +18,9 @@ from typing import Any
 
 from nishiki.artifacts.provenance import PACKAGE, truth_digest
 from nishiki.capture.folder import Capture, load_capture
-from nishiki.capture.frames import Frame
-from nishiki.capture.goniometer import GoniometerCapture, goniometer_facts
+from nishiki.capture.goniometer import NORMAL_DEG, GoniometerCapture
 from nishiki.capture.seal import capture_digest
-from nishiki.capture.turntable import TurntableCapture, TurntableFacts, turntable_facts
+from nishiki.capture.turntable import TurntableCapture
 from nishiki.engine.project import Scene
 from nishiki.errors import UserError
 from nishiki.formats.images import read_header
@@ -53,69 +52,70 @@ def scene_facts(scene: Scene) -> SceneFacts:
 
 def _of_plane(scene: Scene, capture: Capture, truth: str) -> SceneFacts:
     return SceneFacts(
-        capture_digest=capture_digest(scene.capture),
+        **_of_any(scene, capture, truth),
         lights=tuple(frame.light for frame in capture.observed if frame.role == "sample"),
         check_lights=tuple(frame.light for frame in capture.observed if frame.role == "check"),
         channels=len(capture.settings.camera.channels),
         pixels=_pixels(capture),
         parts={role: len(capture.frames_of(role)) for role in ("check", "flat")},
-        suffixes=_suffixes(capture.frames),
-        has_sensitivities=capture.sensitivities is not None,
-        has_illuminant=capture.illuminant is not None,
-        truth_sha256=truth,
         kept_pixels=_kept_pixels(capture),
     )
 
 
 def _of_turntable(scene: Scene, capture: TurntableCapture, truth: str) -> SceneFacts:
-    facts = turntable_facts(capture)
+    boards = {frame.view for frame in capture.frames_of("board")}
+    given = {
+        "matrices": capture.matrices is not None,
+        "boards": boards >= set(capture.views),
+        "correspondences": capture.points is not None,
+        "silhouettes": all(capture.silhouette_of(view) for view in capture.views),
+    }
+    header = read_header(capture.observed[0].path, name=capture.observed[0].file)
     return SceneFacts(
-        capture_digest=capture_digest(scene.capture),
-        lights=facts.lights,
+        **_of_any(scene, capture, truth),
+        lights=capture.light_names,
         check_lights=(),
-        channels=facts.channels,
-        pixels=facts.pixels,
-        has_sensitivities=facts.has_sensitivities,
-        has_illuminant=facts.has_illuminant,
-        truth_sha256=truth,
+        channels=len(capture.settings.camera.channels),
+        pixels=header.rows * header.columns,
         geometry="turntable",
-        views=facts.views,
-        states=facts.states,
-        has_poses=facts.cameras or facts.view_boards or facts.correspondences,
-        given=_given(facts),
+        views=capture.views,
+        states=capture.states,
+        has_poses=given["matrices"] or given["boards"] or given["correspondences"],
+        given=tuple(name for name, is_there in given.items() if is_there),
         parts=_turntable_parts(capture),
-        suffixes=_suffixes(capture.frames),
     )
 
 
 def _of_goniometer(scene: Scene, capture: GoniometerCapture, truth: str) -> SceneFacts:
-    facts = goniometer_facts(capture)
+    angles, pixels, table = capture.angles_deg, 1, capture.table is not None
+    if not table:
+        header = read_header(capture.observed[0].path, name=capture.observed[0].file)
+        rows, columns, crop = header.rows, header.columns, capture.settings.goniometer.crop_px
+        pixels = rows * columns if capture.regions is not None else min(rows, crop) * min(columns, crop)
+    along = sum(angle[0] < NORMAL_DEG for angle in angles)
     return SceneFacts(
-        capture_digest=capture_digest(scene.capture),
+        **_of_any(scene, capture, truth),
         lights=(),
         check_lights=(),
-        channels=facts.channels,
-        pixels=facts.pixels,
-        has_sensitivities=facts.has_sensitivities,
-        has_illuminant=facts.has_illuminant,
-        truth_sha256=truth,
+        channels=len(capture.channels),
+        pixels=pixels,
         geometry="goniometer",
-        measurements=facts.measurements,
-        frontal=facts.normal,
-        parts={} if facts.table or not facts.normal else {"oblique": facts.oblique},
-        suffixes=_suffixes(capture.frames),
-        table=facts.table,
+        measurements=len(angles),
+        frontal=along,
+        parts={} if table or not along else {"oblique": len(angles) - along},
+        table=table,
     )
 
 
-def _given(facts: TurntableFacts) -> tuple[str, ...]:
-    there = {
-        "matrices": facts.cameras,
-        "boards": facts.view_boards,
-        "correspondences": facts.correspondences,
-        "silhouettes": facts.silhouettes,
+def _of_any(scene: Scene, capture: Capture | TurntableCapture | GoniometerCapture, truth: str) -> dict[str, Any]:
+    """Return the facts that captures of every geometry have."""
+    return {
+        "capture_digest": capture_digest(scene.capture),
+        "has_sensitivities": capture.sensitivities is not None,
+        "has_illuminant": capture.illuminant is not None,
+        "truth_sha256": truth,
+        "suffixes": tuple(sorted({frame.path.suffix.lower() for frame in capture.frames})),
     }
-    return tuple(name for name, is_there in there.items() if is_there)
 
 
 def _turntable_parts(capture: TurntableCapture) -> dict[str, int]:
@@ -131,10 +131,6 @@ def _turntable_parts(capture: TurntableCapture) -> dict[str, int]:
         "mesh": int(capture.mesh is not None),
         "scans": len(capture.scans),
     }
-
-
-def _suffixes(frames: tuple[Frame, ...]) -> tuple[str, ...]:
-    return tuple(sorted({f.path.suffix.lower() for f in frames}))
 
 
 def _pixels(capture: Capture) -> int:
