@@ -204,22 +204,23 @@ def test_lamp_and_camera_curves_are_smooth_and_cover_the_grid():
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    "make",
     [
-        {"rows": 3},
-        {"scene": "bust"},
-        {"gloss": "wet"},
-        {"seed": -1},
-        {"roughness": 0.001},
-        {"camera": CameraSettings(channels=9)},
-        {"lights": LightSettings(rings=0)},
-        {"lights": LightSettings(checks_deg=(20.0, 95.0))},
-        {"lights": LightSettings(distance_mm=10.0)},
+        lambda: SimulationSettings(rows=3),
+        lambda: SimulationSettings(scene="bust"),
+        lambda: SimulationSettings(gloss="wet"),
+        lambda: SimulationSettings(seed=-1),
+        lambda: SimulationSettings(roughness=0.001),
+        lambda: CameraSettings(channels=9),
+        lambda: CameraSettings(black_level=2000),
+        lambda: LightSettings(rings=0),
+        lambda: LightSettings(checks_deg=(20.0, 95.0)),
+        lambda: SimulationSettings(lights=LightSettings(distance_mm=10.0)),
     ],
 )
-def test_impossible_settings_are_refused(wrong):
+def test_impossible_settings_are_refused(make):
     with pytest.raises(UserError, match="simulation: "):
-        SimulationSettings(**wrong)
+        make()
 
 
 def test_nothing_is_imported_from_the_fitted_models():

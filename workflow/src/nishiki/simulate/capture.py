@@ -4,8 +4,9 @@ import csv
 import math
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -13,6 +14,22 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.simulate.randomness import normal
 from nishiki.threads import over_rows
+
+
+def ranged(low: float, high: float, default: Any = MISSING) -> Any:
+    """Declare a number of some settings with its range, which `check_ranges` reads."""
+    return field(default=default, metadata={"range": (low, high)})
+
+
+def check_ranges(settings: Any, *more: tuple[str, float, float, float], prefix: str = "") -> None:
+    """Raise UserError for the first number outside its range: a field of the settings, or (name, value, low, high)."""
+    declared = ((f.name, getattr(settings, f.name), *f.metadata["range"]) for f in fields(settings) if f.metadata)
+    for name, value, low, high in (*declared, *more):
+        if not low <= value <= high:
+            raise UserError(
+                f"simulation: {prefix}{name} expected {low:g} to {high:g}, found {value!r}; choose a value in that "
+                "range"
+            )
 
 
 @dataclass(frozen=True)
@@ -25,39 +42,22 @@ class CameraSettings:
     (still quantised).
     """
 
-    channels: int = 3
-    bits: int = 12
-    full_well: float = 30000.0
-    read_noise: float = 8.0
+    channels: int = ranged(3, 8, 3)
+    bits: int = ranged(8, 16, 12)
+    full_well: float = ranged(100.0, 1e9, 30000.0)
+    read_noise: float = ranged(0.0, 1e4, 8.0)
     black_level: int = 64
-    white_level: float = 0.7
+    white_level: float = ranged(0.01, 1.0, 0.7)
     noise: bool = True
 
-    def ranges(self, *, channels: tuple[int, int]) -> list[tuple]:
-        """Rows of `check_ranges`; channels: least and largest number."""
-        return [
-            ("channels", self.channels, *channels),
-            ("bits", self.bits, 8, 16),
-            ("full_well", self.full_well, 100.0, 1e9),
-            ("read_noise", self.read_noise, 0.0, 1e4),
-            ("black_level", self.black_level, 0, 2**self.bits // 4),
-            ("white_level", self.white_level, 0.01, 1.0),
-        ]
+    def __post_init__(self):
+        check_ranges(self, ("black_level", self.black_level, 0, 2**self.bits // 4))
 
 
 def camera_from(options, camera: CameraSettings) -> CameraSettings:
     """Change a camera by the options of the command line."""
     level = camera.white_level if options.white_level is None else options.white_level
     return replace(camera, bits=options.bits, noise=not options.no_noise, white_level=level)
-
-
-def check_ranges(rows) -> None:
-    """Raise UserError for the first row (name, value, low, high) whose value is outside its range."""
-    for name, value, low, high in rows:
-        if not low <= value <= high:
-            raise UserError(
-                f"simulation: {name} expected {low:g} to {high:g}, found {value!r}; choose a value in that range"
-            )
 
 
 def check_choice(name: str, value: str, choices) -> None:

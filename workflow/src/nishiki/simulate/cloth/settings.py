@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.simulate.capture import CameraSettings, check_choice, check_ranges
+from nishiki.simulate.capture import CameraSettings, check_choice, check_ranges, ranged
 from nishiki.simulate.randomness import subkey
 
 
@@ -19,13 +19,13 @@ class YarnSettings:
     twist_deg : angle between filaments and yarn on the surface. dye : albedo of the body per channel, 0 to 1.
     """
 
-    spacing_mm: float
-    fill: float
+    spacing_mm: float = ranged(1e-3, 10.0)
+    fill: float = ranged(0.3, 0.99)
     thickness_mm: float
-    flatness: float
-    along: float
-    across: float
-    twist_deg: float
+    flatness: float = ranged(1.5, 6.0)
+    along: float = ranged(0.03, 1.0)
+    across: float = ranged(0.03, 1.0)
+    twist_deg: float = ranged(-60.0, 60.0)
     dye: tuple[float, ...]
 
 
@@ -42,51 +42,32 @@ class ClothSettings:
     """
 
     weave: str
-    harness: int
+    harness: int = ranged(2, 16)
     step: int
     warp: YarnSettings
     weft: YarnSettings
-    warp_crimp: float = 0.35
-    bend: float = 0.6
-    rest: float = 0.05
-    arch_deg: float = 8.0
-    irregularity: float = 1.0
-    repeats: int = 2
-    index: float = 1.57
-    seed: int = 1
+    warp_crimp: float = ranged(0.05, 0.95, 0.35)
+    bend: float = ranged(0.0, 1.0, 0.6)
+    rest: float = ranged(0.0, 0.6, 0.05)
+    arch_deg: float = ranged(0.0, 30.0, 8.0)
+    irregularity: float = ranged(0.0, 3.0, 1.0)
+    repeats: int = ranged(1, 8, 2)
+    index: float = ranged(1.05, 3.0, 1.57)
+    seed: int = ranged(0, 2**53, 1)
     face: str = "warp"
     channels: tuple[str, ...] = field(default=("red", "green", "blue"))
 
     def __post_init__(self):
         check_choice("weave", self.weave, ("plain", "twill", "satin"))
         check_choice("face", self.face, ("warp", "weft"))
-        rows = [
-            ("harness", self.harness, 2, 16),
-            ("warp_crimp", self.warp_crimp, 0.05, 0.95),
-            ("bend", self.bend, 0.0, 1.0),
-            ("rest", self.rest, 0.0, 0.6),
-            ("arch_deg", self.arch_deg, 0.0, 30.0),
-            ("irregularity", self.irregularity, 0.0, 3.0),
-            ("repeats", self.repeats, 1, 8),
-            ("index", self.index, 1.05, 3.0),
-            ("seed", self.seed, 0, 2**53),
-        ]
+        check_ranges(self)
         for name, yarn in (("warp", self.warp), ("weft", self.weft)):
-            rows += [
-                (f"{name} spacing_mm", yarn.spacing_mm, 1e-3, 10.0),
-                (f"{name} fill", yarn.fill, 0.3, 0.99),
-                (f"{name} thickness_mm", yarn.thickness_mm, 0.05 * yarn.spacing_mm, 1.5 * yarn.spacing_mm),
-                (f"{name} flatness", yarn.flatness, 1.5, 6.0),
-                (f"{name} along", yarn.along, 0.03, 1.0),
-                (f"{name} across", yarn.across, 0.03, 1.0),
-                (f"{name} twist_deg", yarn.twist_deg, -60.0, 60.0),
-                *((f"{name} dye", value, 0.0, 1.0) for value in yarn.dye),
-            ]
+            thickness = ("thickness_mm", yarn.thickness_mm, 0.05 * yarn.spacing_mm, 1.5 * yarn.spacing_mm)
+            check_ranges(yarn, thickness, *(("dye", value, 0.0, 1.0) for value in yarn.dye), prefix=f"{name} ")
             if len(yarn.dye) != len(self.channels):
                 raise UserError(
                     f"simulation: {name} dye expected {len(self.channels)} numbers (channels), found {len(yarn.dye)}"
                 )
-        check_ranges(rows)
 
 
 OBLIQUE_DEG = (15.0, 30.0, 45.0, 60.0, 75.0)
@@ -161,30 +142,19 @@ class GoniometerSettings:
 
     cloths: tuple[ClothSettings, ...]
     angles_deg: np.ndarray
-    rows: int = 48
-    columns: int = 48
-    pitch_mm: float = 0.25
-    candidates: int = 150_000
-    chains: int = 60_000
-    bounces: int = 2
+    rows: int = ranged(16, 1024, 48)
+    columns: int = ranged(16, 1024, 48)
+    pitch_mm: float = ranged(1e-3, 10.0, 0.25)
+    candidates: int = ranged(1000, 10_000_000, 150_000)
+    chains: int = ranged(0, 10_000_000, 60_000)
+    bounces: int = ranged(0, 3, 2)
     seed: int = 1
     white_reflectance: float = 0.99
     white_texture: float = 0.006
     camera: CameraSettings = field(default_factory=CameraSettings)
 
     def __post_init__(self):
-        check_ranges(
-            [
-                ("rows", self.rows, 16, 1024),
-                ("columns", self.columns, 16, 1024),
-                ("pitch_mm", self.pitch_mm, 1e-3, 10.0),
-                ("candidates", self.candidates, 1000, 10_000_000),
-                ("chains", self.chains, 0, 10_000_000),
-                ("bounces", self.bounces, 0, 3),
-                ("cloths", len(self.cloths), 1, 2),
-                *self.camera.ranges(channels=(3, 3)),
-            ]
-        )
+        check_ranges(self, ("cloths", len(self.cloths), 1, 2), ("channels", self.camera.channels, 3, 3))
 
 
 def make_settings(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.simulate.capture import CameraSettings, check_choice, check_ranges
+from nishiki.simulate.capture import CameraSettings, check_choice, check_ranges, ranged
 from nishiki.simulate.randomness import subkey
 
 ROUGHNESS = {"none": 0.0, "matte": 0.42, "satin": 0.22, "varnish": 0.11}
@@ -25,13 +25,20 @@ class LightSettings:
     angular_diameter_deg : of the lamp seen from the object. colour_temperature_k : of its Planckian spectrum.
     """
 
-    rings: int = 1
-    ring_lights: int = 8
+    rings: int = ranged(0, 8, 1)
+    ring_lights: int = ranged(3, 64, 8)
     top: bool = True
     checks_deg: tuple[float, ...] = (20.0, 30.0, 50.0, 60.0)
     distance_mm: float | None = None
-    angular_diameter_deg: float = 1.5
-    colour_temperature_k: float = 3200.0
+    angular_diameter_deg: float = ranged(0.0, 20.0, 1.5)
+    colour_temperature_k: float = ranged(1500.0, 25000.0, 3200.0)
+
+    def __post_init__(self):
+        check_ranges(self, *(("checks_deg", angle, 0.0, 85.0) for angle in self.checks_deg))
+        if self.rings * self.ring_lights + self.top < 3:
+            raise UserError(
+                "simulation: expected at least 3 sample lights, found fewer; use at least one ring of lights"
+            )
 
 
 @dataclass(frozen=True)
@@ -43,51 +50,32 @@ class SimulationSettings:
     bounce : whether light that reaches a point by way of its surroundings is added. `relief_gain` scales all heights.
     """
 
-    rows: int = 384
-    columns: int = 512
-    seed: int = 1
+    rows: int = ranged(16, 20000, 384)
+    columns: int = ranged(16, 20000, 512)
+    seed: int = ranged(0, 2**53, 1)
     scene: str = "painting"
     relief: str = "impasto"
     gloss: str = "varnish"
     body: str = "rough"
     roughness: float | None = None
-    refractive_index: float = 1.5
-    relief_gain: float = 1.0
-    pitch_mm: float = 0.2
-    supersampling: int = 2
+    refractive_index: float = ranged(1.05, 3.0, 1.5)
+    relief_gain: float = ranged(0.0, 10.0, 1.0)
+    pitch_mm: float = ranged(1e-3, 10.0, 0.2)
+    supersampling: int = ranged(1, 4, 2)
     bounce: bool = True
     camera: CameraSettings = field(default_factory=CameraSettings)
     lights: LightSettings = field(default_factory=LightSettings)
 
     def __post_init__(self):
-        lights = self.lights
         check_choice("scene", self.scene, SCENES)
         check_choice("relief", self.relief, RELIEFS)
         check_choice("gloss", self.gloss, ROUGHNESS)
         check_choice("body", self.body, BODIES)
         check_ranges(
-            [
-                ("rows", self.rows, 16, 20000),
-                ("columns", self.columns, 16, 20000),
-                ("seed", self.seed, 0, 2**53),
-                ("pitch_mm", self.pitch_mm, 1e-3, 10.0),
-                ("supersampling", self.supersampling, 1, 4),
-                ("refractive_index", self.refractive_index, 1.05, 3.0),
-                ("relief_gain", self.relief_gain, 0.0, 10.0),
-                ("roughness", self.alpha, 0.0 if self.gloss == "none" else 0.02, 1.0),
-                *self.camera.ranges(channels=(3, 8)),
-                ("rings", lights.rings, 0, 8),
-                ("ring_lights", lights.ring_lights, 3, 64),
-                ("distance_mm", self.distance_mm, 2.0 * self.half_diagonal_mm, 1e9),
-                ("angular_diameter_deg", lights.angular_diameter_deg, 0.0, 20.0),
-                ("colour_temperature_k", lights.colour_temperature_k, 1500.0, 25000.0),
-                *(("checks_deg", angle, 0.0, 85.0) for angle in lights.checks_deg),
-            ]
+            self,
+            ("roughness", self.alpha, 0.0 if self.gloss == "none" else 0.02, 1.0),
+            ("distance_mm", self.distance_mm, 2.0 * self.half_diagonal_mm, 1e9),
         )
-        if lights.rings * lights.ring_lights + lights.top < 3:
-            raise UserError(
-                "simulation: expected at least 3 sample lights, found fewer; use at least one ring of lights"
-            )
 
     @property
     def half_diagonal_mm(self) -> float:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nishiki.simulate.capture import CameraSettings, check_ranges
+from nishiki.simulate.capture import CameraSettings, check_ranges, ranged
 
 DISTANCE_MM = 1200.0  # from the camera to the axis
 ELEVATION_DEG = 20.0  # the camera looks down on the object
@@ -20,6 +20,7 @@ BOARD_REFLECTANCE = 0.98
 AIM_MM = (0.0, 86.0, 0.0)  # the point of the axis that the camera looks at
 _WIDTH_MM, _HEIGHT_MM = 204.0, 200.0  # what the picture must hold, at the axis
 LEAST_TRIANGLES = 3500  # with fewer, thin parts fall apart
+MOST_TRIANGLES = 5_000_000
 
 
 @dataclass(frozen=True)
@@ -32,17 +33,17 @@ class TurntableSettings:
     has, None = the object's own. scan_noise_mm : standard deviation of its vertices along the normal.
     """
 
-    rows: int = 384
-    columns: int = 384
-    views: int = 36
-    seed: int = 1
-    triangles: int = 30000
-    samples: int = 4
-    directions: int = 256
-    bounces: int = 2
+    rows: int = ranged(16, 20000, 384)
+    columns: int = ranged(16, 20000, 384)
+    views: int = ranged(2, 3600, 36)
+    seed: int = ranged(0, 2**53, 1)
+    triangles: int = ranged(LEAST_TRIANGLES, MOST_TRIANGLES, 30000)
+    samples: int = ranged(1, 8, 4)
+    directions: int = ranged(16, 4096, 256)
+    bounces: int = ranged(0, 4, 2)
     polariser: bool = True
     scan_triangles: int | None = None
-    scan_noise_mm: float = 0.02
+    scan_noise_mm: float = ranged(0.0, 5.0, 0.02)
     white_boards: int = 8
     camera: CameraSettings = field(
         default_factory=lambda: CameraSettings(full_well=40000.0, read_noise=6.0, white_level=0.5)
@@ -50,19 +51,9 @@ class TurntableSettings:
 
     def __post_init__(self):
         check_ranges(
-            [
-                ("rows", self.rows, 16, 20000),
-                ("columns", self.columns, 16, 20000),
-                ("views", self.views, 2, 3600),
-                ("seed", self.seed, 0, 2**53),
-                ("triangles", self.triangles, LEAST_TRIANGLES, 5_000_000),
-                ("scan_triangles", self.scan_triangles or LEAST_TRIANGLES, LEAST_TRIANGLES, 5_000_000),
-                ("samples", self.samples, 1, 8),
-                ("directions", self.directions, 16, 4096),
-                ("bounces", self.bounces, 0, 4),
-                ("scan_noise_mm", self.scan_noise_mm, 0.0, 5.0),
-                *self.camera.ranges(channels=(3, 3)),
-            ]
+            self,
+            ("scan_triangles", self.scan_triangles or LEAST_TRIANGLES, LEAST_TRIANGLES, MOST_TRIANGLES),
+            ("channels", self.camera.channels, 3, 3),
         )
 
 
