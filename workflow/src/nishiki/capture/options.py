@@ -1,25 +1,15 @@
 """Options of `convert`, which every reader of a folder layout gets, and their checks."""
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
 from nishiki.formats.problems import CaptureError, Problem, error, refuse
 
 Values = Literal["brdf", "radiance_factor", "radiance_factor_percent", "brdf_cos_view", "brdf_cos_light"]
 Azimuths = Literal["cloth", "lamp", "mirror"]
-FLAGS = {
-    "lights_file": "lights",
-    "lights_kind": "lights-kind",
-    "width_mm": "width-mm",
-    "lights_order": "lights-order",
-    "lights_axes": "lights-axes",
-    "checks": "check",
-    "region": "roi",
-    "camera_of": "camera-of",
-}
-"""The command's names of fields that have another."""
 ANGLES = ("azimuth_elevation", "elevation_azimuth", "azimuth_polar", "polar_azimuth")
 LIGHT_KINDS = ("direction", "position_mm", *ANGLES)
 """What the numbers of a lights file can be; angles in degrees or radians by their range, azimuth from x (right) towards
@@ -27,72 +17,68 @@ y (up), elevation from the object's plane, polar from its normal."""
 NO_PHOTOGRAPHS = "What is converted holds no photographs; leave the option out"
 
 
+def declared(spelling: str, text: str, default: Any = None, **how: Any) -> Any:
+    """Declare a field with its option of the command line; how: further settings of `commands.declare.option`."""
+    return field(default=default, metadata={"spelling": spelling, "text": text, "how": how})
+
+
 @dataclass(frozen=True)
 class ConvertOptions:
-    """What a user gives `convert` beside source and target; further options are fields of this class.
+    """What a user gives `convert` beside source and target; each field is declared with its help.
 
-    Attributes
-    ----------
-    lights_file : Path or None
-        Lights file, where it is not found by itself; of a relightable image: the lamps to render under.
-    lights_kind : str or None
-        What the numbers of the lights file are, one of LIGHT_KINDS; None where the file or the photographs
-        tell.
-    lights_order : str or None
-        Which listed lamp each photograph shows, see `lights.reorder`.
-    lights_axes : str or None
-        Axes of the lamps in terms of those of the lights file, as `x,-y`.
-    width_mm : float or None
-        Width of the whole photographs on the object, millimetres.
-    mask : Path or None
-        Picture of the object; for a turntable the folder of the silhouettes.
-    white : Path or None
-        Folder of the white board's photographs, paired by the part of the names that varies, see `pair_by_name`; for
-        a turntable named by their polariser state.
-    dark : Path or None
-        Folder of dark frames, all of which are averaged.
-    ambient : Path or None
-        Photograph of the object in the light of the room alone, or a folder of such, all of which are averaged.
-    checks : tuple of str
-        Lights kept for evaluation.
-    encoding : str or None
-        Coding of the photographs; None for what is usual.
-    title : str or None
-        Title of the object; None for the name of the source.
-    region : tuple of int or None
-        Row, column, rows, columns.
-    values : str or None
-        What the columns of a table of reflectances hold, see `goniometer_schema.Goniometer`.
-    azimuths : str or None
-        What phi_r of a table of reflectances is counted from.
-    turn : str or None
-        "reverse" where the object of a turntable turned against the order of its cameras.
-    camera_of : dict of str to str
-        Of a turntable: the camera, by the name of another view, of each view that does not have its own.
-    link : bool
-        Make hard links instead of copies (same disk; then never edit either).
-    examine : callable or None
-        Function that finds what is wrong with the folder that was made, as `check_capture` does; errors are raised.
+    None stands for what is usual, or what the source itself tells. lights_order: see `lights.rearrange`; white: see
+    `pairing.pair_by_name`; camera_of: the camera, by the name of another view, of each view that has not its own;
+    region: row, column, rows, columns; link: then never edit either; examine: finds what is wrong with the folder that
+    was made, as `check_capture` does; errors are raised.
     """
 
-    lights_file: Path | None = None
-    lights_kind: str | None = None
-    lights_order: str | None = None
-    lights_axes: str | None = None
-    width_mm: float | None = None
-    mask: Path | None = None
-    white: Path | None = None
-    dark: Path | None = None
-    ambient: Path | None = None
-    checks: tuple[str, ...] = ()
-    encoding: Literal["linear", "srgb"] | None = None
-    title: str | None = None
-    region: tuple[int, int, int, int] | None = None
-    values: Values | None = None
-    azimuths: Azimuths | None = None
-    turn: Literal["reverse"] | None = None
-    camera_of: dict[str, str] = field(default_factory=dict)
-    link: bool = False
+    title: str | None = declared("--title TEXT", "title of the object (default: name of the source)")
+    encoding: Literal["linear", "srgb"] | None = declared(
+        "--encoding linear|srgb", "coding of the photographs (default: as they state)"
+    )
+    lights_file: Path | None = declared(
+        "--lights FILE", "lights file, where it is not found by itself; of a relightable image: to render under"
+    )
+    lights_kind: str | None = declared(
+        f"--lights-kind {'|'.join(LIGHT_KINDS)}",
+        "what the numbers of the lights file are, where it is not clear; elevation from the object's plane, polar "
+        "angle from its normal",
+    )
+    lights_order: str | None = declared(
+        "--lights-order ORDER",
+        "which listed lamp each photograph shows: shift:N (the lamp N places on), reverse, or numbers: 2,1,3",
+    )
+    lights_axes: str | None = declared(
+        "--lights-axes X,Y",
+        "axes of the lamps in terms of those listed: x,-y where y was counted downwards; --lights-axes=-x,y",
+    )
+    width_mm: float | None = declared("--width-mm MM", "width of the whole photographs on the object", type=float)
+    mask: Path | None = declared(
+        "--mask FILE", "picture, light where the object is, or with its shape as alpha; turntable: a folder of them"
+    )
+    white: Path | None = declared("--white FOLDER", "the white board's photographs, one a light, paired by name")
+    dark: Path | None = declared("--dark FOLDER", "dark frames")
+    ambient: Path | None = declared(
+        "--ambient FILE", "photograph without lamp, in the light of the room alone, or a folder of such"
+    )
+    checks: tuple[str, ...] = declared("--check LIGHT", "a light kept for evaluation (repeatable)", (), multiple=True)
+    values: Values | None = declared(
+        f"--values {'|'.join(get_args(Values))}", "what a table of reflectances holds (default: brdf, in 1/sr)"
+    )
+    azimuths: Azimuths | None = declared(
+        "--azimuths cloth|lamp|mirror",
+        "what the azimuth of the view in a table is counted from (default: cloth, the weft, as that of the light)",
+    )
+    link: bool = declared("--link", "hard links instead of copies, on the same disk", False)
+    turn: Literal["reverse"] | None = declared(
+        "--turn reverse", "turntable: the object turned against the order of the cameras"
+    )
+    camera_of: dict[str, str] | None = declared(
+        "--camera-of VIEW=CAMERA,...", "turntable: views that have the camera of another view"
+    )
+    region: tuple[int, int, int, int] | None = declared(
+        "--roi ROW COLUMN ROWS COLUMNS", "crop: part of the photographs", nargs=4, type=int
+    )
     examine: Callable[[Path], list[Problem]] | None = None
 
     def __post_init__(self) -> None:
@@ -106,7 +92,8 @@ class ConvertOptions:
 
     def refuse(self, remedy: str, *fields: str) -> None:
         """Raise CaptureError (option-unusable) where one of these fields, which mean nothing to a layout, is given."""
-        given = [FLAGS.get(field, field) for field in fields if getattr(self, field)]
+        spelling = {each.name: each.metadata["spelling"] for each in dataclasses.fields(self) if each.metadata}
+        given = [spelling[name].split()[0].removeprefix("--") for name in fields if getattr(self, name)]
         if given:
             refuse("option-unusable", ", ".join(given), "cannot be used here", remedy=remedy)
 

@@ -1,12 +1,13 @@
 """Commands that make, check and seal capture folders."""
 
 import sys
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
 import click
 
-from nishiki.capture.options import LIGHT_KINDS, ConvertOptions
+from nishiki.capture.options import ConvertOptions
 from nishiki.commands.declare import apply, command, option
 from nishiki.errors import UserError, printable
 from nishiki.formats.problems import group_problems
@@ -18,45 +19,12 @@ TO_COMPLETE = {
     "turntable": "lights, turntable.mesh, turntable.unit, turntable.background",
     "goniometer": "goniometer.symmetry, goniometer.weave",
 }
-QUANTITIES = "brdf|radiance_factor|radiance_factor_percent|brdf_cos_view|brdf_cos_light"
 convert_options = apply(
-    option("--title TEXT", "title of the object (default: name of the source)"),
-    option("--encoding linear|srgb", "coding of the photographs (default: as they state)"),
-    option(
-        "--lights FILE",
-        "lights file, where it is not found by itself; of a relightable image: to render under",
-        "lights_file",
-    ),
-    option(
-        f"--lights-kind {'|'.join(LIGHT_KINDS)}",
-        "what the numbers of the lights file are, where it is not clear; elevation from the object's plane, polar "
-        "angle from its normal",
-    ),
-    option(
-        "--lights-order ORDER",
-        "which listed lamp each photograph shows: shift:N (the lamp N places on), reverse, or numbers: 2,1,3",
-    ),
-    option(
-        "--lights-axes X,Y",
-        "axes of the lamps in terms of those listed: x,-y where y was counted downwards; --lights-axes=-x,y",
-    ),
-    option("--width-mm MM", "width of the whole photographs on the object", type=float),
-    option(
-        "--mask FILE", "picture, light where the object is, or with its shape as alpha; turntable: a folder of them"
-    ),
-    option("--white FOLDER", "the white board's photographs, one a light, paired by name"),
-    option("--dark FOLDER", "dark frames"),
-    option("--ambient FILE", "photograph without lamp, in the light of the room alone, or a folder of such"),
-    option("--check LIGHT", "a light kept for evaluation (repeatable)", "checks", multiple=True),
-    option(f"--values {QUANTITIES}", "what a table of reflectances holds (default: brdf, in 1/sr)"),
-    option(
-        "--azimuths cloth|lamp|mirror",
-        "what the azimuth of the view in a table is counted from (default: cloth, the weft, as that of the light)",
-    ),
-    option("--link", "hard links instead of copies, on the same disk"),
-    option("--turn reverse", "turntable: the object turned against the order of the cameras"),
-    option("--camera-of VIEW=CAMERA,...", "turntable: views that have the camera of another view"),
-    option("--roi ROW COLUMN ROWS COLUMNS", "crop: part of the photographs", "region", nargs=4, type=int),
+    *(
+        option(each.metadata["spelling"], each.metadata["text"], each.name, **each.metadata["how"])
+        for each in fields(ConvertOptions)
+        if each.metadata
+    )
 )
 """Options of `convert`, which are fields of ConvertOptions; `run` takes them, too."""
 
