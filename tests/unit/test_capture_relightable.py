@@ -4,6 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
+from refusals import refused
 from relightable_images import lrgb_file, write_relight
 from small_painting import dome
 from unit.test_capture_colmap import around, photographs, write_model
@@ -30,7 +31,7 @@ def test_a_capture_says_that_its_pictures_were_rendered(tmp_path):
     capture = load_capture(tmp_path / "c")
     assert capture.settings.rendered_from == "relief.ptm"
     assert (tmp_path / "c/relief.ptm").read_bytes() == (folder / "relief.ptm").read_bytes()
-    assert "no photographs" in capture.settings.notes
+    assert "photographs" in capture.settings.notes
     assert capture.settings.camera.encoding == "srgb"
     problems = check_capture(tmp_path / "c", level="full")
     assert "rendered" in {each.kind for each in problems}
@@ -57,10 +58,10 @@ def test_photographs_below_a_folder_win_over_its_relightable_images(tmp_path, pr
         write_cameras(source)
     for name in ("finished.ptm", "finished.rti"):
         (source / name).write_bytes(lrgb_file()[0])
-        assert convert(source, tmp_path / name).layout == f"turntable with cameras of {program}"
+        assert convert(source, tmp_path / name).layout.endswith(f" {program}")
     write_relight(tmp_path / "r", "ptm", "lrgb", 9)
     shutil.copytree(tmp_path / "r", source, dirs_exist_ok=True)
-    assert convert(source, tmp_path / "c").layout == f"turntable with cameras of {program}"
+    assert convert(source, tmp_path / "c").layout.endswith(f" {program}")
 
 
 @pytest.mark.parametrize("found", ["a/circle_data.txt", "jpeg-exports/a.jpg"])
@@ -68,7 +69,7 @@ def test_spheres_and_projects_of_rtibuilder_win_over_a_relight_folder(tmp_path, 
     write_relight(tmp_path / "r", "ptm", "lrgb", 9)
     (tmp_path / "r" / found).parent.mkdir()
     (tmp_path / "r" / found).touch()
-    with pytest.raises(CaptureError, match=r"photographs is expected beside the mirror spheres|\.lp"):
+    with refused(CaptureError, kind="layout-unknown"):
         convert(tmp_path / "r", tmp_path / "c")
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from captures import RING, write_frame
+from refusals import expect_facts, refused
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
@@ -43,10 +44,9 @@ def level_of(capture):
 def test_a_project_is_read_and_its_pairing_said(tmp_path):
     source = project(tmp_path / "Coin 1")
     made = convert(source, tmp_path / "c")
-    assert (made.layout, made.photographs) == ("RTIBuilder project", 5)
+    assert (made.layout.split()[0], made.photographs) == ("RTIBuilder", 5)
     (note,) = [note for note in made.warnings if note.kind == "project-folders"]
-    assert "the lights of Coin 1.lp and the photographs of jpeg-exports" in str(note)
-    assert "original-captures, not used" in str(note)
+    expect_facts(str(note), "Coin 1.lp", "jpeg-exports", "original-captures")
     capture = load_capture(tmp_path / "c")
     assert [frame.light for frame in capture.observed] == NAMES
     np.testing.assert_allclose(capture.lights.vectors, RING, atol=1e-6)
@@ -63,14 +63,14 @@ def test_the_folder_that_the_lights_file_names_comes_first(tmp_path):
     for path in (source / "cropped-files").iterdir():
         path.unlink()
     made = convert(source, tmp_path / "d")
-    assert "photographs of jpeg-exports" in str(made.warnings[0])
+    assert "jpeg-exports" in str(made.warnings[0])
 
 
 def test_the_originals_are_read_as_the_note_advises(tmp_path):
     source = project(tmp_path / "p")
     (remedy,) = [note.remedy for note in convert(source, tmp_path / "c").warnings if note.kind == "project-folders"]
     lights = source / "assembly-files/Coin 1.lp"
-    assert remedy == f"For those: ./nishiki convert {source / 'original-captures'} --lights '{lights}'"
+    assert remedy.endswith(f"./nishiki convert {source / 'original-captures'} --lights '{lights}'")
     convert(source / "original-captures", tmp_path / "d", lights_file=lights)
     capture = load_capture(tmp_path / "d")
     assert capture.observed[0].file == "frames/IMG_0007.tif"
@@ -98,18 +98,18 @@ def test_what_is_missing_or_double_is_named(tmp_path):
     with pytest.raises(CaptureError, match=r"several .lp files.*--lights"):
         convert(source, tmp_path / "c")
     made = convert(source, tmp_path / "c", lights_file=source / "assembly-files/Coin 1.lp")
-    assert made.layout == "RTIBuilder project"
+    assert made.layout.startswith("RTIBuilder")
     for path in (source / "assembly-files").glob("*.lp"):
         path.unlink()
     with pytest.raises(CaptureError, match=r"without a .lp file.*finished-files/Coin 1.rti"):
         convert(source, tmp_path / "d")
     (source / "p.lp").write_text("3\n0 0 1\n0.6 0 0.8\n0 0.6 0.8\n")
-    with pytest.raises(CaptureError, match="names no photographs"):
+    with refused(CaptureError, kind="layout-unknown"):
         convert(source, tmp_path / "d")
     lost = project(tmp_path / "lost")
     (lost / "jpeg-exports/IMG_0009.jpg").unlink()
     (lost / "original-captures/IMG_0008.tif").unlink()
-    with pytest.raises(CaptureError, match=r"4 in jpeg-exports, 4 in original-captures.*Copy the photographs back"):
+    with refused(CaptureError, "4", "jpeg-exports", "original-captures", kind="photograph-missing"):
         convert(lost, tmp_path / "d")
 
 
@@ -121,5 +121,5 @@ def test_photographs_in_the_folder_itself_are_no_project(tmp_path, empty):
     lines = [f"{name}.jpg {x:.6f} {y:.6f} {z:.6f}" for name, (x, y, z) in zip(NAMES, RING, strict=True)]
     (source / "lamps.lp").write_text("\n".join([f"{len(lines)}", *lines]))
     made = convert(source, tmp_path / "c")
-    assert (made.layout, made.photographs) == ("lights file", 5)
+    assert made.photographs == 5
     assert level_of(load_capture(tmp_path / "c")) == 70

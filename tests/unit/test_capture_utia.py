@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
@@ -62,9 +63,9 @@ def test_other_files_are_no_such_table(tmp_path, content):
     (tmp_path / "fabric.bin").write_bytes(content[:-8])
     with pytest.raises(CaptureError, match=r"1990656 bytes.*1990648"):
         read_table(tmp_path / "fabric.bin", "fabric.bin")
-    with pytest.raises(CaptureError, match=r"1990656 bytes.*1990648.*of the UTIA database"):
+    with refused(CaptureError, "1990656", "1990648", kind="table-unreadable"):
         convert(tmp_path / "fabric.bin", tmp_path / "c")
     (tmp_path / "fabric.bin").write_bytes(content[:80] + struct.pack("<d", math.nan) + content[88:])
-    with pytest.raises(CaptureError, match="not finite"):
+    with refused(CaptureError, kind="table-value"):
         convert(tmp_path / "fabric.bin", tmp_path / "c")
     assert not (tmp_path / "c").exists()

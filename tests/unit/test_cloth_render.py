@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from benchmarks.cloth_peers import Ward
+from refusals import refused
 
 from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.artifacts.closed import parse
@@ -153,7 +154,7 @@ def test_a_missing_surface_is_told_by_the_setting_that_names_it(tmp_path):
     [
         ({"sha256": "00"}, "SHA-256"),
         ({"file": "plain.ply"}, "mesh.weft"),
-        ({"file": "none.obj"}, "not found"),
+        ({"file": "none.obj"}, "none.obj"),
     ],
 )
 def test_surfaces_that_cannot_be_used(cloth_brdf, tmp_path, mesh, words):
@@ -177,11 +178,11 @@ def test_a_film(cloth_brdf, tmp_path, moves):
 
 
 def test_unknown_names_are_reported(cloth_brdf, tmp_path):
-    with pytest.raises(UserError, match="ward, dull"):
+    with refused(UserError, "velvet"):
         rendered(tmp_path / ("0" * 12), cloth_brdf, model="velvet")
-    with pytest.raises(UserError, match="among cloth"):
+    with refused(UserError, "lining"):
         rendered(tmp_path / ("1" * 12), cloth_brdf, region="lining")
-    with pytest.raises(UserError, match="the stage cloth_brdf first"):
+    with refused(UserError, "cloth_brdf"):
         ClothModels(tmp_path)
     with pytest.raises(UserError, match="dyes"):
         parse(ClothRenderSettings, {"dyes": {"red": "crimson"}}, "settings")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from nishiki.brdf.cloth.interface import (
     directional_albedo,
@@ -303,9 +304,9 @@ def test_what_cannot_be_fitted_is_said(cloth):
     _, measured = cloth
     data = Measured.of(measured)
     oblique = np.flatnonzero(~data.normal)
-    with pytest.raises(UserError, match="lit along the normal"):
+    with refused(UserError, "yarn_facets", 0):
         fit_yarn_facets(data, oblique)
-    with pytest.raises(UserError, match="normal incidence on a grid"):
+    with refused(UserError, "facets"):
         fit_models(data, None, ["facets"])
     assert uncorrected(shape_of(CENTRE), 0.1, 0.0).channels == 1
     assert WEFT == 1

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
+from refusals import expect_facts
 from unit.test_plan_economy import PLANE
 
 from nishiki.cli import main
@@ -30,14 +31,14 @@ def project(tmp_path, monkeypatch):
 def test_cores_are_a_number_from_one_or_all(capsys, cores):
     status, told = said(capsys, "run", f"--cores={cores}")
     assert status == 2
-    assert "expected a number of processors from 1, or all" in told
+    assert "--cores" in told
 
 
 def test_options_are_not_guessed_from_their_beginnings(capsys, project):
     """`--config a=1` is Snakemake's, not the beginning of --configfile."""
     status, told = said(capsys, "run", "--config", "a=1")
     assert status == 2
-    assert "config/config.yaml: file not found" in told
+    assert "config/config.yaml" in told
 
 
 @pytest.mark.parametrize(
@@ -53,25 +54,20 @@ def test_mistakes_in_settings_name_the_file_that_was_given(capsys, project, text
 
 
 def test_a_table_without_scenes_is_reported(capsys, project):
-    assert said(capsys, "plan", "--configfile", "mine.yaml") == (
-        2,
-        "nishiki plan: table.tsv: no scene in the table. Remedy: ./nishiki run PHOTOGRAPHS/ adds one\n",
-    )
+    status, told = said(capsys, "plan", "--configfile", "mine.yaml")
+    assert status == 2
+    expect_facts(told, "table.tsv", "./nishiki run")
     (project / "table.tsv").write_text("scene\tcapture\na\tb\t\nc\td\te\tf\n")
-    assert (
-        "scene 'c': expected 2 values as there are columns, found 4"
-        in said(capsys, "plan", "--configfile", "mine.yaml")[1]
-    )
+    expect_facts(said(capsys, "plan", "--configfile", "mine.yaml")[1], "'c'", 2, 4)
     (project / "table.tsv").write_text("")
-    assert "found an empty file" in said(capsys, "plan", "--configfile", "mine.yaml")[1]
+    expect_facts(said(capsys, "plan", "--configfile", "mine.yaml")[1], "table.tsv")
 
 
 def test_a_capture_that_is_not_there_is_told_with_the_way_to_one(capsys, project):
     (project / "table.tsv").write_text("scene\tcapture\nwing\tcaptures/wing\n")
     status, told = said(capsys, "plan", "--configfile", "mine.yaml")
     assert status == 2
-    for words in ("scene 'wing' of the scene table", "captures/wing: no such capture folder", "./nishiki convert"):
-        assert words in told
+    expect_facts(told, "'wing'", "captures/wing", "./nishiki convert")
 
 
 @pytest.fixture
@@ -103,13 +99,13 @@ def test_a_scene_that_cannot_be_planned_does_not_stop_the_others(capsys, three_s
     monkeypatch.setattr("nishiki.commands.engine.call_engine", call)
     ended, told = said(capsys, "run", "--configfile", "mine.yaml")
     assert (ended, called) == (1, [(["jar", "bowl"], True)])
-    assert told.startswith("nishiki run: left out: scene 'wing': no such capture folder\n")
-    assert "0 of 3 scenes are finished; not: jar (at ingest), bowl (at ingest), wing" in told
+    assert "'wing'" in told.splitlines()[0]
+    expect_facts(told, "0 of 3", "jar (at ingest)", "bowl (at ingest)", "wing")
     assert ("  jar/ingest: torn (log: x.log)\n" in told) == bool(status)
-    assert told.endswith("  scene 'wing': no such capture folder\n")
+    assert "'wing'" in told.splitlines()[-1]
     ended, told = said(capsys, "run", "--configfile", "mine.yaml", "--stop-at-first-failure")
     assert (ended, len(called)) == (2, 1)
-    assert told == "nishiki run: scene 'wing': no such capture folder\n"
+    assert "'wing'" in told
 
 
 def test_snakemake_leaves_out_what_cannot_be_planned_where_the_run_says_so(three_scenes, monkeypatch):
@@ -129,7 +125,7 @@ def test_verify_without_anything_to_verify_is_no_success(capsys, project):
     (project / "empty").mkdir()
     status, told = said(capsys, "verify", "empty")
     assert status == 2
-    assert "neither an artifact nor a crate" in told
+    expect_facts(told, "empty")
 
 
 def test_files_that_the_system_refuses_are_told_in_one_line(capsys, project, monkeypatch):

@@ -1,9 +1,11 @@
 """What a plan leaves out of a scene, and why: parts of the capture, colour, packages; and how the command says it."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from refusals import expect_facts, refused
 
 from nishiki.commands import inspecting
 from nishiki.engine.plan import PARTS, Plan, make_plan
@@ -122,9 +124,10 @@ def test_everything_can_be_forced_on():
 
 def test_the_report_is_told_of_parts_and_packages():
     told = planned(PLANE, "normals", "report").stages["report"].settings["left_out"]
-    assert told["2 photographs under check lights"] == "only evaluate and export look at them"
-    assert told["package rawpy"] == "no photograph is camera raw"
-    assert told["package av"] == "render is not in the plan"
+    (check,) = (why for part, why in told.items() if part.startswith("2 "))
+    expect_facts(check, "evaluate", "export")
+    assert "package rawpy" in told
+    assert "render" in told["package av"]
 
 
 @pytest.mark.parametrize(
@@ -155,17 +158,17 @@ def test_exr_photographs_need_no_opencv_in_ingest():
 
 
 @pytest.mark.parametrize(
-    ("facts", "text"),
+    ("facts", "figures"),
     [
-        (PLANE, "1000 pixels, 9 lights, 3 channels"),
-        (replace(PLANE, pixels=2_500_000, channels=1), "2.50 Mpx, 9 lights, 1 channel"),
-        (replace(OBJECT, pixels=40_000), "0.04 Mpx, 12 views, 2 polariser states, 3 channels"),
-        (CLOTH, "windows of 1000 pixels, 100 pairs of directions, 40 of them lit along the normal, 3 channels"),
-        (replace(CLOTH, table=True), "a table of 100 pairs of directions, 40 of them lit along the normal, 3 channels"),
+        (PLANE, ["1000", "9", "3"]),
+        (replace(PLANE, pixels=2_500_000, channels=1), ["2.50", "9", "1"]),
+        (replace(OBJECT, pixels=40_000), ["0.04", "12", "2", "3"]),
+        (CLOTH, ["1000", "100", "40", "3"]),
+        (replace(CLOTH, table=True), ["100", "40", "3"]),
     ],
 )  # fmt: skip
-def test_a_capture_in_one_line(facts, text):
-    assert inspecting.described(facts) == text
+def test_a_capture_in_one_line(facts, figures):
+    assert re.findall(r"[\d.]+", inspecting.described(facts)) == figures
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.4, "0 s"), (59, "59 s"), (130, "2 min"), (9000, "2 h")])
@@ -185,7 +188,7 @@ def test_a_missing_package_stops_the_run_with_the_command_that_installs_it(monke
     monkeypatch.setattr(inspecting, "stage_state", lambda flow, scene, stage: ("run", []))
     inspecting.expect_packages(flow)
     monkeypatch.setattr(inspecting, "installed", lambda package: package not in ("trimesh", "av"))
-    with pytest.raises(UserError, match=r"mesh needs trimesh .*Remedy: \./nishiki install --extras mesh"):
+    with refused(UserError, "/nishiki", "--extras"):
         inspecting.expect_packages(flow)
     monkeypatch.setattr(inspecting, "stage_state", lambda flow, scene, stage: ("done", []))
     inspecting.expect_packages(flow)
@@ -210,10 +213,10 @@ def test_section_of_the_report():
         {"b": "2", "a": "1"}, {"ingest": {"read": read}, "brdf": {"economy": {"the_lobe": entry}}}
     )
     assert [row[3] for row in files.rows] == ["3.00", "3.00"]
-    assert kept == "Kept of that: 1 of 3 channels."
+    expect_facts(kept, "1 of 3")
     assert planned_out == Facts([("a", "1"), ("b", "2")])
     assert decided.rows == [("brdf", "the lobe", *entry.values())]
-    assert left_out_blocks({}, {}) == ["The plan left nothing out."]
+    assert len(left_out_blocks({}, {})) == 1
 
 
 def test_versions_of_packages_that_a_scene_does_not_load_are_no_reason_to_run_again():
@@ -231,8 +234,4 @@ def test_a_package_of_a_format_is_loaded_where_it_is_asked_for(facts, stage, for
     found = planned(facts, "export", **{stage: {"formats": formats}})
     assert set(found.packages[stage]) & {"usd-core", "materialx"} == loaded
     told = {package: why for package, why in found.idle.items() if package in ("usd-core", "materialx")}
-    assert told == {
-        package: f"no file of format {name} is asked for"
-        for package, name in (("usd-core", "usd"), ("materialx", "materialx"))
-        if package not in loaded
-    }
+    assert set(told) == {"usd-core", "materialx"} - loaded

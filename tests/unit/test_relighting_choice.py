@@ -108,7 +108,6 @@ def test_the_joint_fit_has_to_predict_lamps_better():
     worse, better = ({"plain": np.full(12, 2.0), "joint": np.full(12, error)} for error in (1.97, 1.9))
     assert decided(glossy, "auto", better)[0]
     assert not decided(glossy, "auto", worse)[0]
-    assert "less well" in decided(glossy, "auto", worse)[1].decision
     assert decided(glossy, "auto")[0]  # too few lights to leave any out
     assert not decided(matt, "auto")[0]
     assert decided(matt, "gloss")[0]

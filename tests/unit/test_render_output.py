@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from refusals import refused
 
 from nishiki.colour.colour import illuminant, white_xyz
 from nishiki.errors import UserError
@@ -50,12 +51,12 @@ def png_chunks(path):
 def test_a_full_disk_is_told_by_the_system_s_reason(tmp_path, monkeypatch):
     """OpenEXR tells it in words only; whoever catches OSError has to see it."""
     monkeypatch.setattr("nishiki.render.output._unfinished", lambda path: "/dev/full")
-    with pytest.raises(OSError, match="No space left") as told:
+    with refused(OSError, "x.exr") as told:
         write_exr(tmp_path / "x.exr", picture(), stamp={})
     assert told.value.errno == errno.ENOSPC
     assert told.value.filename == str(tmp_path / "x.exr")
     monkeypatch.setattr("nishiki.render.output._unfinished", lambda path: tmp_path / "none/x.exr")
-    with pytest.raises(RuntimeError, match="No such file"):
+    with refused(RuntimeError, "x.exr"):
         write_exr(tmp_path / "x.exr", picture(), stamp={})
 
 
@@ -81,7 +82,7 @@ def test_exr_in_srgb_primaries(tmp_path):
     assert header["chromaticities"][0] == pytest.approx(0.64)
     for c in "RGB":
         np.testing.assert_array_equal(channels[c], np.float32(0.7))
-    with pytest.raises(UserError, match="xyz or srgb"):
+    with refused(UserError, "lab"):
         write_exr(tmp_path / "b.exr", linear, stamp=STAMP, colours="lab")
 
 
@@ -168,7 +169,7 @@ def test_video_decodes_to_the_frames(tmp_path):
         luma = (planes[:45, :63] - 16) / 219 * 255
         expected = original @ np.array([0.2126, 0.7152, 0.0722])
         assert np.abs(luma - expected).mean() < 2
-    with pytest.raises(UserError, match="at least one frame"):
+    with refused(UserError, "c.mp4"):
         write_video(tmp_path / "c.mp4", [], stamp=STAMP)
     with pytest.raises(UserError, match="frame 1"):
         write_video(tmp_path / "c.mp4", [next(frames()), np.zeros((3, 3, 3), np.uint8)], stamp=STAMP)
@@ -188,5 +189,5 @@ def test_without_the_encoder_an_animated_png_and_the_reason(tmp_path, monkeypatc
             read.seek(k)
             assert read.info["duration"] == 100
             np.testing.assert_array_equal(np.asarray(read.convert("RGB")), original)
-    with pytest.raises(UserError, match="at least one frame"):
+    with refused(UserError, "x.png"):
         write_animated_png(tmp_path / "x.png", [], stamp=STAMP)

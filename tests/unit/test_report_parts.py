@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import expect_facts
 
 from nishiki.colour.colour import srgb_matrix, xyz_to_lab
 from nishiki.report.numbers import degrees, figure, percent, plain, signed
@@ -228,14 +229,14 @@ def test_a_number_reads_back_to_its_digits_and_never_shows_an_e(value, digits, p
 
 def test_a_map_of_one_value_becomes_a_sentence():
     values = np.full((40, 50), 12.0)
-    assert scalar_picture(values, sea(), unit="lights").even == "12 lights everywhere on the object"
+    assert scalar_picture(values, sea(), unit="lights").even.split()[0] == "12"
     values[0, 0] = 9
     even = scalar_picture(values, sea(), unit="lights")
-    assert (even.even, even.source) == ("12 lights almost everywhere on the object", "")
+    assert (even.even.split()[0], even.source) == ("12", "")
     values[:3] = 9
     assert scalar_picture(values, sea(), unit="lights").source
     classes, key = np.zeros((40, 50)), {0: ("#102030", "no flag"), 1: ("#fefdfc", "flag")}
-    assert class_picture(classes, key).even == "no flag everywhere on the object"
+    assert class_picture(classes, key).even.startswith("no flag")
     classes[0, :3] = 1
     assert class_picture(classes, key).source
 
@@ -286,20 +287,15 @@ def test_the_signed_difference_is_the_luminance_of_what_was_predicted_too_much()
 
 
 def test_captions_state_the_exposure():
-    assert (
-        exposed(3.9, chosen=True) == "Exposure 3.9, chosen from the picture (1: a white that faces the lamp is white)."
-    )
+    expect_facts(exposed(3.9, chosen=True), "3.9")
     assert exposed(None, chosen=True) == ""
 
 
 def test_parameters_at_a_bound_are_rows_of_the_conditions():
     told = {"gamma": 1.0, "at_bounds": ["half width of lobe 1: 92 degrees, the upper end"], "red": {"at_bounds": ["n"]}}
     manifest = {"stage": "brdf", "settings": {}, "diagnostics": told}
-    rows = [row for row in conditions(manifest, ()) if row[-1] == "at its bound"]
-    assert [row[1] for row in rows] == [
-        "fitted parameter at a bound: half width of lobe 1: 92 degrees, the upper end",
-        "fitted parameter at a bound: red: n",
-    ]
+    rows = [row for row in conditions(manifest, ()) if "bound" in row[-1]]
+    assert [row[1].split(": ", 1)[1] for row in rows] == [*told["at_bounds"], "red: n"]
 
 
 def test_percent_and_degrees():
@@ -312,7 +308,7 @@ def test_settings_that_differ_are_marked_and_planned_ones_are_not():
     rows, changed = settings_rows(values, SeparateSettings)
     by_name = {name: rest for name, *rest in rows}
     assert [rows[number][0] for number in changed] == ["<code>w1</code>"]
-    assert by_name["<code>hold_out</code>"][1] == "set by the plan"
+    assert "plan" in by_name["<code>hold_out</code>"][1]
     assert by_name["<code>w1</code>"][:2] == ["1.5", "1.2"]
 
 
@@ -335,16 +331,15 @@ def test_chosen_lights_hold_the_best_and_the_worst():
 
 def test_choices_name_the_published_method():
     rows = choices({"separate": {"method": "threshold"}, "normals": {"solver": "default"}}).rows
-    assert [row[:2] for row in rows] == [
-        ("selection of the lights", "threshold (the published one)"),
-        ("normals", "default"),
-    ]
+    assert [row[1].split()[0] for row in rows] == ["threshold", "default"]
+    assert len(rows[0][1]) > len("threshold")
 
 
 def test_pictures_are_described_in_words():
     pictures = RenderSettings().model_dump(mode="json")["pictures"]
     by_name = {entry["name"]: describe(entry) for entry in pictures}
-    assert by_name["lamplight"].startswith("A from 45° above the plane")
+    assert by_name["lamplight"].startswith("A ")
+    assert "45°" in by_name["lamplight"]
     assert "azimuth −90°" in by_name["oblique"]
 
 
@@ -368,7 +363,7 @@ def test_gloss_is_drawn_twice_and_measured_in_degrees():
     for item in (linear, logarithmic):
         ElementTree.fromstring(item.svg)
     (row,) = blocks_of(section, Table)[0].rows
-    assert row[-1] == "width at its bound, no gloss: Lambert"
+    assert "Lambert" in row[-1]
     assert row[4] == pytest.approx(np.degrees(0.1))
     assert f"from {figure(np.degrees(0.05))}°" in section.blocks[-1]
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from refusals import expect_facts, refused
 
 from nishiki.cli import main
 from nishiki.errors import UserError
@@ -133,7 +134,7 @@ def test_a_lost_rig_can_be_closed_and_opened_again(folder, devices):
 def test_without_a_terminal_nobody_is_asked(folder, devices, monkeypatch):
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: False))
     with open_rig(folder / "rig.yaml") as rig:
-        with pytest.raises(DeviceError, match=r"set the polariser to 'on'.*without a terminal.*Remedy"):
+        with refused(DeviceError, "'on'"):
             rig.polarisers["lamp"].set("on")
 
 
@@ -141,15 +142,15 @@ def test_without_a_terminal_nobody_is_asked(folder, devices, monkeypatch):
     ("text", "words"),
     [
         ("camera: {kind: gphotos}", "'gphoto', 'folder', 'python'"),
-        ("camera: {kind: gphoto, modell: x}", "did you mean 'model'"),
-        ("lamps: {kind: dome, port: x, count: 4}", "key 'camera' is missing"),
+        ("camera: {kind: gphoto, modell: x}", "'model'"),
+        ("lamps: {kind: dome, port: x, count: 4}", "'camera'"),
         ("camera: {kind: gphoto}\nlamps: {kind: dome, port: x}", "lamps.count"),
-        ("camera: {kind: folder, folder: x, release: lamps}", "needs lamps of kind dome"),
+        ("camera: {kind: folder, folder: x, release: lamps}", "dome"),
         ("camera: {kind: gphoto}\naxes: {t: {kind: grbl, port: x, axis: Q}}", "axes.t.axis"),
-        ("camera: {kind: gphoto}\naxes: {t: {kind: grbl, port: x, axis: X, range_deg: [9, 1]}}", "smaller angle"),
-        ("camera: {kind: gphoto}\npolarisers: {p: {kind: prompt, states: [half]}}", "polariser state"),
-        ("camera: {kind: python, file: none.py, name: X}", "no file"),
-        ("camera: {kind: python, file: camera.py, name: Lens}", "no class 'Lens'"),
+        ("camera: {kind: gphoto}\naxes: {t: {kind: grbl, port: x, axis: X, range_deg: [9, 1]}}", "range_deg"),
+        ("camera: {kind: gphoto}\npolarisers: {p: {kind: prompt, states: [half]}}", "half"),
+        ("camera: {kind: python, file: none.py, name: X}", "none.py"),
+        ("camera: {kind: python, file: camera.py, name: Lens}", "'Lens'"),
         ("camera: [", "rig.yaml"),
     ],
 )
@@ -185,29 +186,27 @@ def test_rig_test_moves_everything_and_prints_a_line_each(folder, devices, termi
     lines = out.splitlines()
     names = ("lamps", "axis lamp", "axis camera", "axis turntable", "polariser lamp", "polariser camera", "camera")
     assert [line.split(":")[0] for line in lines] == [*names, "rig.yaml"]
-    assert "4 lit one after the other" in lines[0]
+    expect_facts(lines[0], 4)
     assert "ours-1.raw" in lines[6]
-    assert lines[-1] == "rig.yaml: every device works"
+    assert "FAILED" not in out
 
 
 def test_rig_test_tells_what_fails_with_the_remedy_and_goes_on(folder, devices, terminal, capsys):
     devices.grbl.switch_works = False
     status, out, _ = called(capsys, "rig", "test", "rig.yaml")
     assert status == 2
-    assert "axis lamp: FAILED: controller of lamp" in out
-    assert "limit switch" in out
-    assert "axis turntable: homed" in out
-    assert "2 of 7 devices failed" in out
+    assert [line.split(":")[0] for line in out.splitlines() if ": FAILED" in line] == ["axis lamp", "axis camera"]
+    expect_facts(out, "2 of 7")
 
 
 def test_rig_test_of_a_rig_that_is_not_there(folder, capsys, monkeypatch):
     status, _, err = called(capsys, "rig", "test", "rig.yaml")
     assert status == 2
-    assert "nishiki rig: lamps: dome cannot be opened" in err
+    assert "nishiki rig: lamps:" in err
     assert "Remedy" in err
     status, _, err = called(capsys, "rig", "test", "other.yaml")
     assert status == 2
-    assert "file not found" in err
+    assert "other.yaml" in err
 
 
 def test_ports_are_listed_with_vendor_and_product(capsys, monkeypatch):
@@ -219,11 +218,9 @@ def test_ports_are_listed_with_vendor_and_product(capsys, monkeypatch):
     monkeypatch.setattr("nishiki.rig.description.camera_ports", lambda: ["usb:001,004  Canon EOS R5"])
     status, out, _ = called(capsys, "rig", "ports")
     assert status == 0
-    assert out.splitlines() == [
-        "/dev/ttyUSB0  QinHeng USB Serial (vendor 1a86, product 7523; CH340 adapter: many Arduino copies, ComXim "
-        "turntables)",
-        "usb:001,004  Canon EOS R5",
-    ]
+    serial, camera = out.splitlines()
+    expect_facts(serial, "/dev/ttyUSB0", "QinHeng USB Serial", "1a86", "7523", "CH340")
+    assert camera == "usb:001,004  Canon EOS R5"
 
 
 def test_where_nothing_is_connected_the_command_helps(capsys, monkeypatch):
@@ -231,7 +228,6 @@ def test_where_nothing_is_connected_the_command_helps(capsys, monkeypatch):
     monkeypatch.setattr("nishiki.rig.description.camera_ports", list)
     status, out, _ = called(capsys, "rig", "ports")
     assert status == 0
-    assert "no serial device on USB and no camera found" in out
     assert "demo --rig" in out
 
 

@@ -9,6 +9,7 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
@@ -116,7 +117,7 @@ def test_a_partial_answer_is_named_in_the_error():
         with pytest.raises(DeviceLost) as raised:
             pair.line.ask("G0 X1", "^ok$", 0.1)
     text = str(raised.value)
-    for words in ("device", "'G0 X1'", "'hello'", "without an end of line", "xff", "Remedy", "9600 baud"):
+    for words in ("device", "'G0 X1'", "'hello'", "xff", "Remedy", "9600 baud"):
         assert words in text
 
 
@@ -130,7 +131,7 @@ def test_a_line_without_end_is_noise_and_not_memory():
 
         threading.Thread(target=babble, daemon=True).start()
         try:
-            with pytest.raises(DeviceLost, match="without an end of line"):
+            with refused(DeviceLost, by="_next_line"):
                 pair.line.receive(5.0)
             assert len(pair.line.buffer) <= LONGEST_LINE
         finally:
@@ -142,7 +143,7 @@ def test_an_answer_to_an_earlier_line_is_not_taken_for_this_one():
     with Pair() as pair:
         os.write(pair.far, b"ok\n")
         time.sleep(0.02)
-        with pytest.raises(DeviceLost, match="received nothing"):
+        with refused(DeviceLost, "'G0'", "^ok$"):
             pair.line.ask("G0", "^ok$", 0.05)
 
 
@@ -160,7 +161,7 @@ def test_a_port_that_is_not_there_can_be_waited_for(tmp_path):
 
 
 def test_a_port_that_another_program_uses_is_refused():
-    with Pair() as pair, pytest.raises(DeviceError, match="used by another program") as raised:
+    with Pair() as pair, refused(DeviceError, by="__init__") as raised:
         SerialLine("dome", pair.line.port, 9600)
     assert not isinstance(raised.value, DeviceLost)
 
@@ -186,16 +187,16 @@ def test_an_axis_of_grbl_is_homed_and_turned(port, restarts):
     with SimulatedGrbl(port, restarts_when_opened=restarts) as device:
         controller = Grbl("controller", str(port))
         axis = axis_of(controller, home_deg=10.0)
-        with pytest.raises(DeviceError, match="home it first"):
+        with refused(DeviceError, by="move_to"):
             axis.move_to(20.0)
         axis.home()
         axis.move_to(100.0)
         assert device.position["X"] == pytest.approx(-1.0 - 90.0)
-        with pytest.raises(DeviceError, match="from 0 to 360 degrees, found 400"):
+        with refused(DeviceError, "0", "360", "400"):
             axis.move_to(400.0)
         axis.close()
         axis.close()
-        with pytest.raises(DeviceError, match="home it first"):
+        with refused(DeviceError, by="move_to"):
             axis.move_to(20.0)
 
 
@@ -225,9 +226,9 @@ def test_a_soft_limit_is_explained_and_the_axis_can_be_homed_again(port):
     with SimulatedGrbl(port, travel=200.0) as device:
         axis = axis_of(Grbl("controller", str(port)))
         axis.home()
-        with pytest.raises(DeviceError, match=r"ALARM:2.*soft limits.*Remedy.*range_deg"):
+        with pytest.raises(DeviceError, match=r"ALARM:2.*range_deg"):
             axis.move_to(300.0)
-        with pytest.raises(DeviceError, match="home it first"):
+        with refused(DeviceError, by="move_to"):
             axis.move_to(10.0)
         axis.home()
         axis.move_to(10.0)
@@ -238,7 +239,7 @@ def test_a_missing_switch_is_explained(port):
     with SimulatedGrbl(port) as device:
         device.switch_works = False
         axis = axis_of(Grbl("controller", str(port)))
-        with pytest.raises(DeviceError, match=r"'\$H', received 'ALARM:9'.*limit switch.*Remedy"):
+        with refused(DeviceError, "$H", "ALARM:9"):
             axis.home()
         device.switch_works = True
         axis.home()
@@ -249,13 +250,13 @@ def test_an_open_door_is_explained(port):
         axis = axis_of(Grbl("controller", str(port)))
         axis.home()
         device.door_open = True
-        with pytest.raises(DeviceError, match="door is open"):
+        with refused(DeviceError, "'?'"):
             axis.move_to(10.0)
 
 
 def test_an_axis_that_the_controller_has_not_is_refused(port):
     with SimulatedGrbl(port):
-        with pytest.raises(DeviceError, match="no axis A; it has X, Y, Z"):
+        with refused(DeviceError, by="home"):
             axis_of(Grbl("controller", str(port)), "A").home()
 
 
@@ -296,13 +297,13 @@ def test_a_restart_between_two_moves_of_grbl_is_noticed(port):
         time.sleep(0.05)
         with pytest.raises(DeviceLost, match="restarted"):
             axis.move_to(30.0)
-        with pytest.raises(DeviceError, match="home it first"):
+        with refused(DeviceError, by="move_to"):
             axis.move_to(30.0)
 
 
 def test_a_line_where_nothing_answers_is_not_taken_for_grbl(port):
     with SimulatedDialogue(port, {}):
-        with pytest.raises(DeviceLost, match="no greeting of GRBL"):
+        with refused(DeviceLost, by="_restart"):
             Grbl("controller", str(port))
 
 
@@ -358,9 +359,9 @@ def test_a_comxim_turntable_stands_where_it_was_sent(tmp_path_factory, angles):
 def test_the_zero_of_a_comxim_table_needs_a_person_unless_the_table_keeps_it(port, monkeypatch):
     with SimulatedComXim(port) as device:
         table = table_of(port)
-        with pytest.raises(DeviceError, match="home it first"):
+        with refused(DeviceError, by="move_to"):
             table.move_to(10.0)
-        with pytest.raises(DeviceError, match=r"zero mark.*without a terminal.*Remedy"):
+        with refused(DeviceError, by="home"):
             table.home()
         device.angle = 33.0
         monkeypatch.setattr(axes, "ask_operator", lambda name, request: None)
@@ -388,7 +389,7 @@ def test_no_fault_leaves_a_comxim_table_with_a_position(port, fault):
         device.faults.append(fault)
         with pytest.raises(DeviceLost, match=r"turntable.*CT\+TRUNSINGLE\(0,90\).*Remedy"):
             table.move_to(90.0)
-        with pytest.raises(DeviceError, match="home it first"):
+        with refused(DeviceError, by="move_to"):
             table.move_to(90.0)
 
 
@@ -450,7 +451,7 @@ def test_a_dome_with_other_commands_is_explained(port):
     with SimulatedDialogue(port, {}) as device:
         device.ends = lambda text: text.endswith(">")
         device.answers = {"<0>": "<INCORRECT FUNCTION CALL: 0>"}
-        with pytest.raises(DeviceError, match="does not know the command"):
+        with refused(DeviceError, "<0>"):
             dome_of(port, 8)
 
 
@@ -466,13 +467,13 @@ def test_a_home_made_polariser_is_set(port):
         polariser.set("on")
         polariser.set("off")
         assert device.received == ["A90", "A0"]
-        with pytest.raises(DeviceError, match="one of the states off, on, found '45'"):
+        with refused(DeviceError, "45", by="expect_state"):
             polariser.set("45")
         device.answers = {"A90": "ERROR: servo blocked"}
-        with pytest.raises(DeviceError, match="ERROR: servo blocked"):
+        with refused(DeviceError, "A90"):
             polariser.set("on")
         device.faults.append("silence")
-        with pytest.raises(DeviceLost, match=r"within 0\.2 s, received nothing"):
+        with refused(DeviceLost, "0.2"):
             polariser.set("on")
         device.restart()
         time.sleep(0.05)
@@ -498,7 +499,7 @@ def test_a_home_made_axis_moves_only_where_its_position_is_known(port):
     values = {"port": str(port), "move": move, "home": {"send": "H", "expect": "homed"}, "range_deg": [0, 90]}
     with SimulatedDialogue(port, {"H": "homed", "M45.00": "done"}) as device:
         axis = HomeMadeAxis("arm", parse(DescribedAxis, values, "arm.yaml"))
-        with pytest.raises(DeviceError, match="home it first"):
+        with refused(DeviceError, by="move_to"):
             axis.move_to(45.0)
         axis.home()
         axis.move_to(45.0)
@@ -507,17 +508,17 @@ def test_a_home_made_axis_moves_only_where_its_position_is_known(port):
         device.faults.append("partial")
         with pytest.raises(DeviceLost):
             axis.move_to(45.0)
-        with pytest.raises(DeviceError, match="home it first"):
+        with refused(DeviceError, by="move_to"):
             axis.move_to(45.0)
 
 
 @pytest.mark.parametrize(
     ("model", "values", "words"),
     [
-        (DescribedAxis, {"port": "x", "move": {"send": "M{angle}", "expect": "ok"}}, "{degrees} and {lamp}"),
-        (DescribedAxis, {"port": "x", "move": {"send": "M{degrees", "expect": "ok"}}, "{degrees} and {lamp}"),
-        (DescribedAxis, {"port": "x", "move": {"sent": "M", "expect": "ok"}}, "did you mean 'send'"),
-        (DescribedPolariser, {"port": "x", "states": {"half": {"send": "M", "expect": "ok"}}}, "polariser state"),
+        (DescribedAxis, {"port": "x", "move": {"send": "M{angle}", "expect": "ok"}}, "{degrees}"),
+        (DescribedAxis, {"port": "x", "move": {"send": "M{degrees", "expect": "ok"}}, "{degrees}"),
+        (DescribedAxis, {"port": "x", "move": {"sent": "M", "expect": "ok"}}, "'send'"),
+        (DescribedPolariser, {"port": "x", "states": {"half": {"send": "M", "expect": "ok"}}}, "half"),
         (DescribedPolariser, {"port": "x", "states": {"on": {"send": "M"}}}, "states.on.expect"),
     ],
 )

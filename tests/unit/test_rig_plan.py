@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from captures import RING
+from refusals import expect_facts
 
 from nishiki.capture.schema_base import read_mapping
 from nishiki.cli import main
@@ -142,21 +143,21 @@ def test_the_command_saves_a_table_that_names_its_plan(tmp_path, capsys):
     with pytest.raises(SystemExit) as end:
         main(["rig", "plan", str(tmp_path / "plan.yaml"), "--table", str(table)])
     assert end.value.code == 0
-    assert "14 frames: 5 white, 4 sample, 1 check, 4 dark\nabout " in capsys.readouterr().out
+    expect_facts(capsys.readouterr().out, "14 frames", "5 white", "4 sample", "1 check", "4 dark")
     assert read_table(table)[0].samefile(tmp_path / "plan.yaml")
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("kind: dome", "kind: dom", "kind: expected dome, turntable, goniometer, found 'dom'"),
+        ("kind: dome", "kind: dom", "'dom'"),
         ("suffix: png", "suffix: bmp", "suffix"),
-        ("checks_for: [L05]", "checks_for: [L77]", "no lamp L77 in dome.lp"),
-        ("lights: dome.lp", "lights: other.lp", "no file"),
-        ("exposure_s: 0.5\n", "", "white.exposure_s needs exposure_s"),
-        ("exposure_s: 0.5\n", "exposure_s: [0.5, 1]\n", "kind: goniometer only"),
-        ("dark: {frames: 2}", "capture: {geometry: plane}", "geometry follow from the kind"),
-        ("dark: {frames: 2}", "darks: {frames: 2}", "did you mean 'dark'"),
+        ("checks_for: [L05]", "checks_for: [L77]", "L77"),
+        ("lights: dome.lp", "lights: other.lp", "other.lp"),
+        ("exposure_s: 0.5\n", "", "white.exposure_s"),
+        ("exposure_s: 0.5\n", "exposure_s: [0.5, 1]\n", "goniometer"),
+        ("dark: {frames: 2}", "capture: {geometry: plane}", "geometry"),
+        ("dark: {frames: 2}", "darks: {frames: 2}", "'dark'"),
     ],
 )
 def test_a_mistake_in_a_plan_is_named(tmp_path, old, new, message):
@@ -168,12 +169,12 @@ def test_a_mistake_in_a_plan_is_named(tmp_path, old, new, message):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("# plan: plan.yaml", "# table", "line 1: expected '# plan"),
-        ("frames/L02.png", "frames/L01.png", "found frames/L01.png twice"),
-        ("frames/L02.png", "../L02.png", "line 9: expected a file name inside the capture"),
-        ("\tlamp\t", "\tlmap\t", "found lmap"),
-        ("frames/L02.png\tsample\t2", "frames/L02.png\tsample\ttwo", "line 9: lamp: expected a number, found 'two'"),
-        ("frames/L02.png\tsample", "frames/L02.png\texample", "role 'example'"),
+        ("# plan: plan.yaml", "# table", "line 1: "),
+        ("frames/L02.png", "frames/L01.png", "frames/L01.png"),
+        ("frames/L02.png", "../L02.png", "line 9: "),
+        ("\tlamp\t", "\tlmap\t", "lmap"),
+        ("frames/L02.png\tsample\t2", "frames/L02.png\tsample\ttwo", "'two'"),
+        ("frames/L02.png\tsample", "frames/L02.png\texample", "'example'"),
     ],
 )
 def test_a_mistake_in_a_table_is_named(tmp_path, old, new, message):

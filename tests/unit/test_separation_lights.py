@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from nishiki.errors import UserError
 from nishiki.photometric import light_selection as selection
@@ -220,7 +221,7 @@ def test_wrong_directions_are_named():
         select_diffuse(stack, lights[:5])
     with pytest.raises(UserError, match="length 2"):
         select_diffuse(stack, lights * 2)
-    with pytest.raises(UserError, match="three axes"):
+    with refused(UserError, "(1, 5)"):
         select_diffuse(stack[0], lights)
 
 
