@@ -250,9 +250,9 @@ def test_store_gives_back_the_model(tmp_path):
     fit = fit_weave(*planes, reading="paper", contact=np.pi / 2, intervals=False)
     write_weave(tmp_path, {"cloth": describe(fit, planes, weave="twill", harness=3)})
     stored = Weave(tmp_path)
-    assert stored.weft == fit.model.weft
-    assert stored.warp == fit.model.warp
-    assert stored.parameters == pytest.approx(fit.model.parameters())
+    assert stored.model.weft == fit.model.weft
+    assert stored.model.warp == fit.model.warp
+    assert stored.model.parameters() == pytest.approx(fit.model.parameters())
     curve = stored.details["curves"]["warp"]
     np.testing.assert_allclose(np.add(curve["gloss"], curve["body"]), curve["measured"], rtol=1e-5)
     with pytest.raises(UserError, match="region 'other'"):

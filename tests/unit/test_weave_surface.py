@@ -123,6 +123,6 @@ def test_stage_from_reflectances_to_model_mesh_and_drawings(tmp_path):
     }
     found = Weave(artifact.folder)
     for name, value in truth.parameters().items():
-        assert found.parameters[name] == pytest.approx(value, rel=0.01), name
+        assert found.model.parameters()[name] == pytest.approx(value, rel=0.01), name
     json.dumps(artifact.diagnostics, allow_nan=False)
     assert artifact.diagnostics["regions"]["cloth"]["harness"] == 5

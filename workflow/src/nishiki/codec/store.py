@@ -178,11 +178,6 @@ class CodedTexels:
     observation: np.ndarray
     texel: np.ndarray
 
-    @property
-    def nbytes(self) -> int:
-        """Size of the arrays."""
-        return self.values.nbytes + self.observation.nbytes + self.texel.nbytes
-
 
 class Residual:
     """The residual and the reflection parameters of an artifact, for reading; safe from several threads.

@@ -115,21 +115,6 @@ class Weave:
             d["lobe"],
         )
 
-    @property
-    def weft(self) -> WeftSection:
-        """Section along the weft."""
-        return self.model.weft
-
-    @property
-    def warp(self) -> WarpSection:
-        """Section along the warp."""
-        return self.model.warp
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """All parameters by name; see WeaveModel.parameters."""
-        return self.model.parameters()
-
     def brdf(self) -> WeaveBrdf:
         """Return the model as a BRDF of the whole hemisphere."""
         return brdf_of(self.model)

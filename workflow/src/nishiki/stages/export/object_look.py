@@ -47,10 +47,6 @@ class TextureAtlas:
         """(f,) bool: triangles that have a place."""
         return np.isfinite(self.corners).all(axis=(1, 2))
 
-    def uv(self) -> np.ndarray:
-        """Return (f, 3, 2) places as glTF counts them: from the left and from the top, texel centres at halves."""
-        return (self.corners[..., ::-1] + 0.5) / np.array(self.shape[::-1])
-
 
 def texture_atlas(atlas: Atlas) -> TextureAtlas:
     """Each chart whole, so that look-ups inside a triangle never cross a seam; charts on shelves, highest first."""
