@@ -362,7 +362,7 @@ def test_flag_outside_unit_is_the_definition(local):
 @pytest.mark.parametrize("method", module.METHODS)
 def test_round_trip_through_arrays(method, tmp_path):
     e = fit_estimator(TRAINING, LAMP, camera(3), method=method, centres=50)
-    np.savez(tmp_path / "estimator.npz", **e.to_arrays())
+    np.savez(tmp_path / "estimator.npz", **e.as_arrays())
     with np.load(tmp_path / "estimator.npz", allow_pickle=False) as arrays:
         again = module.SpectralEstimator.from_arrays(arrays)
     assert again.method == method
@@ -384,7 +384,7 @@ def test_threads_tiles_and_layout_change_nothing(local):
 
 
 def test_fit_is_deterministic():
-    first, second = (fit_estimator(TRAINING, LAMP, camera(3), centres=50).to_arrays() for _ in range(2))
+    first, second = (fit_estimator(TRAINING, LAMP, camera(3), centres=50).as_arrays() for _ in range(2))
     for name, value in first.items():
         np.testing.assert_array_equal(value, second[name])
 

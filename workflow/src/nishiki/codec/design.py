@@ -4,13 +4,14 @@ A tile is seen from an arc of the turn. Views outside the arc cost nothing: they
 it (held-out views, occlusion) are invisible samples, which the solver fills.
 """
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 
 import numpy as np
 
 from nishiki.codec.transform import Block, Plane, analysis_matrix, cosine_matrix, levels_of, plane_transform
 from nishiki.errors import UserError
+from nishiki.formats.fields import PlainFields
 
 
 def visible_arc(seen: np.ndarray, *, full_turn: bool) -> tuple[int, int]:
@@ -122,7 +123,7 @@ GROUPS = ("kd", "ks", "sigma")
 
 
 @dataclass(frozen=True)
-class Design:
+class Design(PlainFields):
     """Hold the parameters of the coding.
 
     tile_size T; views, lights, channels of the capture; full_turn; encoding; components: coded apart ("total",) or
@@ -156,10 +157,6 @@ class Design:
     parameter_levels: int = 5
     parameter_mirrored: bool = True
 
-    def as_dict(self) -> dict:
-        """Plain data, for JSON."""
-        return asdict(self)
-
     @classmethod
     def from_dict(cls, values: dict) -> "Design":
         """Inverse of `as_dict`. UserError where keys are missing or unknown: another version wrote them."""
@@ -167,7 +164,7 @@ class Design:
         if set(values) != names:
             wrong = sorted(set(values) ^ names)
             raise UserError(f"residual: header with unexpected or missing entries {wrong}; run the stage again")
-        return cls(**{name: _tuples(value) for name, value in values.items()})
+        return super().from_dict(values)
 
     def plane(self, extent: Extent) -> Plane:
         """Transform of the residual's planes."""
@@ -209,7 +206,3 @@ class Design:
         """Means that are taken off before the transform."""
         count = 1 if group == 2 else self.channels
         return np.array(self.parameter_means[group]) if self.parameter_means else np.zeros(count)
-
-
-def _tuples(value):
-    return tuple(_tuples(v) for v in value) if isinstance(value, (list, tuple)) else value

@@ -9,7 +9,7 @@ the training set: the colour differences between its spectra and what the estima
 spectra whose responses lie nearest to a pixel's.
 """
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -29,6 +29,7 @@ from nishiki.colour.kernels import ILL_CONDITIONED, NEGATIVE_RESPONSE, NOT_FINIT
 from nishiki.colour.local import ResponseSpace, distances, response_space
 from nishiki.colour.sampling import channel_weights, checked_spectra
 from nishiki.errors import UserError
+from nishiki.formats.fields import ArrayFields
 from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
 
@@ -44,7 +45,7 @@ FLAG_MEANINGS = {
 
 
 @dataclass(frozen=True)
-class SpectralEstimator:
+class SpectralEstimator(ArrayFields):
     """A fitted estimator; every field is an array, a number or a word, so that it can be stored as it is.
 
     With z the whitened root of the response (`nishiki.colour.local.ResponseSpace`):
@@ -75,20 +76,6 @@ class SpectralEstimator:
     condition: float  # cond(H)
     ill_conditioned: bool
     training_rmse: float  # over the training set; local: each sample left out in turn
-
-    def to_arrays(self) -> dict[str, np.ndarray]:
-        """Plain arrays by field name; `from_arrays` reads them back."""
-        return {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
-
-    @classmethod
-    def from_arrays(cls, arrays) -> "SpectralEstimator":
-        """Restore the estimator that `to_arrays` wrote, from any mapping of names to arrays."""
-        scalars = {"method": str, "ill_conditioned": bool}
-        values = {}
-        for f in fields(cls):
-            value = np.asarray(arrays[f.name])
-            values[f.name] = value if value.ndim else scalars.get(f.name, float)(value.item())
-        return cls(**values)
 
 
 @dataclass(frozen=True)

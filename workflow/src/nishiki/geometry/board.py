@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.formats.fields import PlainFields
 
 LEAST_CORNERS = 4
 
@@ -121,7 +122,7 @@ STARTS = (0.8, 1.5, 3.0, 8.0)  # focal lengths, of the picture's longer side
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(PlainFields):
     """intrinsics (3, 3) float64, distortion k1, k2, p1, p2, k3 (Brown's model).
 
     rms_px: root mean square distance of detected from projected corners over the pictures used; picture_px: by
@@ -139,20 +140,6 @@ class Calibration:
     focal_sigma: float
     middle_sigma_px: float
     tilt_deg: float
-
-    def as_dict(self) -> dict:
-        """Plain data, for JSON."""
-        return {
-            "intrinsics": self.intrinsics.tolist(),
-            "distortion": list(self.distortion),
-            "rms_px": self.rms_px,
-            "picture_px": self.picture_px,
-            "outliers": list(self.outliers),
-            "sparse": list(self.sparse),
-            "focal_sigma": self.focal_sigma,
-            "middle_sigma_px": self.middle_sigma_px,
-            "tilt_deg": self.tilt_deg,
-        }
 
 
 def calibrate(

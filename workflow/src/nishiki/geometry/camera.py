@@ -12,13 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.formats.fields import PlainFields
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
-class Camera:
+class Camera(PlainFields):
     """One calibrated view.
 
     intrinsics (3, 3) float64, upper triangular, last element 1; rotation (3, 3) world to camera, translation (3,) in
@@ -92,24 +93,6 @@ class Camera:
         intrinsics = np.diag([*along, 1.0]) @ self.intrinsics
         intrinsics[:2, 2] += 0.5 * along - 0.5
         return replace(self, intrinsics=intrinsics, rows=rows, columns=columns)
-
-    def as_dict(self) -> dict:
-        """Plain data, for JSON."""
-        return {
-            "name": self.name,
-            "intrinsics": self.intrinsics.tolist(),
-            "rotation": self.rotation.tolist(),
-            "translation": self.translation.tolist(),
-            "rows": self.rows,
-            "columns": self.columns,
-            "distortion": list(self.distortion),
-        }
-
-    @classmethod
-    def from_dict(cls, values: dict) -> "Camera":
-        """Inverse of `as_dict`; keys beyond those of a camera are ignored."""
-        arrays = (np.array(values[key], np.float64) for key in ("intrinsics", "rotation", "translation"))
-        return cls(values["name"], *arrays, values["rows"], values["columns"], tuple(values["distortion"]))
 
 
 def distort(plane: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:

@@ -1,9 +1,10 @@
 """Meshes as they come from elsewhere, made sound: what was wrong is counted, nothing is moved."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.formats.fields import PlainFields
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
 from nishiki.geometry.surface import parts_of
@@ -11,7 +12,7 @@ from nishiki.geometry.visibility import rasterise
 
 
 @dataclass(frozen=True)
-class Defects:
+class Defects(PlainFields):
     """Count the repairs of `clean`.
 
     merged_vertices: at the same place as another; degenerate: triangles without area or with a corner twice;
@@ -30,10 +31,6 @@ class Defects:
     turned: int = 0
     turned_parts: int = 0
     unreferenced: int = 0
-
-    def as_dict(self) -> dict[str, int]:
-        """Plain data, for JSON."""
-        return asdict(self)
 
 
 def clean(vertices: np.ndarray, triangles: np.ndarray, *, cameras: list[Camera] | None = None) -> tuple[Mesh, Defects]:

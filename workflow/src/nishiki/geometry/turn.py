@@ -5,10 +5,11 @@ Calibrated cameras keep to that only to within their errors, and a camera moved 
 goes through every calibrated camera exactly, and follows the turn between them.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from nishiki.formats.fields import PlainFields
 from nishiki.geometry.camera import Camera
 
 LARGEST_STEP = 1.6  # of a full turn, relative to the median step
@@ -18,7 +19,7 @@ EQUAL_STEPS_DEG = 0.05
 
 
 @dataclass(frozen=True)
-class CircleCheck:
+class CircleCheck(PlainFields):
     """The circle nearest to the camera centres.
 
     axis: (3,) unit, the way the cameras go round (counter-clockwise seen from its tip); centre: (3,) of the circle;
@@ -40,10 +41,6 @@ class CircleCheck:
         steps = np.array(self.steps_deg)
         once = abs(steps.sum() - 360) < 1e-4 and (steps > 0).all()
         return bool(once and steps.max() <= LARGEST_STEP * np.median(steps))
-
-    def as_dict(self) -> dict:
-        """Plain data, for JSON."""
-        return asdict(self)
 
 
 def order_round(centres: np.ndarray) -> list[int]:

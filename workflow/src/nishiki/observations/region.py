@@ -286,7 +286,6 @@ def _tiles(
 ) -> tuple[int, int]:
     """Chunks of frames.zarr that hold something of the object, of all that the whole region under every light has."""
     from nishiki.observations.blocks import bands_with_object, rows_of_band
-    from nishiki.observations.region import object_mask, region_around, region_of, window_of
 
     lights = len(chosen(capture, without).capture.observed)
     first = capture.observed[0]

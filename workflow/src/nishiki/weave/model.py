@@ -31,7 +31,8 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from nishiki.brdf.cloth.interface import ArrayFields, halves, off_horizon, only_above
+from nishiki.brdf.cloth.interface import halves, off_horizon, only_above
+from nishiki.formats.fields import ArrayFields
 from nishiki.weave.section import HALF_PI, side_lengths, visible_share
 
 PARAMETERS = ("theta_a", "flank", "humps", "log_width", "contact")  # of one plane; see shape_of

@@ -43,20 +43,6 @@ class ClothBrdf(Protocol):
         """The model of `as_arrays`."""
 
 
-class ArrayFields:
-    """`as_arrays` and `from_arrays` of a dataclass whose fields are arrays and numbers."""
-
-    def as_arrays(self) -> dict[str, np.ndarray]:
-        """Its fields by name."""
-        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Self:
-        """The dataclass of these fields; arrays of no dimension become numbers."""
-        names = [field.name for field in fields(cls)]
-        return cls(**{name: arrays[name].item() if np.ndim(arrays[name]) == 0 else arrays[name] for name in names})
-
-
 LEAST_COSINE = 1e-9  # of directions above the horizon: nearer ones count as that near, so that quotients stay finite
 
 

@@ -15,8 +15,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from nishiki.brdf.cloth.interface import ArrayFields, halves, only_above
+from nishiki.brdf.cloth.interface import halves, only_above
 from nishiki.errors import UserError
+from nishiki.formats.fields import ArrayFields
 from nishiki.formats.merl import UTIA_PHI_DEG, UTIA_THETA_DEG
 from nishiki.formats.stored import load_arrays
 from nishiki.goniometry.directions import unit

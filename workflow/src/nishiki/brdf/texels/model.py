@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 
 from nishiki.errors import UserError
+from nishiki.formats.fields import PlainFields
 from nishiki.geometry.camera import Camera
 from nishiki.threads import over_items
 
@@ -49,7 +50,7 @@ class Lamp:
 
 
 @dataclass(frozen=True)
-class Lighting:
+class Lighting(PlainFields):
     """The lamps of a capture, in the lamp frame.
 
     kind: "camera" (the lamp is at the camera's centre), "direction", "position" (in the world's unit), "environment"
@@ -91,21 +92,6 @@ class Lighting:
                 "unit of the cameras in the capture's turntable block, or give directions."
             )
         return cls("position", _rows(vectors / UNITS_IN_MM[unit]))
-
-    def as_dict(self) -> dict:
-        """Plain data, for JSON."""
-        return {
-            "kind": self.kind,
-            "vectors": [list(row) for row in self.vectors],
-            "harmonics": [[list(row) for row in light] for light in self.harmonics],
-            "reference": self.reference,
-        }
-
-    @classmethod
-    def from_dict(cls, values: dict) -> "Lighting":
-        """Inverse of `as_dict`."""
-        harmonics = tuple(_rows(light) for light in values["harmonics"])
-        return cls(values["kind"], _rows(values["vectors"]), harmonics, float(values["reference"]))
 
     def lamp(self, camera: Camera, light_index: int = 0) -> Lamp:
         """The lamp `light_index` as it stands when the object is seen from `camera`.

@@ -20,51 +20,34 @@ from nishiki.observations.region import chosen, usage_of
 from nishiki.observations.views_store import STORE as VIEWS
 from nishiki.observations.views_store import geometry_sources, write_views
 
+WRITERS = {"plane": write_observations, "turntable": write_views, "goniometer": write_goniometer}
+STORES = {"plane": STORE, "turntable": VIEWS, "goniometer": WINDOWS}
+
 
 def run(context: Context) -> dict:
-    """Decode every photograph once, check it against the seal, and write observations, views or measurements."""
-    capture = load_capture(context.capture)
+    """Decode every photograph once, check it against the seal, and write observations, views or measurements.
+
+    Beside the views of a turntable lie copies of the files of its geometry; of a table of reflectances only the table.
+    """
+    capture, settings = load_capture(context.capture), context.settings
+    write = WRITERS[capture.geometry]
+    result = write(capture, context.output.folder, settings=settings, progress=context.progress)
     if capture.geometry == "turntable":
-        return run_views(capture, context)
-    if capture.geometry == "goniometer":
-        return run_goniometer(capture, context)
-    result = write_observations(capture, context.output.folder, settings=context.settings, progress=context.progress)
-    stamp_store(context, STORE)
+        for source, name in geometry_sources(chosen(capture, settings.without).capture):
+            shutil.copyfile(source, context.output.path(name))
+    if getattr(capture, "table", None) is None:
+        store = BandedGroup(context.output.folder / STORES[capture.geometry])
+        store.update(stamp=context.stamp)  # inside the store, too, stands where it comes from
     write_curves(capture, context)
-    return {**described(capture, context), **asdict(result)}
-
-
-def run_views(capture: TurntableCapture, context: Context) -> dict:
-    """Write the views of a turntable or of a polarisation series, and copies of the files of its geometry."""
-    result = write_views(capture, context.output.folder, settings=context.settings, progress=context.progress)
-    for source, name in geometry_sources(chosen(capture, context.settings.without).capture):
-        shutil.copyfile(source, context.output.path(name))
-    stamp_store(context, VIEWS)
-    write_curves(capture, context)
-    return {**described(capture, context), **asdict(result)}
-
-
-def run_goniometer(capture: GoniometerCapture, context: Context) -> dict:
-    """Write the windows of a goniometer's photographs, or its table."""
-    result = write_goniometer(capture, context.output.folder, settings=context.settings, progress=context.progress)
-    if capture.table is None:
-        stamp_store(context, WINDOWS)
-    write_curves(capture, context)
-    return {**described(capture, context), **asdict(result)}
-
-
-def described(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> dict:
-    """Return what the capture says of itself, and what was read of it."""
-    block = context.settings
     read = usage_of(
-        capture, without=block.without, channels=block.channels, tile_mib=block.tile_mib, white_block=block.white_block
+        capture,
+        without=settings.without,
+        channels=settings.channels,
+        tile_mib=settings.tile_mib,
+        white_block=settings.white_block,
     )
-    return {"capture": capture.settings.model_dump(mode="json"), "read": read.as_dict()}
-
-
-def stamp_store(context: Context, store: str) -> None:
-    """Say inside the store where it comes from."""
-    BandedGroup(context.output.folder / store).update(stamp=context.stamp)
+    described = {"capture": capture.settings.model_dump(mode="json"), "read": read.as_dict()}
+    return {**described, **asdict(result)}
 
 
 def write_curves(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> None:

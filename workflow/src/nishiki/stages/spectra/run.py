@@ -32,7 +32,7 @@ def map_tiles(context: Context) -> dict:
     estimator, decision = fit(context, training)
     if decision:
         context.progress.tell(str(decision))
-    np.savez(context.output.path("estimator.npz"), **estimator.to_arrays())
+    np.savez(context.output.path("estimator.npz"), **estimator.as_arrays())
     maps = Maps(context.inputs["normals"].folder)
     reflectance = maps.group["reflectance"]
     rows, columns, _ = reflectance.shape
