@@ -27,8 +27,7 @@ from reflectance_table import directions, fit_reflectance_table, predict_reflect
 
 import _project  # noqa: F401
 from nishiki.brdf.fit import fit_points, fit_torrance_sparrow, point_problem
-from nishiki.brdf.gloss_profile import SpecularHistogram
-from nishiki.brdf.scene import fit_scene
+from nishiki.brdf.gloss_profile import SpecularHistogram, fit_gloss
 from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular
 
 VIEW = np.array([0.0, 0.0, 1.0])
@@ -232,10 +231,7 @@ def scenes():
         start = time.process_time()
         histogram = SpecularHistogram.empty().add_tile(photographs, noisy, albedo, lights, sigma=sigma)
         gather = time.process_time() - start
-        variants = [
-            (f"lobes {k}, normal noise {d}", {"lobes": k, "normal_noise": d}) for k in ("auto", 1) for d in (1, 0)
-        ]
-        runs = [(name, lambda s=s, h=histogram: fit_scene(h, **s)[0]) for name, s in variants]
+        runs = [("ladder", lambda h=histogram: fit_gloss(h))]
         runs.append(("brightest_light", lambda p=photographs: fit_brightest_light(p, noisy, albedo, lights)))
         for name, run in runs:
             seconds, fit = fastest(run, 1)

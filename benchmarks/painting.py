@@ -8,8 +8,9 @@ captures of different seed, finish and relief first. Every method runs through s
 figures are those a user gets. One JSON object a line: angles in degrees; de00_*: CIEDE2000 between the predicted and
 the photographed check light, through the camera's colour map (de00_truth_*: between XYZ from the spectra and noise-free
 XYZ); `lights`: the same for each check light, split into pixels without (diffuse) and with highlights by the truth.
-us_per_pixel: selection, normals and reflectance in memory, compiled, best of three; gloss_s: seconds for the gloss of
-the scene beside it. --budget adds a line a scene and check light with parts of the prediction replaced by the truth.
+us_per_pixel: selection, normals and reflectance in memory, compiled, best of three; finishes_s: seconds for the
+finishes of the scene beside it. --budget adds a line a scene and check light with parts of the prediction replaced
+by the truth.
 """
 
 import argparse
@@ -140,7 +141,8 @@ def timing(ingested, settings):
     from nishiki.observations.plane import Observations
     from nishiki.photometric.light_selection import select_diffuse
     from nishiki.stages.normals import NormalsSettings
-    from nishiki.stages.normals.parcel import choose_fit, scene_gloss, solve
+    from nishiki.stages.normals.finishes import choose_finishes
+    from nishiki.stages.normals.parcel import solve
 
     frames = Observations(ingested)
     lights = frames.fit_lights()
@@ -148,12 +150,11 @@ def timing(ingested, settings):
     directions, rows = frames.directions[lights], slice(0, min(frames.shape[0], 512))
     observations, valid = frames.read(rows, lights=lights)
     parcel = Parcel(rows, slice(0, frames.shape[1]), directions, np.ones(len(lights), np.float32))
-    seconds, gloss_seconds, gloss = [], [], None
+    seconds, gloss_seconds = [], []
     for _ in range(4):
         start = time.perf_counter()
-        gloss = scene_gloss(frames, None, lights, chosen)
+        profile = choose_finishes(frames, None, lights, chosen).joint[0]
         gloss_seconds.append(time.perf_counter() - start)
-        profile = choose_fit(frames, None, lights, gloss, chosen)[0]
         start = time.perf_counter()
         level = np.ascontiguousarray(observations.mean(axis=-1))
         usable = select_diffuse(level, directions, valid=valid, **settings.get("separate", {})).usable
@@ -161,7 +162,7 @@ def timing(ingested, settings):
         seconds.append(time.perf_counter() - start)
     return {
         "us_per_pixel": round(min(seconds[1:]) / valid[0].size * 1e6, 2),
-        "gloss_s": round(min(gloss_seconds[1:]), 3) if gloss else 0.0,
+        "finishes_s": round(min(gloss_seconds[1:]), 3),
         "refined": profile is not None,
     }
 

@@ -94,7 +94,7 @@ def small_painting(
     if shading is not None:
         maps["normals"][1]["shading"] = shading
     inputs = {stage: _artifact(folder, stage, *made, basis) for stage, made in maps.items()}
-    inputs["brdf"] = _gloss(folder, 1 if regions is None else 2, transmission)
+    inputs["brdf"] = _gloss(folder, regions, transmission)
     inputs["ingest"] = _photographs(folder, normals, channels, lights, regions)
     return SmallPainting(height, normals.astype(np.float32), waves.astype(np.float32), basis, known, lights, inputs)
 
@@ -140,11 +140,14 @@ def _artifact(folder: Path, stage: str, settings, maps: dict, basis: np.ndarray)
     return make_artifact(folder, settings(), fill, stamp=STAMP, stage=stage)
 
 
-def _gloss(folder: Path, regions: int, transmission: float) -> Artifact:
+def _gloss(folder: Path, regions: np.ndarray | None, transmission: float) -> Artifact:
     def fill(writer: ArtifactWriter) -> dict:
-        lobes = [([0.6], [0.25]), ([40.0], [0.1])][:regions]
-        described = [{"beta": beta, "gamma": gamma, "refractive_index": 1.45} for beta, gamma in lobes]
-        parameters = {"method": "scene", "regions": described, "transmission": transmission}
+        lobes = [([0.6], [0.25]), ([40.0], [0.1])][: 1 if regions is None else 2]
+        shared = {"refractive_index": 1.45, "transmission": transmission}
+        parameters = {"method": "scene", "regions": [{"beta": beta, "gamma": gamma, **shared} for beta, gamma in lobes]}
+        if regions is not None:
+            out = MapWriter(writer.folder, rows=ROWS, columns=COLUMNS, band_rows=BAND_ROWS, stamp=STAMP)
+            out.write("labels", regions.astype(np.uint8))
         writer.path("parameters.json").write_text(json.dumps(parameters))
         return {}
 

@@ -9,7 +9,7 @@ from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.model_selection.decision import Decision, economy
-from nishiki.model_selection.gloss import decide_gloss, gloss_evidence, unseen_gain
+from nishiki.model_selection.gloss import decide_gloss, unseen_gain
 from nishiki.model_selection.lights import (
     FEWEST,
     WORTH,
@@ -142,46 +142,19 @@ def test_few_lights_and_small_scenes_are_left_alone():
 # Gloss of a plane ----------------------------------------------------------------------------------------------------
 
 
-def evidence(roughness, *, noise=0.003, saturated=False, body=1.0, seed=5):
-    """Evidence of a scene of GGX gloss over a body; body < 1: it departs from Lambert's law at grazing light."""
-    rng = np.random.default_rng(seed)
-    lights, normals = hemisphere(12), tilted(1500, rng)
-    cosine = np.maximum(normals @ lights.T, 0)
-    residual = 0.5 * (cosine**body - cosine) + noise * rng.standard_normal(cosine.shape)
-    if roughness is not None:
-        residual = residual + ggx(normals, lights, roughness)
-    half = lights + VIEW
-    half = half / np.linalg.norm(half, axis=1, keepdims=True)
-    phi = np.arccos(np.clip(normals @ half.T, -1, 1))
-    usable = np.ones(phi.shape, bool)
-    if saturated:
-        usable = residual < 0.05
-    return gloss_evidence(phi, residual, np.where(cosine > 0, 0.035, 0), usable)
+def finish(gain, share=0.5):
+    return {"share": share, "gloss_gain_de00": gain}
 
 
-@pytest.mark.parametrize("roughness", [0.15, 0.3, 0.5])
-def test_gloss_is_kept(roughness):
-    assert evidence(roughness).keep
-
-
-@pytest.mark.parametrize("body", [1.0, 1.01])
-def test_matt_is_dropped_and_says_what_it_costs(body):
-    found = evidence(None, body=body)
-    decision = decide_gloss([found], "auto")
-    assert not found.keep
-    assert decision.decision.startswith("no gloss: Lambert")
-    assert found.brightest <= found.noise
-
-
-def test_gloss_below_the_noise_is_dropped_and_above_it_kept():
-    assert not evidence(0.9, noise=0.1).keep
-    assert evidence(0.9, noise=0.002).keep
-
-
-def test_saturated_highlights_keep_the_question_open():
-    found = evidence(0.3, saturated=True)
-    assert found.keep
-    assert "saturated" in found.why
+def test_gloss_is_dropped_with_its_loss_and_kept_where_it_predicts():
+    dropped = decide_gloss([finish(-0.2, 1.0)], np.array([False]), "auto")
+    assert dropped.measured == pytest.approx(-0.2)
+    assert dropped.measured < dropped.limit
+    part = decide_gloss([finish(0.8), finish(-0.2)], np.array([True, False]), "auto")
+    assert part.measured == pytest.approx(0.3)
+    assert "1 of 2" in part.decision
+    assert decide_gloss([finish(None)], np.array([True]), "auto").measured is None
+    assert decide_gloss([finish(0.8)], np.array([False]), "drop").criterion == "set"
 
 
 # Gloss of an object --------------------------------------------------------------------------------------------------

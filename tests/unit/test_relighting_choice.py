@@ -1,11 +1,17 @@
 """What predicts lamps best: captured lamps left out, synthetic scenes of each kind."""
 
-from types import SimpleNamespace
-
 import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile
-from nishiki.model_selection.relighting import ERRORS, MARGIN, Fitted, Sampled, choose_model, decided, left_out_errors
+from nishiki.model_selection.relighting import (
+    ERRORS,
+    MARGIN,
+    Fitted,
+    Sampled,
+    choose_model,
+    joint_fit_counts,
+    left_out_errors,
+)
 from nishiki.observations.parcels import Parcel
 from nishiki.stages.normals import NormalsSettings
 from nishiki.stages.normals.parcel import relit, solve
@@ -103,11 +109,10 @@ def test_the_margin_and_the_scatter_of_the_lamps():
 
 
 def test_the_joint_fit_has_to_predict_lamps_better():
-    glossy = SimpleNamespace(significant=True, gain=0.2)
-    matt = SimpleNamespace(significant=False, gain=0.001)
-    worse, better = ({"plain": np.full(12, 2.0), "joint": np.full(12, error)} for error in (1.97, 1.9))
-    assert decided(glossy, "auto", better)[0]
-    assert not decided(glossy, "auto", worse)[0]
-    assert decided(glossy, "auto")[0]  # too few lights to leave any out
-    assert not decided(matt, "auto")[0]
-    assert decided(matt, "gloss")[0]
+    """A small gain under every lamp counts, a large one under a single lamp does not, nor outweighs it a loss."""
+    lamps_error = 2 + np.sin(np.arange(12.0))
+    single = np.where(np.arange(12) == 4, 0.5, 1.0)
+    for factor, counts in ((0.97 + 0.01 * single, True), (single, False), (1.0, False), (1.05, False)):
+        assert joint_fit_counts({"normals": lamps_error, "joint": lamps_error * factor}) is counts
+    near_mirror = np.where(np.arange(12) == 4, 30.0, lamps_error)
+    assert joint_fit_counts({"normals": near_mirror, "joint": 0.7 * near_mirror})

@@ -105,7 +105,7 @@ def passed(scene, cosine, labels):
     """What the surface lets through, region by region."""
     index = scene.gloss.refractive_index[labels]
     lost = 1 - (1 - fresnel(np.clip(cosine, 1e-6, 1), index)) / (1 - fresnel(np.ones(cosine.shape), index))
-    return 1 - scene.gloss.transmission * lost
+    return 1 - scene.gloss.transmission[labels] * lost
 
 
 def widening(scene, directions, views, gamma):
@@ -150,7 +150,7 @@ def test_matrix_form_equals_61_bands(bands, eye, terms):
     if terms:  # some factors below 0, which count as 0
         shading = np.random.default_rng(2).normal([0.8, -0.3, 0.5, 0.2, -0.1][:terms], 0.5, (*scene.shape, terms))
         shading = shading.astype(np.float32)
-        gloss = dataclasses.replace(scene.gloss, transmission=0.8)
+        gloss = dataclasses.replace(scene.gloss, transmission=[0.8, 0.0, 0.3])
         scene = dataclasses.replace(scene, shading=shading, gloss=gloss)
     ambient = Ambient(illuminant("FL2"), 0.3)
     visibility = np.random.default_rng(1).uniform(0, 1, (4, *scene.shape)).astype(np.float32)

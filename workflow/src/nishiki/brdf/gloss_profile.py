@@ -295,6 +295,7 @@ PEAK_ERROR = 0.01  # likewise, relative to the highest row
 FEWEST = 20  # samples of a row
 MOST_STEPS = 1000  # of the active set; SciPy stops with an error after 33, which scenes with next to no gloss reach
 MUCH = 0.1  # share of the strength with which a lobe at an end of the ladder is told
+EVIDENCE = 4.0  # fall of the squared error, in those of a row, from which the narrowest of the lobes is believed
 
 
 @dataclass(frozen=True)
@@ -332,6 +333,12 @@ class GlossProfile:
         exponent = (np.asarray(phi, np.float64)[..., None] / self.gamma) ** 2
         with np.errstate(under="ignore"):
             return np.exp2(-exponent) @ factors
+
+    def wider(self, steps: int) -> "GlossProfile":
+        """Return the same gloss with every lobe so many steps of the ladder wider, its power kept."""
+        places = np.clip(np.arange(self.gamma.size) + steps, 0, self.gamma.size - 1)
+        beta = np.bincount(places, self.beta * (self.gamma / self.gamma[places]) ** 2, self.gamma.size)
+        return replace(self, beta=beta)
 
     def table(self) -> np.ndarray:
         """(4, NODES) as the kernel reads them, on equal steps: value and slope of z over the chord 2 sin(phi / 2), and
@@ -434,13 +441,22 @@ def fit_gloss(
     profile = histogram.profile(region=region)
     beta = np.zeros(ladder.size)
     enough = profile.count >= FEWEST
-    if enough.any():
+    if enough.sum() > 1:  # one angle tells no width
         value = profile.value[enough]
         columns = blurred_lobes(profile, ladder)[enough]
         scatter = profile.spread[enough] / np.sqrt(profile.count[enough])
         error = np.sqrt((PROFILE_ERROR * value) ** 2 + (PEAK_ERROR * np.abs(value).max()) ** 2 + scatter**2)
         error = np.maximum(error, np.finfo(np.float64).tiny)
-        beta, _ = nnls(columns / error[:, None], value / error, maxiter=MOST_STEPS)
+        columns = columns / error[:, None]
+        for end in ladder.argsort():  # a few samples beside the mirror direction look like the narrowest lobe
+            beta, rest = nnls(columns, value / error, maxiter=MOST_STEPS)
+            fewer = np.delete(columns, end, axis=1)
+            without = nnls(fewer, value / error, maxiter=MOST_STEPS)[1]
+            if without**2 - rest**2 > EVIDENCE * max(rest**2 / enough.sum(), 1):
+                break
+            columns[:, end] = 0
+        else:
+            beta = np.zeros(ladder.size)
     return GlossProfile(beta, ladder, histogram.refractive_index, transmission, histogram.value_unit)
 
 

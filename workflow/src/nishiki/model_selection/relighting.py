@@ -26,7 +26,6 @@ from nishiki.evaluate.relighting import difference_of
 from nishiki.model_selection.decision import Decision
 from nishiki.observations.parcels import Parcel
 from nishiki.photometric.flags import NO_ESTIMATE
-from nishiki.photometric.gloss_scene import WORTHWHILE, SceneGloss
 
 FOLDS = 5
 FEWEST = 8  # lights: with fewer, what the rest of them says differs too much from what all of them say
@@ -41,18 +40,31 @@ LARGEST_SIGMA = 0.1  # radians: where normals are worse, their blur of the gloss
 class Sampled:
     """Hold sampled pixels under one set of directions.
 
-    observations (lights, 1, pixels, channels), usable and valid (lights, 1, pixels) bool, and their parcel.
+    observations (lights, 1, pixels, channels), usable and valid (lights, 1, pixels) bool, and their parcel; cells (1,
+    pixels): numbers of cells of the picture, or of regions.
     """
 
     observations: np.ndarray
     usable: np.ndarray
     valid: np.ndarray
     parcel: Parcel
+    cells: np.ndarray | None = None
+
+    def only(self, chosen: np.ndarray) -> "Sampled":
+        """Select some of the pixels: numbers, or bool (pixels,)."""
+        names = ("observations", "usable", "valid")
+        return replace(self, **{name: getattr(self, name)[:, :, chosen] for name in names}, cells=self.cells[:, chosen])
 
     def under(self, lights: np.ndarray) -> "Sampled":
         """Select some of the lights."""
         parcel = replace(self.parcel, directions=self.parcel.directions[lights], scale=self.parcel.scale[lights])
-        return Sampled(self.observations[lights], self.usable[lights], self.valid[lights], parcel)
+        return replace(
+            self,
+            observations=self.observations[lights],
+            usable=self.usable[lights],
+            valid=self.valid[lights],
+            parcel=parcel,
+        )
 
     @property
     def scaled(self) -> np.ndarray:
@@ -101,10 +113,15 @@ def choose_model(errors: dict[str, np.ndarray]) -> tuple[str, Decision]:
     return model, decision
 
 
-def left_out_errors(pieces: Sequence[Sampled], fit: Callable[[Sampled], dict[str, Fitted]]) -> dict[str, np.ndarray]:
-    """Mean CIEDE2000 (lights,) over the valid samples of each light, left out of the fit in turn, by candidate."""
+def left_out_errors(
+    pieces: Sequence[Sampled], fit: Callable[[Sampled], dict[str, Fitted]], scene: Sequence[Sampled] = ()
+) -> dict[str, np.ndarray]:
+    """Mean CIEDE2000 (lights,) over the valid samples of each light, left out of the fit in turn, by candidate.
+
+    scene : pieces that tell the level of the scene, where it is not that of `pieces`.
+    """
     lights = np.arange(len(pieces[0].valid))
-    levels = np.concatenate([piece.scaled[piece.valid] for piece in pieces])
+    levels = np.concatenate([piece.scaled[piece.valid] for piece in scene or pieces])
     unit, brightest = max(float(np.median(levels.mean(axis=-1))), DARKEST) / MID_GREY, float(levels.max())
     sums: dict[str, np.ndarray] = {}
     for fold in range(FOLDS):
@@ -159,40 +176,18 @@ def colour_differences(first: np.ndarray, second: np.ndarray, compared: np.ndarr
     return differences
 
 
-LEAST_GAIN = 0.02  # part of the error of left-out lamps that the joint fit takes off where it counts
-CLEAR = 1 / 3  # of the limit: a gain nearer to 0 in the first look is not looked at again
+LEAST_GAIN = 0.02  # part of the error of left-out lamps that a finish more has to take off
 
 
-def clearly_matt(first: SceneGloss) -> bool:
-    """Whether the first look settles it: the gain in robust cost is within a third of what counts of nothing.
+def joint_fit_counts(errors: dict[str, np.ndarray]) -> bool:
+    """Tell whether the joint fit predicts lamps left out better than the normals of the selection, by ERRORS.
 
-    A loss of more than that is a profile that has gone wrong, and says nothing.
+    On surfaces whose gloss it takes for another, and on matt ones with interreflections, it does not, and its normals
+    are worse. Ratios of the errors are compared, for one lamp near the mirror direction outweighs all differences, and
+    scatter is that below their mean: such a lamp may gain much more than the others.
+
+    errors : of `left_out_errors`, of "normals" and "joint".
     """
-    return abs(first.gain) < CLEAR * WORTHWHILE
-
-
-def decided(
-    gloss: SceneGloss, setting: str, errors: dict[str, np.ndarray] | None = None, *, limit: float = WORTHWHILE
-) -> tuple[bool, Decision]:
-    """Whether the joint fit is used, and what was decided.
-
-    errors : CIEDE2000 of captured lamps left out, with "plain" and "joint"
-    (`nishiki.model_selection.relighting.left_out_errors`), or None. Where gloss counts, the joint fit must predict them
-    better by LEAST_GAIN: on surfaces whose gloss it takes for another, and on matt ones with interreflections, it does
-    not, and its normals are worse.
-    """
-    joint, words = gloss.significant, "no joint fit: gloss does not count"
-    if joint and errors is not None:
-        gain, least = float(errors["plain"].mean() - errors["joint"].mean()), LEAST_GAIN * float(errors["plain"].mean())
-        joint = gain > least
-        words = "normals fitted together with gloss" if joint else "no joint fit: it predicts lamps less well"
-        criterion = "CIEDE2000 of captured lamps left out that the joint fit takes off"
-        return joint, Decision("refine", words, criterion, gain, least, "nothing", "normals.refine: gloss")
-    joint = joint or setting == "gloss"
-    if joint:
-        words = "normals fitted together with gloss"
-    if setting == "gloss":
-        words += " (set)"
-    loss = "nothing" if joint else f"robust cost {max(gloss.gain, 0.0):.2g} a value higher than with a gloss profile"
-    criterion = "robust cost a value (light and channel) that gloss takes off, on a sample"
-    return joint, Decision("refine", words, criterion, float(gloss.gain), limit, loss, "normals.refine: gloss")
+    gains = np.log(np.maximum(errors["normals"], DARKEST) / np.maximum(errors["joint"], DARKEST))
+    below = np.minimum(gains - gains.mean(), 0)
+    return bool(gains.mean() > ERRORS * np.sqrt(2 * np.mean(below**2) / (gains.size - 1)))

@@ -66,6 +66,7 @@ def _middle(area: slice) -> float:
     return (area.start + area.stop - 1) / 2
 
 
+STRIDE = 3  # pixels
 STRIPS = 16  # rows of the picture that are looked at: bounds the reading where bands are many
 
 
@@ -89,22 +90,28 @@ class Piece:
         return area.reshape(-1, *area.shape[2:])[self.places][None]
 
 
-def sample(frames: Observations, lights: np.ndarray, pixels: int, *, channel: str | None = "mean") -> Iterator[Piece]:
+def sample(
+    frames: Observations, lights: np.ndarray, pixels: int, *, channel: str | None = "mean", cell: int = 1
+) -> Iterator[Piece]:
     """About `pixels` pixels of the object from at most STRIPS strips of rows: the same on every machine.
 
     The strips lie evenly among the rows that the object reaches; of near lamps' parcels the pixels are taken alike.
+    cell: side of squares of pixels of which many are taken or none; under distant lamps one in STRIDE^2 at least.
     """
     rows = np.flatnonzero(frames.mask.any(axis=1))
     if not rows.size:
         return
     count = frames.mask[rows].sum(axis=1)
-    height = int(np.clip(np.ceil(4 * pixels / (STRIPS * count.mean())), 1, frames.band_rows))
-    starts = np.unique(np.linspace(rows[0], max(rows[0], rows[-1] + 1 - height), STRIPS).round().astype(int))
+    height = int(np.clip(np.ceil(4 * pixels / (STRIPS * count.mean())), min(cell, frames.band_rows), frames.band_rows))
+    starts = np.linspace(rows[0], max(rows[0], rows[-1] + 1 - height), STRIPS).round().astype(int)
+    starts = np.unique(starts // cell * cell)
     strips = [
         slice(int(a), int(min(a + height, b))) for a, b in zip(starts, [*starts[1:], frames.shape[0]], strict=True)
     ]
     inside = sum(int(frames.mask[strip].sum()) for strip in strips)
-    step, seen = max(1, inside // pixels), 0
+    most = 1 if cell == 1 or frames.positions_mm is not None else STRIDE
+    stride = int(np.clip(np.ceil(np.sqrt(inside / pixels)), 1, most))
+    step, seen = max(1, inside // (stride**2 * pixels)), 0
     for strip in strips:
         observations, valid = frames.read(strip, lights=lights, channel=channel)
         mask = frames.mask[strip]
@@ -112,6 +119,11 @@ def sample(frames: Observations, lights: np.ndarray, pixels: int, *, channel: st
             area = np.s_[:, parcel.rows, parcel.columns]
             here = np.flatnonzero(mask[area[1:]])
             chosen = here[(-seen) % step :: step]
+            if cell > 1:
+                row, column = (place.ravel()[here] for place in np.mgrid[area[1:]])
+                row += strip.start
+                taken = (row // cell + column // cell) % step == 0
+                chosen = here[taken & (row % stride == 0) & (column % stride == 0)]
             seen += here.size
             if chosen.size:
                 scale = parcel.scale.reshape(-1, *[1] * (observations.ndim - 1))

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 WINDOW = 7  # pixels
-SCALE, SIGMA_POWER, CURL_POWER, TILT_POWER = 0.54, 0.24, 0.34, 0.395
+SCALE, SIGMA_POWER, CURL_POWER, TILT_POWER = 2.93, 0.587, 0.414, 0.406
 LEAST_SIGMA, LEAST_CURL, LEAST_TILT = 0.003, 0.0005, 0.05
 LEAST_NZ, STEEPEST = 0.15, 3.0  # slopes and tangents of the tilt beyond count as these
 UNKNOWN = 0.5 * np.pi  # as sigma of pixels without an estimate

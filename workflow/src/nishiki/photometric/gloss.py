@@ -7,7 +7,6 @@ import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile, light_table
 from nishiki.errors import UserError
-from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss_kernel import refine_pixels
 from nishiki.threads import threads as given_threads
 
@@ -40,15 +39,6 @@ class RefinedNormals:
     lights_used: np.ndarray
     flags: np.ndarray
     cost: np.ndarray
-
-    @property
-    def diagnostics(self) -> dict[str, float]:
-        """Pixels refined and kept as they were, and the medians of sigma and residual over the refined."""
-        done = (self.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
-        middle = {
-            name: float(np.median(getattr(self, name)[done])) if done.any() else 0.0 for name in ("sigma", "residual")
-        }
-        return {"pixels": int(done.size), "refined": int(done.sum()), **{f"median_{k}": v for k, v in middle.items()}}
 
 
 def refine_normals(

@@ -1,11 +1,17 @@
-"""The gloss of a scene from a sample of its pixels: profile and pixels in turn, and whether it is worth using.
+"""The finishes of a scene from a sample of its pixels: one gloss, or several and the places that have them.
 
 Highlights bias the normals and the normals decide where highlights are. So: specular samples with the normals as they
 stand -> profile (normals' errors undone) -> joint fit of the sample's pixels -> and again. Every round starts the
 pixels from the same normals; only profile, normals and reflectances of the last round are handed to the next.
+
+A painting may be varnished in part. Cells of the picture are then given to the profile under which the joint fit costs
+least, and each profile is fitted again to its cells, like the means and members of k-means (S. P. Lloyd, Least squares
+quantization in PCM, IEEE Trans. Inf. Theory 28, 1982). Two finishes start from the gloss of the whole scene and from
+no gloss; a further one splits a gloss into a narrower and a wider one (Y. Linde, A. Buzo and R. M. Gray, An algorithm
+for vector quantizer design, IEEE Trans. Commun. 28, 1980).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +22,12 @@ from nishiki.photometric.gloss import RefinedNormals, refine_normals
 
 ROUNDS = 3
 LARGEST_SIGMA = 0.1  # radians: where the normals are worse the blur is no longer a small one
-FIRST_LOOK = 4000  # pixels of a thinner sample; of fewer than 1500 the profile can be far off
+FIRST_LOOK = 4000  # pixels of a thinner sample
 WORTHWHILE = 0.03  # gain of robust cost a value, from which gloss counts as shown
 TRANSMISSIONS = (0.0, 0.5, 1.0)  # tried; the least of the parabola through their costs is taken
+SIDE = 15  # pixels: of a cell of the picture that has one finish
+FEWEST_CELLS = 4  # of a finish
+MOST_FINISHES = 4
 MEASURED = 0.01  # fall of the robust cost, relative, from which the lamps tell the transmission from a tilt
 
 
@@ -27,7 +36,8 @@ class GlossTile:
     """Pixels under one set of directions, with the normals that the fit starts from.
 
     observations (lights, rows, columns, channels); valid (lights, rows, columns) bool; directions (lights, 3); normals
-    (rows, columns, 3); flags, sigma (rows, columns); reflectance (rows, columns, channels).
+    (rows, columns, 3); flags, sigma (rows, columns); reflectance (rows, columns, channels); cells (rows, columns) int:
+    number of the cell of the picture, where finishes are told apart.
     """
 
     observations: np.ndarray
@@ -37,18 +47,27 @@ class GlossTile:
     flags: np.ndarray
     sigma: np.ndarray
     reflectance: np.ndarray
+    cells: np.ndarray | None = None
+
+    def only(self, chosen: np.ndarray) -> "GlossTile":
+        """Return the same of some pixels of a tile (lights, 1, pixels, ...): numbers, or bool (pixels,)."""
+        of_lights = {name: getattr(self, name)[:, :, chosen] for name in ("observations", "valid")}
+        names = ("normals", "flags", "sigma", "reflectance", "cells")
+        of_pixels = {name: value[:, chosen] for name in names if (value := getattr(self, name)) is not None}
+        return replace(self, **of_lights, **of_pixels)
 
 
 @dataclass(frozen=True)
 class SceneGloss:
-    """profile; gain: robust cost a value (light and channel) that the profile takes off the fit without gloss;
-    significant: whether that is WORTHWHILE; pixels of the sample; costs: with and without the profile."""
+    """profile, without gloss where none is significant; found: whether or not; gain: robust cost a value (light and
+    channel) that the profile takes off the fit without gloss; significant: whether that is WORTHWHILE; pixels of the
+    sample."""
 
     profile: GlossProfile
+    found: GlossProfile
     gain: float
     significant: bool
     pixels: int
-    costs: tuple[float, float]
 
     @property
     def described(self) -> dict:
@@ -85,12 +104,81 @@ def fit_scene_gloss(
         profile = fit_gloss(histogram, transmission=profile.transmission)
         fits = [refined(tile, profile, **settings) for tile in tiles]
     without = [refined(tile, nothing, **settings) for tile in tiles]
-    costs = mean_cost(tiles, fits), mean_cost(tiles, without)
-    gain = costs[1] - costs[0]
+    gain = mean_cost(tiles, without) - mean_cost(tiles, fits)
     significant = bool(gain > WORTHWHILE)
-    if not significant:
-        profile = replace(profile, transmission=0.0)
-    return SceneGloss(profile, gain, significant, sum(tile.flags.size for tile in tiles), costs)
+    shown = profile if significant else replace(nothing, transmission=0.0)
+    return SceneGloss(shown, profile, gain, significant, sum(tile.flags.size for tile in tiles))
+
+
+def find_finishes(
+    tiles: Sequence[GlossTile], gloss: GlossProfile, **settings
+) -> Iterator[tuple[list[SceneGloss], np.ndarray, np.ndarray]]:
+    """Divide the cells among two finishes, then three and so on, while each has FEWEST_CELLS and a gloss of its own.
+
+    Parameters
+    ----------
+    tiles : of pixels (lights, 1, pixels, ...), with the numbers of their cells.
+    gloss : of the whole scene.
+    settings : of `refine_normals`.
+
+    Yields
+    ------
+    (finishes, labels, clear): the gloss of each, its number for every cell (cells,), and which cells are clearly its
+    own (cells,) bool: their cost under any other is higher by more than half of what is usual for the finish.
+    """
+    nothing = replace(gloss, beta=np.zeros(gloss.beta.size), transmission=0.0)
+    starts = [[replace(gloss, transmission=1.0), nothing]]
+    while starts and len(starts[0]) <= MOST_FINISHES:
+        tries = [_settle(tiles, start, **settings) for start in starts]
+        tries = [each for each in tries if np.bincount(each[1], minlength=len(each[0])).min() >= FEWEST_CELLS]
+        if not tries:
+            return
+        profiles, labels, costs = min(tries, key=lambda each: each[2].min(axis=0).mean())
+        least, second = np.sort(costs, axis=0)[:2]
+        usual = np.array([np.median((second - least)[labels == k]) for k in range(len(profiles))])
+        clear = second - least > 0.5 * usual[labels]
+        parts = [[tile.only(labels[tile.cells[0]] == k) for tile in tiles] for k in range(len(profiles))]
+        finishes = [
+            fit_scene_gloss([tile for tile in part if tile.flags.size], refractive_index=gloss.refractive_index)
+            for part in parts
+        ]
+        if sum(not finish.profile.beta.any() for finish in finishes) > 1:
+            return  # what differs is not the gloss
+        yield finishes, labels, clear
+        starts = [
+            [*profiles[:k], profile.wider(-1), profile.wider(1), *profiles[k + 1 :]]
+            for k, profile in enumerate(profiles)
+            if profile.beta.any()
+        ]
+
+
+def _settle(tiles, profiles, **settings) -> tuple[list[GlossProfile], np.ndarray, np.ndarray]:
+    """Return profiles fitted to their cells, the labels of the cells, and all costs (profiles, cells), after ROUNDS."""
+    profiles = list(profiles)
+    for number in range(ROUNDS + 1):
+        fits = [[refined(tile, profile, **settings) for tile in tiles] for profile in profiles]
+        costs = np.stack([cell_costs(tiles, each) for each in fits])
+        labels = costs.argmin(axis=0)
+        if number == ROUNDS:
+            break
+        for k, profile in enumerate(profiles):
+            histogram = SpecularHistogram.empty(refractive_index=profile.refractive_index, value_unit=profile.unit)
+            for tile, fit in zip(tiles, fits[k], strict=True):
+                histogram = add_tile(histogram, tile, fit, profile, labels[tile.cells] == k)
+            if profile.beta.any() and histogram.rows.any():
+                profiles[k] = fit_gloss(histogram, transmission=profile.transmission)
+    return profiles, labels, costs
+
+
+def cell_costs(tiles: Sequence[GlossTile], fits: Sequence[RefinedNormals]) -> np.ndarray:
+    """Return the mean robust cost a value of every cell (cells,); 0 without a fitted pixel."""
+    count = 1 + max(int(tile.cells.max()) for tile in tiles)
+    total, values = np.zeros(count), np.zeros(count)
+    for tile, fit in zip(tiles, fits, strict=True):
+        done = (fit.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
+        total += np.bincount(tile.cells[done], fit.cost[done], count)
+        values += np.bincount(tile.cells[done], tile.valid.sum(axis=0)[done], count) * tile.observations.shape[-1]
+    return total / np.maximum(values, 1)
 
 
 def measure_transmission(tiles: Sequence[GlossTile], profile: GlossProfile, **settings) -> float:
@@ -101,7 +189,8 @@ def measure_transmission(tiles: Sequence[GlossTile], profile: GlossProfile, **se
     does not fall by that part, MEASURED, below that of the profile's own transmission (a ring of lamps at one
     incidence), that one is kept.
     """
-    few = thinned(tiles) or tiles
+    every = max(sum(tile.flags.size for tile in tiles) // FIRST_LOOK, 1)
+    few = [tile.only(np.s_[::every]) for tile in tiles]
     costs = np.array(
         [mean_cost(few, [refined(t, replace(profile, transmission=x), **settings) for t in few]) for x in TRANSMISSIONS]
     )
@@ -111,31 +200,20 @@ def measure_transmission(tiles: Sequence[GlossTile], profile: GlossProfile, **se
     return best if curve(best) < (1 - MEASURED) * curve(profile.transmission) else profile.transmission
 
 
-def thinned(tiles: list[GlossTile], pixels: int = FIRST_LOOK) -> list[GlossTile] | None:
-    """About so many pixels of the tiles (lights, 1, pixels, ...), evenly; None where that is most of them."""
-    every = sum(tile.flags.size for tile in tiles) // pixels
-    if every < 2:
-        return None
-    out, seen = [], 0
-    for tile in tiles:
-        chosen = np.arange((-seen) % every, tile.flags.shape[1], every)
-        seen += tile.flags.shape[1]
-        if chosen.size:
-            of_lights = {name: getattr(tile, name)[:, :, chosen] for name in ("observations", "valid")}
-            of_pixels = {name: getattr(tile, name)[:, chosen] for name in ("normals", "flags", "sigma", "reflectance")}
-            out.append(replace(tile, **of_lights, **of_pixels))
-    return out
-
-
 def radiance_unit(tiles: Sequence[GlossTile]) -> float:
     """`unit_of` the tiles' reflectances. Noise and the cells of the histogram are relative to it."""
     return unit_of([tile.reflectance for tile in tiles])
 
 
-def add_tile(histogram, tile: GlossTile, fit: RefinedNormals | None, profile: GlossProfile) -> SpecularHistogram:
-    """The histogram with a tile's specular samples, by the last round's fit or by what the tile came with."""
+def add_tile(
+    histogram, tile: GlossTile, fit: RefinedNormals | None, profile: GlossProfile, where: np.ndarray | bool = True
+) -> SpecularHistogram:
+    """The histogram with a tile's specular samples, by the last round's fit or by what the tile came with.
+
+    where: (rows, columns) bool, pixels that count.
+    """
     source = tile if fit is None else fit
-    valid = tile.valid & ((tile.flags & bits.NO_ESTIMATE) == 0)
+    valid = tile.valid & ((tile.flags & bits.NO_ESTIMATE) == 0) & where
     samples = specular_samples(
         tile.observations, tile.directions, source.normals, source.reflectance, profile, valid=valid
     )

@@ -38,20 +38,6 @@ class LightSelection(Summarised):
     lights_usable: np.ndarray
     method: str
 
-    @property
-    def diagnostics(self):
-        """Fractions of samples by reason, and pixels left with fewer than three lights, as plain numbers."""
-        lights, rows, columns = self.usable.shape
-        samples = max(1, lights * rows * columns)
-        return {
-            "method": self.method,
-            "usable_fraction": float(self.lights_usable.sum(dtype=np.int64) / samples),
-            "highlight_fraction": float(self.highlights.sum(dtype=np.int64) / samples),
-            "shadow_fraction": float(self.shadows.sum(dtype=np.int64) / samples),
-            "invalid_fraction": float(self.invalid.sum(dtype=np.int64) / samples),
-            "pixels_with_fewer_than_three_lights": int((self.lights_usable < 3).sum()),
-        }
-
 
 def select_diffuse(
     observations,

@@ -25,8 +25,8 @@ _LX, _LY, _LZ, _E = (k * BLOCK for k in range(8, 12))
 _COSI, _PHI2, _FG, _X, _Y, _CONTRAST, _WD, _WS, _BETA, _INVG2 = (k * BLOCK for k in range(12, 22))
 _SA, _SB, _SD = (k * BLOCK for k in range(22, 25))
 _LEAVE, _ENTER, _SXX, _SXY, _SYY, _DX, _DY, _Q = (k * BLOCK for k in range(25, 33))
-_EX, _EY = 33 * BLOCK, 34 * BLOCK
-_LOBES = 35  # first of the lanes that hold beta, 1 / gamma^2 of each lobe
+_EX, _EY, _LOSS = 33 * BLOCK, 34 * BLOCK, 35 * BLOCK
+_LOBES = 36  # first of the lanes that hold beta, 1 / gamma^2 of each lobe
 # A facet distribution below 2^-60 counts as 0, as in the scalar form.
 _NEGLIGIBLE = 60.0
 # Mean of x^8 over a uniform half space, weighted by the cosine, for a facet that faces the eye: 4 int (2u - 1) u^4 du.
@@ -103,13 +103,14 @@ def _load_slopes(buf, slopes, n):
 
 
 @njit(cache=True, error_model="numpy")
-def _load_gloss(buf, labels, gloss, index, entering, n):
+def _load_gloss(buf, labels, gloss, index, transmission, entering, n):
     """Gloss parameters of a block's regions into their lanes; `labels` is empty where all pixels are region 0."""
     if labels.shape[0] == 0:
         contrast = (index[0] - 1.0) * (index[0] + 1.0)
         for i in range(n):
             buf[_CONTRAST + i] = contrast
             buf[_ENTER + i] = entering[0]
+            buf[_LOSS + i] = transmission[0]
         for m in range(gloss.shape[1]):
             value = gloss[0, m]
             for i in range(n):
@@ -118,6 +119,7 @@ def _load_gloss(buf, labels, gloss, index, entering, n):
     for i in range(n):
         buf[_CONTRAST + i] = (index[labels[i]] - 1.0) * (index[labels[i]] + 1.0)
         buf[_ENTER + i] = entering[labels[i]]
+        buf[_LOSS + i] = transmission[labels[i]]
     for m in range(gloss.shape[1]):
         for i in range(n):
             buf[(_LOBES + m) * BLOCK + i] = gloss[labels[i], m]
@@ -285,24 +287,24 @@ def _passed(c, contrast):
 
 
 @njit(cache=True, error_model="numpy")
-def _leaving(buf, transmission, n):
+def _leaving(buf, n):
     """What the surface lets out towards the eye, relative to frontal (`torrance_sparrow.transmittance`)."""
     for i in range(n):
         c, contrast = buf[_COSR + i], buf[_CONTRAST + i]
         c = c if c > 1e-6 else 1e-6
         c = c if c < 1.0 else 1.0
-        buf[_LEAVE + i] = 1.0 - transmission * (1.0 - _passed(c, contrast) / _passed(1.0, contrast))
+        buf[_LEAVE + i] = 1.0 - buf[_LOSS + i] * (1.0 - _passed(c, contrast) / _passed(1.0, contrast))
 
 
 @njit(cache=True, error_model="numpy")
-def _transmit(buf, transmission, n):
+def _transmit(buf, n):
     """The shading of the body times what the surface lets in and out; the cosine is formed anew from n and l."""
     for i in range(n):
         c = buf[_NX + i] * buf[_LX + i] + buf[_NY + i] * buf[_LY + i] + buf[_NZ + i] * buf[_LZ + i]
         contrast = buf[_CONTRAST + i]
         c = c if c > 1e-6 else 1e-6
         c = c if c < 1.0 else 1.0
-        enter = 1.0 - transmission * (1.0 - _passed(c, contrast) / _passed(1.0, contrast))
+        enter = 1.0 - buf[_LOSS + i] * (1.0 - _passed(c, contrast) / _passed(1.0, contrast))
         buf[_COSI + i] *= enter * buf[_LEAVE + i]
 
 
@@ -364,7 +366,7 @@ def _add_lobe(buf, lobe, n):
 
 
 @njit(cache=True, error_model="numpy")
-def _add_light(buf, light, visibility, widest, shaded, blurred, transmission, n):
+def _add_light(buf, light, visibility, widest, shaded, blurred, lossy, n):
     """One light's diffuse and specular weights of a block, added to those of its group."""
     _directions(buf, light, n)
     _irradiance(buf, light, n)
@@ -383,8 +385,8 @@ def _add_light(buf, light, visibility, widest, shaded, blurred, transmission, n)
         _diffuse_cosines(buf, n)
     if shaded:
         _body_shading(buf, n)
-    if transmission > 0.0:
-        _transmit(buf, transmission, n)
+    if lossy:
+        _transmit(buf, n)
     for i in range(n):
         c = buf[_COSI + i]
         buf[_WD + i] += (c if c > 0.0 else 0.0) * buf[_E + i]
@@ -465,10 +467,10 @@ def shade(first, last, normals, coefficients, shading, slopes, labels, gloss, in
     c = max(n.l, 0), f the factor of the body shading. normals (R, C, 3), coefficients (R, C, K), shading (R, C, 3
     or 5) or (0, 0, 0): f = 1, and slopes (R, C, 3), covariance of the slopes in a pixel, or (0, 0, 0): none, float32;
     labels (R, C) uint8 or (0, 0): all pixels row 0; gloss (regions, 2 lobes): beta, 1 / gamma^2 of each lobe; index
-    (regions,); transmission: share of the surface's loss that the body's light suffers, entering (regions,): what is
-    left of ambient light on its way in; lights (L, 6): x, y, z, w, intensity, squared reference distance; group (L,)
-    row of matrices (G, channels, K, padded with zeros to fours), offsets and whites (G, channels), in rising order;
-    visibility (L, R, C) float32 or (0, 0, 0): all 1; plane (3, 3) maps (column, row, 1) to the plane; eye (4,)
+    (regions,); transmission (regions,): share of the surface's loss that the body's light suffers, entering (regions,):
+    what is left of ambient light on its way in; lights (L, 6): x, y, z, w, intensity, squared reference distance;
+    group (L,) row of matrices (G, channels, K, padded with zeros to fours), offsets and whites (G, channels), in rising
+    order; visibility (L, R, C) float32 or (0, 0, 0): all 1; plane (3, 3) maps (column, row, 1) to the plane; eye (4,)
     homogeneous; ambient: irradiance of group 0's uniform half space; widest: largest sin^2 phi at which a lobe counts,
     negative for a matte scene; out (R, C, channels) float32, flags (R, C) uint8.
     """
@@ -478,11 +480,11 @@ def shade(first, last, normals, coefficients, shading, slopes, labels, gloss, in
     sigma = np.zeros((matrices.shape[2], BLOCK))
     whole = np.int64(BLOCK)  # a constant as an argument would have functions compiled for it alone
     total = np.empty((out.shape[2], BLOCK))
-    positions = eye[3] != 0.0
+    positions, lossy = eye[3] != 0.0, transmission.max() > 0.0
     for j in range(lights.shape[0]):
         positions = positions or lights[j, 3] != 0.0
     # what is the same for all pixels is written to its lanes once
-    _load_gloss(buf, no_labels, gloss, index, entering, whole)
+    _load_gloss(buf, no_labels, gloss, index, transmission, entering, whole)
     _view_directions(buf, eye, whole)
     for row in range(first, last):
         for start in range(0, columns, BLOCK):
@@ -491,7 +493,7 @@ def shade(first, last, normals, coefficients, shading, slopes, labels, gloss, in
             mark = flags[row, start:end]
             _load_normals(buf, normals[row, start:end], mark, n)
             if labels.shape[0] > 0:
-                _load_gloss(buf, labels[row, start:end], gloss, index, entering, n)
+                _load_gloss(buf, labels[row, start:end], gloss, index, transmission, entering, n)
             reach = widest
             if slopes.shape[0] > 0 and widest >= 0.0:
                 reach += _NEGLIGIBLE * _TWO_LN2 * _load_slopes(buf, slopes[row, start:end], n)
@@ -505,8 +507,8 @@ def shade(first, last, normals, coefficients, shading, slopes, labels, gloss, in
             _view_cosines(buf, mark, n)
             for i in range(n):
                 buf[_WD + i] = ambient * 0.5 * (1.0 + buf[_NZ + i])
-            if transmission > 0.0:
-                _leaving(buf, transmission, n)
+            if lossy:
+                _leaving(buf, n)
                 for i in range(n):
                     buf[_WD + i] *= buf[_ENTER + i] * buf[_LEAVE + i]
             if shading.shape[0] > 0:
@@ -523,6 +525,6 @@ def shade(first, last, normals, coefficients, shading, slopes, labels, gloss, in
                     _flush(buf, total, sigma, matrices[current], offsets[current], whites[current], n)
                     current = group[j]
                 visible = visibility[j, row, start:end] if visibility.shape[0] > 0 else no_visibility
-                _add_light(buf, lights[j], visible, reach, shading.shape[0] > 0, slopes.shape[0] > 0, transmission, n)
+                _add_light(buf, lights[j], visible, reach, shading.shape[0] > 0, slopes.shape[0] > 0, lossy, n)
             _flush(buf, total, sigma, matrices[current], offsets[current], whites[current], n)
             _store(buf, out[row, start:end], mark, total, sigma, n)

@@ -145,14 +145,14 @@ class Gloss:
     """Torrance-Sparrow parameters, one row a region; a scene without regions has one row.
 
     beta, gamma: (regions, lobes), strength relative to the white reference and half width at half maximum in radians;
-    refractive_index: (regions,) >= 1; transmission: share (0 to 1) of the loss at a surface of that index that the
-    body's light suffers on its way in and out (`nishiki.brdf.torrance_sparrow.transmittance`).
+    refractive_index: (regions,) >= 1; transmission: (regions,) share (0 to 1) of the loss at a surface of that index
+    that the body's light suffers on its way in and out (`nishiki.brdf.torrance_sparrow.transmittance`).
     """
 
     beta: np.ndarray
     gamma: np.ndarray
     refractive_index: np.ndarray
-    transmission: float = 0.0
+    transmission: np.ndarray | float = 0.0
 
     def __post_init__(self):
         beta, gamma = (np.asarray(a, dtype=np.float64) for a in (self.beta, self.gamma))
@@ -171,9 +171,10 @@ class Gloss:
             )
         if not (np.all(np.isfinite(index)) and index.min() >= 1):
             raise UserError(f"gloss: expected a refractive index >= 1, found {index.tolist()}")
-        if not 0 <= self.transmission <= 1:
-            raise UserError(f"gloss: expected a transmission from 0 to 1, found {self.transmission}")
-        for name, value in (("beta", beta), ("gamma", gamma), ("refractive_index", index)):
+        lost = np.broadcast_to(np.asarray(self.transmission, dtype=np.float64), index.shape).copy()
+        if not (lost.min() >= 0 and lost.max() <= 1):
+            raise UserError(f"gloss: expected a transmission from 0 to 1, found {lost.tolist()}")
+        for name, value in (("beta", beta), ("gamma", gamma), ("refractive_index", index), ("transmission", lost)):
             object.__setattr__(self, name, value)
 
     @classmethod

@@ -15,7 +15,7 @@ PAINTING_LIMITS = (
 )
 
 
-class BrdfSettings(Guarded, stage="brdf", version=3, limits=PAINTING_LIMITS):
+class BrdfSettings(Guarded, stage="brdf", version=4, limits=PAINTING_LIMITS):
     """Torrance-Sparrow parameters of a scene or of each region."""
 
     method: Literal["robust", "paper"] = Field("robust", description="paper: brightest light, Levenberg-Marquardt")
@@ -26,11 +26,9 @@ class BrdfSettings(Guarded, stage="brdf", version=3, limits=PAINTING_LIMITS):
         1.45, gt=1, le=3, description="of the varnish or binder (Tominaga and Tanaka: 1.45)"
     )
     max_slope_deg: float = Field(50, gt=0, le=90, description="steeper pixels are left out of the fit")
-    lobes: Literal["ladder", 1, 2] = Field(
-        "ladder", description="specular lobes; ladder: the 11 widths of the joint fit of normals; paper: always 1"
-    )
     specular: Literal["auto", "keep", "drop"] = Field(
-        "auto", description="auto: omitted where samples show no gloss (docs/notes/economy.md); paper: always kept"
+        "auto",
+        description="auto: omitted where it does not better the prediction of captured lamps; paper: always kept",
     )
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
 

@@ -9,20 +9,15 @@ from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.fit import fit_lobe
 from nishiki.brdf.gloss_profile import (
-    LADDER,
-    GlossProfile,
     SpecularHistogram,
     blurred_lobes,
     fit_gloss,
-    specular_samples,
     unit_of,
 )
 from nishiki.brdf.scene import (
     brightest_light_samples,
-    described,
     described_brightest,
     described_ladder,
-    fit_scene,
     of_equal_lobes,
     parameters_at_bounds,
     thin,
@@ -30,12 +25,11 @@ from nishiki.brdf.scene import (
 )
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.model_selection.decision import Decision, economy
-from nishiki.model_selection.gloss import Evidence, decide_gloss, gloss_evidence
-from nishiki.observations.parcels import parcels, sample
+from nishiki.model_selection.gloss import decide_gloss
+from nishiki.observations.parcels import parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
 
-SAMPLE_PIXELS = 5000  # that decide whether the scene shows gloss
 UNIT_BANDS, UNIT_STEP = 8, 8  # bands, and rows and columns between the pixels, that tell the unit of the observations
 
 
@@ -43,16 +37,15 @@ def run(context: Context) -> dict:
     """Gather the specular samples of all lights tile by tile, then fit each region once."""
     frames = Observations(context.inputs["ingest"].folder)
     maps = Maps(context.inputs["normals"].folder)
-    labels = frames.regions
+    labels = maps.read("finish") if "finish" in maps else frames.regions
+    finishes = finishes_of(context.inputs["normals"], 1 if labels is None else int(labels.max()) + 1)
     if context.settings.method == "paper":
         regions, decision = fit_brightest(context, frames, maps, labels), None
     else:
-        regions, decision = fit_glossy(context, frames, maps, labels)
-    parameters = {
-        "method": context.settings.method,
-        "regions": regions,
-        "transmission": body_transmission(context.inputs["normals"]),
-    }
+        regions, decision = fit_glossy(context, frames, maps, labels, finishes)
+    for region, finish in zip(regions, finishes, strict=True):
+        region["transmission"] = body_transmission(finish)
+    parameters = {"method": context.settings.method, "regions": regions}
     text = json.dumps(parameters, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("parameters.json").write_text(text + "\n")
     if labels is not None:
@@ -71,31 +64,24 @@ def run(context: Context) -> dict:
 
 
 def fit_glossy(
-    context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None
+    context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None, finishes: list[dict]
 ) -> tuple[list[dict], Decision]:
-    """Every region that shows gloss fitted to all its pixels, the others Lambert alone; and what was decided."""
+    """Every region whose gloss predicts lamps fitted to all its pixels, the others Lambert alone; and the decision."""
     settings = context.settings
-    if settings.specular == "auto":
-        evidence = gloss_of_regions(context, frames, maps, labels)
-    else:
-        keep = settings.specular == "keep"
-        evidence = [Evidence(keep, "set", 0.0, 0.0, 0.0, 0.0, 0)] * (1 if labels is None else int(labels.max()) + 1)
-    decision = decide_gloss(evidence, settings.specular)
+    kept = np.array([settings.specular == "keep" or finish["gloss_counts"] for finish in finishes])
+    kept &= settings.specular != "drop"
+    decision = decide_gloss(finishes, kept, settings.specular)
     context.progress.tell(str(decision))
-    regions = [without_gloss(settings.refractive_index, gloss.samples) for gloss in evidence]
-    if any(gloss.keep for gloss in evidence):
-        histogram = gather(context, frames, maps, labels, np.array([gloss.keep for gloss in evidence]))
-        fitted = fit_regions(histogram, settings.lobes)
-        regions = [
-            glossy if gloss.keep else none for glossy, none, gloss in zip(fitted, regions, evidence, strict=True)
-        ]
+    regions = [without_gloss(settings.refractive_index, 0) for _ in finishes]
+    if kept.any():
+        transmissions = np.array([body_transmission(finish) for finish in finishes])
+        fitted = fit_regions(gather(context, frames, maps, labels, kept, transmissions))
+        regions = [glossy if keep else none for glossy, none, keep in zip(fitted, regions, kept, strict=True)]
     return of_equal_lobes(regions), decision
 
 
-def fit_regions(histogram: SpecularHistogram, lobes: int | str) -> list[dict]:
-    """Parameters of each region: strengths of the lobes that `normals` fits with, or one or two lobes of any width."""
-    if lobes != "ladder":
-        return [described(fit) for fit in fit_scene(histogram, lobes=lobes)]
+def fit_regions(histogram: SpecularHistogram) -> list[dict]:
+    """Parameters of each region: strengths of the lobes that `normals` fits with."""
     parameters = []
     for region in range(len(histogram.rows)):
         gloss, profile = fit_gloss(histogram, region=region), histogram.profile(region=region)
@@ -107,46 +93,15 @@ def fit_regions(histogram: SpecularHistogram, lobes: int | str) -> list[dict]:
     return parameters
 
 
-def body_transmission(normals: Artifact) -> float:
+def finishes_of(normals: Artifact, count: int) -> list[dict]:
+    """Return what `normals` says of each finish; of the only one for every region where it knows of no more."""
+    finishes = normals.diagnostics["finishes"]
+    return finishes if len(finishes) == count else finishes[:1] * count
+
+
+def body_transmission(finish: dict) -> float:
     """Share of the surface's loss that the body's light suffers: as the joint fit took it, 0 where there was none."""
-    diagnostics = normals.diagnostics
-    return float(diagnostics["gloss_transmission"]) if diagnostics["refined"] else 0.0
-
-
-def gloss_of_regions(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> list[Evidence]:
-    """Return evidence of gloss of each region, from a sample of the scene's pixels."""
-    settings = context.settings
-    lights = frames.fit_lights(settings.hold_out)
-    transmission = body_transmission(context.inputs["normals"])
-    nothing = GlossProfile(np.zeros(LADDER.size), LADDER, settings.refractive_index, transmission)
-    parts = []
-    for piece in sample(frames, lights, SAMPLE_PIXELS):
-        normals, known = piece.of(shading_normals(maps, piece.band)), piece.of(maps.read("flags", piece.band))
-        flat = normals[..., 2] < np.cos(np.radians(settings.max_slope_deg))
-        reflectance = piece.of(maps.read("reflectance", piece.band)).mean(axis=-1)[..., None]
-        everywhere = np.broadcast_to(((known & NO_ESTIMATE) == 0) & ~flat, piece.valid.shape)
-        samples = specular_samples(
-            piece.observations[..., None],
-            piece.parcel.directions,
-            normals,
-            reflectance,
-            nothing,
-            valid=everywhere,
-            shading=piece.of(shading_of(maps, piece.band)) if "shading" in maps else None,
-        )
-        sigma = np.broadcast_to(piece.of(maps.read("sigma", piece.band)) / np.sqrt(2), piece.valid.shape)
-        region = np.zeros(everywhere.shape, int) if labels is None else piece.of(labels[piece.band]) + 0 * everywhere
-        parts.append([values.ravel() for values in (*samples, piece.valid, sigma, region)])
-    phi, residual, attenuation, usable, sigma, region = (np.concatenate(values) for values in zip(*parts, strict=True))
-    count = 1 if labels is None else int(labels.max()) + 1
-    chosen = [region == k for k in range(count)]
-    return [
-        gloss_evidence(
-            phi[pixels], residual[pixels], attenuation[pixels], usable[pixels],
-            sigma=sigma[pixels], refractive_index=settings.refractive_index,
-        )
-        for pixels in chosen
-    ]  # fmt: skip
+    return float(finish["gloss_transmission"]) if finish["joint"] else 0.0
 
 
 def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> list[dict]:
@@ -190,9 +145,17 @@ def published_fit(samples: list, refractive_index: float) -> dict:
 
 
 def gather(
-    context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None, glossy: np.ndarray
+    context: Context,
+    frames: Observations,
+    maps: Maps,
+    labels: np.ndarray | None,
+    glossy: np.ndarray,
+    transmissions: np.ndarray,
 ) -> SpecularHistogram:
-    """Specular samples of every usable observation of the glossy regions, by angle between normal and half vector."""
+    """Specular samples of every usable observation of the glossy regions, by angle between normal and half vector.
+
+    glossy, transmissions (regions,): bool, and share of the surface's loss that the body suffers.
+    """
     settings = context.settings
     lights = frames.fit_lights(settings.hold_out)
     regions = 1 if labels is None else int(labels.max()) + 1
@@ -200,7 +163,6 @@ def gather(
         regions=regions, refractive_index=settings.refractive_index, value_unit=unit_of(reflectances(frames, maps))
     )
     lowest = np.cos(np.radians(settings.max_slope_deg))
-    transmission = body_transmission(context.inputs["normals"])
     for band in context.progress.over(frames.bands(), "band"):
         observations, valid = frames.read(band, lights=lights, channel="mean")
         normals = shading_normals(maps, band)
@@ -212,17 +174,19 @@ def gather(
         shading = shading_of(maps, band)
         for parcel in parcels(frames, band, lights):
             area = parcel.rows, parcel.columns
-            histogram = histogram.add_tile(
-                observations[:, *area] * parcel.scale[:, None, None],
-                normals[area],
-                reflectance[area],
-                parcel.directions,
-                usable=valid[:, *area],
-                sigma=sigma[area],
-                regions=region[area],
-                shading=None if shading is None else shading[area],
-                transmission=transmission,
-            )
+            for transmission in np.unique(transmissions[glossy]):
+                here = np.where(transmissions[region[area]] == transmission, region[area], -1)
+                histogram = histogram.add_tile(
+                    observations[:, *area] * parcel.scale[:, None, None],
+                    normals[area],
+                    reflectance[area],
+                    parcel.directions,
+                    usable=valid[:, *area],
+                    sigma=sigma[area],
+                    regions=here,
+                    shading=None if shading is None else shading[area],
+                    transmission=transmission,
+                )
     return histogram
 
 

@@ -47,8 +47,7 @@ def define():
         def __init__(self, props):
             mi.BSDF.__init__(self, props)
             self.textures = {name: props[name] for name in TEXTURES if name in props}
-            gloss = json.loads(props["gloss"])
-            self.regions, self.transmission = gloss["regions"], gloss["transmission"]
+            self.regions = json.loads(props["gloss"])["regions"]
             flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.SpatiallyVarying
             self.m_flags, self.m_components = flags, [flags]
 
@@ -69,9 +68,9 @@ def define():
             parallel = (cosine * s - 1) / (cosine * d + 1)
             return 0.5 * (d / s) ** 2 * (1 + parallel * parallel)
 
-        def passed(self, cosine, index):
+        def passed(self, cosine, index, transmission):
             straight = 1 - ((index - 1) / (index + 1)) ** 2
-            return 1 + self.transmission * ((1 - self.fresnel(cosine, index)) / straight - 1)
+            return 1 + transmission * ((1 - self.fresnel(cosine, index)) / straight - 1)
 
         def body(self, si, light, c, along, active):
             a, b, d = self.texel("shading", si, active)
@@ -108,8 +107,11 @@ def define():
             faces_the_view = r > 0  # others show their body without gloss
             c, r, q = (dr.maximum(each, 1e-6) for each in (c, r, q))
             region = self.textures["regions"].eval_1(si, active) if "regions" in self.textures else 0
-            index = self.of_region(region, [each["index"] for each in self.regions])
-            body = c * self.body(si, light, c, along, active) * self.passed(c, index) * self.passed(r, index)
+            index, loss = (
+                self.of_region(region, [each[name] for each in self.regions]) for name in ("index", "transmission")
+            )
+            passed = self.passed(c, index, loss) * self.passed(r, index, loss)
+            body = c * self.body(si, light, c, along, active) * passed
             masked = dr.minimum(1 / r, 2 * dr.maximum(along, 0) * dr.minimum(c / r, 1) / q)
             gloss = self.lobes(si, normal, half, region, active) * self.fresnel(q, index) * masked
             gloss = dr.select(faces_the_view, gloss, 0)

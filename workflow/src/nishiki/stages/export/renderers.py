@@ -27,7 +27,6 @@ from nishiki.formats.banded_pictures import ExrWriter
 from nishiki.formats.merl import MERL_HIDDEN, merl_bytes, merl_directions
 from nishiki.formats.mitsuba_xml import Parameter
 from nishiki.formats.textured_surface import faces, heading, index_of, vertices
-from nishiki.observations.plane import Observations
 from nishiki.report.page import read_json
 from nishiki.stages.export import mitsuba_paint
 from nishiki.stages.export.gloss import region_materials, slopes_widen
@@ -144,12 +143,9 @@ def model_textures(scene: ExportedScene, *, facets: bool, regions: bool) -> dict
 
 def gloss_facts(parameters: dict | None) -> dict:
     """Return lobes of each region, and the losses of the body's light at the surface."""
-    beta, gamma, index, transmission = gloss_table(parameters)
-    names = ("beta", "gamma", "index")
-    regions = [
-        dict(zip(names, each, strict=True)) for each in zip(beta.tolist(), gamma.tolist(), index.tolist(), strict=True)
-    ]
-    return {"regions": regions, "transmission": transmission}
+    names = ("beta", "gamma", "index", "transmission")
+    columns = (values.tolist() for values in gloss_table(parameters))
+    return {"regions": [dict(zip(names, each, strict=True)) for each in zip(*columns, strict=True)]}
 
 
 def write_relief(folder: Path, context: Context, scene: ExportedScene) -> int:
@@ -176,15 +172,15 @@ def write_relief(folder: Path, context: Context, scene: ExportedScene) -> int:
 def write_merl(context: Context, scene: ExportedScene) -> dict:
     """Write a table a region: its lobes, and the mean of its body colour and body shading."""
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    beta, gamma, index, transmission = gloss_table(parameters)
-    labels = Observations(context.inputs["ingest"].folder).regions if len(index) > 1 else None
+    beta, gamma, index, lost = gloss_table(parameters)
+    labels = scene.regions(slice(0, scene.shape[0])) if len(index) > 1 else None
     light, view = merl_directions()
     files, spreads = [], []
     for region in range(len(index)):
         colour, shading, spread = mean_body(scene, labels, region)
         if colour is None:
             continue
-        brdf = brdf_of(light, view, colour, shading, beta[region], gamma[region], index[region], transmission)
+        brdf = brdf_of(light, view, colour, shading, beta[region], gamma[region], index[region], lost[region])
         file = f"exports/merl/region-{region}.binary"
         context.output.path(file).write_bytes(merl_bytes(brdf))
         files.append(file)

@@ -43,6 +43,8 @@ class ExportedScene:
         self._maps = Maps(inputs["normals"].folder)
         self._height = Maps(inputs["height"].folder) if "height" in inputs else None
         self._spectra = Maps(inputs["spectra"].folder) if "spectra" in inputs else None
+        several = "brdf" in inputs and inputs["brdf"].path("maps.zarr").is_dir()
+        self._labels = Maps(inputs["brdf"].folder) if several else None
         self.shape: tuple[int, int] = self._maps.group["normals"].shape[:2]
         self.band_rows: int = self._maps.group["normals"].chunks[0]
         self.pitch_mm: float | None = self._maps.group.attrs.get("pixel_pitch_mm")
@@ -144,9 +146,8 @@ class ExportedScene:
         return np.where(self.known(rows)[..., None], np.nan_to_num(self.coefficients(rows)) @ self.to_srgb().T, 0)
 
     def regions(self, rows: slice) -> np.ndarray | None:
-        """Return (r, columns) uint8 region of gloss of each pixel; None where the capture names no regions."""
-        labels = self._frames.regions
-        return None if labels is None else labels[rows]
+        """Return (r, columns) uint8 region of gloss of each pixel; None where the painting has one finish."""
+        return None if self._labels is None else self._labels.read("labels", rows)
 
     def fitted_model(self, rows: slice) -> FittedModel:
         """Return what predicts photographs of these rows; without gloss where it is left out."""

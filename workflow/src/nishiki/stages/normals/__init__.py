@@ -43,7 +43,7 @@ LIMITS = (
 )
 
 
-class NormalsSettings(Guarded, stage="normals", version=3, limits=LIMITS):
+class NormalsSettings(Guarded, stage="normals", version=4, limits=LIMITS):
     """Photometric stereo on the selected lights (Tominaga and Tanaka 2004, section 3.3); reflectance of each
     channel."""
 

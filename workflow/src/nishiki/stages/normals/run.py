@@ -19,7 +19,8 @@ from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.relighting import TERMS
 from nishiki.stages.normals import NormalsSettings
-from nishiki.stages.normals.parcel import MAPS, choose_fit, relit, scene_gloss, solve
+from nishiki.stages.normals.finishes import choose_finishes, finish_labels
+from nishiki.stages.normals.parcel import MAPS, fit_finishes, relit, solve
 
 
 def map_tiles(context: Context) -> dict:
@@ -33,27 +34,34 @@ def map_tiles(context: Context) -> dict:
             "separate was made with. Remedy: give both stages the same, or run both through the workflow."
         )
     lights, decision = fit_lights(frames, selection, context.settings)
-    gloss = scene_gloss(frames, selection, lights, context.settings)
-    profile, model, decisions = choose_fit(frames, selection, lights, gloss, context.settings)
+    finishes = choose_finishes(frames, selection, lights, context.settings)
+    model, glosses, several = finishes.model, finishes.joint, len(finishes.parts) > 1
     relight = model is not None and len(lights) <= FEW_LIGHTS
-    for made in decisions:
+    for made in finishes.decisions:
         if made:
             context.progress.tell(str(made))
-    arrays = create_maps(context, frames, terms=TERMS.get(model, 3), relight=relight)
+    arrays = create_maps(context, frames, terms=TERMS.get(model, 3), relight=relight, several=several)
     counts: Counter[str] = Counter()
     sigmas = []
     for band in context.progress.over(context.share(frames.bands()), "band"):
         size = band.stop - band.start, frames.shape[1]
         tile_maps = {name: np.empty((*size, *array.shape[2:]), array.dtype) for name, array in arrays.items()}
         packed = None if selection is None else selection.read("usable", band)
+        labels = np.zeros(size, np.uint8)
+        if several:
+            labels = finish_labels(frames, selection, lights, band, finishes, context.settings)
+            tile_maps["finish"][...] = labels
         for rows, observations, valid in frames.strips(band, lights=lights):
             strip = slice(rows.start - band.start, rows.stop - band.start)
             usable = valid if packed is None else unpack_lights(packed[strip], len(lights))
             for parcel in parcels(frames, rows, lights):
                 area = np.s_[:, parcel.rows, parcel.columns]
-                maps = solve(observations[area], usable[area], valid[area], parcel, context.settings, profile)
+                here = labels[strip][area[1:]]
+                maps = solve(observations[area], usable[area], valid[area], parcel, context.settings, None)
+                fit_finishes(maps, observations[area], valid[area], parcel, context.settings, glosses, here)
                 if model is not None:
-                    maps.update(relit(observations[area], valid[area], parcel, maps, model))
+                    together = np.array([gloss is not None for gloss in glosses])[here]
+                    maps.update(relit(observations[area], valid[area], parcel, maps, model, together))
                 for name in maps.keys() & arrays.keys():
                     tile_maps[name][strip][area[1:]] = maps[name]
         if frames.uncertainty:
@@ -65,10 +73,9 @@ def map_tiles(context: Context) -> dict:
         sigmas.append(tile_maps["sigma"][inside & ((tile_maps["flags"] & bits.NO_ESTIMATE) == 0)][::17])
     same = {
         "lights": [frames.lights[j] for j in lights],
-        "refined": profile is not None,
-        **({} if gloss is None else gloss.described),
+        **finishes.described,
         "relighting": model,
-        "economy": economy(decision, *decisions),
+        "economy": economy(decision, *finishes.decisions),
     }
     return {"same": same, "counts": dict(counts), "sigma": np.concatenate([np.empty(0, np.float32), *sigmas])}
 
@@ -92,8 +99,9 @@ def fit_lights(
     return lights[chosen], decision
 
 
-def create_maps(context: Context, frames: Observations, *, terms: int, relight: bool) -> dict:
-    """Return the arrays of the artifact; terms: of the map `shading`, relight: with `shading_normals`."""
+def create_maps(context: Context, frames: Observations, *, terms: int, relight: bool, several: bool) -> dict:
+    """Return the arrays of the artifact; terms: of the map `shading`, relight: with `shading_normals`, several: with
+    `finish`."""
     rows, columns = frames.shape
     maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
     unbalanced = not frames.white_board and str(frames.attributes.get("coding")).startswith("linear")
@@ -101,6 +109,7 @@ def create_maps(context: Context, frames: Observations, *, terms: int, relight: 
     trailing = {"normals": (3,), "reflectance": (len(frames.channels),), "shading": (terms,), "shading_normals": (3,)}
     left_out = {"shading"} if context.settings.solver == "least_squares" else set()
     left_out |= set() if relight else {"shading_normals"}
+    left_out |= set() if several else {"finish"}
     left_out |= set() if frames.uncertainty else {"correction_sigma"}
     return {
         name: maps.create(name, trailing.get(name, ()), dtype=dtype, unit=unit)

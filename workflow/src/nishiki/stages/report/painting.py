@@ -11,7 +11,7 @@ from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.observations.plane import Observations
 from nishiki.report.numbers import figure, plain
 from nishiki.report.page import Block, Cell, Figure, Figures, Note, Section, Table, Tile, contents, film, read_json
-from nishiki.report.pictures import Ruler, file_picture, ruler
+from nishiki.report.pictures import Ruler, block_of, class_picture, file_picture, ruler
 from nishiki.report.scene_page import text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart
 from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting, kind_of
@@ -59,6 +59,8 @@ def run(context: Context) -> dict:
             gloss_section(
                 read_json(inputs.get("brdf"), "parameters.json"),
                 true_gamma=(truth.get("gloss") or {}).get("true_gamma_rad"),
+                finishes=finishes_of(page, diagnostics["normals"].get("finishes") or []),
+                names=finish_names(diagnostics["normals"].get("finishes") or []),
             ),
             capture_section(
                 diagnostics["ingest"], lights=list(frames.lights), kinds=kinds, directions=frames.directions
@@ -91,11 +93,62 @@ FLAGS = {
 """Flags of a fit (`nishiki.brdf.fit`) in words."""
 
 
-def gloss_section(parameters: dict[str, Any] | None, *, true_gamma: list[float] | None = None) -> Section | None:
+GLOSSY_DEG, SATIN_DEG = 6.0, 13.0
+"""Half widths of the facets up to which a finish is called glossy and satin."""
+WHERE = "where each finish was found, by the fit that explains the photographs there; a label picture would replace it."
+
+
+def finish_names(finishes: list[dict[str, Any]]) -> list[str]:
+    """Name every finish of the diagnostics of `normals` by its gloss, alike ones with a number."""
+    names = []
+    for finish in finishes:
+        beta, gamma = (np.array(finish.get(name) or [0.0]) for name in ("gloss_beta", "gloss_gamma_deg"))
+        phi = np.linspace(0, 90, 1801)
+        profile = np.exp2(-((phi[:, None] / np.maximum(gamma, 1e-9)) ** 2)) @ beta
+        half = float(phi[profile >= 0.5 * profile[0]].max())
+        shiny = "glossy" if half < GLOSSY_DEG else "satin" if half < SATIN_DEG else "sheen"
+        names.append(shiny if beta.any() and finish.get("gloss_counts", True) else "matt")
+    return [f"{name} {names[: k + 1].count(name)}" if names.count(name) > 1 else name for k, name in enumerate(names)]
+
+
+def finishes_of(page: PageMaps, finishes: list[dict[str, Any]]) -> list[Block]:
+    """Return the map of the finishes and their figures; nothing where one explains the painting."""
+    if len(finishes) < 2 or "finish" not in page.maps["normals"]:
+        return []
+    names = finish_names(finishes)
+    block = block_of(page.mask.shape[1], page.widest)
+    sampled = np.s_[block // 2 :: block, block // 2 :: block]
+    labels = np.where(page.mask, page.maps["normals"].read("finish"), -1)[sampled]
+    key = {k: (PALETTE[k % len(PALETTE)], name) for k, name in enumerate(names)}
+    rows: list[list[Cell]] = [
+        [
+            name,
+            100 * finish["share"],
+            finish.get("gloss_transmission"),
+            "together with the gloss" if finish["joint"] else "from the selected lights",
+            finish["left_out_de00"].get("joint" if finish["joint"] else "plain"),
+        ]
+        for name, finish in zip(names, finishes, strict=True)
+    ]
+    head = ("Finish", "share, %", "loss at the surface", "normals", "ΔE00 of captured lamps left out")
+    caption = (
+        "Finishes: share of the painting, part of a smooth surface's loss that the body suffers, fit of the normals."
+    )
+    figures = Figures([Figure("Finishes", WHERE, class_picture(labels, key), ruler=page.ruler)])
+    return [figures, Table(head, rows, "lrrlr", caption)]
+
+
+def gloss_section(
+    parameters: dict[str, Any] | None,
+    *,
+    true_gamma: list[float] | None = None,
+    finishes: list[Block] | None = None,
+    names: list[str] | None = None,
+) -> Section | None:
     """None where no gloss was fitted.
 
     parameters : parameters.json of the stage brdf; true_gamma : least, median and largest half width at half maximum of
-    the true facet distribution, radians, where it is known.
+    the true facet distribution, radians, where it is known; finishes : their map and figures; names : of the regions.
     """
     if parameters is None:
         return None
@@ -103,6 +156,8 @@ def gloss_section(parameters: dict[str, Any] | None, *, true_gamma: list[float] 
     charts: list[Figure] = []
     for number, region in enumerate(parameters["regions"]):
         name = f"region {number}" if len(parameters["regions"]) > 1 else "whole scene"
+        if names and len(names) == len(parameters["regions"]) > 1:
+            name = names[number]
         flags = ", ".join(FLAGS.get(flag, flag) for flag in region.get("flags") or []) or "–"
         rest = (region["refractive_index"], region.get("samples"), region.get("residual"), flags)
         for lobe, (beta, gamma) in enumerate(zip(region["beta"], region["gamma"], strict=True), 1):
@@ -114,7 +169,7 @@ def gloss_section(parameters: dict[str, Any] | None, *, true_gamma: list[float] 
         "Torrance-Sparrow parameters: strength β relative to the white reference, half width at half maximum γ, "
         "refractive index n."
     )
-    blocks: list[Block] = [INTRODUCTION, Figures(charts), Table(head, rows, "lrrrrrrrl", caption)]
+    blocks: list[Block] = [*(finishes or []), INTRODUCTION, Figures(charts), Table(head, rows, "lrrrrrrrl", caption)]
     if true_gamma:
         least, median, largest = (figure(float(np.degrees(value))) for value in true_gamma)
         blocks.append(
@@ -338,6 +393,10 @@ def verdict(
         (good if sigma < VISIBLE else doubtful).append(
             f"half of the normals are expected within {sigma:.1f}° of the true ones"
         )
+    names = finish_names(normals.get("finishes") or [])
+    if len(names) > 1:
+        shares = [f"{name} {100 * part['share']:.0f} %" for name, part in zip(names, normals["finishes"], strict=True)]
+        good.append(f"{len(names)} finishes were found and fitted apart ({', '.join(shares)})")
     missing = 1 - normals["valid_pixels"] / max(normals["object_pixels"], 1)
     if missing > 0.05:
         doubtful.append(f"{100 * missing:.0f} % of the object has no estimate")

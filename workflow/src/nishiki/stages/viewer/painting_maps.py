@@ -177,7 +177,7 @@ class PaintingCode:
 def gloss_of(maps: PaintingMaps) -> dict[str, Any]:
     """The gloss of every region, for the manifest. entering: what the surface lets in of light from all sides."""
     if maps.parameters is None:
-        return {"beta": [[]], "gamma": [[]], "refractive_index": [1.0], "transmission": 0.0, "entering": [1.0],
+        return {"beta": [[]], "gamma": [[]], "refractive_index": [1.0], "transmission": [0.0], "entering": [1.0],
                 "blurred": False}  # fmt: skip
     beta, gamma, index, transmission = gloss_table(maps.parameters)
     used = beta.max(axis=0) > 0
@@ -188,7 +188,7 @@ def gloss_of(maps: PaintingMaps) -> dict[str, Any]:
         "beta": beta[:, used].tolist(),
         "gamma": gamma[:, used].tolist(),
         "refractive_index": index.tolist(),
-        "transmission": transmission,
+        "transmission": transmission.tolist(),
         "entering": (1 - transmission * (1 - mean)).tolist(),
         "blurred": is_facets(maps.parameters),
     }

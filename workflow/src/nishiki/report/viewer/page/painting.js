@@ -301,7 +301,6 @@ export class Painting {
       set("uniform4fv", "powers", new Float32Array(lamps.flatMap(({ lamp, w, length }) => [lamp.intensity, w ? length ** 2 : 0, 0, 0])));
     }
     set("uniform1f", "ambient", state.ambient);
-    set("uniform1f", "transmission", gloss.transmission);
     set("uniform1i", "enhance", Math.max(ENHANCEMENTS.indexOf(state.enhance), 0));
     set("uniform1f", "strength", state.strength ?? 0.5);
     bind(gl, 1, gl.TEXTURE_2D, this.gloss, uniforms.gloss);
@@ -320,10 +319,10 @@ export class Painting {
     return this.programs.get(key);
   }
 
-  /** A row a region: index and entering light, then beta and 1 / gamma^2 of each lobe. */
+  /** A row a region: index, entering light and transmission, then beta and 1 / gamma^2 of each lobe. */
   #glossTexture() {
-    const { gl, manifest } = this, { beta, gamma, refractive_index, entering } = manifest.gloss;
-    const rows = beta.map((lobes, region) => [refractive_index[region], entering[region], 0, 0, ...lobes.flatMap((strength, k) => [strength, gamma[region][k] ** -2, 0, 0])]);
+    const { gl, manifest } = this, { beta, gamma, refractive_index, transmission, entering } = manifest.gloss;
+    const rows = beta.map((lobes, region) => [refractive_index[region], entering[region], transmission[region], 0, ...lobes.flatMap((strength, k) => [strength, gamma[region][k] ** -2, 0, 0])]);
     const made = texture(gl, gl.TEXTURE_2D, gl.NEAREST);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, 1 + beta[0].length, rows.length, 0, gl.RGBA, gl.FLOAT, new Float32Array(rows.flat()));
     return made;

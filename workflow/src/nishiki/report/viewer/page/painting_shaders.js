@@ -77,8 +77,7 @@ uniform float pitch;             // of the level's pixels
 uniform vec3 toward;             // the eye
 uniform float stride;            // pixels of the level between the neighbours whose slopes are compared
 uniform float blur;              // variance of the slopes that a pixel of the screen sees, relative to a pixel of the map
-uniform sampler2D gloss;         // a row a region: index, entering, -, -; then beta, 1 / gamma^2 of each lobe
-uniform float transmission;
+uniform sampler2D gloss;         // a row a region: index, entering, transmission, -; then beta, 1 / gamma^2 of each lobe
 #if SHADOWS
 uniform sampler2DArray visibility;
 uniform vec4 shadowPlace;        // scale and offset of its part of the map
@@ -125,7 +124,7 @@ float reflected(float c, float contrast) {
   return 0.5 * ratio * ratio * (1.0 + p * p);
 }
 
-float passed(float c, float contrast) {
+float passed(float c, float contrast, float transmission) {
   return 1.0 - transmission * (1.0 - (1.0 - reflected(clamp(c, 1e-6, 1.0), contrast)) / (1.0 - reflected(1.0, contrast)));
 }
 
@@ -176,7 +175,7 @@ void main() {
   ${repeat(SHADES, (k) => `float shade${k} = mix(shadeRange[${k}].x, shadeRange[${k}].y, ${plane(3 + CHROMA + k)});`)}
   ${repeat(5, (m) => `float f${m} = shadeMean[${m}]${Array.from({ length: SHADES }, (_, k) => ` + shade${k} * shadeAxes[${5 * k + m}]`).join("")};`)}
 #endif
-  float leave = transmission > 0.0 ? passed(cosR, contrast) : 1.0;
+  float leave = table.z > 0.0 ? passed(cosR, contrast, table.z) : 1.0;
   ${repeat(CHROMA, (k) => `float chroma${k} = mix(chromaRange[${k}].x, chromaRange[${k}].y, ${plane(3 + k)});`)}
   float gain = 1.0;
   if (enhance == 2) {
@@ -235,7 +234,7 @@ void main() {
     float x2 = along * along / max(length2, 1e-12), x4 = x2 * x2;
     w *= max(f0 + f1 * c + f2 * x4 * x4 + f3 * l.x + f4 * l.y, 0.0);
 #endif
-    if (transmission > 0.0) w *= passed(cosI, contrast) * leave;
+    if (table.z > 0.0) w *= passed(cosI, contrast, table.z) * leave;
     if (enhance == 1) {
       vec3 h = s * inversesqrt(length2);
       specular += 0.6 * strength * e * pow(max(dot(n, h), 0.0), 60.0);

@@ -1,0 +1,362 @@
+"""Choose the finishes of a scene by captured lamps left out: how many, where, and how normals are fitted on each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nishiki.artifacts.maps import Maps
+from nishiki.model_selection.decision import Decision
+from nishiki.observations.parcels import STRIDE, parcels, sample
+from nishiki.observations.plane import Observations
+from nishiki.photometric.flags import FEW_LIGHTS
+from nishiki.photometric.light_selection import unpack_lights
+from nishiki.photometric.relighting import MODELS
+from nishiki.stages.normals import NormalsSettings
+from nishiki.stages.normals.parcel import fit_finishes, relit, scaled, solve
+
+if TYPE_CHECKING:
+    from nishiki.brdf.gloss_profile import GlossProfile
+    from nishiki.model_selection.relighting import Sampled
+    from nishiki.photometric.gloss_scene import GlossTile, SceneGloss
+
+SAMPLE_PIXELS = 15_000  # of the scene, for its finishes
+RELIGHTING_PIXELS = 2000  # likewise, for the model that predicts lamps
+REACH = 2  # of these pixels, on each side, whose costs are averaged: 15 pixels of the picture
+
+
+@dataclass(frozen=True)
+class Finish:
+    """One finish.
+
+    gloss : fitted to its part of the sample, None where none was looked for; share : of the sample; profile : that
+    decides where the finish is, and with which normals are fitted where `joint`; errors : mean CIEDE2000 of captured
+    lamps left out, by candidate.
+    """
+
+    gloss: SceneGloss | None
+    share: float
+    profile: GlossProfile | None
+    joint: bool
+    errors: dict[str, np.ndarray]
+
+    @property
+    def error(self) -> np.ndarray:
+        """CIEDE2000 (lights,) of captured lamps left out, of the fit that was chosen."""
+        return self.errors["joint" if self.joint else "plain"]
+
+    def gloss_gain(self, model: str | None) -> float | None:
+        """CIEDE2000 of lamps left out that gloss takes off the fit that was chosen; None where none were left out."""
+        name = "joint" if self.joint else model
+        return float((self.errors[f"{name}, matt"] - self.errors[name]).mean()) if name in self.errors else None
+
+    def described(self, model: str | None) -> dict:
+        """Return plain numbers for the diagnostics; model: of relighting."""
+        gloss = {} if self.gloss is None else {**self.gloss.described, **self.profile.described}
+        means = {name: float(f"{error.mean():.4g}") for name, error in self.errors.items()}
+        gain = self.gloss_gain(model)
+        counts = {"gloss_counts": gain is None or gain > 0, "gloss_gain_de00": gain}
+        return {"share": self.share, "joint": self.joint, **gloss, **counts, "left_out_de00": means}
+
+
+@dataclass(frozen=True)
+class Finishes:
+    """parts : the finishes of a scene; model : of relighting, None where no pixel needs it; decisions."""
+
+    parts: tuple[Finish, ...]
+    model: str | None
+    decisions: tuple[Decision | None, ...] = ()
+
+    @property
+    def joint(self) -> list[GlossProfile | None]:
+        """The gloss with which normals are fitted, of each finish; None: from the selected lights alone."""
+        return [part.profile if part.joint else None for part in self.parts]
+
+    @property
+    def described(self) -> dict:
+        """Plain numbers for the diagnostics; the gloss of the widest finish stands at the top too."""
+        parts = [part.described(self.model) for part in self.parts]
+        top = {name: value for name, value in max(parts, key=lambda part: part["share"]).items() if "gloss" in name}
+        bounds = [bound for part in parts for bound in part.get("at_bounds", [])]
+        return {
+            "refined": any(part.joint for part in self.parts),
+            "finishes": parts,
+            **top,
+            "at_bounds": bounds,
+        }
+
+
+def choose_finishes(
+    frames: Observations, selection: Maps | None, lights: np.ndarray, settings: NormalsSettings
+) -> Finishes:
+    """Find the finishes of a scene on a sample of its pixels.
+
+    Captured lamps that are left out in turn decide how many there are, how normals are fitted on each, and which model
+    predicts lamps, where the settings leave it open. Regions of the capture are finishes without a question.
+    """
+    from nishiki.model_selection.relighting import FEWEST, choose_model
+
+    models = () if settings.solver == "least_squares" else MODELS
+    looked_for = settings.refine == "gloss" or (settings.refine == "auto" and len(lights) <= FEW_LIGHTS)
+    asked = settings.relighting == "auto"
+    wanted = SAMPLE_PIXELS if looked_for else RELIGHTING_PIXELS if models and asked else 0
+    pieces = sampled_pixels(frames, selection, lights, wanted) if wanted else []
+    pieces = [piece for piece in pieces if piece.valid.any()]
+    told = pieces and models and len(lights) >= FEWEST and settings.refine != "gloss"
+    step = max(1, sum(piece.valid.shape[2] for piece in pieces) // RELIGHTING_PIXELS)
+    few = [piece.only(np.s_[::step]) for piece in pieces] if told else []
+
+    def part(number: int, labels: np.ndarray, gloss: SceneGloss | None, clear: np.ndarray | bool = True) -> Finish:
+        return fitted_finish(few, labels == number, gloss, settings, models, clear)
+
+    if not (pieces and looked_for):
+        tried = [(part(0, np.zeros(1 + most_cell(pieces), int), None),)] if pieces else [(NO_FINISH,)]
+    elif frames.regions is not None:
+        tiles = gloss_tiles(pieces, settings)
+        numbers = np.arange(1 + int(frames.regions.max()))
+        tried = [tuple(part(k, numbers, of_region(tiles, k, settings)) for k in numbers)]
+    else:
+        tried = [
+            tuple(part(k, labels, gloss, clear) for k, gloss in enumerate(glosses))
+            for glosses, labels, clear in partitions(gloss_tiles(pieces, settings), settings, told=bool(told))
+        ]
+    parts, decision = choose_count(tried)
+    if settings.refine == "gloss":
+        parts = tuple(replace(each, joint=each.gloss is not None) for each in parts)
+    refinement = describe_refinement(parts, settings)
+    without = [each for each in parts if not each.joint]
+    if not models or not without:
+        return Finishes(parts, None, (decision, refinement))
+    if not asked or not told:
+        return Finishes(parts, MODELS[0] if asked else settings.relighting, (decision, refinement))
+    weights = [each.share for each in without]
+    errors = {name: np.average([each.errors[name] for each in without], axis=0, weights=weights) for name in MODELS}
+    model, relighting = choose_model(errors)
+    return Finishes(parts, model, (decision, refinement, relighting))
+
+
+NO_FINISH = Finish(None, 1.0, None, False, {})
+
+
+def most_cell(pieces: Sequence[Sampled]) -> int:
+    """Return the largest number of a cell."""
+    return max(int(piece.cells.max()) for piece in pieces)
+
+
+def partitions(
+    tiles: Sequence[GlossTile], settings: NormalsSettings, *, told: bool
+) -> Iterator[tuple[list[SceneGloss], np.ndarray, np.ndarray | bool]]:
+    """Yield one finish and its cells, and where lamps left out can tell, two and more."""
+    from nishiki.photometric.gloss_scene import find_finishes, fit_scene_gloss
+
+    whole = fit_scene_gloss(tiles, refractive_index=settings.refractive_index)
+    yield [whole], np.zeros(1 + max(int(tile.cells.max()) for tile in tiles), int), True
+    if told:
+        yield from find_finishes(tiles, whole.found)
+
+
+def of_region(tiles: Sequence[GlossTile], number: int, settings: NormalsSettings) -> SceneGloss:
+    """Return the gloss of one region of the capture; that of all where the sample holds none of it."""
+    from nishiki.photometric.gloss_scene import fit_scene_gloss
+
+    parts = [tile.only(tile.cells[0] == number) for tile in tiles]
+    parts = [tile for tile in parts if tile.flags.size]
+    return fit_scene_gloss(parts or tiles, refractive_index=settings.refractive_index)
+
+
+def fitted_finish(
+    pieces: Sequence[Sampled],
+    member: np.ndarray,
+    gloss: SceneGloss | None,
+    settings: NormalsSettings,
+    models: Sequence[str],
+    clear: np.ndarray | bool,
+) -> Finish:
+    """Fit one finish to lamps left out of the sample, and choose among the fits by its clear cells.
+
+    member (cells,) bool: its cells; clear (cells,) bool, or all.
+    """
+    from nishiki.brdf.gloss_profile import GlossProfile
+    from nishiki.model_selection.relighting import Fitted, joint_fit_counts, left_out_errors
+
+    nothing = None if gloss is None else replace(gloss.found, beta=0 * gloss.found.beta, transmission=0.0)
+    joint = {} if gloss is None else {"joint": gloss.found, "bare": nothing}
+
+    def fit(piece: Sampled) -> dict[str, Fitted]:
+        given = piece.observations, piece.usable, piece.valid, piece.parcel
+        maps = solve(*given, settings, None)
+        fits = {"normals": Fitted(maps)}
+        for name in models:
+            fits[name] = Fitted(maps | relit(piece.observations, piece.valid, piece.parcel, maps, name))
+        for name, profile in joint.items():
+            together = {key: np.array(values) for key, values in maps.items()}
+            labels = np.zeros(piece.valid.shape[1:], int)
+            fit_finishes(together, piece.observations, piece.valid, piece.parcel, settings, [profile], labels)
+            fits[name] = Fitted(together, profile)
+        matt = GlossProfile(np.zeros(1), np.ones(1), transmission=0.0)
+        for name in models:
+            fits[f"{name}, matt"] = Fitted(fits[name].maps, matt)
+        if joint:
+            fits["joint, matt"] = fits["bare"]
+        return fits
+
+    found = None if gloss is None else gloss.found
+    total = sum(piece.valid.shape[2] for piece in pieces)
+    here, surely = (
+        [part for piece in pieces if (part := piece.only(cells[piece.cells[0]])).valid.any()]
+        for cells in (member, member & clear)
+    )
+    share = sum(piece.valid.shape[2] for piece in here) / total if total else 1.0
+    if not here:
+        return Finish(gloss, share, found, gloss is not None and gloss.significant, {})
+    errors = left_out_errors(here, fit, pieces)
+    if gloss is None:
+        return Finish(None, share, None, False, errors)
+    told = errors if clear is True or not surely else left_out_errors(surely, fit, pieces)
+    if told["bare"].mean() <= told["joint"].mean():
+        found, told["joint"], errors["joint"] = nothing, told["bare"], errors["bare"]
+    return Finish(gloss, share, found, joint_fit_counts(told), errors)
+
+
+def choose_count(tried: Sequence[tuple[Finish, ...]]) -> tuple[tuple[Finish, ...], Decision | None]:
+    """Choose the partition that predicts lamps left out best; of one finish more it has to be better by LEAST_GAIN."""
+    from nishiki.model_selection.relighting import LEAST_GAIN
+
+    def error(parts: tuple[Finish, ...]) -> float:
+        return float(sum(part.share * part.error.mean() for part in parts if part.errors))
+
+    chosen = tried[0]
+    for parts in tried[1:]:
+        if error(parts) < (1 - LEAST_GAIN) * error(chosen):
+            chosen = parts
+    if len(tried) < 2:
+        return chosen, None
+    other = min((error(parts) for parts in tried[1:]), default=error(tried[0]))
+    gain = error(tried[0]) - (error(chosen) if len(chosen) > 1 else other)
+    words = "one finish explains the scene" if len(chosen) == 1 else f"{len(chosen)} finishes"
+    loss = "nothing" if len(chosen) > 1 or gain <= 0 else f"at most {gain:.2g} CIEDE2000"
+    return chosen, Decision(
+        "finishes", words, "CIEDE2000 of captured lamps left out that several finishes take off", gain,
+        LEAST_GAIN * error(tried[0]), loss, "a label picture of the capture (regions)",
+    )  # fmt: skip
+
+
+def describe_refinement(parts: Sequence[Finish], settings: NormalsSettings) -> Decision | None:
+    """Say on which finishes normals are fitted together with gloss, and by what."""
+    looked_for = [part for part in parts if part.gloss is not None]
+    if not looked_for:
+        return None
+    joint = sum(part.joint for part in parts)
+    words = "normals fitted together with gloss" if joint else "no joint fit of normals and gloss"
+    if 0 < joint < len(parts):
+        words += f" on {joint} of {len(parts)} finishes"
+    if settings.refine == "gloss":
+        words += " (set)"
+    told = [part for part in looked_for if part.errors]
+    if told:
+        own, fitted = (
+            sum(part.share * float(part.errors[name].mean()) for part in told) for name in ("normals", "joint")
+        )
+        criterion = "CIEDE2000 of captured lamps left out that the joint fit takes off"
+        return Decision("refine", words, criterion, own - fitted, None, "nothing", "normals.refine: gloss")
+    gain = max(part.gloss.gain for part in looked_for)
+    loss = "nothing" if joint else f"robust cost {max(gain, 0.0):.2g} a value higher than with a gloss profile"
+    criterion = "robust cost a value (light and channel) that gloss takes off, on a sample"
+    return Decision("refine", words, criterion, gain, None, loss, "normals.refine: gloss")
+
+
+def finish_labels(
+    frames: Observations,
+    selection: Maps | None,
+    lights: np.ndarray,
+    band: slice,
+    finishes: Finishes,
+    settings: NormalsSettings,
+) -> np.ndarray:
+    """Return the finish of each pixel of a band, (rows, columns) uint8: regions of the capture, else the cheapest fit.
+
+    Every STRIDE-th pixel of every STRIDE-th row is fitted with the gloss of each finish; costs are averaged over
+    2 REACH + 1 of them each way, so that the bytes do not depend on the band.
+    """
+    if frames.regions is not None:
+        return frames.regions[band]
+    from scipy.ndimage import correlate1d
+
+    from nishiki.photometric.gloss_scene import refined
+
+    rows, columns = frames.shape
+    first, last = max(band.start // STRIDE - REACH, 0), min((band.stop - 1) // STRIDE + REACH, (rows - 1) // STRIDE)
+    wide = slice(first * STRIDE, min(last * STRIDE + STRIDE, rows))
+    shape = (last - first + 1, -(-columns // STRIDE))
+    costs, values = np.zeros((len(finishes.parts), *shape)), np.zeros(shape)
+    for piece, places in strided_pieces(frames, selection, lights, wide):
+        (tile,) = gloss_tiles([piece], settings)
+        at = (places[0] // STRIDE - first, places[1] // STRIDE)
+        values[at] = tile.valid.sum(axis=0)[0]
+        for cost, part in zip(costs, finishes.parts, strict=True):
+            cost[at] = refined(tile, part.profile).cost[0]
+    window = np.ones(2 * REACH + 1)
+    for axis in (0, 1):
+        values = correlate1d(values, window, axis=axis, mode="constant")
+        costs = correlate1d(costs, window, axis=axis + 1, mode="constant")
+    cheapest = (costs / np.maximum(values, 1)).argmin(axis=0).astype(np.uint8)
+    whole = cheapest.repeat(STRIDE, axis=0).repeat(STRIDE, axis=1)
+    return whole[band.start - wide.start :][: band.stop - band.start, :columns]
+
+
+def strided_pieces(
+    frames: Observations, selection: Maps | None, lights: np.ndarray, rows: slice
+) -> Iterator[tuple[Sampled, tuple[np.ndarray, np.ndarray]]]:
+    """Yield every STRIDE-th pixel of the object in some rows, with their (rows, columns) in the picture."""
+    from nishiki.model_selection.relighting import Sampled
+
+    for strip, observations, valid in frames.strips(rows, lights=lights):
+        usable = valid if selection is None else unpack_lights(selection.read("usable", strip), len(lights))
+        for parcel in parcels(frames, strip, lights):
+            area = np.s_[:, parcel.rows, parcel.columns]
+            row, column = np.mgrid[parcel.rows, parcel.columns]
+            row += strip.start
+            chosen = (row % STRIDE == 0) & (column % STRIDE == 0) & frames.mask[row, column]
+            if chosen.any():
+                picked = (
+                    np.ascontiguousarray(array[area][:, chosen][:, None]) for array in (observations, usable, valid)
+                )
+                yield Sampled(*picked, parcel), (row[chosen], column[chosen])
+
+
+def sampled_pixels(frames: Observations, selection: Maps | None, lights: np.ndarray, pixels: int) -> list[Sampled]:
+    """Return about `pixels` pixels of the object by cells, or regions of the capture, the same on every machine."""
+    from nishiki.model_selection.relighting import Sampled
+    from nishiki.photometric.gloss_scene import SIDE
+
+    pieces = []
+    for piece in sample(frames, lights, pixels, channel=None, cell=SIDE):
+        usable = piece.valid
+        if selection is not None:
+            usable = unpack_lights(selection.read("usable", piece.band), len(lights))
+            usable = np.stack([piece.of(values) for values in usable])
+        row, column = (piece.of(place) for place in np.mgrid[piece.band, 0 : frames.shape[1]])
+        cells = row // SIDE * -(-frames.shape[1] // SIDE) + column // SIDE
+        cells = cells if frames.regions is None else frames.regions[row, column].astype(np.int64)
+        parcel = replace(piece.parcel, scale=np.ones(len(lights), np.float32))  # the piece is scaled
+        pieces.append(Sampled(piece.observations, usable, piece.valid, parcel, cells))
+    if frames.regions is None and pieces:
+        known = np.unique(np.concatenate([piece.cells[0] for piece in pieces]))
+        pieces = [replace(piece, cells=np.searchsorted(known, piece.cells)) for piece in pieces]
+    return pieces
+
+
+def gloss_tiles(pieces: Sequence[Sampled], settings: NormalsSettings) -> list[GlossTile]:
+    """Return sampled pixels with their estimates from the selected lights."""
+    from nishiki.photometric.gloss_scene import GlossTile
+
+    tiles = []
+    for piece in pieces:
+        maps = solve(piece.observations, piece.usable, piece.valid, piece.parcel, settings, None)
+        start = (maps[name] for name in ("normals", "flags", "sigma", "reflectance"))
+        observed = scaled(piece.observations, piece.parcel)
+        tiles.append(GlossTile(observed, piece.valid, piece.parcel.directions, *start, piece.cells))
+    return tiles
