@@ -106,11 +106,14 @@ def fit_correction(
     ridges = np.array(RIDGES if ridge is None else [ridge]) * scale
     solution, mean_square = _ridge_regression(residuals, design, smooth, ridges)
     nearest = distances(z, chosen).min(axis=1)
+    # the mean square error around each centre is that of the nearest training samples
+    count = min(8, len(z))
+    near = np.argpartition(distances(chosen, z), count - 1, axis=1)[:, :count]
     return LocalCorrection(
         centres=chosen,
         weights=solution,
         radius=radius,
-        variance=_smoothed(mean_square, z, chosen),
+        variance=mean_square[near].mean(axis=1),
         far_variance=float(np.mean(residuals**2)),
         gamut_distance=float(2.0 * np.percentile(nearest, 99.0) + 0.1),
         left_out_rmse=float(np.sqrt(mean_square.mean())),
@@ -186,11 +189,3 @@ def place_centres(z: np.ndarray, count: int) -> np.ndarray:
             total = np.bincount(label, weights=z[:, axis], minlength=count)
             centres[:, axis] = np.where(members > 0, total / np.maximum(members, 1), centres[:, axis])
     return centres
-
-
-def _smoothed(mean_square: np.ndarray, z: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """Mean square error around each centre: average over the 8 nearest training samples."""
-    apart = distances(centres, z)
-    count = min(8, len(z))
-    nearest = np.argpartition(apart, count - 1, axis=1)[:, :count]
-    return mean_square[nearest].mean(axis=1)

@@ -14,7 +14,7 @@ from nishiki.engine.project import Scene
 from nishiki.errors import UserError
 from nishiki.observations.region import LIGHT
 from nishiki.packages import EXTRAS
-from nishiki.stages.base import Asked, SceneFacts, SceneSettings, Stage, poses_of, surface_of
+from nishiki.stages.base import SceneFacts, SceneSettings, Stage, poses_of, surface_of
 from nishiki.stages.table import CHAIN, chain_of
 
 
@@ -60,20 +60,6 @@ PARTS = {
     ),
 }
 """Every part that can be left out, by its name in the setting `ingest.without`."""
-
-
-def left_parts(
-    facts: SceneFacts, settings: SceneSettings, stages: set[str], asked: Asked
-) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Parts of the capture that no stage looks at, in a fixed order, and the reason for each, by its words."""
-    looked = {part for stage in stages for part in CHAIN[stage].looks_at(facts, settings, asked)}
-    without = tuple(part for part in PARTS if facts.parts.get(part) and part not in looked)
-    reasons = {
-        f"{facts.parts[part]} {PARTS[part].what}": PARTS[part].idle(facts, settings)
-        or "no stage of the plan looks at them"
-        for part in without
-    }
-    return without, reasons
 
 
 def idle_reason(stage: Stage, package: str, facts: SceneFacts, settings: SceneSettings) -> str | None:
@@ -181,7 +167,13 @@ def _read_by_ingest(
             reasons["colour"] = "no product asked for needs more than luminance: one channel is decoded and kept"
     if everything:
         return ingest, reasons
-    without, why = left_parts(facts, settings, needed, scene.products)
+    looked = {part for stage in needed for part in CHAIN[stage].looks_at(facts, settings, scene.products)}
+    without = tuple(part for part in PARTS if facts.parts.get(part) and part not in looked)
+    why = {
+        f"{facts.parts[part]} {PARTS[part].what}": PARTS[part].idle(facts, settings)
+        or "no stage of the plan looks at them"
+        for part in without
+    }
     if held_out and facts.geometry == "plane" and not {"evaluate", "export"} & needed:
         without += tuple(f"{LIGHT}{name}" for name in held_out)
         why[f"{len(held_out)} photographs under the lights held out"] = "only evaluate and export look at them"

@@ -145,7 +145,12 @@ def open_relight(folder: Path) -> RelightFolder:
         (width,) = _numbers(info, "sigma", 1, name)
         _expect_gaussians(lights, width, name)
     if kind in TABULATED:
-        directions = len(lights) if kind == "rbf" else _resolution(info, name) ** 2
+        directions = len(lights)
+        if kind == "bilinear":
+            side = _whole(info, "resolution", name)  # nodes of the grid, each way
+            if not 2 <= side <= 256:
+                raise _unusable(name, "resolution", "2 to 256", str(side))
+            directions = side**2
         basis, more = _basis(folder, info, (count + 1, directions, 3), name)
         components = _components(basis, _numbers(material, "range", count, name), triples, name)
         files += more
@@ -168,14 +173,6 @@ def _triples(info: dict[str, Any], name: str) -> tuple[int, int]:
     if brightness == 0:
         raise _unusable(name, "yccplanes", "planes", "none")
     return int(planes.sum()), int(first)
-
-
-def _resolution(info: dict[str, Any], name: str) -> int:
-    """Nodes of the grid of bilinear, each way."""
-    side = _whole(info, "resolution", name)
-    if not 2 <= side <= 256:
-        raise _unusable(name, "resolution", "2 to 256", str(side))
-    return side
 
 
 def _basis(folder: Path, info: dict[str, Any], shape: tuple[int, ...], name: str) -> tuple[np.ndarray, list[str]]:

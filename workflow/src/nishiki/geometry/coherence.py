@@ -97,7 +97,9 @@ def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera]) -> C
     stated = outlines.miss_shares()
     found = Coherence(float(stated.mean()), tuple(stated.tolist()))
     outlines.enough = EXPLAINED * max(found.contradiction, NOTICEABLE)
-    inverted = outlines.inverted_views()
+    # silhouettes that cover most of the picture's border and leave out something within
+    edges = [np.concatenate([m[0], m[-1], m[:, 0], m[:, -1]]).mean() for m in outlines.masks]
+    inverted = [i for i, edge in enumerate(edges) if edge > BORDER_SHARE and (~outlines.masks[i]).sum() > 16]
     if inverted:
         masks = [~mask if i in inverted else mask for i, mask in enumerate(outlines.masks)]
         share = float(Outlines(masks, outlines.cameras).miss_shares().mean())
@@ -134,11 +136,6 @@ class Outlines:
         spans = [np.flatnonzero(together.any(axis=axis))[[0, -1]] for axis in (1, 0)]
         # An extent that ends on the picture's border would bound nothing.
         self.extent = [np.clip(span, 1, size - 2) for span, size in zip(spans, together.shape, strict=True)]
-
-    def inverted_views(self) -> tuple[int, ...]:
-        """Places of the silhouettes that cover most of the picture's border and leave out something within."""
-        edges = [np.concatenate([m[0], m[-1], m[:, 0], m[:, -1]]).mean() for m in self.masks]
-        return tuple(i for i, edge in enumerate(edges) if edge > BORDER_SHARE and (~self.masks[i]).sum() > 16)
 
     def miss_shares(
         self,

@@ -75,7 +75,11 @@ def merge(
         normals = [_outward_normals(each, points.mean(axis=0)) for each in scans]
     vertices, triangles = _poisson(points, np.concatenate(normals), cells)
     distance, _ = cKDTree(points).query(vertices)
-    reach = 3 * max(cell, max(_spacing(each) for each in scans))
+    spacings = []  # of each scan: the median distance of its points to the third of their neighbours
+    for each in scans:
+        apart, _ = cKDTree(each).query(each[:: max(1, len(each) // 5000)], k=min(4, len(each)))
+        spacings.append(float(np.median(apart[:, -1])))
+    reach = 3 * max(cell, *spacings)
     sure = (distance <= reach)[triangles].all(axis=1)
     return vertices, triangles[sure], {"merged": True, "guessed_triangles": int((~sure).sum())}
 
@@ -93,14 +97,6 @@ def _filled(points: np.ndarray, triangles: np.ndarray | None, longest: float) ->
     vertices, cut = subdivide_to_size(points, triangles, longest, max_iter=20)
     corners, place = np.unique(vertices, axis=0, return_inverse=True)
     return corners, place.reshape(-1)[cut]
-
-
-def _spacing(points: np.ndarray) -> float:
-    """Median distance of a scan's points to the third of their neighbours."""
-    from scipy.spatial import cKDTree
-
-    distance, _ = cKDTree(points).query(points[:: max(1, len(points) // 5000)], k=min(4, len(points)))
-    return float(np.median(distance[:, -1]))
 
 
 def _outward_normals(points: np.ndarray, centre: np.ndarray) -> np.ndarray:

@@ -74,7 +74,12 @@ class ReflectanceSet:
 
         known: any other field. Directions are normalised. ValueError where shapes disagree or values are not finite.
         """
-        incident, outgoing = (_normalised(np.asarray(d, np.float64)) for d in (incident, outgoing))
+        incident, outgoing = np.asarray(incident, np.float64), np.asarray(outgoing, np.float64)
+        for directions in (incident, outgoing):
+            length = np.linalg.norm(directions, axis=-1)
+            if directions.ndim != 2 or directions.shape[1] != 3 or not (np.isfinite(length) & (length > 0)).all():
+                raise ValueError(f"expected unit vectors (n, 3), found an array {directions.shape}")
+        incident, outgoing = (d / np.linalg.norm(d, axis=1, keepdims=True) for d in (incident, outgoing))
         values = np.asarray(values, np.float64)
         values = values[:, None, None] if values.ndim == 1 else values[:, None, :] if values.ndim == 2 else values
         if incident.shape != outgoing.shape or incident.shape[0] != values.shape[0] or not np.isfinite(values).all():
@@ -104,13 +109,6 @@ class ReflectanceSet:
             name: getattr(self, name) for name in ("regions", "channels", "symmetry", "weave", "normal_deg", "basic")
         }
         return ReflectanceSet(**rows, **rest)
-
-
-def _normalised(directions: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(directions, axis=-1, keepdims=True)
-    if directions.ndim != 2 or directions.shape[1] != 3 or not (np.isfinite(length) & (length > 0)).all():
-        raise ValueError(f"expected unit vectors (n, 3), found an array {directions.shape}")
-    return directions / length
 
 
 ARRAYS, NAMES = "reflectance.npz", "reflectance.json"

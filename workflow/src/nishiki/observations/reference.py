@@ -172,9 +172,15 @@ def measure_darks(reader: FrameReader, edges: Edges, tick: Callable[[str], None]
         tick(frame.file)
     exposures = tuple(sums)
     step = 1.0 / reader.full if reader.dtype.kind == "u" else 0.0
-    levels = tuple(_flatten((total / count).astype(np.float32), step) for total, count in sums.values())
+    levels = []
+    for total, count in sums.values():
+        level = (total / count).astype(np.float32)
+        low, high = np.percentile(level, [1, 99], axis=(0, 1))
+        if ((high - low) < step).all():  # one value a channel: reading is then twice as fast
+            level = level.mean(axis=(0, 1), keepdims=True)
+        levels.append(level)
     problems = _dark_problems(reader, exposures)
-    return DarkField(exposures, levels, hot > len(frames[:255]) // 2, problems)
+    return DarkField(exposures, tuple(levels), hot > len(frames[:255]) // 2, problems)
 
 
 def measure_room(reader: FrameReader, darks: DarkField, tick: Callable[[str], None]) -> np.ndarray | None:
@@ -211,12 +217,6 @@ def hot_limit(reader: FrameReader, edges: Edges) -> float:
     levels, _ = block_levels(codes, reader.table, *edges, np.inf, -np.inf)
     brightest = float(np.max(levels, initial=0, where=np.isfinite(levels)))
     return HOT * brightest if brightest > 0 else np.inf
-
-
-def _flatten(level: np.ndarray, step: float) -> np.ndarray:
-    """One value a channel where the field varies by less than a code: reading is then twice as fast."""
-    low, high = np.percentile(level, [1, 99], axis=(0, 1))
-    return level.mean(axis=(0, 1), keepdims=True) if ((high - low) < step).all() else level
 
 
 def _dark_problems(reader: FrameReader, exposures: tuple[float | None, ...]) -> tuple[Problem, ...]:
