@@ -37,7 +37,7 @@ def lamp(centre, width=0.5, floor=0.0):
 def _condition_error(floor, width):
     """cond(H) of the paper's three bases against singular values in 50 digits, over what rounding allows."""
     weights = channel_weights(lamp(540, width, floor), CAMERA)
-    vectors = principal_basis(TRAINING, 3).vectors
+    vectors = principal_basis(TRAINING, 3)
     found = condition_number(weights, TRAINING, 3)
     with mpmath.workdps(50):
         system = mpmath.matrix(weights.tolist()) * mpmath.matrix(vectors.tolist()).T
@@ -216,7 +216,7 @@ def test_single_precision():
     for light in (EQUAL, lamp(540, 0.5, 1e-4), lamp(460, 5)):
         weights = channel_weights(light, CAMERA)
         for method, exact in (
-            ("paper", lambda w: paper_map(w, principal_basis(TRAINING, 3).vectors, condition_limit=1e6)[0]),
+            ("paper", lambda w: paper_map(w, principal_basis(TRAINING, 3), condition_limit=1e6)[0]),
             ("wiener", lambda w: wiener_map(w, TRAINING, noise=0.0)),
         ):
             estimator = fit_estimator(TRAINING, light, CAMERA, method=method, noise=0.0, white_width=0.0)

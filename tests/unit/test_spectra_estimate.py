@@ -105,7 +105,7 @@ def test_white_anchor_is_local_and_unseen_by_the_camera():
 
 def test_paper_is_the_matrix_inverse():
     e = fit_estimator(TRAINING, LAMP, camera(3), method="paper", white_width=0.0)
-    vectors = principal_basis(TRAINING, 3).vectors
+    vectors = principal_basis(TRAINING, 3)
     seen = responses_of(UNSEEN)
     system = channel_weights(LAMP, camera(3)) @ vectors.T  # Tominaga and Tanaka (2004), eq. 7
     expected = np.linalg.inv(system) @ seen.T
@@ -115,14 +115,14 @@ def test_paper_is_the_matrix_inverse():
 
 
 def test_paper_recovers_spectra_inside_its_basis():
-    vectors = principal_basis(TRAINING, 3).vectors
+    vectors = principal_basis(TRAINING, 3)
     inside = UNSEEN @ vectors.T @ vectors
     e = fit_estimator(TRAINING, LAMP, camera(3), method="paper", white_width=0.0)
     np.testing.assert_allclose(estimate_spectra(responses_of(inside), e).spectra(), inside, atol=2e-6)
 
 
 def test_paper_with_fewer_bases_is_least_squares_and_with_more_is_refused():
-    weights, vectors = channel_weights(LAMP, camera(5)), principal_basis(TRAINING, 3).vectors
+    weights, vectors = channel_weights(LAMP, camera(5)), principal_basis(TRAINING, 3)
     sigma, cut = paper_map(weights, vectors, condition_limit=1e6)
     np.testing.assert_allclose(sigma, np.linalg.lstsq(weights @ vectors.T, np.eye(5), rcond=None)[0], atol=1e-10)
     assert not cut

@@ -48,7 +48,7 @@ def wiener_map(weights: np.ndarray, training: np.ndarray, *, noise: float) -> np
 def condition_number(weights: np.ndarray, training: np.ndarray, count: int | None = None) -> float:
     """cond(H) for the first K = min(count, N) uncentred principal bases: how well camera and lamp tell them apart."""
     size = min(count or weights.shape[0], weights.shape[0], training.shape[0])
-    system = weights @ principal_basis(training, size).vectors.T
+    system = weights @ principal_basis(training, size).T
     singular = np.linalg.svd(system, compute_uv=False)
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
 
@@ -91,7 +91,7 @@ def fit_paper(problem: Problem, bases: int | None, *, white: bool, condition_lim
     exactly, no channel sees d (it is a metameric black), so adding any amount of it contradicts no observation.
     """
     channels = problem.weights.shape[0]
-    vectors = principal_basis(problem.spectra, min(3, channels) if bases is None else bases).vectors
+    vectors = principal_basis(problem.spectra, min(3, channels) if bases is None else bases)
     sigma, cut = paper_map(problem.weights, vectors, condition_limit=condition_limit)
     residual = problem.spectra - problem.responses @ sigma.T @ vectors
     basis, linear, of_white = vectors, sigma, sigma.sum(axis=1)

@@ -3,8 +3,6 @@
 Every spectrum inside the project is an array whose last axis is `WAVELENGTHS_NM`: 400 to 700 nm every 5 nm, 61 bands.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from nishiki.errors import UserError
@@ -98,44 +96,23 @@ def _linear(wavelengths, samples, at):
     return samples[..., left] * (1.0 - fraction) + samples[..., right] * fraction
 
 
-@dataclass(frozen=True)
-class PrincipalBasis:
-    """Reflectance model S = mean + coefficients @ vectors.
+def principal_basis(reflectances: np.ndarray, count: int) -> np.ndarray:
+    """Find the principal vectors of measured reflectances, (K, 61) orthonormal rows, the strongest first.
 
-    vectors : (K, 61) orthonormal rows, the strongest first, each with a positive sum.
-    mean : (61,) zero for the uncentred basis.
-    explained : (K,) share of the training energy (uncentred) or variance (centred) in each vector.
-    """
-
-    vectors: np.ndarray
-    mean: np.ndarray
-    explained: np.ndarray
-
-
-def principal_basis(reflectances: np.ndarray, count: int, *, centred: bool = False) -> PrincipalBasis:
-    """Principal vectors of measured reflectances.
-
-    Uncentred (the default) is the paper's form, S = sum_k sigma_k S_k (Tominaga and Tanaka 2004, eq. 5): singular
-    vectors of the data as they are, so that black is a zero of all coefficients. `centred=True` is principal component
-    analysis about the mean.
+    The paper's form, S = sum_k sigma_k S_k (Tominaga and Tanaka 2004, eq. 5): singular vectors of the data as they are,
+    so that black is a zero of all coefficients. Each has a positive sum.
 
     reflectances : (M, 61) in [0, 1]; count : 1 <= K <= min(M, 61). Raises UserError for other shapes or NaN.
     """
     data = checked_spectra(reflectances, "training reflectances")
-    limit = min(data.shape[0] - int(centred), BANDS)
+    limit = min(data.shape[0], BANDS)
     if not 1 <= count <= limit:
         raise UserError(
             f"number of bases: expected 1 to {limit} for {data.shape[0]} training spectra, found {count}; "
             "ask for fewer bases or give more spectra"
         )
-    mean = data.mean(axis=0) if centred else np.zeros(BANDS)
-    _, singular, vectors = np.linalg.svd(data - mean, full_matrices=False)
-    vectors = vectors[:count]
-    vectors = vectors * np.where(vectors.sum(axis=1) < 0, -1.0, 1.0)[:, None]
-    energy = singular**2
-    total = energy.sum()
-    explained = energy[:count] / total if total > 0 else np.zeros(count)
-    return PrincipalBasis(vectors=vectors, mean=mean, explained=explained)
+    vectors = np.linalg.svd(data, full_matrices=False)[2][:count]
+    return vectors * np.where(vectors.sum(axis=1) < 0, -1.0, 1.0)[:, None]
 
 
 def channel_weights(illuminant: np.ndarray, sensitivities: np.ndarray, *, rule: str = "trapezoid") -> np.ndarray:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.formats.images import Region, read_codes, read_header
+from nishiki.formats.images import read_codes, read_header
 from nishiki.formats.problems import Problem, refuse, warning
 
 SMALL_LABELS = 16  # integers below it number the parts of the object; 16 is black in video range
@@ -34,9 +34,9 @@ class Mask:
     problems: tuple[Problem, ...]
 
 
-def read_mask(path: Path, *, region: Region | None = None, name: str | None = None) -> np.ndarray:
-    """Read which pixels are the object, (rows, columns) bool, of the whole picture or a region."""
-    return _window(examine_mask(path, name=name).inside, region)
+def read_mask(path: Path, *, name: str | None = None) -> np.ndarray:
+    """Read which pixels are the object, (rows, columns) bool."""
+    return examine_mask(path, name=name).inside
 
 
 def examine_mask(path: Path, *, name: str | None = None) -> Mask:
@@ -93,7 +93,7 @@ def alpha_problems(path: Path, *, name: str | None = None) -> list[Problem]:
     return [warning("alpha-unused", name, what, found=found, remedy=remedy)]
 
 
-def read_labels(path: Path, *, region: Region | None = None, name: str | None = None) -> np.ndarray:
+def read_labels(path: Path, *, name: str | None = None) -> np.ndarray:
     """Read a label picture, (rows, columns) uint16, from a grey 8- or 16-bit image.
 
     CaptureError: regions-lossy (JPEG has no exact values), regions-unreadable, those of `read_codes`.
@@ -109,7 +109,7 @@ def read_labels(path: Path, *, region: Region | None = None, name: str | None = 
         remedy = "Save the numbers of the labels as grey values"
         what = "label image"
         refuse("regions-unreadable", name, what, expected=expected, found=found, remedy=remedy)
-    return _window(grey[:, :, 0], region).astype(np.uint16)
+    return grey[:, :, 0].astype(np.uint16)
 
 
 def expect_size(picture: np.ndarray, size: tuple[int, int], name: str, kind: str) -> None:
@@ -157,13 +157,6 @@ def looks_inverted(inside: np.ndarray) -> bool:
     _, _, parts, _ = cv2.connectedComponentsWithStats((~small).astype(np.uint8))
     largest, left_out = parts[1:, cv2.CC_STAT_AREA].max(), int((~small).sum())
     return largest >= MAIN * left_out and largest >= (HOLE if whole == 4 else BITE) * small.size
-
-
-def _window(picture: np.ndarray, region: Region | None) -> np.ndarray:
-    if region is None:
-        return picture
-    row, column, rows, columns = region
-    return picture[row : row + rows, column : column + columns]
 
 
 def _read_with_alpha(path: Path, name: str) -> tuple[np.ndarray, int]:

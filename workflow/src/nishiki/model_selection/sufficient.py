@@ -65,7 +65,7 @@ def principal_bases(spectra: np.ndarray, weights: np.ndarray, *, noise: float, m
     counts = tuple(range(1, min(most, len(weights), len(spectra)) + 1))
     responses, errors = spectra @ weights.T, []
     for count in counts:
-        vectors = principal_basis(spectra, count).vectors
+        vectors = principal_basis(spectra, count)
         onto = vectors.T @ np.linalg.pinv(weights @ vectors.T, rcond=1e-12)
         left = np.mean((spectra - responses @ onto.T) ** 2)
         errors.append(float(left + noise**2 * np.sum(onto**2) / spectra.shape[1]))

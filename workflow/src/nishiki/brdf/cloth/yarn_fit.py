@@ -80,49 +80,38 @@ def fit_shape(
     spread: np.ndarray,
     limits: np.ndarray,
     start: np.ndarray | None = None,
-    free: np.ndarray | None = None,
     evaluations: int = 20,
 ) -> ShapeFit:
     """Fit x and c to values (n, channels) with inverse standard deviations weight (n,); channels count as one together.
 
     centre, spread (parameters,): prior mean and standard deviation; limits (k,) as in `solve_linear`; start: first x
-    (default: the centre); free: indices of the parameters to be searched, the rest stays as in start (default: all);
-    evaluations: most steps of the search.
+    (default: the centre); evaluations: most steps of the search.
     """
     from scipy.optimize import least_squares
 
-    initial = np.array(centre if start is None else start, float)
-    free = np.arange(initial.size) if free is None else np.asarray(free)
     channels = values.shape[1]
-    low, high = (centre - REACH * spread)[free], (centre + REACH * spread)[free]
-
-    def place(x):
-        out = initial.copy()
-        out[free] = x
-        return out
+    low, high = centre - REACH * spread, centre + REACH * spread
 
     def solved(x):
-        fixed, columns = parts(place(x))
+        fixed, columns = parts(x)
         c = solve_linear(fixed, columns, values, weight, limits)
         return (fixed[:, None] + columns @ c.T - values) * weight[:, None] / np.sqrt(channels), c
 
     def residual(x):
         rest, c = solved(x)
-        return np.concatenate([rest.ravel(), ((place(x) - centre) / spread)[free], (c / limits).ravel()])
+        return np.concatenate([rest.ravel(), (x - centre) / spread, (c / limits).ravel()])
 
-    first = np.clip(initial[free], low, high)
-    solution = least_squares(
-        residual, first, x_scale=spread[free], bounds=(low, high), diff_step=STEP, max_nfev=evaluations
-    )
+    first = np.clip(np.array(centre if start is None else start, float), low, high)
+    solution = least_squares(residual, first, x_scale=spread, bounds=(low, high), diff_step=STEP, max_nfev=evaluations)
     rest, c = solved(solution.x)
     return ShapeFit(
-        x=place(solution.x),
+        x=solution.x,
         coefficients=c,
         information=solution.jac.T @ solution.jac,
         cost=float(2 * solution.cost),
         misfit=float(np.sum(rest * rest)),
         evaluations=int(solution.nfev),
-        at_bounds=tuple(int(k) for k in free[np.abs(solution.x - centre[free]) >= 0.999 * REACH * spread[free]]),
+        at_bounds=tuple(np.flatnonzero(np.abs(solution.x - centre) >= 0.999 * REACH * spread).tolist()),
     )
 
 
