@@ -6,7 +6,16 @@ import trimesh
 
 from nishiki.atlas.adjacency import across_edges, borders, components, smoothed, smoothed_vertices, spread
 from nishiki.atlas.atlas import build_atlas
-from nishiki.atlas.charts import frame_along, make_charts, overlapping, probe_spacing, rebuild_atlas, turning
+from nishiki.atlas.charts import (
+    directions_of,
+    flatten,
+    frame_along,
+    make_charts,
+    overlapping,
+    probe_spacing,
+    turning,
+    unit_normals,
+)
 from nishiki.atlas.quality import sampling_density, stretch_percentiles, texels_per_unit, weighted_percentiles
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
@@ -198,7 +207,9 @@ def test_an_atlas_follows_from_its_charts():
     density = sampling_density(mesh, charts.plane, cameras, percentile=90)
     scale = texels_per_unit(density, charts.plane, charts.chart, texels_per_pixel=1.0)
     atlas = build_atlas(charts.plane, charts.chart, scale, size=32)
-    rounds = charts.smoothing_rounds
-    again = rebuild_atlas(mesh, cameras, atlas.chart, atlas.texels_per_unit, smoothing_rounds=rounds, size=32)
+    vertices = smoothed_vertices(mesh.vertices, mesh.triangles, rounds=charts.smoothing_rounds)
+    frames = frame_along(directions_of(atlas.chart, *unit_normals(mesh, vertices)), up=up, front=front)
+    plane = flatten(vertices[mesh.triangles], atlas.chart, frames)
+    again = build_atlas(plane, atlas.chart, atlas.texels_per_unit, size=32)
     for name in atlas.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(again, name), getattr(atlas, name))

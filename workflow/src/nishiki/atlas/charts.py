@@ -12,7 +12,6 @@ import numba
 import numpy as np
 
 from nishiki.atlas.adjacency import across_edges, borders, components, smoothed, smoothed_vertices, spread
-from nishiki.atlas.atlas import Atlas, build_atlas
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
 from nishiki.geometry.visibility import bounds, edge
@@ -358,24 +357,3 @@ def renumber(labels: np.ndarray, areas: np.ndarray) -> np.ndarray:
     place = np.empty(len(size), np.int32)
     place[np.argsort(-size, kind="stable")] = np.arange(len(size))
     return np.where(inside, place[labels] if len(size) else -1, -1).astype(np.int32)
-
-
-def rebuild_atlas(
-    mesh: Mesh,
-    cameras: list[Camera],
-    chart: np.ndarray,
-    texels_per_unit: np.ndarray,
-    *,
-    smoothing_rounds: int,
-    size: int,
-) -> Atlas:
-    """Build the atlas whose charts (f,) and texels_per_unit (charts, 2) are known.
-
-    cameras: those that took part when it was made; smoothing_rounds: as the diagnostics of the stage tell. Equal to
-    the original, as the charts' directions, axes and corners follow from the triangles in each chart.
-    """
-    up, front = turning(cameras)
-    vertices = smoothed_vertices(mesh.vertices, mesh.triangles, rounds=smoothing_rounds)
-    normals, areas = unit_normals(mesh, vertices)
-    frames = frame_along(directions_of(chart, normals, areas), up=up, front=front)
-    return build_atlas(flatten(vertices[mesh.triangles], chart, frames), chart, texels_per_unit, size=size)

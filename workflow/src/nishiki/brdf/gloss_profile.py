@@ -61,7 +61,7 @@ class SpecularProfile:
 
 @dataclass(frozen=True)
 class SpecularHistogram:
-    """Sums over samples; a monoid: `add` returns a new histogram, `merge` is commutative, `empty` is its zero."""
+    """Sums over samples; `add_samples` and `add_tile` return a new histogram."""
 
     weights: np.ndarray  # (regions, ROWS, COLUMNS) sum of a^2
     values: np.ndarray  # (regions, ROWS, COLUMNS) sum of a^2 z
@@ -141,14 +141,6 @@ class SpecularHistogram:
         sums = (new.weights, new.values, new.rows)
         _add_tile(*maps, *directions, usable, sigma, regions, *settings, every, *sums)
         return new
-
-    def merge(self, other: "SpecularHistogram") -> "SpecularHistogram":
-        """Sum of two histograms of the same settings."""
-        for name in ("refractive_index", "value_unit"):
-            if getattr(self, name) != getattr(other, name):
-                raise UserError(f"merge: {name} differs, {getattr(self, name)} and {getattr(other, name)}")
-        sums = (self.weights + other.weights, self.values + other.values, self.rows + other.rows)
-        return SpecularHistogram(*sums, self.refractive_index, self.value_unit)
 
     def profile(self, *, region=0, reject=6.0) -> SpecularProfile:
         """Mean z for each phi, without the values further than `reject` quartile ranges from the row's quartiles.

@@ -1,7 +1,9 @@
 """Define what every reflection model of a cloth offers, measure its quality, and exchange its dye.
 
 A BRDF is a frozen dataclass in the cloth's frame: x the weft, y the warp, z the normal; unit vectors away from the
-surface.  `evaluate` gives 1 / sr, broadcasts, is finite everywhere and 0 where light or view is not above the horizon.
+surface.  `channels` is the number of channels, `KIND` its name; a class that is reciprocal by construction says so
+by `RECIPROCAL`.  `evaluate(incident, outgoing)` gives 1 / sr, (..., channels), broadcasts, is finite everywhere and 0
+where light or view is not above the horizon.
 `as_arrays` and `from_arrays` are inverse to each other and hold numbers only, so that a model is stored without pickle
 (`nishiki.brdf.cloth.store`).
 
@@ -18,30 +20,9 @@ specular-matte BRDF model with importance sampling, 2001).
 """
 
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar, Protocol, Self
+from typing import ClassVar
 
 import numpy as np
-
-
-class ClothBrdf(Protocol):
-    """The interface."""
-
-    KIND: ClassVar[str]  # a class that is reciprocal by construction says so: RECIPROCAL = True
-
-    @property
-    def channels(self) -> int:
-        """Number of channels of the values."""
-
-    def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """BRDF, 1 / sr: (..., channels) from unit vectors (..., 3) that broadcast against each other."""
-
-    def as_arrays(self) -> dict[str, np.ndarray]:
-        """All that the model is, as arrays."""
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Self:
-        """The model of `as_arrays`."""
-
 
 LEAST_COSINE = 1e-9  # of directions above the horizon: nearer ones count as that near, so that quotients stay finite
 
