@@ -12,11 +12,13 @@ if TYPE_CHECKING:
         Observed,
         find_lights,
         fit_cloth,
+        fit_gloss,
         read_object,
         read_observations,
         read_photographs,
         render_view,
         save_picture,
+        shade,
     )
     from nishiki.brdf.cloth.store import load_brdf as read_cloth
     from nishiki.brdf.cloth.store import save_brdf as write_cloth
@@ -36,6 +38,7 @@ __all__ = [
     "find_lights",
     "fit_cloth",
     "fit_estimator",
+    "fit_gloss",
     "fresnel",
     "integrate_height",
     "read_capture",
@@ -46,44 +49,37 @@ __all__ = [
     "render_view",
     "save_picture",
     "select_lights",
+    "shade",
     "synthetic_reflectances",
     "torrance_sparrow",
     "write_cloth",
 ]
 
 _PLACES = {
-    "Observed": "api:Observed",
     "estimate_normals": "photometric.solve:estimate_normals",
     "estimate_spectra": "colour.estimate:estimate_spectra",
-    "find_lights": "api:find_lights",
-    "fit_cloth": "api:fit_cloth",
     "fit_estimator": "colour.estimate:fit_estimator",
     "fresnel": "brdf.torrance_sparrow:fresnel",
     "integrate_height": "photometric.height:integrate_normals",
     "read_capture": "capture.folder:load_capture",
     "read_cloth": "brdf.cloth.store:load_brdf",
-    "read_object": "api:read_object",
-    "read_observations": "api:read_observations",
-    "read_photographs": "api:read_photographs",
-    "render_view": "api:render_view",
-    "save_picture": "api:save_picture",
     "select_lights": "photometric.light_selection:select_diffuse",
     "synthetic_reflectances": "colour.training:synthetic_reflectances",
     "torrance_sparrow": "brdf.torrance_sparrow:specular",
     "write_cloth": "brdf.cloth.store:save_brdf",
 }
-"""Module below this package and name in it of everything public."""
+"""Module below this package and name in it of what is not in `api`."""
 
 
 def __getattr__(name: str):
-    if name not in _PLACES:
+    if name not in __all__:
         raise AttributeError(f"module 'nishiki' has no attribute {name!r}; public are {', '.join(__all__)}")
     import importlib
     import sys
 
     if "numba" not in sys.modules:
         importlib.import_module("nishiki.installation").use_kernel_cache()
-    module, _, inner = _PLACES[name].partition(":")
+    module, _, inner = _PLACES.get(name, f"api:{name}").partition(":")
     value = getattr(importlib.import_module(f"nishiki.{module}"), inner)
     globals()[name] = value
     return value

@@ -12,6 +12,8 @@ import numpy as np
 from nishiki.errors import UserError
 
 if TYPE_CHECKING:
+    from nishiki.brdf.gloss_profile import GlossProfile
+    from nishiki.photometric.solve import NormalField
     from nishiki.render.object.decoded_object import DecodedObject
 
 STAGES_OF_OBJECT = ("cameras", "mesh", "texels", "object_brdf", "residual")
@@ -213,6 +215,113 @@ def find_lights(folder: str | Path, **options) -> dict[str, np.ndarray]:
     return dict(zip(layout.lights.names, layout.lights.directions, strict=True))
 
 
+def shade(normals, lights, reflectance=1.0, *, gloss: "GlossProfile | None" = None) -> np.ndarray:
+    """Shade a normal map under distant lamps, seen from the front, without cast shadows.
+
+    Parameters
+    ----------
+    normals : (rows, columns, 3) array_like of float
+        Unit vectors; x right, y up, z towards the camera.
+    lights : (lights, 3) or (3,) array_like of float
+        Unit vectors to the lamps.
+    reflectance : float, (rows, columns) or (rows, columns, channels) array_like, optional
+        Of the body, relative to a perfect white.
+    gloss : GlossProfile, optional
+        Lobes of the surface, from `fit_gloss`. Default: a matt surface.
+
+    Returns
+    -------
+    (lights, rows, columns, channels) float64 ndarray
+        1 where a perfect white diffuser that faces the lamp would be; without the axis of the lights for one light,
+        and without channels where the reflectance has none.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        For a lamp behind the object.
+
+    Examples
+    --------
+    A matt plane of half the reflectance of white, under a lamp 30 degrees above it:
+
+    >>> import numpy as np
+    >>> import nishiki
+    >>> normals = np.broadcast_to([0.0, 0.0, 1.0], (2, 3, 3))
+    >>> picture = nishiki.shade(normals, [0.75**0.5, 0, 0.5], 0.5)
+    >>> picture.shape, bool(np.allclose(picture, 0.25))
+    ((2, 3), True)
+    """
+    from nishiki.brdf.gloss_profile import GlossProfile, predicted_radiance
+
+    normals, reflectance, lights = (np.asarray(values, np.float64) for values in (normals, reflectance, lights))
+    colours = reflectance if reflectance.ndim == normals.ndim else reflectance[..., None]
+    colours = np.broadcast_to(colours, (*normals.shape[:-1], colours.shape[-1]))
+    gloss = gloss or GlossProfile(np.zeros(1), np.ones(1), transmission=0.0)
+    values = predicted_radiance(np.atleast_2d(lights), normals, colours, gloss)
+    values = values if reflectance.ndim == normals.ndim else values[..., 0]
+    return values if lights.ndim == 2 else values[0]
+
+
+def fit_gloss(observations, directions, field: "NormalField", *, valid=None, refractive_index=1.45) -> "GlossProfile":
+    """Fit the gloss that all pixels share to what the body's light leaves of their observations.
+
+    Parameters
+    ----------
+    observations : (lights, rows, columns) array_like of float
+        As of `estimate_normals`.
+    directions : (lights, 3) array_like of float
+        Unit vectors to the lamps.
+    field : NormalField
+        Normals and albedo of the same observations.
+    valid : (lights, rows, columns) array_like of bool, optional
+        Samples to use. Default: all.
+    refractive_index : float, optional
+        Of the surface, above 1.
+
+    Returns
+    -------
+    GlossProfile
+        `beta` (lobes,), strengths relative to the white reference, all 0 for a matt surface, and `gamma` (lobes,),
+        half widths at half maximum in radians.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        For a refractive index of 1 or less, and a lamp behind the object.
+
+    References
+    ----------
+    S. Tominaga and N. Tanaka (2004), Measuring and rendering art paintings using a color camera, eq. 14 to 18.
+
+    Examples
+    --------
+    A glossy ball under lamps all round, with its normals known:
+
+    >>> import numpy as np
+    >>> import nishiki
+    >>> from nishiki.brdf.gloss_profile import GlossProfile
+    >>> y, x = np.mgrid[0.7:-0.7:64j, -0.7:0.7:64j]
+    >>> normals = np.stack([x, y, np.sqrt(1 - x**2 - y**2)], axis=-1)
+    >>> angles = np.radians(np.arange(0, 360, 30))
+    >>> lights = np.stack([0.6 * np.cos(angles), 0.6 * np.sin(angles), np.full(12, 0.8)], axis=1)
+    >>> field = nishiki.estimate_normals(nishiki.shade(normals, lights, 0.4), lights, solver="least_squares")
+    >>> gloss = GlossProfile(np.array([20.0]), np.array([0.1]), transmission=0.0)
+    >>> glossy = nishiki.shade(normals, lights, 0.4, gloss=gloss)
+    >>> found = nishiki.fit_gloss(glossy, lights, field)
+    >>> bool(abs(found.value(0.05) / gloss.value(0.05) - 1) < 0.05)
+    True
+    """
+    from nishiki.brdf import gloss_profile
+
+    matt = gloss_profile.GlossProfile(np.zeros(1), np.ones(1), refractive_index, transmission=0.0)
+    values, known = np.asarray(observations, np.float64), field.valid if valid is None else field.valid & valid
+    samples = gloss_profile.specular_samples(
+        values[..., None], directions, field.normals, field.albedo[..., None], matt, valid=known, shading=field.shading
+    )
+    histogram = gloss_profile.SpecularHistogram.empty(refractive_index=refractive_index)
+    return gloss_profile.fit_gloss(histogram.add_samples(*samples, sigma=field.sigma), transmission=0.0)
+
+
 def save_picture(path: str | Path, linear: np.ndarray, *, exposure: float = 1.0) -> None:
     """Save a picture: 8 bits of sRGB as .png, or the linear values as .exr.
 
@@ -387,7 +496,7 @@ def fit_cloth(
 
     Returns
     -------
-    ClothBrdf
+    model of `nishiki.brdf.cloth`
         Its method `evaluate(incident, outgoing)` takes unit vectors (..., 3) that broadcast against each other and
         gives the bidirectional reflectance in 1 / sr, (..., channels) float64, 0 below the horizon.
 
