@@ -15,7 +15,9 @@ have yellowed, laid thick or as a glaze over a white ground, and seen through th
 Deterministic for a seed.
 """
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -51,86 +53,9 @@ class Pigment:
     bands: tuple[tuple[float, float, float], ...]
 
 
-# fmt: off
-PIGMENTS = (
-    # Semiconductors and chromates: one absorption edge; all light beyond it returns.
-    Pigment("cadmium yellow", 3, 4, 0.6, 1, 0.012, ((478, 530, 8.5, 1),), ()),
-    Pigment("cadmium orange", 1.5, 4, 0.6, 1, 0.015, ((545, 590, 10, 1),), ()),
-    Pigment("cadmium red", 3, 4, 0.5, 0.8, 0.02, ((590, 640, 10, 1),), ()),
-    Pigment("vermilion", 1, 3, 0.6, 0.5, 0.03, ((592, 606, 9, 1),), ()),
-    Pigment("red lead", 0.5, 3, 0.7, 0.5, 0.03, ((560, 575, 11.5, 1),), ()),
-    Pigment("orpiment, realgar", 0.5, 2, 0.6, 0.5, 0.05, ((480, 560, 17, 1),), ()),
-    Pigment("lead-tin yellow", 0.7, 1.5, 0.8, 0.5, 0.03, ((455, 490, 14.5, 1),), ()),
-    Pigment("lead antimonate", 0.7, 1.2, 0.8, 0.5, 0.04, ((480, 530, 22, 1),), ()),
-    Pigment("lead chromate", 0.8, 3, 0.8, 0.6, 0.02, ((495, 545, 10.5, 1),), ()),
-    Pigment("chromates of zinc, barium, strontium", 0.5, 2, 0.6, 0.6, 0.02, ((470, 490, 10, 1),), ()),
-    Pigment("bismuth vanadate", 0.5, 3, 0.7, 0.8, 0.01, ((480, 500, 10.5, 1),), ()),
-    Pigment("nickel titanate", 0.6, 0.6, 0.8, 0.8, 0.02, ((440, 490, 21, 1),), ((700, 60, 0.01),)),
-    # Organic yellows, oranges and reds: strong and transparent; their bands are resolved in tints.
-    Pigment("monoazo yellow", 3, 5, 0.08, 1, 0.012, ((485, 520, 8, 1),), ()),
-    Pigment("diarylide, isoindolinone yellow", 1.5, 5, 0.06, 1, 0.015, ((515, 550, 10, 1),), ()),
-    Pigment("nickel azo, Indian yellow", 1, 4, 0.03, 1, 0.03, ((520, 580, 17, 1),), ()),
-    Pigment("orange (perinone, pyrrole, azo)", 1.2, 5, 0.08, 1, 0.015, ((565, 600, 9, 1),), ()),
-    Pigment("naphthol, pyrrole red", 3, 5, 0.07, 1, 0.015, ((598, 630, 9, 0.9),), ((540, 35, 0.35),)),
-    Pigment("perylene, bordeaux", 0.7, 4, 0.04, 1, 0.05, ((620, 660, 11.5, 0.8),), ((540, 40, 0.4),)),
-    Pigment("quinacridone rose", 1.6, 4, 0.05, 1, 0.02, ((470, 500, 32.5, 0.12),),
-            ((500, 26, 0.45), (533, 14, 0.7), (565, 13, 0.7))),
-    Pigment("quinacridone magenta", 1.2, 4, 0.05, 1, 0.02, ((470, 500, 32.5, 0.1),),
-            ((500, 28, 0.4), (530, 16, 0.7), (563, 13, 0.75), (580, 12, 0.3))),
-    Pigment("quinacridone burnt", 0.5, 4, 0.03, 1, 0.1, ((590, 640, 19.5, 1),), ((540, 40, 0.3),)),
-    Pigment("alizarin, madder lake", 1.6, 4, 0.02, 1, 0.06, ((480, 560, 32.5, 0.35),),
-            ((510, 32, 0.8), (545, 22, 0.7), (585, 14, 0.15))),
-    Pigment("carmine, cochineal", 0.8, 4, 0.02, 1, 0.08, ((470, 520, 32.5, 0.3),),
-            ((523, 28, 0.8), (563, 16, 0.7), (590, 14, 0.2))),
-    # Violets.
-    Pigment("dioxazine violet", 0.9, 6, 0.03, 1, 0.3, (),
-            ((400, 40, 0.2), (530, 30, 0.75), (575, 22, 0.8), (620, 18, 0.75))),
-    Pigment("cobalt violet", 0.4, 0.4, 0.3, 0.5, 0.15, (), ((480, 35, 0.35), (535, 28, 0.9), (585, 22, 0.8))),
-    Pigment("manganese violet", 0.4, 0.7, 0.3, 0.5, 0.15, (), ((480, 40, 0.3), (540, 42, 1), (600, 35, 0.3))),
-    Pigment("ultramarine violet", 0.3, 0.8, 0.2, 0.5, 0.2, (), ((560, 55, 1), (620, 40, 0.4))),
-    # Blues: bands of the sulphur radical, of cobalt and of large ring molecules; charge transfer between iron ions.
-    Pigment("ultramarine", 3, 3, 0.12, 1, 0.1, (), ((555, 32, 0.4), (600, 40, 1), (650, 30, 0.35), (380, 25, 0.1))),
-    Pigment("cobalt blue", 2, 1.5, 0.25, 0.8, 0.02, (),
-            ((545, 22, 0.65), (585, 22, 1), (630, 22, 1), (500, 20, 0.05), (380, 15, 0.06))),
-    Pigment("smalt, Egyptian blue", 0.5, 0.5, 0.2, 0.5, 0.2, (), ((545, 28, 0.7), (595, 26, 1), (640, 26, 1))),
-    Pigment("cerulean", 1.2, 1.2, 0.4, 0.8, 0.06, ((400, 430, 26, 0.3),),
-            ((588, 26, 0.85), (628, 26, 1), (660, 18, 0.6))),
-    Pigment("cobalt turquoise", 0.8, 1, 0.5, 0.8, 0.06, ((410, 450, 23.5, 0.5),), ((600, 32, 0.8), (650, 34, 1))),
-    Pigment("manganese blue", 0.3, 0.8, 0.4, 0.8, 0.05, ((385, 405, 15.5, 0.3),),
-            ((580, 32, 0.8), (640, 32, 1), (690, 25, 0.7))),
-    Pigment("phthalocyanine blue", 3, 8, 0.05, 1, 0.3, ((400, 425, 21, 0.12),),
-            ((565, 26, 0.25), (615, 30, 1), (665, 28, 0.7), (710, 26, 1))),
-    Pigment("Prussian blue", 1.2, 8, 0.02, 1, 1, ((400, 420, 19.5, 0.2),), ((690, 95, 1), (600, 60, 0.2))),
-    Pigment("indigo", 0.5, 4, 0.03, 1, 1, ((400, 440, 26, 0.2),), ((600, 32, 0.5), (655, 28, 1))),
-    Pigment("indanthrone", 0.4, 5, 0.03, 1, 1, ((410, 430, 21, 0.25),),
-            ((570, 50, 0.5), (650, 35, 0.9), (710, 28, 0.8))),
-    Pigment("azurite, blue verditer", 0.8, 0.8, 0.25, 0.3, 0.2, ((395, 415, 18, 0.3),),
-            ((600, 55, 0.45), (680, 75, 1))),
-    # Greens: ring molecules; chromium with two bands; cobalt; copper.
-    Pigment("phthalocyanine green", 2, 8, 0.04, 1, 0.3, ((455, 475, 18, 0.35),),
-            ((585, 22, 0.15), (640, 32, 1), (700, 35, 0.9))),
-    Pigment("phthalocyanine green, yellow shade", 0.8, 6, 0.04, 1, 0.3, ((470, 490, 18, 0.4),),
-            ((610, 24, 0.2), (660, 34, 1), (715, 35, 0.9))),
-    Pigment("viridian", 1, 1.2, 0.1, 0.5, 0.25, ((385, 400, 15.5, 0.3),),
-            ((425, 32, 0.7), (600, 42, 1), (655, 32, 0.4))),
-    Pigment("chromium oxide", 1.3, 1.5, 0.5, 0.2, 0.15, ((380, 400, 15.5, 0.4),),
-            ((460, 34, 0.9), (600, 34, 0.8), (650, 34, 0.4))),
-    Pigment("cobalt green", 0.7, 1, 0.4, 0.6, 0.1, ((430, 480, 28.5, 0.8),), ((590, 30, 0.7), (640, 34, 1))),
-    Pigment("malachite, verdigris", 0.6, 0.8, 0.25, 0.3, 0.2, ((400, 440, 26, 0.5),), ((640, 50, 0.5), (720, 60, 1))),
-    Pigment("green earth", 0.8, 0.4, 0.2, 0.2, 0.3, ((450, 520, 39, 0.9),), ((640, 45, 0.5), (720, 50, 0.6))),
-    # Earths: iron oxides, whose edge is that of goethite or hematite; manganese oxide darkens umbers.
-    Pigment("ochre, goethite", 3, 2, 0.4, 0.4, 0.06, ((535, 575, 17, 1),), ((650, 40, 0.02), (480, 30, 0.2))),
-    Pigment("sienna, transparent oxide", 2, 3, 0.06, 0.6, 0.2, ((560, 640, 23.5, 1),), ((650, 40, 0.015),)),
-    Pigment("red oxide, hematite", 3, 3, 0.5, 0.3, 0.2, ((575, 610, 13, 1),), ((640, 32, 0.05),)),
-    Pigment("caput mortuum", 0.8, 2.5, 0.4, 0.2, 0.3, ((580, 640, 18, 0.8),), ((650, 40, 0.08),)),
-    Pigment("raw umber", 1.6, 2, 0.15, 0.4, 1, ((540, 640, 39, 0.9),), ((620, 90, 0.12),)),
-    Pigment("burnt umber", 1.6, 2.5, 0.15, 0.4, 1.5, ((570, 650, 34, 0.9),), ((630, 80, 0.1),)),
-    Pigment("bitumen, sepia", 0.6, 3, 0.04, 0.4, 5, ((560, 680, 52, 0.9),), ()),
-    # Blacks.
-    Pigment("carbon black", 1.5, 6, 0.1, 0.6, 50, (), ((450, 150, 0.1),)),
-    Pigment("bone, mars black", 1.2, 4, 0.12, 0.4, 25, ((480, 620, 52, 0.25),), ()),
-)
-# fmt: on
+FILE = Path(__file__).with_name("pigments.json")
+PIGMENTS = tuple(Pigment(*row) for kind in json.loads(FILE.read_text(encoding="utf-8")).values() for row in kind)
+"""By kind; of each the fields of `Pigment` in their order."""
 
 
 def draw_pigments(draw, count: int) -> tuple[np.ndarray, np.ndarray]:
