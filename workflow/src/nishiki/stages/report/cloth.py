@@ -25,6 +25,7 @@ from nishiki.report.pictures import file_picture
 from nishiki.report.scene_page import write_scene_page
 from nishiki.stages.report.capture import export_section
 from nishiki.stages.report.cloth_reflection import curves_section, errors_section, model_name, reflection_section
+from nishiki.stages.report.headline import cloth_headline
 from nishiki.stages.report.weave import weave_section
 from nishiki.stages.table import chain_of
 
@@ -45,6 +46,7 @@ def run(context: Context) -> dict:
         about="a cloth measured with a goniometer",
         facts=facts(samples, capture),
         tiles=at_a_glance(samples, evaluation, region),
+        verdict=cloth_headline(samples, evaluation, region),
         sections=[
             rendered_section(inputs.get("cloth_render"), widest, settings.video_mb),
             weave_section(inputs.get("weave"), widest // 2),

@@ -30,6 +30,7 @@ from nishiki.report.pictures import encoded, file_picture
 from nishiki.report.scene_page import write_scene_page
 from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing
 from nishiki.stages.report.capture import export_section, facts_of_object
+from nishiki.stages.report.headline import object_headline
 from nishiki.stages.report.object_reflection import model_section, residual_section
 from nishiki.stages.table import chain_of
 
@@ -49,6 +50,7 @@ def run(context: Context) -> dict:
         about=one if views == 1 else many.format(views),
         facts=facts_of_object(diagnostics["ingest"]),
         tiles=at_a_glance(diagnostics),
+        verdict=object_headline(diagnostics),
         sections=[
             rendered_section(inputs.get("object_render"), widest // 2, settings.video_mb),
             comparison_section(inputs.get("object_evaluate"), evaluation),

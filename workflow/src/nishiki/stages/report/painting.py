@@ -15,6 +15,7 @@ from nishiki.report.pictures import Ruler, block_of, class_picture, file_picture
 from nishiki.report.scene_page import text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart
 from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting, kind_of
+from nishiki.stages.report.headline import headline
 from nishiki.stages.report.painting_prediction import relighting_section
 from nishiki.stages.report.painting_surface import PageMaps, colour_section, shape_section
 from nishiki.stages.table import CHAIN
@@ -401,25 +402,26 @@ def verdict(
     if missing > 0.05:
         doubtful.append(f"{100 * missing:.0f} % of the object has no estimate")
     lamps = len(frames.lights)
-    advice = {
-        "no white board: colours and brightness are relative": (
+    advice = [
+        (
             not frames.white_board,
+            "no white board: colours and brightness are relative",
             "photograph an even white or grey card in place of the object, once under every lamp (--white)",
         ),
-        f"{lamps} lamps are few: gloss and shadows are hard to tell apart": (
+        (
             lamps < FEW_LAMPS,
+            f"{lamps} lamps are few: gloss and shadows are hard to tell apart",
             "photograph under twelve lamps or more, all round and at two elevations",
         ),
-        "colours of the camera are a guess": (
+        (
             guessed,
+            "colours of the camera are a guess",
             "photograph a colour target and run ./nishiki calibrate target",
         ),
-        "no scale: heights and lengths are in pixels": (
+        (
             not frames.pixel_pitch_mm,
+            "no scale: heights and lengths are in pixels",
             "measure the width of the photographs on the object (--width-mm)",
         ),
-    }
-    doubtful += [text for text, (holds, _) in advice.items() if holds]
-    remedy = next((remedy for holds, remedy in advice.values() if holds), "")
-    rows = [("Good", "; ".join(good)), ("Doubtful", "; ".join(doubtful)), ("To improve it most", remedy)]
-    return [(label, text[:1].upper() + text[1:] + ".") for label, text in rows if text]
+    ]
+    return headline(good, doubtful, advice)
