@@ -413,7 +413,7 @@ def command(*words):
 def test_commands_convert_check_and_seal(tmp_path, capsys, monkeypatch):
     pictures(tmp_path / "s", [f"{i}.png" for i in range(4)])
     savemat(tmp_path / "s/P.mat", {"P": cells(ring_of_cameras(4))})
-    assert command("convert", tmp_path / "s", tmp_path / "c", "--open", "--title", "Jar") == 0
+    assert command("convert", tmp_path / "s", tmp_path / "c", "--unsealed", "--title", "Jar") == 0
     assert "turntable.mesh" in capsys.readouterr().out
     assert command("seal", tmp_path / "c") == 0
     assert command("check", tmp_path / "c") == 0

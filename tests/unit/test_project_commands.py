@@ -83,7 +83,7 @@ def test_photographs_that_changed_are_not_taken_for_those_converted_before(runs)
 
 
 def test_a_capture_with_an_error_is_neither_run_nor_added(runs):
-    assert status_of("convert", "Größe 1", "captures/plate", "--open") == 0
+    assert status_of("convert", "Größe 1", "captures/plate", "--unsealed") == 0
     next(load_capture("captures/plate").root.glob("frames/*")).unlink()
     assert status_of("init") == 0
     assert status_of("run", "captures/plate") == 2

@@ -371,5 +371,5 @@ def write_table_capture(folder: Path, layout: MeasuredTable, source: Path, optio
     settings = {"format": FORMAT, "title": options.title or table.stem, "geometry": "goniometer", "goniometer": block}
     (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
     what = "two mirror planes, through weft and warp, are taken for granted"
-    remedy = "Use --open and set goniometer.symmetry (quarter, half, none) and goniometer.weave if it is otherwise"
+    remedy = "Use --unsealed and set goniometer.symmetry (quarter, half, none) and goniometer.weave if it is otherwise"
     return [warning("symmetry-assumed", table.name, what, remedy=remedy)]

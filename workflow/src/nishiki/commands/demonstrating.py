@@ -12,12 +12,12 @@ from nishiki.commands.declare import command, option
 from nishiki.installation import INSTALLED, PROJECT, SCRIPTS
 
 DEMOS = {
-    "painting": ("painting", "config/config.yaml", "a simulated painting: one to three minutes"),
-    "jar": ("object", "config/object.yaml", "a simulated jar, 36 views on a turntable: up to 12 minutes"),
-    "satin": ("satin", "config/cloth.yaml", "a simulated satin, 5,940 photographs: several minutes"),
+    "painting": ("painting", "config/config.yaml", "a simulated painting: 40 seconds of processor time"),
+    "jar": ("object", "config/object.yaml", "a simulated jar, 36 views on a turntable: five minutes of processor time"),
+    "satin": ("satin", "config/cloth.yaml", "a simulated satin, 5,940 photographs: three minutes of processor time"),
     "rig": ("painting", "config/painting_by_rig.yaml", "the painting through a simulated dome: several minutes"),
 }
-"""Preset of the simulator, configuration, and what is told beforehand; times of two quiet processors."""
+"""Preset of the simulator, configuration, and what is told beforehand; times with compiled kernels."""
 
 
 @command("demo", "demo --object", "demo --cloth", passed_on=True)
