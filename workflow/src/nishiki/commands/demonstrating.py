@@ -38,7 +38,11 @@ def demo(jar: bool, satin: bool, dome: bool, rest: tuple[str, ...]) -> int:
     name = "jar" if jar else "satin" if satin else "painting"
     preset, configuration, told = DEMOS["rig" if dome else name]
     print(f"nishiki demo: {told}, more where kernels have to be compiled first", file=sys.stderr, flush=True)
-    os.chdir(demo_folder() if INSTALLED else PROJECT)
+    folder = Path("nishiki-demo").absolute() if INSTALLED else PROJECT
+    if not (folder / "config").is_dir():
+        shutil.copytree(PROJECT / "config", folder / "config")
+    print(f"configuration, photographs and results: {folder}", file=sys.stderr)
+    os.chdir(folder)
     capture, truth = Path(f"captures/{name}"), Path(f"captures/{name}-truth")
     if not capture.is_dir() or not truth.is_dir():
         status = call_simulator("--output", str(capture), "--truth", str(truth), "--preset", preset)
@@ -81,20 +85,6 @@ def photograph_by_rig(by_hand: Path, folder: Path, capture: Path) -> int:
         return run_at_terminal([sys.executable, "-m", "nishiki", *command], bench.obey)
     finally:
         bench.close()
-
-
-def demo_folder() -> Path:
-    """Return the folder of an installed package's demonstrations, with a configuration."""
-    folder = Path("nishiki-demo").absolute()
-    shutil.copytree(PROJECT / "config", folder / "config", dirs_exist_ok=True, copy_function=_copy_new)
-    print(f"the demonstration's configuration, photographs and results: {folder}", file=sys.stderr)
-    return folder
-
-
-def _copy_new(source: str, target: str) -> None:
-    """Copy a file where there is none yet."""
-    if not os.path.lexists(target):
-        shutil.copyfile(source, target)
 
 
 @command(
