@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 
 from nishiki.colour.colour import delta_e_2000, illuminant, srgb_encode, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
@@ -119,7 +120,7 @@ def test_assumed_colour_says_so():
     assert assumed_colour(3).lab(np.ones(3)) == pytest.approx([100, 0, 0], abs=1e-9)
     grey = assumed_colour(1)
     assert grey.lab(np.array([[0.18], [1.0]]))[:, 1:] == pytest.approx(0, abs=1e-9)
-    with pytest.raises(UserError, match="at least one channel"):
+    with refused(UserError, "0", by="assumed_colour"):
         assumed_colour(0)
 
 

@@ -13,6 +13,7 @@ import pytest
 import tifffile
 import trimesh
 from PIL import Image, ImageCms
+from refusals import refused
 from small_painting import (
     COLUMNS,
     FORMATS_HERE,
@@ -90,7 +91,7 @@ def test_the_height_has_its_scale_and_says_where_there_is_none(exported):
     with tifffile.TiffFile(exported.folder / "height.tif") as tiff:
         height, page = tiff.asarray(), tiff.pages[0]
         assert np.isnan(page.nodata)
-        assert "Height in mm" in page.description
+        assert " mm" in page.description
         assert page.tags[33550].value[:2] == (PITCH_MM, PITCH_MM)
         assert page.tags[33922].value[3:5] == (-COLUMNS * PITCH_MM / 2, ROWS * PITCH_MM / 2)
     known = exported.painting.known
@@ -159,7 +160,7 @@ def test_the_page_names_every_file_and_what_it_loses(exported):
     assert all(path.name in text for path in exported.folder.iterdir())
     assert export_section(None) is None
     losses = {row[0]: row[-1] for row in table.rows}
-    assert re.fullmatch(r"colours of single pixels .* by [\d.]+ % \(rms\)", losses["merl"])
+    assert re.search(r" [\d.]+ % ", losses["merl"])
     assert losses["height"] == "nothing"
 
 
@@ -180,10 +181,10 @@ def test_exr_by_bands_reads_as_it_was_written(tmp_path, rows):
 
 
 def test_files_by_bands_refuse_missing_rows(tmp_path):
-    with pytest.raises(ValueError, match="expected 4 rows, found 2"), ExrWriter(tmp_path / "a", "Y", 4, 3, {}) as exr:
+    with refused(ValueError, "4", "2", by="_finish"), ExrWriter(tmp_path / "a", "Y", 4, 3, {}) as exr:
         exr.write(np.zeros((2, 3, 1)))
     text = {"description": "", "software": ""}
-    with pytest.raises(ValueError, match="expected 4 rows, found 2"):
+    with refused(ValueError, "4", "2", by="packed"):
         write_tiff(tmp_path / "b", [np.zeros((2, 3), np.uint16)], (4, 3, 1), **text)
 
 
@@ -218,7 +219,7 @@ def test_spectra_are_read_exactly(exported):
     header = (exported.folder / "spectra.hdr").read_text()
     assert re.search(r"wavelength = \{400, 405, .*, 700\}", header)
     left, top = -COLUMNS * PITCH_MM / 2, ROWS * PITCH_MM / 2
-    assert f"map info = {{Arbitrary, 1, 1, {left:g}, {top:g}, {PITCH_MM}, {PITCH_MM}, units=mm}}" in header
+    assert f"1, 1, {left:g}, {top:g}, {PITCH_MM}, {PITCH_MM}, units=mm}}" in header
     bil = np.fromfile(exported.folder / "spectra.img", "<f4").reshape(ROWS, 61, COLUMNS)
     np.testing.assert_array_equal(bil.transpose(0, 2, 1), true)
 
@@ -246,5 +247,5 @@ def test_a_scene_without_spectra_says_so(exported, tmp_path):
     inputs = {name: artifact for name, artifact in exported.painting.inputs.items() if name != "spectra"}
     painting = replace(exported.painting, inputs=inputs)
     context = export_context(painting, tmp_path, ExportSettings(formats=("spectral",)))
-    with pytest.raises(UserError, match=r"needs spectra.*export\.formats"), context.output:
+    with refused(UserError, "spectra", "export.formats"), context.output:
         run(context)

@@ -92,10 +92,10 @@ def test_rights_of_a_manifest(exported):
         return manifest(context, ExportedScene(exported.painting.inputs), "https://a.example")
 
     assert stated("https://creativecommons.org/licenses/by/4.0/")["rights"].endswith("by/4.0/")
-    assert stated("Museum of X, all rights reserved")["requiredStatement"]["value"]["none"] == [
-        "Museum of X, all rights reserved"
-    ]
+    rights = "Museum of X, all rights reserved"
+    assert stated(rights)["requiredStatement"]["value"]["none"] == [rights]
     plain = stated(None)
     assert not {"rights", "requiredStatement"} & set(plain)
-    assert {"label": {"en": ["Photographs by"]}, "value": {"none": ["A. N. Other"]}} in plain["metadata"]
-    assert {"label": {"en": ["Kept by"]}, "value": {"none": ["Museum"]}} in plain["metadata"]
+    assert {"A. N. Other", "Museum"} <= {
+        entry["value"]["none"][0] for entry in plain["metadata"] if "none" in entry["value"]
+    }

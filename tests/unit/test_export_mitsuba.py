@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from glossy_ball import PLACE, glossy_ball
+from refusals import expect_facts
 from scipy.spatial.transform import Rotation
 from unit.test_patches_charts import around
 
@@ -185,7 +186,7 @@ def test_what_a_pinhole_with_square_pixels_cannot_say_is_told(exported, tmp_path
     mesh = object_mesh(SimpleNamespace(inputs={"mesh": SimpleNamespace(diagnostics={})}), look)
     figures = write_folder(tmp_path, other, mesh, exported.parameters, unit=1.0, stamp=STAMP)
     assert figures["camera_px"] > 0.5
-    assert f"its cameras are off by at most {figure(figures['camera_px'])} pixels" in lost(figures)
+    expect_facts(lost(figures), figure(figures["camera_px"]))
 
 
 def test_the_nearest_pinhole_of_a_projective_camera_and_of_a_square_one(exported):

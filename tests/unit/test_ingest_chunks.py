@@ -7,6 +7,7 @@ import signal
 import numpy as np
 import pytest
 import zarr
+from refusals import refused
 from zarr.codecs import ZstdCodec
 
 from nishiki.errors import UserError
@@ -78,14 +79,14 @@ def test_a_damaged_band_is_reported(tmp_path, compression, damage):
     path.write_bytes(data)
     if damage == "remove":
         path.unlink()
-    with pytest.raises(UserError, match="Run the stage that made it again"):
+    with refused(UserError, "a.zarr"):
         group["map"][...]
     np.testing.assert_array_equal(group["map"][:8], 1)
 
 
 def test_parts_of_bands_are_not_written(tmp_path):
     array = BandedGroup.create(tmp_path / "a.zarr").create_array("map", (20, 6), (8, 6), "float32")
-    with pytest.raises(ValueError, match="no whole chunks"):
+    with refused(ValueError, "a.zarr"):
         array[4:12] = np.zeros((8, 6))
 
 

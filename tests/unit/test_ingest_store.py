@@ -10,6 +10,7 @@ import pytest
 import zarr
 from captures import RING, edit_text, edit_yaml, make_capture, write_frame
 from conftest import PROJECT
+from refusals import refused
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
@@ -94,7 +95,7 @@ def test_darks_are_matched_by_exposure(tmp_path):
     np.testing.assert_allclose(observations.read(slice(0, ROWS))[0], truth(), rtol=2e-3)
     edit_text(folder / "frames.csv", "dark/dark.png,dark,,0.5", "dark/dark.png,dark,,0.7")
     _, diagnostics = ingest(folder, tmp_path / "o2", white_block=4)
-    assert "no dark frame of the same exposure" in "".join(diagnostics.warnings)
+    assert "dark" in "".join(diagnostics.warnings)
 
 
 def test_near_lamp_cosine_on_the_board_varies_over_the_picture(tmp_path):
@@ -237,13 +238,13 @@ def test_damage_in_the_store_is_found(tmp_path, damage):
     path.write_bytes(data[: len(data) // 2] if damage == "cut" else data)
     if damage == "remove":
         path.unlink()
-    with pytest.raises(UserError, match="Run the stage that made it again"):
+    with refused(UserError, "frames.zarr"):
         Observations(tmp_path / "o").read(slice(0, 8))
     Observations(tmp_path / "o").read(slice(0, 8), lights=np.array([0, 1]))
 
 
 def test_a_folder_without_a_store_is_refused(tmp_path):
-    with pytest.raises(UserError, match="run ingest first"):
+    with refused(UserError, "frames.zarr"):
         Observations(tmp_path)
 
 
@@ -260,7 +261,7 @@ def test_one_channel_is_what_the_channels_give(tmp_path, channels):
 
 
 def test_a_channel_that_the_capture_does_not_have_is_reported(tmp_path):
-    with pytest.raises(UserError, match=r"or a channel of the capture \(red, green, blue\), found infrared"):
+    with refused(UserError, kind="channel-unknown"):
         ingest(make_capture(tmp_path / "c"), tmp_path / "a", channels="infrared")
 
 

@@ -12,6 +12,7 @@ import pytest
 from captures import edit_block, edit_text, edit_yaml, make_turntable, turntable_value, write_frame
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused
 
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
@@ -66,9 +67,9 @@ def test_every_light_and_state_is_found(tmp_path):
                 np.testing.assert_allclose(values, codes_of(i, j, k), rtol=1e-6)
     first, _ = views.read(3)
     np.testing.assert_allclose(first, codes_of(3, 0, 1), rtol=1e-6)
-    with pytest.raises(UserError, match="no polariser state 'crossed'"):
+    with refused(UserError, "crossed", "off"):
         views.read(0, state="crossed")
-    with pytest.raises(UserError, match="no view number 5"):
+    with refused(UserError, "5", by="_view"):
         views.read(5)
 
 
@@ -268,7 +269,7 @@ def test_store_is_deterministic_and_damage_is_found(tmp_path):
     chunk.unlink()
     with pytest.raises(UserError, match="missing"):
         views.read(1, state="on")
-    with pytest.raises(UserError, match="no ingested views"):
+    with refused(UserError, "views.zarr"):
         Views(tmp_path / "c")
 
 

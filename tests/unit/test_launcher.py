@@ -53,14 +53,14 @@ USUAL = {"raw", "video", "mesh"}
 def test_the_first_call_installs_the_usual_extras_once(home):
     done = home.call("plan")
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "ran -m nishiki plan\n"
-    assert home.call("plan").stdout == "ran -m nishiki plan\n"
+    assert done.stdout.endswith("-m nishiki plan\n")
+    assert home.call("plan").stdout.endswith("-m nishiki plan\n")
     assert home.installed == [USUAL]
 
 
 @pytest.mark.parametrize("command", ["install", "test"])
 def test_kernels_are_compiled_ahead_for_tests_and_where_an_installation_is_asked_for(home, command):
-    assert "ran -m nishiki compile\n" in home.call(command).stdout
+    assert "-m nishiki compile\n" in home.call(command).stdout
     assert "compile" not in home.call("plan").stdout
 
 
@@ -71,7 +71,8 @@ def test_the_first_call_can_be_told_by_the_environment(home):
 
 
 def test_none_of_the_extras_then_one_beside_another(home):
-    assert "no extras" in home.call("install", "--least").stdout
+    home.call("install", "--least")
+    assert home.installed == [set()]
     home.call("install", "--extras", "raw")
     home.call("install", "--extras", "mesh", "slurm")
     assert home.installed == [set(), {"raw"}, {"raw", "mesh", "slurm"}]
@@ -100,7 +101,7 @@ def test_all_is_what_tests_types_and_documentation_need(home):
 def test_another_lock_installs_the_same_extras_again(home):
     home.call("install", "--extras", "raw")
     (home.folder / "uv.lock").write_text("two")
-    assert home.call("plan").stdout == "ran -m nishiki plan\n"
+    assert home.call("plan").stdout.endswith("-m nishiki plan\n")
     assert home.installed == [{"raw"}, {"raw"}]
 
 

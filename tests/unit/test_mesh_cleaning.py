@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from turned_cameras import turn
 
 from nishiki.geometry.cleaning import clean
@@ -101,7 +102,7 @@ def test_two_bodies_that_touch_in_a_point_are_parted():
 
 
 def test_nothing_left_is_an_error():
-    with pytest.raises(ValueError, match="no triangle"):
+    with refused(ValueError, by="clean"):
         clean(np.zeros((3, 3)), np.array([[0, 1, 2]]))
 
 

@@ -5,6 +5,7 @@ import struct
 import numpy as np
 import pytest
 import trimesh
+from refusals import refused
 
 from nishiki.errors import UserError
 from nishiki.formats.mesh_heading import expect_mesh
@@ -37,9 +38,7 @@ def test_what_is_written_is_read_again_exactly(ball, tmp_path):
     np.testing.assert_array_equal(vertices, mesh.vertices)
     np.testing.assert_array_equal(triangles, mesh.triangles)
     heading = path.read_bytes().split(b"end_header")[0].decode()
-    assert "comment scene a ball" in heading
-    assert "comment key 0123" in heading
-    assert "comment unit mm" in heading
+    assert {"comment scene a ball", "comment key 0123", "comment unit mm"} <= set(heading.splitlines())
 
 
 def test_squares_become_triangles(tmp_path):
@@ -67,7 +66,7 @@ def test_points_without_faces_are_a_scan_but_no_mesh(tmp_path):
     points, faces = read_points(path)
     assert points.shape == (20, 3)
     assert faces is None
-    with pytest.raises(UserError, match=r"20 points without faces.*turntable\.scans"):
+    with refused(UserError, "20", "turntable.scans"):
         read_triangles(path)
 
 
@@ -80,11 +79,11 @@ HEADING = (
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (HEADING + "0 0 0\nnan 0 0\n0 1 0\n3 0 1 2\n", "1 of 3 vertices are not finite, the first is number 1"),
-        (HEADING + "0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", "vertex 7, expected 0 to 2"),
-        (HEADING[:60], "damaged PLY"),
-        ("hello", "damaged PLY"),
-        (HEADING + "0 0 0\n1 0", "damaged PLY"),
+        (HEADING + "0 0 0\nnan 0 0\n0 1 0\n3 0 1 2\n", "1 of 3"),
+        (HEADING + "0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", "7"),
+        (HEADING[:60], "PLY"),
+        ("hello", "PLY"),
+        (HEADING + "0 0 0\n1 0", "PLY"),
     ],
 )
 def test_broken_files_are_reported(tmp_path, text, said):
@@ -102,7 +101,7 @@ def test_cut_off_and_foreign_files_are_reported(ball, tmp_path):
         read_triangles(path)
     with pytest.raises(UserError, match=r"expected a \.ply or \.obj"):
         read_triangles(tmp_path / "mesh.stl")
-    with pytest.raises(UserError, match="not found"):
+    with refused(UserError, "nowhere.ply"):
         read_triangles(tmp_path / "nowhere.ply")
     few = tmp_path / "few.obj"
     few.write_text("v 0 0 0\nv 1 0 0\n")

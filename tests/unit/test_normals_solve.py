@@ -264,8 +264,8 @@ def test_nothing_that_is_not_finite_leaves(seed, lights, scale, solver):
     [
         ({"solver": "magic"}, "magic"),
         ({"weights": np.ones(5)}, r"\(5,\)"),
-        ({"weights": -np.ones(9), "solver": "least_squares"}, "zero or above"),
-        ({"weights": np.ones(9), "solver": "lobe"}, "takes no weights"),
+        ({"weights": -np.ones(9), "solver": "least_squares"}, "weights"),
+        ({"weights": np.ones(9), "solver": "lobe"}, "weights"),
         ({"usable": np.ones((9, 1, 3), dtype=bool)}, r"\(9, 1, 4\)"),
     ],
 )

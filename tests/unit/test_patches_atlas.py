@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from unit.test_patches_charts import FRONT, UP, around, ball
 
 from nishiki.atlas.atlas import Atlas, build_atlas, pack
@@ -285,7 +286,7 @@ def test_reading_in_any_order_gives_the_same(scene, tmp_path):
 
 
 def test_wrong_questions(scene, tmp_path):
-    with pytest.raises(UserError, match="no texels here"):
+    with refused(UserError, "texels.zarr"):
         Texels(tmp_path)
     with pytest.raises(ValueError, match="2 x 2"):
         build_atlas(np.zeros((0, 3, 2)), np.zeros(0, np.int32), np.zeros((0, 2)), size=1)
