@@ -156,7 +156,7 @@ class HeightField(Summarised):
         return {**{name: getattr(self, name) for name in names}, "valid_pixels": int(inside.size), "range": span}
 
 
-def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", tolerance=1e-5, max_iterations=400):
+def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", tolerance=1e-5, max_iterations=1000):
     """Integrate unit normals into a relief.
 
     Parameters
