@@ -41,10 +41,12 @@ MOST_PIXELS, MOST_VALUES = 1500, 40_000  # fitted; the errors are those of 64 pa
 FAINT = 0.1  # gain below which a photograph shows the room and the noise, not its lamp
 LEAST_AMBIENT = 0.02  # of the albedo: less turns normals by less than half a degree, and lenses and walls give as much
 REPEATED = 0.25  # of the difference that two lamps should make: the same lamp twice leaves the noise of the camera
-MOST_AMBIENT = 0.5  # of a lamp: more cannot be told from an even object
+MOST_AMBIENT = 0.4  # of a lamp: more cannot be told from an even object, where .41 to 1.1 seemed to be
 WORSE = (
     2.0  # times the misfit without ambient light: shadows prove some that misfits more, up to 1.5; even objects 3 to 75
 )
+LEAST_FLOOR, LEAST_BEHIND = 0.3, 0.75  # of the ambient light: the darkest shadows, and the usual ones behind the object
+EVEN_FLOOR = 0.8  # the same of the darkest shadows where few values lie behind the object
 LARGEST_STEP, WIDEST, NEAREST = 0.3, 4.0, 0.05  # of the width in distances of the lamps: a round, fitted; of a lamp
 MOST_COURSE = 0.5  # deviation of log strengths that are linear over the directions: 1.1 on metal, <= .12 elsewhere
 LARGEST_MISFIT = 0.1  # of the brightness: where the photographs are predicted worse, nothing is concluded from them
@@ -196,22 +198,27 @@ def take_ambient(values: np.ndarray, directions: np.ndarray, patches: np.ndarray
     shadows dark. Returns the fit with the ambient light where it counts, the ambient light and its error.
     """
     albedo = np.linalg.norm(fit.normals, axis=1)
-    dark, sigma = deepest_shadows(values, fit, albedo, patches)
-    # the darkest values of all are the ambient light or more: without them, shadows are as dark as the model says
-    ambient, rest = lowest_levels(values / albedo, patches)[0] if not np.isfinite(sigma) else dark, fit
-    if np.isfinite(sigma) and dark <= max(LEAST_AMBIENT, SURE * sigma):
+    dark, sigma, _ = deepest_shadows(values, fit, albedo, patches)
+    if dark <= max(LEAST_AMBIENT, SURE * sigma):
         return fit, max(dark, 0.0), sigma
+    # the darkest values of all are the ambient light or more: without them, shadows are as dark as the model says
+    ambient, rest = lowest_levels(values / albedo, patches)[0], fit
     for _ in range(TURNS):  # the albedo, which is the image of the ambient light, is of the fit before
         if not ambient > LEAST_AMBIENT:
             break
         rest = fit_lambert(values - ambient * albedo, directions, patches)
         albedo = np.linalg.norm(rest.normals, axis=1)
-        ambient, sigma = deepest_shadows(values, replace(rest, ambient=ambient), albedo, patches)
-        if not np.isfinite(sigma):
-            break
+        floor, sigma, ambient = deepest_shadows(values, replace(rest, ambient=ambient), albedo, patches)
     else:
         misfit, before = (np.nanmedian(np.abs(one.alone)) / np.nanmedian(values) for one in (rest, fit))
-        if np.isfinite(dark) or (misfit < min(LARGEST_MISFIT / 2, WORSE * before) and ambient < MOST_AMBIENT):
+        believed = np.isfinite(dark) or misfit < min(LARGEST_MISFIT / 2, WORSE * before)
+        cosine = np.einsum("jsa,sa->js", directions.reshape(len(values), -1, 3), rest.normals)
+        behind = (values / albedo)[cosine < -GRAZING * albedo]
+        behind = behind[np.isfinite(behind)]
+        proven = floor > EVEN_FLOOR * ambient  # with few shadows, all of them must show it
+        if len(behind) > FEWEST_PIXELS:
+            proven = floor > LEAST_FLOOR * ambient and np.median(behind) > LEAST_BEHIND * ambient
+        if believed and proven and LEAST_AMBIENT < floor and ambient < MOST_AMBIENT:
             return replace(rest, ambient=ambient), ambient, sigma
     lit = fit
     for _ in range(3):
@@ -221,31 +228,39 @@ def take_ambient(values: np.ndarray, directions: np.ndarray, patches: np.ndarray
     ratio = float(np.median(reference / albedo))
     ambient, sigma = lit.ambient * ratio, lit.ambient_sigma * ratio
     misfits = [float(np.median(np.abs(f.residuals) / np.linalg.norm(f.normals, axis=1))) for f in (fit, lit)]
-    explained = ambient > max(LEAST_AMBIENT, SURE * sigma) and misfits[1] < 0.5 * misfits[0]
+    explained = max(LEAST_AMBIENT, SURE * sigma) < ambient < MOST_AMBIENT and misfits[1] < 0.5 * misfits[0]
     return (replace(lit, ambient=ambient), ambient, sigma) if explained else (fit, 0.0, max(sigma, abs(ambient)))
 
 
-def deepest_shadows(values: np.ndarray, fit: Fit, albedo: np.ndarray, patches: np.ndarray) -> tuple[float, float]:
-    """Level of the deepest shadows relative to the albedo, and the spread of it; inf where the lamps cast none.
+def deepest_shadows(
+    values: np.ndarray, fit: Fit, albedo: np.ndarray, patches: np.ndarray
+) -> tuple[float, float, float]:
+    """Measure shadows relative to the albedo, see `lowest_levels`; NaN where the lamps cast none.
 
     In shadow is a value of less than half its prediction, or of which the model says that the lamp does not reach it.
-    Of each patch the darkest twentieth counts, and of these levels the lowest fifth.
     """
     predictions = values - fit.residuals
     shade = np.isfinite(values) & ((values < 0.5 * (predictions + fit.ambient * albedo)) | (fit.weights == 0))
-    levels = np.where(shade, values / albedo, np.nan)
-    return lowest_levels(levels, patches)
+    return lowest_levels(np.where(shade, values / albedo, np.nan), patches)
 
 
-def lowest_levels(levels: np.ndarray, patches: np.ndarray) -> tuple[float, float]:
-    """Median and spread of the lowest fifth of the patches' levels (lights, pixels), NaN where there is none."""
-    floors = [
-        np.nanquantile(group, 0.05)
+def lowest_levels(levels: np.ndarray, patches: np.ndarray) -> tuple[float, float, float]:
+    """Measure the dark end of levels (lights, pixels), NaN where there is none: floor, its spread, usual level.
+
+    Of each patch the darkest twentieth counts, and of these the lowest fifth is the floor: only light of the room
+    raises it. It reaches hollows and rims less than the rest, so that the floor is less than its share of the albedo:
+    the usual level is the median over the patches of their lower quartiles.
+    """
+    quantiles = [
+        np.nanquantile(group, (0.05, 0.25))
         for group in (levels[:, patches == patch] for patch in np.unique(patches))
         if np.isfinite(group).sum() > 3
     ]
+    if len(quantiles) < 11:  # a fifth of which is three
+        return np.nan, np.nan, np.nan
+    floors, quartiles = np.array(quantiles).T
     lowest = np.sort(floors)[: -(-len(floors) // 5)]
-    return (float(np.median(lowest)), float(np.std(lowest))) if len(lowest) > 2 else (np.nan, np.inf)
+    return float(np.median(lowest)), float(np.std(lowest)), float(np.median(quartiles))
 
 
 def spread_pixels(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
