@@ -81,3 +81,11 @@ def test_far_lamps_are_not_turned_into_positions(tmp_path):
     with pytest.raises(CaptureError) as refused:
         convert(source, tmp_path / "c", lights_kind="position_mm", width_mm=WIDTH_MM)
     assert refused.value.problems[0].kind == "lights-ambiguous"
+
+
+@pytest.mark.data
+def test_directions_by_line_become_positions_where_lamps_are_said_to_be_near(data, tmp_path):
+    convert(data / "diligent_cat", tmp_path / "capture", lights_kind="position_mm", width_mm=100.0)
+    capture = load_capture(tmp_path / "capture")
+    assert capture.settings.lights.kind == "position_mm"
+    assert np.median(np.linalg.norm(capture.lights.vectors, axis=1)) == pytest.approx(700, rel=0.15)

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.layouts import Layout, find_mask, photographs_in
+from nishiki.capture.folder import MIRROR_BALLS
+from nishiki.capture.layouts import Layout, find_mask, photographs_in, settle_directions
 from nishiki.capture.lights import lights_from_vectors
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.spheres.findings import LEAST_LAMPS, SphereInput, SpheresError, draw_findings
@@ -15,7 +16,7 @@ from nishiki.errors import UserError
 from nishiki.formats.images import read_header
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 
-PICTURE, MASK = "mirror_balls.png", "mask.png"
+MASK = "mask.png"
 MOST_SIGMA_DEG = 10.0  # median uncertainty of the directions up to which lamps are believed
 MOST_TILT_DEG = 35.0  # of the scene under the lamps; near lamps tilt it, too
 LEAST_Z = 0.02  # of a direction: lamps below graze the object
@@ -53,7 +54,7 @@ def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptio
         )
         raise _refusal(source, what)
     mask = options.mask or find_mask(source)
-    files = {PICTURE: _png(draw_findings(measured.findings)[..., ::-1])}
+    files = {MIRROR_BALLS: _png(draw_findings(measured.findings)[..., ::-1])}
     if mask is None:
         files[MASK] = _png(_mask_without(measured))
     ahead = [i for i, towards in enumerate(measured.fit.directions) if towards[2] > LEAST_Z]
@@ -61,7 +62,7 @@ def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptio
         measured.findings.left_out[name] = "its lamp stands in or behind the object's plane"
     names = [measured.names[i] for i in ahead]
     lights = lights_from_vectors(names, measured.fit.directions[ahead], file="mirror balls")
-    return Layout(
+    layout = Layout(
         "mirror balls",
         tuple(measured.photographs[i] for i in ahead),
         lights,
@@ -69,8 +70,9 @@ def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptio
         mask,
         (*_notes(source, measured, mask, len(names)), *lights.warnings),
         files=files,
-        notes=f"Lamps measured on {len(measured.findings.outlines)} mirror balls in the photographs: {PICTURE}",
+        notes=f"Lamps measured on {len(measured.findings.outlines)} mirror balls in the photographs: {MIRROR_BALLS}",
     )
+    return settle_directions(layout, options)
 
 
 def _refusal(source: Path, text: str, kind: str = "lamps-unmeasured") -> CaptureError:
@@ -97,7 +99,7 @@ def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, lamps: in
             f"there is no lights file; {lamps} lamps were measured on {len(circles)} mirror balls with an "
             f"uncertainty of {np.median(sigma):.1f} degrees (largest {sigma.max():.1f}); {lens}",
             found=places,
-            remedy=f"Look at {PICTURE} in the capture: green outlines must lie on the balls, red crosses on highlights",
+            remedy=f"Look at {MIRROR_BALLS} in the capture: green outlines must lie on balls, red crosses on lights",
         )
     ]
     notes += [warning("lamp-unmeasured", name, f"photograph left out: {why}") for name, why in found.left_out.items()]

@@ -30,6 +30,9 @@ from nishiki.formats.files import bound, leads_out
 from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading, table_rows
 
+MIRROR_BALLS = "mirror_balls.png"
+"""Picture in a capture whose lamps were measured on mirror balls, in the axes of the photographs."""
+
 T = TypeVar("T")
 
 

@@ -181,6 +181,13 @@ def _settled(layout: Layout, stated: StatedLights, file: Path, options: ConvertO
     )
 
 
+def settle_directions(layout: Layout, options: ConvertOptions) -> Layout:
+    """Place lamps of known directions at the distance that the photographs show, where the user says they are near."""
+    kind = "position_mm" if options.lights_kind == "position_mm" else "direction"
+    stated = StatedLights(layout.lights, kind, intensities=layout.intensities)
+    return _settled(layout, stated, Path(layout.name), options)
+
+
 def read_rtibuilder(source: Path, project: RtiProject, options: ConvertOptions) -> Layout:
     """Read the lights of an RTIBuilder project, given or its own, and find the photographs they name, by stem."""
     lights_file = options.lights_file or project.lights_file()
@@ -292,8 +299,8 @@ def read_diligent(source: Path, directions: Path, options: ConvertOptions) -> La
             refuse("intensities-invalid", scales.name, "table", expected=expected, found=f"{intensities.shape}")
     layout = _in_order(source, present, bare, intensities, mask, "DiLiGenT")
     if names.is_file():
-        return Layout(layout.name, layout.photographs, layout.lights, intensities, mask, bare.warnings)
-    return layout
+        layout = replace(layout, intensities=intensities, warnings=bare.warnings)
+    return settle_directions(layout, options)
 
 
 def read_with_spheres(source: Path, probes: list[Path], options: ConvertOptions) -> Layout:
@@ -320,7 +327,8 @@ def read_with_spheres(source: Path, probes: list[Path], options: ConvertOptions)
             what = "mirror spheres disagree about the lamp"
             notes.append(warning("probes-disagree", photograph.name, what, found=found))
     lights = lights_from_vectors([p.stem for p in photographs], np.array(vectors), file="mirror spheres")
-    return Layout("mirror spheres", tuple(photographs), lights, None, mask, (*notes, *lights.warnings))
+    layout = Layout("mirror spheres", tuple(photographs), lights, None, mask, (*notes, *lights.warnings))
+    return settle_directions(layout, options)
 
 
 def _circle(probe: Path) -> tuple[float, float, float]:

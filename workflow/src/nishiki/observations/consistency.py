@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from nishiki.capture.folder import Capture
+from nishiki.capture.folder import MIRROR_BALLS, Capture
 from nishiki.capture.frames import Frame
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.observations.frames import FrameReader
@@ -369,7 +369,7 @@ def _arrangement_problems(judgement: Judgement, capture: Capture) -> list[Proble
     """lights-order and lights-axes, as errors with the option of `convert` that mends them."""
     arrangement, file = judgement.arrangement, capture.settings.lights.file
     if arrangement.as_stated:
-        if not arrangement.mirror_undecided:
+        if not arrangement.mirror_undecided or (capture.payload / MIRROR_BALLS).exists():
             return []
         what = "the photographs do not show which way the y axis of the lights points"
         said = f"curl of the slopes {100 * arrangement.curl[0]:.0f} %, and as little with y mirrored"
