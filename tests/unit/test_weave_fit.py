@@ -116,7 +116,7 @@ def test_pieces_are_the_sum_over_the_lit_and_seen_profile(section, kind):
 @pytest.mark.parametrize("cloth", list(CLOTHS))
 def test_recovery_without_noise_is_within_one_per_cent(cloth, reading):
     truth = of_reading(CLOTHS[cloth], reading)
-    found = fit_weave(*measured(truth), reading=reading, contact=np.pi / 2, intervals=False)
+    found = fit_weave(*measured(truth), reading=reading, contact=np.pi / 2, confidence=None)
     for name, value in truth.parameters().items():
         assert found.model.parameters()[name] == pytest.approx(value, rel=0.01), name
     assert max(found.rms_rel.values()) < 1e-6
@@ -127,7 +127,7 @@ def test_recovery_by_yarns_and_with_the_contact_searched():
     truth = of_reading(CLOTHS["satin"], "yarns", "ggx")
     truth = WeaveModel(**{**truth.__dict__, "weft": WeftSection(0.8, 0.03, 0.1, 4, 1.0)})
     truth = of_reading(truth, "yarns", "ggx")
-    found = fit_weave(*measured(truth), reading="yarns", lobe="ggx", contact=None, harness=5, intervals=False)
+    found = fit_weave(*measured(truth), reading="yarns", lobe="ggx", contact=None, harness=5, confidence=None)
     for name, value in truth.parameters().items():
         assert found.model.parameters()[name] == pytest.approx(value, rel=0.01), name
 
@@ -166,7 +166,7 @@ def share_of_flank(section) -> float:
 
 def test_lengths_are_named_as_determined_up_to_scale_alone():
     truth = of_reading(CLOTHS["satin"], "paper")
-    found = fit_weave(*measured(truth), reading="paper", contact=np.pi / 2, intervals=False).identifiability
+    found = fit_weave(*measured(truth), reading="paper", contact=np.pi / 2, confidence=None).identifiability
     groups = {frozenset(product.split(" · ")) for product in found.free}
     assert groups == {frozenset({"l_weft", "r_weft"}), frozenset({"l_warp", "r_warp", "m_warp"})}
     together = [product for product in found.weak if "index" in product]
@@ -178,7 +178,7 @@ def test_lengths_are_named_as_determined_up_to_scale_alone():
 def test_strengths_of_channels_share_one_geometry():
     base = of_reading(CLOTHS["twill"], "paper")
     truth = WeaveModel(**{**base.__dict__, "k_s": np.array([4.0, 3.0, 5.0]), "k_d": np.array([0.2, 0.05, 0.01])})
-    found = fit_weave(*measured(truth), reading="paper", contact=np.pi / 2, intervals=False)
+    found = fit_weave(*measured(truth), reading="paper", contact=np.pi / 2, confidence=None)
     np.testing.assert_allclose(found.model.k_s, truth.k_s, rtol=1e-3)
     np.testing.assert_allclose(found.model.k_d, truth.k_d, rtol=1e-3)
 
@@ -189,7 +189,7 @@ def test_fit_is_equivariant_in_the_radiometric_scale(scale):
     truth = of_reading(CLOTHS["plain"], "paper")
     planes = measured(truth)
     bright = [make_plane(p.theta_r, p.values * scale) for p in planes]
-    one, two = (fit_weave(*q, reading="paper", contact=np.pi / 2, intervals=False).model for q in (planes, bright))
+    one, two = (fit_weave(*q, reading="paper", contact=np.pi / 2, confidence=None).model for q in (planes, bright))
     assert two.warp.as_dict() == pytest.approx(one.warp.as_dict(), rel=1e-5)
     np.testing.assert_allclose(two.k_s, one.k_s * scale, rtol=1e-5)
 
@@ -247,7 +247,7 @@ def test_brdf_is_the_fitted_curve_in_the_planes_reciprocal_and_finite(reading, t
 def test_store_gives_back_the_model(tmp_path):
     truth = of_reading(CLOTHS["twill"], "paper")
     planes = measured(truth)
-    fit = fit_weave(*planes, reading="paper", contact=np.pi / 2, intervals=False)
+    fit = fit_weave(*planes, reading="paper", contact=np.pi / 2, confidence=None)
     write_weave(tmp_path, {"cloth": describe(fit, planes, weave="twill", harness=3)})
     stored = Weave(tmp_path)
     assert stored.model.weft == fit.model.weft

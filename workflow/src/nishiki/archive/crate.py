@@ -92,17 +92,13 @@ def parse_manifest_text(data: bytes) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class PackedStage:
-    """Describe one packed artifact.
+    """Describe one packed artifact."""
 
-    manifest: artifact.json; run: facts of its run; same_code: whether the packed code made it; does: purpose of the
-    stage; files: bytes and SHA-256 of artifact.json and run.json.
-    """
-
-    manifest: dict[str, Any]
-    run: dict[str, Any]
-    same_code: bool
-    does: str
-    files: dict[str, tuple[int, str]]
+    manifest: dict[str, Any]  # artifact.json
+    run: dict[str, Any]  # facts of its run
+    same_code: bool  # whether the packed code made it
+    does: str  # purpose of the stage
+    files: dict[str, tuple[int, str]]  # bytes and SHA-256 of artifact.json and run.json
 
     @property
     def stage(self) -> str:

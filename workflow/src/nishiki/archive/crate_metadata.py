@@ -48,10 +48,7 @@ class PackedCapture:
 
 
 def metadata(scene: str, version: str, capture: PackedCapture, stages: list[PackedStage], others: list[str]) -> Entity:
-    """Build the whole description.
-
-    stages: in the order of the flow; others: names of further files of the crate.
-    """
+    """Build the whole description. stages: in the order of the flow; others: names of further files of the crate."""
     graph = [
         _descriptor(),
         _root(scene, capture, stages, others),

@@ -64,9 +64,7 @@ class Crate:
                 writer.write(block)
                 size += len(block)
         if sha256 and digest.hexdigest() != sha256:
-            raise UserError(
-                f"{source}: its content is not what was recorded. Remedy: ./nishiki verify names all damage"
-            )
+            raise UserError(f"{source}: content differs from its record. Remedy: ./nishiki verify lists all damage")
         self.files[name] = (size, digest.hexdigest())
 
     def write(self, name: str, text: str) -> None:
@@ -83,22 +81,17 @@ class Crate:
 
 @dataclass(frozen=True)
 class PackedScene:
-    """Collect the contents of a crate.
-
-    artifacts: in the order of the flow; capture: the sealed folder; about: title, people and rights of capture.yaml;
-    facts: further facts of the plan as plain data; does: purposes of the stages; method: how the capture was made
-    (`capture_method`).
-    """
+    """Collect the contents of a crate."""
 
     name: str
     version: str
-    artifacts: list[Artifact]
-    capture: Path
+    artifacts: list[Artifact]  # in the order of the flow
+    capture: Path  # the sealed folder
     capture_digest: str
-    about: dict[str, str | None]
-    facts: dict[str, Any]
-    does: dict[str, str]
-    method: dict[str, Any] = field(default_factory=dict)
+    about: dict[str, str | None]  # title, people and rights of capture.yaml
+    facts: dict[str, Any]  # further facts of the plan as plain data
+    does: dict[str, str]  # purposes of the stages
+    method: dict[str, Any] = field(default_factory=dict)  # how the capture was made (`capture_method`)
 
 
 def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool, tell: Tell) -> str:
@@ -147,9 +140,7 @@ def _copy_artifact(crate: Crate, scene: PackedScene, item: Artifact, project: Pa
         crate.copy(item.path(name), f"{folder}/{name}")
     run = item.run
     if not {"finished", "seconds"} <= set(run):
-        raise UserError(
-            f"{item.path(RUN)}: says not when the stage ran. Remedy: ./nishiki verify --set-aside, run again"
-        )
+        raise UserError(f"{item.path(RUN)}: has no time of the run. Remedy: ./nishiki verify --set-aside, run again")
     script = project / stage_program(item.stage)
     script = script if script.is_file() else program_of(item.stage)  # of an installed package
     same = script.is_file() and code_digest(script) == item.manifest.get("code")

@@ -52,20 +52,18 @@ KEY = re.compile(r"[0-9a-f]{12}")
 
 @dataclass
 class Survey:
-    """What is known of one artifact before its files are read.
-
-    digest: SHA-256 of its manifest; to_read: files in the right number of bytes, with the digests that they should
-    have; upstream: stage -> (key, digest of the manifest), for the first stage "capture" -> ("", digest).
-    """
+    """What is known of one artifact before its files are read."""
 
     tree: Tree
     below: str
     damages: list[Damage] = field(default_factory=list)
-    digest: str = ""
+    digest: str = ""  # SHA-256 of its manifest
     scene: str = ""
     stage: str = ""
     key: str = ""
+    # stage -> (key, digest of the manifest), for the first stage "capture" -> ("", digest)
     upstream: dict[str, tuple[str, str]] = field(default_factory=dict)
+    # files in the right number of bytes, with the digests that they should have
     to_read: list[tuple[str, int, str]] = field(default_factory=list)
     files: int = 0
     bytes: int = 0

@@ -371,9 +371,8 @@ def expect_links(results: Path) -> None:
         os.symlink(INDEX, link)
     except OSError as error:
         raise UserError(
-            f"{results}: this file system has no symbolic links ({error.strerror}). The folder `current` of a scene "
-            "consists of them. Remedy: set results: /folder/on/another/disk in the configuration, or mount the share "
-            "with links (CIFS: option mfsymlinks)"
+            f"{results}: the file system has no symbolic links ({error.strerror}), which `current` needs. Remedy: name "
+            "a folder on another disk with the key results, or mount the share with links (CIFS: option mfsymlinks)"
         ) from None
     link.unlink()
 

@@ -118,13 +118,12 @@ class StagePart:
 
 @dataclass(frozen=True)
 class TiledStage:
-    """A stage that can be divided.
+    """A stage that can be divided."""
 
-    map_tiles: context -> tally of the share, a dict of numbers, texts, lists and arrays; its entry `same` holds what
-    does not depend on the share. merge: (context, tallies in the order of the shares) -> diagnostics.
-    """
-
+    # context -> tally of the share, a dict of numbers, texts, lists and arrays; its entry `same` holds what does not
+    # depend on the share
     map_tiles: Callable[[Any], dict[str, Any]]
+    # (context, tallies in the order of the shares) -> diagnostics
     merge: Callable[[Any, list[dict[str, Any]]], dict[str, Any]]
 
     def __call__(self, context: Any) -> dict[str, Any]:

@@ -260,8 +260,5 @@ def _target(output: Path, key: str) -> Path:
     if output.name != MANIFEST:
         return output / key
     if output.parent.name != key:
-        raise UserError(
-            f"{output.parent}: settings and inputs give the key {key}. Remedy: the inputs are not those that "
-            "were planned; run again."
-        )
+        raise UserError(f"{output.parent}: the inputs differ from the plan and give the key {key}. Remedy: run again")
     return output.parent

@@ -173,6 +173,12 @@ FEW = 0.005
 """Share of the triangles that may be split off at first; more, and the attempt is given up."""
 MANY = 50
 """Charts that are few enough."""
+RANGE_OF_NORMALS = 0.02
+"""Range over which normals are averaged before they are judged, of the mesh's extent."""
+SMALLEST = 0.01
+"""Area below which a piece is merged, of the whole surface."""
+STEEPEST = np.cos(np.radians(80.0))
+"""Cosine of the largest angle between a triangle and its chart."""
 
 
 @dataclass(frozen=True)
@@ -194,11 +200,11 @@ class Charts:
     overlapped: int
 
 
-def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float, **settings) -> Charts:
+def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float) -> Charts:
     """Cut a mesh into charts.
 
     up, front (3,): the turntable's axis and a direction across it; spacing: distance of the probes that look for
-    overlaps, in the world's unit (half a texel); settings: of `cut`. The surface is flattened as it is where that
+    overlaps, in the world's unit (half a texel). The surface is flattened as it is where that
     makes at most `MANY` charts, otherwise smoothed before, by as many of `SMOOTHING` rounds as make so few, or the
     fewest: on a rough surface many triangles turn away from any direction, and each would become a chart of its own.
     """
@@ -206,7 +212,7 @@ def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float
     for rounds in SMOOTHING:
         vertices = smoothed_vertices(mesh.vertices, mesh.triangles, rounds=rounds)
         patience = FEW if best is not None or rounds < SMOOTHING[-1] else 1.0
-        charts = cut(mesh, vertices, rounds, up=up, front=front, spacing=spacing, patience=patience, **settings)
+        charts = cut(mesh, vertices, rounds, up=up, front=front, spacing=spacing, patience=patience)
         if charts is not None and (best is None or len(charts.frames.direction) < len(best.frames.direction)):
             best = charts
         if best is not None and len(best.frames.direction) <= MANY:
@@ -222,35 +228,27 @@ def cut(
     up: np.ndarray,
     front: np.ndarray,
     spacing: float,
-    range_of_normals: float = 0.02,
-    smallest: float = 0.01,
-    steepest_deg: float = 80.0,
     patience: float = 1.0,
 ) -> Charts | None:
     """Cut a mesh into charts; None where more than `patience` of the triangles are turned over.
 
     vertices (v, 3): smoothed in `rounds`; the charts are flattened with them.
-
-    range_of_normals: over which normals are averaged before they are judged, of the mesh's extent; smallest: area
-    below which a piece is merged, of the whole surface; steepest_deg: largest angle between a triangle and its chart.
     """
     neighbours = across_edges(mesh.triangles)
     normals, areas = unit_normals(mesh, vertices)
     usable = areas > 0
-    labels = nearest_direction(vertices, normals, areas, neighbours, up=up, front=front, smoothing=range_of_normals)
+    labels = nearest_direction(vertices, normals, areas, neighbours, up=up, front=front, smoothing=RANGE_OF_NORMALS)
     labels = components(np.where(usable, labels, -1).astype(np.int32), neighbours)
     corners = vertices[mesh.triangles]
     lengths = np.nan_to_num(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2), posinf=0.0)
     totals = [0, 0]
     for _ in range(2):  # what splits leave behind is merged once more
-        labels = merge_small(
-            labels, normals, areas, neighbours, lengths, smallest=smallest, lowest=np.cos(np.radians(steepest_deg))
-        )
+        labels = merge_small(labels, normals, areas, neighbours, lengths, smallest=SMALLEST, lowest=STEEPEST)
         for attempt in itertools.count():
             frames = frame_along(directions_of(labels, normals, areas), up=up, front=front)
             plane = flatten(vertices[mesh.triangles], labels, frames)
             cosines = (normals * frames.direction[labels]).sum(axis=1)
-            flipped = usable & (labels >= 0) & (cosines < np.cos(np.radians(steepest_deg)))
+            flipped = usable & (labels >= 0) & (cosines < STEEPEST)
             overlap = overlapping(plane, np.where(flipped, -1, labels), neighbours, areas, spacing=spacing)
             away = flipped | overlap
             if not away.any():

@@ -12,13 +12,11 @@ from nishiki.geometry.mesh import Mesh
 
 @dataclass(frozen=True)
 class Density:
-    """Hold the sampling of triangles by the pictures.
+    """Hold the sampling of triangles by the pictures."""
 
-    pixels (f,) float64: area in pixels of each triangle in its chosen view, 0 where too few views face it; along (f, 2)
-    float64: squared pixels there for one unit along (down, right) of the triangle's plane coordinates.
-    """
-
+    # (f,) float64: area in pixels of each triangle in its chosen view, 0 where too few views face it
     pixels: np.ndarray
+    # (f, 2) float64: squared pixels there for one unit along (down, right) of the triangle's plane coordinates
     along: np.ndarray
 
 

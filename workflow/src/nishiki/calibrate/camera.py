@@ -124,18 +124,17 @@ def calibrate_camera(table: Path, *, bits: int | None = None) -> Calibration:
     for c, channel in enumerate(channels):
         good = usable[:, c]
         if good.sum() < LEAST_LEVELS + 1:
+            usable = int(good.sum()) - 1
             raise UserError(
-                f"channel {channel}: {int(good.sum()) - 1} exposures are not saturated, expected at least "
-                f"{LEAST_LEVELS}. Remedy: add shorter exposures"
+                f"channel {channel}: expected {LEAST_LEVELS} unsaturated exposures, found {usable}. Remedy: add "
+                "shorter ones"
             )
         lit = good & (exposures > 0)
         line = check_linearity(levels[lit, c], exposures[lit])
         try:
             noise = fit_photon_transfer(levels[good, c], variances[good, c], samples)
         except ValueError as e:
-            raise UserError(
-                f"channel {channel}: {e}. Remedy: give unprocessed frames (raw, without noise reduction)"
-            ) from e
+            raise UserError(f"channel {channel}: {e}. Remedy: give raw frames without noise reduction") from e
         if line.worst_deviation > NONLINEAR:
             at = exposures[lit][line.worst_patch]
             warnings.append(

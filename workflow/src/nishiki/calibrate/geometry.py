@@ -93,7 +93,7 @@ def resting_point(rotations: np.ndarray, translations: np.ndarray) -> dict:
     if count < 3 or turn < LEAST_TURN_DEG:
         raise UserError(
             f"stage: expected at least 3 pictures turned by {LEAST_TURN_DEG:g} degrees or more, found {count} and "
-            f"{turn:.1f} degrees. Remedy: photograph the board at more positions of the stage"
+            f"{turn:.1f} degrees. Remedy: photograph more positions of the stage"
         )
     mean_rotation, mean_translation = rotations.mean(axis=0), translations.mean(axis=0)
     design = (rotations - mean_rotation).reshape(-1, 3)  # p is eliminated: it is the mean of R_i c + t_i

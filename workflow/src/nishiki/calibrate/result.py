@@ -133,9 +133,7 @@ def put_into_capture(capture: Path, result: Calibration) -> None:
     UserError where it is sealed, or a file of the same name lies there.
     """
     if (capture / "bagit.txt").exists():
-        raise UserError(
-            f"{capture} is sealed and stays as it is. Remedy: copy its data folder, and name the copy with --into"
-        )
+        raise UserError(f"{capture} is sealed. Remedy: copy its data folder, and name the copy with --into")
     path = capture / "capture.yaml"
     settings = read_mapping(path)
     files = {name: data for name, data in result.files.items() if _names(result.lines, name)}

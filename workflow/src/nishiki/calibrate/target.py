@@ -143,8 +143,8 @@ def find_target(picture: np.ndarray) -> np.ndarray:
     detector.setColorChartType(cv2.mcc.MCC24)
     if not detector.process(np.ascontiguousarray(small[..., ::-1]), 1):
         raise UserError(
-            "no ColorChecker Classic was found in the photograph. Remedy: give the middles of its four corner patches "
-            "with --corners: dark skin, bluish green, black, white, each as X,Y in pixels"
+            "no ColorChecker Classic was found. Remedy: give the middles of its four corner patches with --corners: "
+            "dark skin, bluish green, black, white, each as X,Y in pixels"
         )
     charts = np.array(detector.getBestColorChecker().getColorCharts(), np.float64).reshape(ROWS * COLUMNS, 4, 2)
     middles = charts.mean(axis=1) * scale + (scale - 1) / 2
@@ -165,8 +165,7 @@ def target_at(corners: np.ndarray) -> np.ndarray:
     sense = turned[:-1, 0] * turned[1:, 1] - turned[:-1, 1] * turned[1:, 0]
     if not (np.all(sense > 0) or np.all(sense < 0)):
         raise UserError(
-            "the four corners do not go around the target. Remedy: give the middles of dark skin, bluish green, black "
-            "and white, in this order"
+            "the four corners do not surround the target. Remedy: give dark skin, bluish green, black, white"
         )
     last = COLUMNS - 1, ROWS - 1
     square = np.array([(0, 0), (last[0], 0), last, (0, last[1])], np.float32)
@@ -218,8 +217,7 @@ def read_patches(values: np.ndarray, corners: np.ndarray, full_scale: float) -> 
         pixels = values[low[1] : high[1], low[0] : high[0]][inside > 0].astype(np.float64) / full_scale
         if len(pixels) < 9:
             raise UserError(
-                f"patch {k + 1} of the target has {len(pixels)} pixels, expected 9 at the least. Remedy: photograph "
-                "the target larger"
+                f"patch {k + 1}: expected 9 pixels, found {len(pixels)}. Remedy: photograph the target larger"
             )
         means[k], deviations[k] = pixels.mean(axis=0), pixels.std(axis=0)
         clipped[k] = (pixels >= 1 - 1e-6).any(axis=1).mean()

@@ -100,10 +100,8 @@ def calibrate_target(given: TargetInput) -> Calibration:
         corners = target.find_target(picture) if given.corners is None else target.target_at(given.corners)
         patches = target.read_patches(linear, corners, 1.0)
         if np.count_nonzero(patches.usable) < FEWEST or not patches.usable[target.NEUTRAL].any():
-            raise UserError(
-                f"{np.count_nonzero(~patches.usable)} of 24 patches are saturated. Remedy: photograph the target with "
-                "less light or a shorter exposure"
-            )
+            saturated = np.count_nonzero(~patches.usable)
+            raise UserError(f"{given.photograph.name}: {saturated} of 24 patches are saturated. Remedy: expose shorter")
         target.expect_target(patches.mean, reference)
     except UserError as error:
         raise UserError(f"{given.photograph.name}: {error}") from None

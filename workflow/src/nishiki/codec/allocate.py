@@ -229,8 +229,7 @@ def at_step(design: Design, step: float, typical: Typical, *, parameter_share: f
 
 def one_pass(
     source: Source, scene: CodedScene, piloted: Pilot, effort: Effort, step: float, *, threads: int, progress=None,
-    parameter_share: float = 1.0, rounds: int = 2, tiles: Sequence[int] | None = None,
-    earlier: EncodedObject | None = None,
+    parameter_share: float = 1.0, tiles: Sequence[int] | None = None, earlier: EncodedObject | None = None,
 ) -> EncodedObject:  # fmt: skip
     """Solve, quantise and code every tile, or only `tiles`, at one step.
 
@@ -256,16 +255,16 @@ def one_pass(
     coded: list[CodedTile] = [r[0] for r in results if r is not None]
     extents = [NOTHING if r is None else r[0].extent for r in results]
     integers = [None if r is None else r[2] for r in results]
-    models, streams = code_streams(integers, extents, design, threads=threads, rounds=rounds)
+    models, streams = code_streams(integers, extents, design, threads=threads)
     sums = [sum(getattr(t, name) for t in coded) for name in ("pixels", "error", "model_error", "zero_error")]
     kept = sum(r[1] for r in results if r is not None)
     return EncodedObject(design, models, extents, integers, streams, *sums, kept, [])
 
 
 def code_streams(
-    blocks: list[tuple[Sparse, ...] | None], extents: list[Extent], design: Design, *, threads: int, rounds: int
+    blocks: list[tuple[Sparse, ...] | None], extents: list[Extent], design: Design, *, threads: int
 ) -> tuple[tuple[Model, Model], list[tuple[bytes, ...]]]:
-    """Entropy coding of all tiles after `rounds` of training; tiles of zeros become b""."""
+    """Code all tiles after two rounds of training; tiles of zeros become b""."""
     parts = 1 + len(design.components)
 
     def levels(part: int, extent: Extent) -> int:
@@ -283,7 +282,7 @@ def code_streams(
     models, coded = [], []
     for kind, group in enumerate(([0], list(range(1, parts)))):
         model = Model.untrained()
-        for _ in range(rounds):
+        for _ in range(2):
             model = train([c for part in group for c in code(kind, model, part) if c is not None])
         models.append(model)
         coded += [code(kind, model, part) for part in group]

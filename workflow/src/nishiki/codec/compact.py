@@ -23,13 +23,10 @@ _LARGEST = 2**29  # steps along an axis; Draco predicts in 32-bit integers
 
 @dataclass(frozen=True)
 class CompactMesh:
-    """Hold a coded mesh.
-
-    data: the bytes; order (n,) int64: number of each decoded triangle in the mesh that was coded; step of the grid.
-    """
+    """Hold a coded mesh."""
 
     data: bytes
-    order: np.ndarray
+    order: np.ndarray  # (n,) int64: number of each decoded triangle in the mesh that was coded; step of the grid
     step: float
 
     def restored(self, mesh: Mesh) -> Mesh:

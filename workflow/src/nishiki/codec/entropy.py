@@ -29,16 +29,12 @@ UNARY = 18
 
 @dataclass(frozen=True)
 class Model:
-    """Hold the state at the start of a tile.
+    """Hold the state at the start of a tile."""
 
-    chance (contexts,) int64 22-bit probabilities, seen (contexts,) int64 their weight, weights (groups, inputs) int64
-    of the mixers; rounded: what `pack` stores.
-    """
-
-    chance: np.ndarray
-    seen: np.ndarray
-    weights: np.ndarray
-    rounded: tuple = ()
+    chance: np.ndarray  # (contexts,) int64 22-bit probabilities
+    seen: np.ndarray  # (contexts,) int64 their weight
+    weights: np.ndarray  # (groups, inputs) int64 of the mixers
+    rounded: tuple = ()  # what `pack` stores
 
     @classmethod
     def untrained(cls) -> "Model":
@@ -51,16 +47,12 @@ class Model:
 
 @dataclass(frozen=True)
 class Coded:
-    """Hold a coded block.
-
-    data: the bytes; ends (bands,) int64: bytes needed for each band and all before it; tally (contexts, 2) int64 zeros
-    and ones coded under each context; weights (groups, inputs) and uses (groups,): mixers at the end.
-    """
+    """Hold a coded block."""
 
     data: bytes
-    ends: np.ndarray
-    tally: np.ndarray
-    weights: np.ndarray
+    ends: np.ndarray  # (bands,) int64: bytes needed for each band and all before it
+    tally: np.ndarray  # (contexts, 2) int64 zeros and ones coded under each context
+    weights: np.ndarray  # (groups, inputs) and uses (groups,): mixers at the end
 
 
 def bands_of(rows: int, columns: int, levels: int) -> np.ndarray:

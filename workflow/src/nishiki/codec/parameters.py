@@ -79,12 +79,10 @@ class Weights:
 
 @dataclass(frozen=True)
 class Factors:
-    """Hold the model apart from its parameters, in each observation.
+    """Hold the model apart from its parameters, in each observation."""
 
-    irradiance (C, M, rows, columns) multiplies K_d; strength * exp(-squared_angle / (2 sigma^2)), both (M, rows,
-    columns), multiplies K_s.
-    """
-
+    # (C, M, rows, columns) multiplies K_d; strength * exp(-squared_angle / (2 sigma^2)), both (M, rows, columns),
+    # multiplies K_s
     irradiance: np.ndarray
     strength: np.ndarray
     squared_angle: np.ndarray

@@ -49,7 +49,7 @@ def quantise(
         raise ValueError(f"quantiser: value {wrong} is {flat[wrong]}")
     if wrong >= 0:
         raise UserError(
-            f"the step {step:.3g} is too fine: a value of {abs(float(flat[wrong])):.3g} has more than 2^30 of them. "
+            f"the step {step:.3g} is too fine for the value {abs(float(flat[wrong])):.3g} (more than 2^30 steps). "
             "Remedy: a larger residual.amount for the target step, a lower psnr, or fewer bytes"
         )
     return out.reshape(values.shape)

@@ -177,18 +177,13 @@ FLAT_ROUNDS = 2
 
 @dataclass(frozen=True)
 class Pursuit:
-    """Set the effort of the search.
+    """Set the effort of the search."""
 
-    rounds: choices of the support; resumed: choices after an earlier solution; inner: conjugate gradient steps after
-    each; descent: first price over the last; ridge: curvature added to all, which keeps coefficients of barely visible
-    texels small.
-    """
-
-    rounds: int = 6
-    resumed: int = 3
-    inner: int = 5
-    descent: float = 16.0
-    ridge: float = 0.001
+    rounds: int = 6  # choices of the support
+    resumed: int = 3  # choices after an earlier solution
+    inner: int = 5  # conjugate gradient steps after each
+    descent: float = 16.0  # first price over the last
+    ridge: float = 0.001  # curvature added to all, which keeps coefficients of barely visible texels small
 
 
 def transfers(plane: Plane) -> np.ndarray:

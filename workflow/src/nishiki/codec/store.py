@@ -168,15 +168,11 @@ def write_residual(folder: Path, encoded: EncodedObject, *, stamp: dict[str, str
 
 @dataclass(frozen=True)
 class CodedTexels:
-    """Hold n coded observations of k coded texels, and zeros for all others.
+    """Hold n coded observations of k coded texels, and zeros for all others."""
 
-    values (n + 1, k + 1, C) float32; observation (M,), texel (T * T,) int64: place in them of each observation and
-    texel of the tile.
-    """
-
-    values: np.ndarray
-    observation: np.ndarray
-    texel: np.ndarray
+    values: np.ndarray  # (n + 1, k + 1, C) float32
+    observation: np.ndarray  # (M,)
+    texel: np.ndarray  # (T * T,) int64: place in them of each observation and texel of the tile
 
 
 class Residual:
@@ -192,9 +188,7 @@ class Residual:
             self.report = json.loads((folder / REPORT).read_text())
             metadata = (folder / STORE / "zarr.json").read_bytes()
         except FileNotFoundError as error:
-            raise UserError(
-                f"{folder}: no residual here ({error.filename} is missing); run the stage residual"
-            ) from None
+            raise UserError(f"{folder}: {error.filename} is missing. Remedy: run the stage residual") from None
         except ValueError as error:
             raise UserError(f"{folder / REPORT}: not valid JSON ({error}); run the stage residual again") from None
         if hashlib.sha256(metadata).hexdigest() != self.report.get("metadata_sha256"):
@@ -276,7 +270,7 @@ class Residual:
                     held = number, self._array[number * size : (number + 1) * size].tobytes()
                 except ValueError as error:
                     raise UserError(
-                        f"{self.folder / STORE}: chunk {number} is damaged ({error}); run the stage residual again"
+                        f"{self.folder / STORE}: chunk {number} is damaged ({error}). Remedy: run residual again"
                     ) from None
                 with self._lock:
                     self._chunk = held

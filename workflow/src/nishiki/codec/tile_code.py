@@ -48,32 +48,23 @@ class CodedScene:
 
 @dataclass(frozen=True)
 class Effort:
-    """Set the effort of coding.
+    """Set the effort of coding."""
 
-    pursuit: of the residual's solver; price: of a bit, in squared steps at a typical pixel; refinements: of the
-    parameters in the pictures; threshold: of the parameters, in their steps; dead_zone: of the residual, in steps;
-    rounding: fraction added before the whole part is taken; gloss: whether K_s is moved in the pictures at all.
-    """
-
-    pursuit: Pursuit = field(default_factory=Pursuit)
-    price: float = 0.05
-    refinements: int = 12
-    threshold: float = 0.6
-    dead_zone: float = 0.5
-    rounding: float = 0.42
-    gloss: bool = True
+    pursuit: Pursuit = field(default_factory=Pursuit)  # of the residual's solver
+    price: float = 0.05  # of a bit, in squared steps at a typical pixel
+    refinements: int = 12  # of the parameters in the pictures
+    threshold: float = 0.6  # of the parameters, in their steps
+    dead_zone: float = 0.5  # of the residual, in steps
+    rounding: float = 0.42  # fraction added before the whole part is taken
+    gloss: bool = True  # whether K_s is moved in the pictures at all
 
 
 @dataclass(frozen=True)
 class Typical:
-    """Hold values of typical texels of the object.
+    """Hold values of typical texels of the object."""
 
-    parameters: weights of kd, ks (mean over channels) and log sigma, as in `Weights`; density: mean weight that pixels
-    give a texel.
-    """
-
-    parameters: tuple[float, float, float]
-    density: float
+    parameters: tuple[float, float, float]  # weights of kd, ks (mean over channels) and log sigma, as in `Weights`
+    density: float  # mean weight that pixels give a texel
 
 
 @dataclass(frozen=True)

@@ -56,9 +56,7 @@ def filter_bank(wavelet: str) -> tuple[tuple[float, ...], tuple[float, ...], boo
     import pywt
 
     if wavelet not in pywt.wavelist(kind="discrete"):
-        raise UserError(
-            f"wavelet: expected a discrete wavelet of PyWavelets (haar, db2, sym4, bior4.4, ...), found {wavelet!r}"
-        )
+        raise UserError(f"wavelet: expected a discrete one of PyWavelets (haar, db2, sym4, ...), found {wavelet!r}")
     bank = pywt.Wavelet(wavelet)
     return tuple(bank.dec_lo), tuple(bank.dec_hi), bool(bank.orthogonal)
 
@@ -149,15 +147,12 @@ class Axis:
 
 @dataclass(frozen=True)
 class Plane:
-    """The transform of planes of (rows, columns) texels.
-
-    gains (rows, columns) float64: lengths of the basis planes before they are brought to 1.
-    """
+    """The transform of planes of (rows, columns) texels."""
 
     down: Axis
     across: Axis
     levels: int
-    gains: np.ndarray
+    gains: np.ndarray  # (rows, columns) float64: lengths of the basis planes before they are brought to 1
     orthonormal: bool
 
     @cached_property

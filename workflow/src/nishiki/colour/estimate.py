@@ -80,19 +80,15 @@ class SpectralEstimator(ArrayFields):
 
 @dataclass(frozen=True)
 class SpectralField:
-    """Spectra of an array of pixels: S (..., 61) = coefficients @ basis.
+    """Spectra of an array of pixels: S (..., 61) = coefficients @ basis."""
 
-    coefficients : (..., K) float32. sigma : (...) float32, expected root-mean-square error over the bands for a surface
-    like those of the training set. flags : (...) uint8, bits of `FLAG_MEANINGS`. basis : (K, 61) float64.
-    condition : cond(H). counts : pixels by flag name.
-    """
-
-    coefficients: np.ndarray
+    coefficients: np.ndarray  # (..., K) float32
+    # (...) float32, expected root-mean-square error over the bands for a surface like those of the training set
     sigma: np.ndarray
-    flags: np.ndarray
-    basis: np.ndarray
-    condition: float
-    counts: dict[str, int] = field(default_factory=dict)
+    flags: np.ndarray  # (...) uint8, bits of `FLAG_MEANINGS`
+    basis: np.ndarray  # (K, 61) float64
+    condition: float  # cond(H)
+    counts: dict[str, int] = field(default_factory=dict)  # pixels by flag name
 
     def spectra(self) -> np.ndarray:
         """(..., 61) float64 reflectances, not clipped."""

@@ -34,22 +34,18 @@ WIDTH_SPREAD, HEIGHT_SPREAD, CENTRE_SPREAD_NM = 0.15, 0.3, 5.0
 
 @dataclass(frozen=True)
 class Pigment:
-    """One pigment or group of pigments; absorption K and scattering S relative to the scattering of a white pigment.
-
-    share : how often it is drawn, relative to the others. strength : largest K. scattering : S at 550 nm; opaque
-    pigments have 0.2 or more, transparent ones less. slope : S falls as wavelength to this power. floor : K/S where no
-    edge or band absorbs. edges : (least and largest wavelength, nm, at which the reflectance of a thick layer of the
-    pure pigment rises through one half; decay of K beyond it, nm; height relative to the strength). bands : (centre,
-    nm; standard deviation, nm; height relative to the strength).
-    """
+    """One pigment or group of pigments; absorption K and scattering S relative to the scattering of a white pigment."""
 
     name: str
-    share: float
-    strength: float
-    scattering: float
-    slope: float
-    floor: float
+    share: float  # how often it is drawn, relative to the others
+    strength: float  # largest K
+    scattering: float  # S at 550 nm; opaque pigments have 0.2 or more, transparent ones less
+    slope: float  # S falls as wavelength to this power
+    floor: float  # K/S where no edge or band absorbs
+    # (least and largest wavelength, nm, at which the reflectance of a thick layer of the pure pigment rises through
+    # one half; decay of K beyond it, nm; height relative to the strength)
     edges: tuple[tuple[float, float, float, float], ...]
+    # (centre, nm; standard deviation, nm; height relative to the strength)
     bands: tuple[tuple[float, float, float], ...]
 
 

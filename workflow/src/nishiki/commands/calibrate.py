@@ -186,9 +186,7 @@ def _finish(folder: Path, capture: Path | None, result) -> None:
     from nishiki.calibrate.result import LINES, PAGE, put_into_capture, write_calibration
 
     if capture and not result.lines and not result.failure:
-        raise UserError(
-            "there is nothing for a capture to take. Remedy: leave out --into, or give --light for sensitivities"
-        )
+        raise UserError("a capture takes nothing of this. Remedy: omit --into, or give --light for sensitivities")
     write_calibration(folder, result)
     if result.failure:
         raise UserError(f"{result.failure}\nWhat was found so far: {folder / PAGE}")

@@ -41,9 +41,7 @@ def init(folder: str) -> None:
 def add(capture: str, name: str | None, configfile: str) -> int:
     """Add a capture to the scene table, after a check of its tables and headers."""
     if not _is_capture(Path(capture)):
-        raise UserError(
-            f"{capture}: no capture folder. Remedy: ./nishiki run {capture}, or ./nishiki convert, makes one"
-        )
+        raise UserError(f"{capture}: no capture folder. Remedy: ./nishiki run {capture} or ./nishiki convert makes one")
     if examine(capture, quick=True):
         return 2
     print(f"{_add_scene(configfile, name or scene_name(Path(capture)), Path(capture))}: added to the scene table")
@@ -114,9 +112,7 @@ def find_scenes(words: Sequence[str], configfile: str, *, name: str | None, give
             found.append(_from_photographs(path, configfile, name or scene_name(path), (given, used), assumed))
             continue
         if used:
-            raise UserError(
-                f"{word}: is no folder of photographs; {_flags(used)} belong to one. Remedy: leave them out"
-            )
+            raise UserError(f"{word}: no folder of photographs, which {_flags(used)} need. Remedy: omit them")
     if used and not words:
         raise UserError(f"{_flags(used)}: expected a folder of photographs to convert. Remedy: name it")
     return found

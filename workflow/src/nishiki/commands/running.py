@@ -193,9 +193,8 @@ def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Pa
     if executor != "local":
         plugin = f"snakemake_executor_plugin_{executor.replace('-', '_')}"
         if importlib.util.find_spec(plugin) is None:
-            raise UserError(
-                f"--profile {name}: the plugin for {executor} is not installed. Remedy: {install_extras(executor)}"
-            )
+            remedy = install_extras(executor)
+            raise UserError(f"--profile {name}: the plugin for {executor} is not installed. Remedy: {remedy}")
         return arguments + (["--cores", cores] if cores else [])
     return [*arguments, *memory_arguments(), *thread_arguments(cores, scenes), "--cores", cores or "all"]
 

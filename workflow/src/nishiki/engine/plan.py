@@ -74,32 +74,28 @@ HOLD_OUT_FROM = 16
 
 @dataclass(frozen=True)
 class PlannedStage:
-    """One stage of a scene's plan: its key decides where the artifact lies.
-
-    packages: those of its libraries that it loads in this scene; only their versions can change its result.
-    """
+    """One stage of a scene's plan: its key decides where the artifact lies."""
 
     name: str
     key: str
     settings: dict[str, Any]
     upstream: dict[str, str]
+    # those of its libraries that it loads in this scene; only their versions can change its result
     packages: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Stages of a scene in the order of the flow, and what is left out with the reason.
-
-    packages: of each stage, those of its libraries that it loads in this scene; idle: heavy packages that none does.
-    """
+    """Stages of a scene in the order of the flow, and what is left out with the reason."""
 
     scene: Scene
     facts: SceneFacts
     stages: dict[str, PlannedStage]
     left_out: dict[str, str] = field(default_factory=dict)
     held_out: tuple[str, ...] = ()
+    # of each stage, those of its libraries that it loads in this scene
     packages: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    idle: dict[str, str] = field(default_factory=dict)
+    idle: dict[str, str] = field(default_factory=dict)  # heavy packages that none does
 
     def folder(self, stage: str) -> str:
         """Path of a stage's artifact below the results folder."""

@@ -17,16 +17,12 @@ from nishiki.photometric.flags import NO_ESTIMATE
 
 @dataclass(frozen=True)
 class CameraColour:
-    """XYZ = channels @ matrix.T, Lab relative to `white`.
+    """XYZ = channels @ matrix.T, Lab relative to `white`."""
 
-    matrix : (3, channels); white : (3,) XYZ of a perfect white that faces the lamp, Y = 1; how : in words, where the
-    map comes from; rmse : root mean square error of XYZ over the training spectra, or None where nothing was fitted.
-    """
-
-    matrix: np.ndarray
-    white: np.ndarray
-    how: str
-    rmse: float | None
+    matrix: np.ndarray  # (3, channels)
+    white: np.ndarray  # (3,) XYZ of a perfect white that faces the lamp, Y = 1
+    how: str  # in words, where the map comes from
+    rmse: float | None  # root mean square error of XYZ over the training spectra, or None where nothing was fitted
 
     def xyz(self, channels: np.ndarray) -> np.ndarray:
         """Return XYZ (..., 3) float64 of channels (..., C) that are relative to white."""

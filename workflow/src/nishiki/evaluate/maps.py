@@ -12,17 +12,14 @@ from nishiki.photometric.flags import NO_ESTIMATE
 
 @dataclass(frozen=True)
 class Summary:
-    """Errors of a set of pixels; the figures are None where the set is empty.
+    """Errors of a set of pixels; the figures are None where the set is empty."""
 
-    count: pixels in the set; dropped: values that were not finite and are in no figure.
-    """
-
-    count: int
+    count: int  # pixels in the set
     mean: float | None
     median: float | None
     p90: float | None
     worst: float | None
-    dropped: int = 0
+    dropped: int = 0  # values that were not finite and are in no figure
 
 
 def summarise(values: np.ndarray, *, where: np.ndarray | None = None) -> Summary:
@@ -187,9 +184,7 @@ def height_error(height: np.ndarray, truth: np.ndarray, *, pixels: np.ndarray, p
     Raises UserError where shapes differ.
     """
     if height.shape != truth.shape:
-        raise UserError(
-            f"truth: expected heights of shape {height.shape}, found {truth.shape}; crop them as the capture"
-        )
+        raise UserError(f"truth: expected heights of shape {height.shape}, found {truth.shape}; crop both alike")
     used = pixels & np.isfinite(height) & np.isfinite(truth)
     count = int(np.count_nonzero(used))
     if count < 3:

@@ -114,17 +114,15 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Row:
-    """Compare one picture with one counterpart.
-
-    picture: DECODED, MODEL, INTERPOLATED (a left-out view from its neighbours' residual) or SLOT (from what the decoder
-    filled into its own place); against: photograph | truth.
-    """
+    """Compare one picture with one counterpart."""
 
     view: str
     light: str
     left_out: bool
+    # DECODED, MODEL, INTERPOLATED (a left-out view from its neighbours' residual) or SLOT (from what the decoder
+    # filled into its own place)
     picture: str
-    against: str
+    against: str  # photograph | truth
     judged: Difference
     covered: Difference
     similarity: float | None

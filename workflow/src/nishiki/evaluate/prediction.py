@@ -12,19 +12,15 @@ from nishiki.render.plane.shade import predict_observations
 
 @dataclass(frozen=True)
 class FittedModel:
-    """Maps of the fit, on camera pixels.
+    """Maps of the fit, on camera pixels."""
 
-    normals : (rows, columns, 3) float32; reflectance : (rows, columns, channels) float32, relative to white; gloss :
-    Torrance-Sparrow parameters by region; labels : (rows, columns) uint8 region of each pixel, or None; shading :
-    (rows, columns, 3 or 5) float32 of `nishiki.brdf.torrance_sparrow`, or None for Lambert's law; slopes : (rows,
-    columns, 3) of `nishiki.brdf.slopes`, None for gloss that the relief inside a pixel does not blur.
-    """
-
-    normals: np.ndarray
-    reflectance: np.ndarray
-    gloss: Gloss = field(default_factory=Gloss.none)
-    labels: np.ndarray | None = None
+    normals: np.ndarray  # (rows, columns, 3) float32
+    reflectance: np.ndarray  # (rows, columns, channels) float32, relative to white
+    gloss: Gloss = field(default_factory=Gloss.none)  # Torrance-Sparrow parameters by region
+    labels: np.ndarray | None = None  # (rows, columns) uint8 region of each pixel, or None
+    # (rows, columns, 3 or 5) float32 of `nishiki.brdf.torrance_sparrow`, or None for Lambert's law
     shading: np.ndarray | None = None
+    # (rows, columns, 3) of `nishiki.brdf.slopes`, None for gloss that the relief inside a pixel does not blur
     slopes: np.ndarray | None = None
 
 
@@ -106,13 +102,10 @@ def light_of(
 
 @dataclass(frozen=True)
 class SceneColour:
-    """How diffuse and specular light become XYZ under one lamp.
+    """How diffuse and specular light become XYZ under one lamp."""
 
-    white : (3,) XYZ of the perfect white facing the lamp; matrix : (3, K) for spectral coefficients, or None: then
-    `camera` carries the predicted channels to XYZ.
-    """
-
-    white: np.ndarray
+    white: np.ndarray  # (3,) XYZ of the perfect white facing the lamp
+    # (3, K) for spectral coefficients, or None: then `camera` carries the predicted channels to XYZ
     matrix: np.ndarray | None
     camera: CameraColour | None
 

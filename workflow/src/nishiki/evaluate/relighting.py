@@ -65,15 +65,11 @@ class LightScore:
 
 @dataclass
 class LightComparison:
-    """Compares one light band by band; `score` when all bands are through.
+    """Compares one light band by band; `score` when all bands are through."""
 
-    colour: map to Lab, the same for both images; de00_map: (rows, columns) float32, NaN where not compared; classes:
-    (rows, columns) uint8 of nishiki.evaluate.classes.
-    """
-
-    colour: CameraColour
-    de00_map: np.ndarray
-    classes: np.ndarray
+    colour: CameraColour  # map to Lab, the same for both images
+    de00_map: np.ndarray  # (rows, columns) float32, NaN where not compared
+    classes: np.ndarray  # (rows, columns) uint8 of nishiki.evaluate.classes
     errors: dict[int, SquaredError] = field(default_factory=dict)
     excluded: dict[str, int] = field(default_factory=dict)
 

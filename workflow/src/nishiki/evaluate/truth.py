@@ -26,21 +26,16 @@ class CheckTruth:
 
 @dataclass(frozen=True)
 class Truth:
-    """Any part may be None or empty.
+    """Any part may be None or empty."""
 
-    normals : (rows, columns, 3), zero or NaN where unknown; height_mm : (rows, columns); paints : (rows, columns,
-    samples) integers into spectra (paints, 61); regions : (rows, columns), with names; roughness : (paints,) GGX alpha;
-    checks : names of the lights whose colours are known.
-    """
-
-    normals: np.ndarray | None = None
-    height_mm: np.ndarray | None = None
-    paints: np.ndarray | None = None
+    normals: np.ndarray | None = None  # (rows, columns, 3), zero or NaN where unknown
+    height_mm: np.ndarray | None = None  # (rows, columns)
+    paints: np.ndarray | None = None  # (rows, columns, samples) integers into spectra (paints, 61)
     spectra: np.ndarray | None = None
-    regions: np.ndarray | None = None
+    regions: np.ndarray | None = None  # (rows, columns), with names
     region_names: tuple[str, ...] = ()
-    roughness: np.ndarray | None = None
-    checks: tuple[str, ...] = ()
+    roughness: np.ndarray | None = None  # (paints,) GGX alpha
+    checks: tuple[str, ...] = ()  # names of the lights whose colours are known
     arrays: Mapping[str, Any] | None = None
     lights: tuple[str, ...] = ()
     window: tuple[slice, slice] = (slice(None), slice(None))
@@ -83,9 +78,8 @@ def truth_from(
     attributes = attributes or {}
     names = set(arrays)
     if "normals" not in names and "height_mm" not in names:
-        raise UserError(
-            f"truth: expected an array named normals or height_mm, found {', '.join(sorted(names)) or 'none'}"
-        )
+        found = ", ".join(sorted(names)) or "none"
+        raise UserError(f"truth: expected an array named normals or height_mm, found {found}")
     window = _window(np.shape(arrays["normals" if "normals" in names else "height_mm"])[:2], shape, region, asked)
 
     def mapped(name: str) -> np.ndarray | None:

@@ -28,29 +28,21 @@ class BoardShape:
 
 @dataclass(frozen=True)
 class BoardCorners:
-    """Hold the inner corners of the board in one picture.
-
-    ids (n,) int, pixels (n, 2) float64 (column, row), points (n, 3) float64 on the board, in the world's unit (x along
-    the squares_x, z = 0).
-    """
+    """Hold the inner corners of the board in one picture."""
 
     name: str
-    ids: np.ndarray
-    pixels: np.ndarray
-    points: np.ndarray
+    ids: np.ndarray  # (n,) int
+    pixels: np.ndarray  # (n, 2) float64 (column, row)
+    points: np.ndarray  # (n, 3) float64 on the board, in the world's unit (x along the squares_x, z = 0)
 
 
 @dataclass(frozen=True)
 class Detection:
-    """Hold the boards found.
+    """Hold the boards found."""
 
-    pictures: those with at least 4 corners; unseen: names of those without; legacy: boards of OpenCV before 4.6 (first
-    square white where the number of rows is even).
-    """
-
-    pictures: tuple[BoardCorners, ...]
-    unseen: tuple[str, ...]
-    legacy: bool
+    pictures: tuple[BoardCorners, ...]  # those with at least 4 corners
+    unseen: tuple[str, ...]  # names of those without
+    legacy: bool  # boards of OpenCV before 4.6 (first square white where the number of rows is even)
 
 
 def board_of(shape: BoardShape, *, legacy: bool = False):
@@ -123,23 +115,17 @@ STARTS = (0.8, 1.5, 3.0, 8.0)  # focal lengths, of the picture's longer side
 
 @dataclass(frozen=True)
 class Calibration(PlainFields):
-    """intrinsics (3, 3) float64, distortion k1, k2, p1, p2, k3 (Brown's model).
-
-    rms_px: root mean square distance of detected from projected corners over the pictures used; picture_px: by
-    picture, those left out too; outliers: names of pictures left out because they fit far worse than the others;
-    sparse: names of pictures with too few corners; focal_sigma: standard deviation of the focal lengths, relative;
-    middle_sigma_px: of the principal point; tilt_deg: largest angle between two boards.
-    """
+    """Hold a calibrated lens: intrinsics (3, 3) float64, distortion k1, k2, p1, p2, k3 (Brown's model)."""
 
     intrinsics: np.ndarray
     distortion: tuple[float, ...]
-    rms_px: float
-    picture_px: dict[str, float]
-    outliers: tuple[str, ...]
-    sparse: tuple[str, ...]
-    focal_sigma: float
-    middle_sigma_px: float
-    tilt_deg: float
+    rms_px: float  # root mean square distance of detected from projected corners over the pictures used
+    picture_px: dict[str, float]  # by picture, those left out too
+    outliers: tuple[str, ...]  # names of pictures left out because they fit far worse than the others
+    sparse: tuple[str, ...]  # names of pictures with too few corners
+    focal_sigma: float  # standard deviation of the focal lengths, relative
+    middle_sigma_px: float  # of the principal point
+    tilt_deg: float  # largest angle between two boards
 
 
 def calibrate(

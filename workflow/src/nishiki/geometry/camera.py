@@ -138,14 +138,11 @@ def look_at(
 
 @dataclass(frozen=True)
 class GivenCameras:
-    """Hold given cameras.
+    """Hold given cameras."""
 
-    cameras: in the order given. mirror: factors on the world's axes, None where the world stands as given. target: (3,)
-    the point nearest to the rays through the picture centres, in the cameras' world; None if not determined.
-    """
-
-    cameras: tuple[Camera, ...]
-    mirror: tuple[int, int, int] | None
+    cameras: tuple[Camera, ...]  # in the order given
+    mirror: tuple[int, int, int] | None  # factors on the world's axes, None where the world stands as given
+    # (3,) the point nearest to the rays through the picture centres, in the cameras' world; None if not determined
     target: np.ndarray | None
 
 
@@ -169,10 +166,9 @@ def cameras_of_matrices(matrices: Mapping[str, np.ndarray], *, rows: int, column
     if len(behind) < len(cameras):
         odd = behind if 2 * len(behind) <= len(cameras) else [c.name for c in cameras if c.name not in behind]
         raise UserError(
-            f"projection matrices of {', '.join(odd[:8])}: these views and the others look away from each other; "
-            "expected "
-            "all cameras to see the same place from the same side of a right-handed world. Remedy: check the "
-            "rows of these views (sign of a row, order of the views)"
+            f"projection matrices of {', '.join(odd[:8])}: these views and the others face away from each other; "
+            "expected the same side of a right-handed world. Remedy: check the signs of the rows and the order of "
+            "these views"
         )
     mirror = mirror_of(np.array([camera.centre for camera in cameras]))
     flip = np.diag([*mirror, 1])

@@ -45,46 +45,35 @@ BORDER_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Correction:
-    """What would remove a contradiction.
+    """What would remove a contradiction."""
 
-    kind : "turn-reversed", "cameras-order", "views-exchanged", "pictures-mirrored", "camera-scale",
-        "focal-length", "turn-angles", "silhouette-inverted" or "view-contradicts".
-    detail : the factor of a scale, the axis of a mirror, empty otherwise.
-    order : camera of each silhouette, by place; None where all keep theirs.
-    views : places of the views that it concerns, all others being right; empty: all.
-    """
-
+    # "turn-reversed", "cameras-order", "views-exchanged", "pictures-mirrored", "camera-scale", "focal-length", "turn-
+    # angles", "silhouette-inverted" or "view-contradicts"
     kind: str
-    detail: str = ""
-    order: tuple[int, ...] | None = None
-    views: tuple[int, ...] = ()
+    detail: str = ""  # the factor of a scale, the axis of a mirror, empty otherwise
+    order: tuple[int, ...] | None = None  # camera of each silhouette, by place; None where all keep theirs
+    views: tuple[int, ...] = ()  # places of the views that it concerns, all others being right; empty: all
 
 
 @dataclass(frozen=True)
 class Coherence:
-    """State whether silhouettes and cameras agree.
+    """State whether silhouettes and cameras agree."""
 
-    contradiction: mean over the views of `by_view`, the share of each outline that misses the hull of the other views;
-    correction: its explanation, or None; corrected: contradiction with the correction.
-    """
-
+    # mean over the views of `by_view`, the share of each outline that misses the hull of the other views
     contradiction: float
     by_view: tuple[float, ...]
-    correction: Correction | None = None
-    corrected: float | None = None
+    correction: Correction | None = None  # its explanation, or None
+    corrected: float | None = None  # contradiction with the correction
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Hold a correction.
-
-    order (silhouette of each camera), cameras, silhouettes; without: places of the cameras that take no part.
-    """
+    """Hold a correction."""
 
     correction: Correction
-    order: tuple[int, ...] | None = None
+    order: tuple[int, ...] | None = None  # (silhouette of each camera), cameras, silhouettes
     cameras: list[Camera] | None = None
-    without: tuple[int, ...] = ()
+    without: tuple[int, ...] = ()  # places of the cameras that take no part
 
 
 def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera]) -> Coherence:

@@ -55,15 +55,12 @@ five times the triangles."""
 
 @dataclass(frozen=True)
 class Photographed:
-    """Hold photographs of an object for `residuals`.
+    """Hold photographs of an object for `residuals`."""
 
-    pictures (views, rows, columns, channels) float32, linear, 1 where the object is bright; cameras at that size;
-    silhouettes (views, rows, columns) bool.
-    """
-
+    # (views, rows, columns, channels) float32, linear, 1 where the object is bright; cameras at that size
     pictures: np.ndarray
     cameras: list[Camera]
-    silhouettes: np.ndarray
+    silhouettes: np.ndarray  # (views, rows, columns) bool
 
     @classmethod
     def of(cls, pictures: Iterable[np.ndarray], silhouettes: list[np.ndarray], cameras: list[Camera]) -> "Photographed":

@@ -54,17 +54,13 @@ class Field:
 
 @dataclass(frozen=True)
 class Hull:
-    """Hold a visual hull.
+    """Hold a visual hull."""
 
-    mesh: surface of the hull; cell: side of a grid cell, world's unit; shape: grid points along x, y, z; box: (2, 3)
-    lowest and highest corner; asked: fraction of the cubes whose points were evaluated one by one.
-    """
-
-    mesh: Mesh
-    cell: float
-    shape: tuple[int, int, int]
-    box: np.ndarray
-    asked: float
+    mesh: Mesh  # surface of the hull
+    cell: float  # side of a grid cell, world's unit
+    shape: tuple[int, int, int]  # grid points along x, y, z
+    box: np.ndarray  # (2, 3) lowest and highest corner
+    asked: float  # fraction of the cubes whose points were evaluated one by one
 
 
 def signed_distance(silhouette: np.ndarray) -> np.ndarray:
@@ -95,10 +91,8 @@ def field_of(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, fin
         if silhouette is None:
             continue
         if silhouette.shape != (camera.rows, camera.columns):
-            raise UserError(
-                f"view {camera.name!r}: expected a silhouette of {camera.rows} x {camera.columns} pixels as its "
-                f"camera, found {silhouette.shape}"
-            )
+            size = f"{camera.rows} x {camera.columns}"
+            raise UserError(f"view {camera.name!r}: expected a silhouette of {size} pixels, found {silhouette.shape}")
         area = _area_of(silhouette, camera)
         stride = max(1, int(finest_px))
         distance = signed_distance(silhouette[area])[::stride, ::stride]
@@ -127,8 +121,7 @@ def _area_of(silhouette: np.ndarray, camera: Camera) -> tuple[slice, slice]:
     rows, columns = np.flatnonzero(silhouette.any(axis=1)), np.flatnonzero(silhouette.any(axis=0))
     if rows.size == 0:
         raise UserError(
-            f"view {camera.name!r}: its silhouette is empty. Remedy: give a mask for this view, name the background "
-            "in the settings of mesh, or leave the view out"
+            f"view {camera.name!r}: its silhouette is empty. Remedy: give a mask or a background, or omit the view"
         )
 
     def span(occupied: np.ndarray, size: int) -> slice:
@@ -202,8 +195,8 @@ def _solved(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.nda
             )
             if solution.status == 2:
                 raise UserError(
-                    "the silhouettes have no point of space in common: expected cameras that all see the object. "
-                    "Remedy: look at the silhouettes and at the order of the camera matrices"
+                    "the silhouettes have no point of space in common. Remedy: check silhouettes and order of the "
+                    "cameras"
                 )
             if solution.status != 0:
                 raise UserError("the silhouettes do not bound the object: more views from other sides are needed")
@@ -280,8 +273,8 @@ def carve(
     asked = _fill(field, volume, origin, cell, misses)
     if not (volume > 0).any():
         raise UserError(
-            f"nothing is left of the hull on a grid of {cells} cells: one silhouette at least contradicts the others. "
-            "Remedy: look at the silhouettes and the camera matrices, or leave the wrong view out"
+            f"nothing is left of the hull on a grid of {cells} cells, since silhouettes contradict each other. Remedy: "
+            "check silhouettes and camera matrices, or omit the wrong view"
         )
     mesh = surface_of(volume, origin, cell)
     cubes = np.prod([-(-n // BLOCK) for n in shape])

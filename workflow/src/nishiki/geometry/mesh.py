@@ -17,15 +17,11 @@ from nishiki.packages import optional
 
 @dataclass(frozen=True)
 class Mesh:
-    """Hold a triangle mesh.
+    """Hold a triangle mesh."""
 
-    vertices (v, 3) float64 in the world's unit; triangles (f, 3) int32, counter-clockwise seen from outside; normals
-    (v, 3) float32, unit length, outwards.
-    """
-
-    vertices: np.ndarray
-    triangles: np.ndarray
-    normals: np.ndarray
+    vertices: np.ndarray  # (v, 3) float64 in the world's unit
+    triangles: np.ndarray  # (f, 3) int32, counter-clockwise seen from outside
+    normals: np.ndarray  # (v, 3) float32, unit length, outwards
 
     @classmethod
     def of(cls, vertices: np.ndarray, triangles: np.ndarray) -> "Mesh":

@@ -72,10 +72,10 @@ def estimate_pose(
     vector, inliers = _settle(sight, lens, start, outlier_px)
     # Some camera sees any four points where they are: one more must confirm it, where there is one.
     if inliers.sum() < max(min(LEAST_POINTS + 1, len(inliers)), len(inliers) / 2):
+        count = int(inliers.sum())
         raise UserError(
-            f"view {sight.name!r}: only {int(inliers.sum())} of {len(inliers)} correspondences agree with one "
-            "camera within "
-            f"{outlier_px:g} px. {REMEDY}"
+            f"view {sight.name!r}: only {count} of {len(inliers)} correspondences agree within {outlier_px:g} px. "
+            f"{REMEDY}"
         )
     _expect_spread(sight, inliers)
     vector = _expect_one(sight, lens, vector, inliers)
@@ -83,11 +83,8 @@ def estimate_pose(
     camera = replace(camera, translation=size * camera.translation - camera.rotation @ middle)
     projected, depth = camera.project(given.points)
     if (depth[inliers] <= 0).any():
-        raise UserError(
-            f"view {sight.name!r}: {int((depth[inliers] <= 0).sum())} points lie behind the camera that fits them "
-            "best. "
-            f"{REMEDY}"
-        )
+        count = int((depth[inliers] <= 0).sum())
+        raise UserError(f"view {sight.name!r}: {count} points lie behind the camera that fits best. {REMEDY}")
     errors = np.linalg.norm(projected - sight.pixels, axis=1)[inliers]
     return Pose(camera, inliers, float(np.sqrt((errors**2).mean())), float(errors.max()))
 
@@ -152,9 +149,8 @@ def _expect_spread(sight: Sight, chosen: np.ndarray) -> None:
     points = sight.points[chosen]
     if len(points) < LEAST_POINTS:
         raise UserError(
-            f"view {sight.name!r}: expected at least {LEAST_POINTS} correspondences for a pose, found "
-            f"{len(points)}. Remedy: "
-            "pick more points in this view, far apart and at different depths (6 or more are better)"
+            f"view {sight.name!r}: expected at least {LEAST_POINTS} correspondences, found {len(points)}. Remedy: pick "
+            "more points in this view, far apart and at different depths (6 or more are better)"
         )
     if not (np.isfinite(points).all() and np.isfinite(sight.pixels[chosen]).all()):
         raise UserError(f"view {sight.name!r}: correspondences that are not finite. Remedy: correct these rows")
@@ -162,9 +158,8 @@ def _expect_spread(sight: Sight, chosen: np.ndarray) -> None:
         sizes = np.linalg.svd(values - values.mean(axis=0), compute_uv=False)
         if sizes[1] <= LINE * sizes[0]:
             raise UserError(
-                f"view {sight.name!r}: all {what} of its correspondences lie on a line, so that the camera can turn "
-                "about it. "
-                "Remedy: pick points to both sides of that line"
+                f"view {sight.name!r}: all {what} of its correspondences lie on a line, which leaves a turn about it "
+                "open. Remedy: pick points to both sides of that line"
             )
 
 
@@ -242,10 +237,8 @@ def _expect_one(sight: Sight, lens: _Lens, vector: np.ndarray, inliers: np.ndarr
         apart = float(np.degrees(np.linalg.norm(_rotation_vector(turn))))
         if apart > SAME_POSE_DEG and sums[other] - sums[order[0]] < DISTINCT * variance:
             raise UserError(
-                f"view {sight.name!r}: its points lie in a plane and two cameras, {apart:.0f} degrees apart, "
-                "explain them equally "
-                "well. Remedy: add points off that plane, more points, or take the picture closer and from further "
-                "aside"
+                f"view {sight.name!r}: its points lie in a plane, and two cameras {apart:.0f} degrees apart explain "
+                "them equally well. Remedy: add points off that plane, or photograph closer and further from the side"
             )
     return best
 
@@ -256,17 +249,13 @@ LEAST_FOR_FOLDS = 6
 
 @dataclass(frozen=True)
 class TurntablePoses:
-    """Hold poses on one axis.
+    """Hold poses on one axis."""
 
-    cameras: in the order given; axis (3,) unit and point (3,) of the axis, world; angles_deg (n,) from the first view;
-    rms_px: root mean square over all points.
-    """
-
-    cameras: tuple[Camera, ...]
-    axis: np.ndarray
+    cameras: tuple[Camera, ...]  # in the order given
+    axis: np.ndarray  # (3,) unit and point (3,) of the axis, world
     point: np.ndarray
-    angles_deg: np.ndarray
-    rms_px: float
+    angles_deg: np.ndarray  # (n,) from the first view
+    rms_px: float  # root mean square over all points
 
 
 @dataclass(frozen=True)

@@ -173,17 +173,14 @@ class Motion:
 
 @dataclass(frozen=True)
 class Registered:
-    """Hold registered scans.
+    """Hold registered scans."""
 
-    motions: of each scan into the frame of the first; residual (n,): root mean square distance to the tangent planes of
-    the others over the overlapping part, world's unit (0 for a single scan); order in which scans were added; moved:
-    scans that were searched for from many starts because their given place was too inexact.
-    """
-
-    motions: tuple[Motion, ...]
+    motions: tuple[Motion, ...]  # of each scan into the frame of the first
+    # (n,): root mean square distance to the tangent planes of the others over the overlapping part, world's unit (0
+    # for a single scan); order in which scans were added
     residual: np.ndarray
     order: tuple[int, ...]
-    moved: tuple[int, ...]
+    moved: tuple[int, ...]  # scans that were searched for from many starts because their given place was too inexact
 
     def as_dict(self) -> dict:
         """Plain data, for JSON."""

@@ -59,18 +59,15 @@ WORKING_PIXELS = 1_000_000
 
 @dataclass(frozen=True)
 class Silhouette:
-    """Hold the silhouette of one picture.
+    """Hold the silhouette of one picture."""
 
-    mask (rows, columns) bool; separation: median over the outline of the colour difference between the two sides, in
-    spreads of the background (below 2 the outline is a guess); parts: connected parts kept; dropped: pixels of small
-    parts that were removed; holes: pixels of background visible through the object.
-    """
-
-    mask: np.ndarray
+    mask: np.ndarray  # (rows, columns) bool
+    # median over the outline of the colour difference between the two sides, in spreads of the background (below 2
+    # the outline is a guess)
     separation: float
-    parts: int
-    dropped: int
-    holes: int
+    parts: int  # connected parts kept
+    dropped: int  # pixels of small parts that were removed
+    holes: int  # pixels of background visible through the object
 
 
 def display(linear: np.ndarray) -> np.ndarray:
@@ -159,16 +156,12 @@ def _lab(picture: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Colours:
-    """Hold clusters of the background.
+    """Hold clusters of the background."""
 
-    centres (n, 3), inverse covariances (n, 3, 3) in L + 16, a, b; area: live part of the picture; coloured (n,) bool:
-    far enough from grey to distinguish a shadow from a grey object.
-    """
-
-    centres: np.ndarray
+    centres: np.ndarray  # (n, 3), inverse covariances (n, 3, 3) in L + 16, a, b
     inverses: np.ndarray
-    coloured: np.ndarray
-    area: tuple[slice, slice]
+    coloured: np.ndarray  # (n,) bool: far enough from grey to distinguish a shadow from a grey object
+    area: tuple[slice, slice]  # live part of the picture
 
 
 def background_colours(picture: np.ndarray, background: str) -> Colours:

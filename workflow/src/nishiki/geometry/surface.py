@@ -15,16 +15,13 @@ MEASURED = 40_000
 
 @dataclass(frozen=True)
 class SimplifiedMesh:
-    """Hold a simplified mesh.
-
-    deviation_px: distance of the original's surface in pixels of the sharpest view that 99 in 100 vertices stay below;
-    deviation_largest_px: the largest (tips of needles); before: triangles of the original.
-    """
+    """Hold a simplified mesh."""
 
     mesh: Mesh
+    # distance of the original's surface in pixels of the sharpest view that 99 in 100 vertices stay below
     deviation_px: float
-    deviation_largest_px: float
-    before: int
+    deviation_largest_px: float  # the largest (tips of needles)
+    before: int  # triangles of the original
 
 
 def decimate(mesh: Mesh, triangles: int) -> Mesh:

@@ -124,19 +124,14 @@ def scale_turn(matrices: np.ndarray, centres: np.ndarray, factor: float) -> np.n
 
 @dataclass(frozen=True)
 class CameraPath:
-    """Describe the path of the cameras round an axis.
+    """Describe the path of the cameras round an axis."""
 
-    axis (3,) unit vector and point (3,) on it, world; position (views,) radians along the path, rising, starting at 0;
-    length: radians from the first view back to the first (a full turn) or to the last; closed: whether the last view
-    neighbours the first; deviation_deg: largest angle between the axis of a step and the common one.
-    """
-
-    axis: np.ndarray
+    axis: np.ndarray  # (3,) unit vector and point (3,) on it, world
     point: np.ndarray
-    position: np.ndarray
-    length: float
-    closed: bool
-    deviation_deg: float
+    position: np.ndarray  # (views,) radians along the path, rising, starting at 0
+    length: float  # radians from the first view back to the first (a full turn) or to the last
+    closed: bool  # whether the last view neighbours the first
+    deviation_deg: float  # largest angle between the axis of a step and the common one
 
     def locate(self, index: int, fraction: float) -> float:
         """Position of the place `fraction` of the way from view `index` to the next one."""

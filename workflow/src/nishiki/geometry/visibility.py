@@ -21,19 +21,15 @@ from nishiki.threads import over_rows
 
 @dataclass(frozen=True)
 class Raster:
-    """The surface points behind the pixel centres of a view, or of a band of its rows.
+    """The surface points behind the pixel centres of a view, or of a band of its rows."""
 
-    triangle (rows, columns) int32, -1 where there is none; barycentric (rows, columns, 2) float32: weights of corners 0
-    and 1 of the triangle, perspective-correct, 0 where there is none; depth (rows, columns) float32 along the optical
-    axis in the world's unit, +inf where there is none; first_row: row of the picture that row 0 of the arrays is;
-    behind: triangles left out because a corner lies at or behind the camera's plane.
-    """
-
-    triangle: np.ndarray
+    triangle: np.ndarray  # (rows, columns) int32, -1 where there is none
+    # (rows, columns, 2) float32: weights of corners 0 and 1 of the triangle, perspective-correct, 0 where there is
+    # none
     barycentric: np.ndarray
-    depth: np.ndarray
-    first_row: int
-    behind: int
+    depth: np.ndarray  # (rows, columns) float32 along the optical axis in the world's unit, +inf where there is none
+    first_row: int  # row of the picture that row 0 of the arrays is
+    behind: int  # triangles left out because a corner lies at or behind the camera's plane
 
 
 def rasterise(mesh: Mesh, camera: Camera, *, cull: bool = False, rows: tuple[int, int] | None = None) -> Raster:
@@ -161,28 +157,20 @@ SLACK = 1e-9  # of the corners' weights
 
 @dataclass(frozen=True)
 class RayTree:
-    """Hold a tree over a mesh for rays.
+    """Hold a tree over a mesh for rays."""
 
-    boxes (2 L - 1, 6) float32: lower and upper corner, L leaves; triangles (4 L, 9) float64: a corner and two edges, in
-    the order of the leaves, some twice; order (4 L,) int32: their numbers in the mesh.
-    """
-
-    boxes: np.ndarray
-    triangles: np.ndarray
-    order: np.ndarray
+    boxes: np.ndarray  # (2 L - 1, 6) float32: lower and upper corner, L leaves
+    triangles: np.ndarray  # (4 L, 9) float64: a corner and two edges, in the order of the leaves, some twice
+    order: np.ndarray  # (4 L,) int32: their numbers in the mesh
 
 
 @dataclass(frozen=True)
 class Hits:
-    """Hold the hits of rays.
+    """Hold the hits of rays."""
 
-    triangle (n,) int32: in the mesh, -1 where nothing is met; distance (n,) float64, in multiples of the ray's
-    direction; weights (n, 2) float64 of the triangle's second and third corner.
-    """
-
-    triangle: np.ndarray
-    distance: np.ndarray
-    weights: np.ndarray
+    triangle: np.ndarray  # (n,) int32: in the mesh, -1 where nothing is met
+    distance: np.ndarray  # (n,) float64, in multiples of the ray's direction
+    weights: np.ndarray  # (n, 2) float64 of the triangle's second and third corner
 
 
 def make_tree(vertices: np.ndarray, triangles: np.ndarray) -> RayTree:

@@ -42,9 +42,9 @@ def complete(
     for name, usable in zip(measured.regions, chosen, strict=True):
         if len(usable) < FEWEST:
             raise UserError(
-                f"region '{name}': {len(usable)} usable views at normal incidence, expected at least {FEWEST} with "
-                f"theta_i below {measured.normal_deg:g} degrees. Remedy: photograph the cloth lit along its normal "
-                "from more directions, or raise normal_deg, or set interpolation to none to keep the table alone."
+                f"region '{name}': expected {FEWEST} usable views at normal incidence (theta_i below "
+                f"{measured.normal_deg:g} degrees), found {len(usable)}. Remedy: photograph the cloth lit along its "
+                "normal from more directions, raise normal_deg, or set interpolation to none"
             )
     parts = [
         interpolate(
@@ -119,8 +119,7 @@ def interpolate(
             left_out, smoothing = float(np.sqrt((predict.left_out**2).mean())), predict.smoothing
     except ValueError as e:
         raise UserError(
-            f"the views at normal incidence cannot be interpolated ({e}). Remedy: photograph views in several "
-            "azimuths, not in one plane only."
+            f"the views at normal incidence cannot be interpolated ({e}). Remedy: photograph views in several azimuths"
         ) from None
     grid = np.exp(predict(inside)).reshape(*nodes.shape[:2], values.shape[1])
     grid[0] = grid[0].mean(axis=0)

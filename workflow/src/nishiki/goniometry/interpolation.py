@@ -96,20 +96,15 @@ Predictor = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class SmoothingSpline:
-    """Hold a fitted spline.
+    """Hold a fitted spline."""
 
-    points (n, 2) on the disc; weights (n, channels); trend (terms, channels); folds (k, 2): signs of the symmetric
-    images; smoothing: the factor chosen, over the kernel's largest eigenvalue; left_out (n, channels): error of the
-    logarithm at each point when it is predicted from the others.
-    """
-
-    points: np.ndarray
-    weights: np.ndarray
-    trend: np.ndarray
-    folds: np.ndarray
+    points: np.ndarray  # (n, 2) on the disc
+    weights: np.ndarray  # (n, channels)
+    trend: np.ndarray  # (terms, channels)
+    folds: np.ndarray  # (k, 2): signs of the symmetric images
     kernel: Kernel
-    smoothing: float
-    left_out: np.ndarray
+    smoothing: float  # the factor chosen, over the kernel's largest eigenvalue
+    left_out: np.ndarray  # (n, channels): error of the logarithm at each point when it is predicted from the others
 
     def __call__(self, places: np.ndarray) -> np.ndarray:
         """Logarithms (m, channels) at places (m, 2)."""

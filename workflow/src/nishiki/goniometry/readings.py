@@ -15,16 +15,12 @@ TILE = 4  # pixels: the noise of neighbours, and the texture of yarns, go togeth
 
 @dataclass(frozen=True)
 class WindowSample:
-    """Hold the mean of a window.
+    """Hold the mean of a window."""
 
-    mean (channels,) float64 in the units of the pixels; noise (channels,): standard deviation of the mean; pixels:
-    number that entered; saturated: share of the window's pixels.
-    """
-
-    mean: np.ndarray
-    noise: np.ndarray
-    pixels: int
-    saturated: float
+    mean: np.ndarray  # (channels,) float64 in the units of the pixels
+    noise: np.ndarray  # (channels,): standard deviation of the mean
+    pixels: int  # number that entered
+    saturated: float  # share of the window's pixels
 
 
 def read_window(linear: np.ndarray, usable: np.ndarray, saturated: np.ndarray) -> WindowSample:
@@ -134,15 +130,12 @@ Rule = Literal["own", "incidence", "cosine"]
 
 @dataclass(frozen=True)
 class Boards:
-    """Hold the boards of a sample.
+    """Hold the boards of a sample."""
 
-    rule: own (the sample's pair of directions), incidence (its light), or cosine (all boards, by the cosine law);
-    which: indices of the boards; factors: their light times these is that of the board under the sample's light.
-    """
-
+    # own (the sample's pair of directions), incidence (its light), or cosine (all boards, by the cosine law)
     rule: Rule
-    which: np.ndarray
-    factors: np.ndarray
+    which: np.ndarray  # indices of the boards
+    factors: np.ndarray  # their light times these is that of the board under the sample's light
 
 
 def assign_boards(sample_deg: np.ndarray, white_deg: np.ndarray) -> list[Boards]:
@@ -176,10 +169,10 @@ def _of(light: np.ndarray, view: np.ndarray, lights: np.ndarray, views: np.ndarr
             return Boards(rule, which, np.ones(len(which)))
     which = np.flatnonzero(cosines > GRAZING)
     if not len(which):
+        steep = np.degrees(np.arccos(GRAZING))
         raise UserError(
-            f"white boards: expected one lit less steeply than {np.degrees(np.arccos(GRAZING)):.0f} degrees, for a "
-            f"sample at another incidence, found none of {len(lights)}. Remedy: photograph the board at the sample's "
-            "incidences"
+            f"white boards: expected one lit below {steep:.0f} degrees for a sample at another incidence, found none "
+            f"of {len(lights)}. Remedy: photograph the board at the sample's incidences"
         )
     return Boards("cosine", which, light[2] / cosines[which])
 

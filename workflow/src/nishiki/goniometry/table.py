@@ -20,18 +20,14 @@ NORMAL_DEG = 1.0
 
 @dataclass(frozen=True)
 class BasicReflectance:
-    """BRDF at normal incidence over the whole view hemisphere, on a regular grid.
+    """BRDF at normal incidence over the whole view hemisphere, on a regular grid."""
 
-    theta (nt,) float64, radians, 0 to pi/2 in equal steps, both included; phi (np,) radians, 0 to 2 pi in equal steps,
-    the last excluded, an even number; values (regions, nt, np, channels) float64, sr^-1, positive; measured (nt, np)
-    bool: a measured direction, or its mirror image, lies within the cell; False: interpolated; extrapolated (nt, np)
-    bool: no measured direction farther out in its azimuth (grazing views).
-    """
-
-    theta: np.ndarray
-    phi: np.ndarray
-    values: np.ndarray
+    theta: np.ndarray  # (nt,) float64, radians, 0 to pi/2 in equal steps, both included
+    phi: np.ndarray  # (np,) radians, 0 to 2 pi in equal steps, the last excluded, an even number
+    values: np.ndarray  # (regions, nt, np, channels) float64, sr^-1, positive
+    # (nt, np) bool: a measured direction, or its mirror image, lies within the cell; False: interpolated
     measured: np.ndarray
+    # (nt, np) bool: no measured direction farther out in its azimuth (grazing views)
     extrapolated: np.ndarray | None = None
 
     def evaluate(self, outgoing: np.ndarray, region: int = 0) -> np.ndarray:

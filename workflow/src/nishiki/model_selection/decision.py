@@ -5,20 +5,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Decision:
-    """One thing left out, or kept, because of a measured criterion.
+    """One thing left out, or kept, because of a measured criterion."""
 
-    what: the name it has in the diagnostics; decision: what was decided, in words; criterion: what was measured, in
-    words; measured: its value, None where a setting decided; limit: what it was compared with, None likewise; loss:
-    what leaving it out costs, with its unit; override: the setting that decides otherwise.
-    """
-
-    what: str
-    decision: str
-    criterion: str
-    measured: float | None
-    limit: float | None
-    loss: str
-    override: str
+    what: str  # the name it has in the diagnostics
+    decision: str  # what was decided, in words
+    criterion: str  # what was measured, in words
+    measured: float | None  # its value, None where a setting decided
+    limit: float | None  # what it was compared with, None likewise
+    loss: str  # what leaving it out costs, with its unit
+    override: str  # the setting that decides otherwise
 
     def as_dict(self) -> dict[str, dict]:
         """Return {subject: plain values}, to be merged into the block `economy` of a stage's diagnostics."""

@@ -33,16 +33,12 @@ FEWEST_TEXELS = 30  # texels below which nothing is said
 
 @dataclass(frozen=True)
 class Gain:
-    """Hold the gain of a lobe.
+    """Hold the gain of a lobe."""
 
-    keep: whether the specular part is worth having; gain_db: of unseen observations; sigma: of the lobe, radians;
-    error: root mean square weighted error of unseen observations with Lambert's term alone; texels.
-    """
-
-    keep: bool
-    gain_db: float
-    sigma: float
-    error: float
+    keep: bool  # whether the specular part is worth having
+    gain_db: float  # of unseen observations
+    sigma: float  # of the lobe, radians
+    error: float  # root mean square weighted error of unseen observations with Lambert's term alone; texels
     texels: int
 
 

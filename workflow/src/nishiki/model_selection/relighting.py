@@ -38,17 +38,14 @@ LARGEST_SIGMA = 0.1  # radians: where normals are worse, their blur of the gloss
 
 @dataclass(frozen=True)
 class Sampled:
-    """Hold sampled pixels under one set of directions.
+    """Hold sampled pixels under one set of directions."""
 
-    observations (lights, 1, pixels, channels), usable and valid (lights, 1, pixels) bool, and their parcel; cells (1,
-    pixels): numbers of cells of the picture, or of regions.
-    """
-
+    # (lights, 1, pixels, channels), usable and valid (lights, 1, pixels) bool, and their parcel
     observations: np.ndarray
     usable: np.ndarray
     valid: np.ndarray
     parcel: Parcel
-    cells: np.ndarray | None = None
+    cells: np.ndarray | None = None  # (1, pixels): numbers of cells of the picture, or of regions
 
     def only(self, chosen: np.ndarray) -> "Sampled":
         """Select some of the pixels: numbers, or bool (pixels,)."""

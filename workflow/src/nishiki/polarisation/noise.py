@@ -30,16 +30,12 @@ class PhotographNoise:
 
 @dataclass(frozen=True)
 class Differences:
-    """The sums of planes that are smoothed, and how the noise of photographs enters them.
+    """The sums of planes that are smoothed, and how the noise of photographs enters them."""
 
-    of_planes : (d, planes), difference j is sum_p of_planes[j, p] plane_p. level : (d, planes) and count (d,): its
-    variance is slope sum_p level[j, p] plane_p + floor count[j]. shared_level : (planes, d, planes) and shared_count
-    (planes, d): covariance of plane p with difference j, in the same way.
-    """
-
-    of_planes: np.ndarray
-    level: np.ndarray
+    of_planes: np.ndarray  # (d, planes), difference j is sum_p of_planes[j, p] plane_p
+    level: np.ndarray  # (d, planes) and count (d,): its variance is slope sum_p level[j, p] plane_p + floor count[j]
     count: np.ndarray
+    # (planes, d, planes) and shared_count (planes, d): covariance of plane p with difference j, in the same way
     shared_level: np.ndarray
     shared_count: np.ndarray
 
@@ -203,13 +199,11 @@ def _least_squares(table: np.ndarray, variances: np.ndarray, channels: int) -> P
 
 @dataclass(frozen=True)
 class _Strip:
-    """Hold the differences of some rows.
-
-    values (d, pixels, channels) of their usable pixels; level and count (pixels, d, channels) of the pixels
-    (`complete`) whose eight neighbours `APART` pixels away are usable too.
-    """
+    """Hold the differences of some rows."""
 
     q: np.ndarray
+    # (d, pixels, channels) of their usable pixels; level and count (pixels, d, channels) of the pixels (`complete`)
+    # whose eight neighbours `APART` pixels away are usable too
     values: np.ndarray
     complete: np.ndarray
     level: np.ndarray

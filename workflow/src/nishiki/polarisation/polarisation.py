@@ -187,18 +187,13 @@ FILLED = 0.25  # of a block's pixels must be lit
 
 @dataclass(frozen=True)
 class Beta:
-    """Hold beta of a board.
+    """Hold beta of a board."""
 
-    channel (channels,): beta of the whole board; field (rows, columns, channels) float32: by place, NaN where it is
-    below the limit; covered: share of the blocks that the board fills, the others have the channel's value; low: pixels
-    below the limit in a channel; spread: (5th, 95th percentile) of the blocks relative to the channel.
-    """
-
-    channel: tuple[float, ...]
-    field: np.ndarray
-    covered: float
-    low: int
-    spread: tuple[float, float]
+    channel: tuple[float, ...]  # (channels,): beta of the whole board
+    field: np.ndarray  # (rows, columns, channels) float32: by place, NaN where it is below the limit
+    covered: float  # share of the blocks that the board fills, the others have the channel's value
+    low: int  # pixels below the limit in a channel
+    spread: tuple[float, float]  # (5th, 95th percentile) of the blocks relative to the channel
 
 
 def board_ratio(
@@ -215,19 +210,15 @@ def board_ratio(
     over, under = np.where(known, over, 0.0), np.where(known, under, 0.0)
     bright = np.percentile(under, 99, axis=(0, 1))
     if (bright <= 0).any():
-        raise UserError(
-            f"{what}: the white board is dark in channel {int(np.argmin(bright))}. Remedy: photograph it again"
-        )
+        raise UserError(f"{what}: the white board is dark in channel {int(np.argmin(bright))}. Remedy: take it again")
     lit = known & (under > LIT * bright) & (over >= 0)
     top, bottom = (np.where(lit, each, 0.0) for each in (over, under))
     channel = top.sum(axis=(0, 1)) / bottom.sum(axis=(0, 1))
     if (channel < least).any():
         place = int(np.argmin(channel))
         raise UserError(
-            f"{what}: the board through the polarisers has {channel[place]:.2g} of its light in channel {place}, "
-            "the limit is "
-            f"{least:g}; the result would be mostly noise. Remedy: leave the channel out, expose "
-            "longer, or turn the polariser"
+            f"{what}: the board through the polarisers has {channel[place]:.2g} of its light in channel {place}, the "
+            f"limit is {least:g} (below it is noise). Remedy: omit the channel, expose longer, or turn the polariser"
         )
     blocks = channel[None, None]
     covered, spread = 1.0, (1.0, 1.0)

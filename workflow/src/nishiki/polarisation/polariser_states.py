@@ -170,8 +170,7 @@ def arms_of(file: InstrumentFile | None, *, wavelength_nm: float | None) -> tupl
         if arm.dispersion is not None:
             if wavelength_nm is None:
                 raise UserError(
-                    "polarise: the calibration gives the retarders' dispersion, and the wavelength is not known. "
-                    "Remedy: set "
+                    "polarise: the dispersion of the calibration needs a wavelength. Remedy: set "
                     "polarise.wavelength_nm, or name the channel by it ('630 nm')"
                 )
             k1, k2 = arm.dispersion  # Y. Queau et al., Optics Letters 43, 2018
@@ -186,23 +185,19 @@ NEARLY = 1.0  # degrees: angles that count as parallel or crossed
 
 @dataclass(frozen=True)
 class StateSums:
-    """method: none | circular | crossed | linear | pairs | mueller. states: names, in order; used: those that count.
-
-    weights (planes, states) float64: plane p is sum_k weights[p, k] I_k. Planes: none: the photograph; circular: off,
-    on; crossed and pairs: parallel, crossed; linear: mean a, then the cosine and sine parts of twice the angle;
-    mueller: m00, m11, m22. elements (e,): indices of the Mueller matrix that are solved for; inverse (e, states): their
-    weights; design (states, e): the way back; empty for plain sums. condition: of the least squares, 1 for plain sums.
-    angles_deg: as taken (equal steps whose names are rounded count as equal).
-    """
+    """method: none | circular | crossed | linear | pairs | mueller. states: names, in order; used: those that count."""
 
     method: str
     states: tuple[str, ...]
+    # (planes, states) float64: plane p is sum_k weights[p, k] I_k. Planes: none: the photograph; circular: off, on;
+    # crossed and pairs: parallel, crossed; linear: mean a, then the cosine and sine parts of twice the angle;
+    # mueller: m00, m11, m22
     weights: np.ndarray
-    condition: float
-    design: np.ndarray
-    inverse: np.ndarray
-    elements: tuple[int, ...] = ()
-    angles_deg: tuple[tuple[float, ...], ...] = ()
+    condition: float  # of the least squares, 1 for plain sums
+    design: np.ndarray  # (states, e): the way back; empty for plain sums
+    inverse: np.ndarray  # (e, states): their weights
+    elements: tuple[int, ...] = ()  # (e,): indices of the Mueller matrix that are solved for
+    angles_deg: tuple[tuple[float, ...], ...] = ()  # as taken (equal steps whose names are rounded count as equal)
     used: int = 0
 
 
@@ -261,8 +256,7 @@ def _linear(states: tuple[str, ...], angles: np.ndarray) -> StateSums:
     sizes = np.linalg.svd(design, compute_uv=False)
     if len(distinct) < 3 or sizes[-1] * MOST_CONDITION < sizes[0]:
         raise UserError(
-            f"analyser angles {', '.join(states)}: expected three or more different ones, well spread (0, 60, 120; "
-            "0, 45, 90, "
+            f"analyser angles {', '.join(states)}: expected three or more well spread ones (0, 60, 120; 0, 45, 90, "
             "135), or two that are 90 degrees apart. Remedy: photograph more angles"
         )
     inverse = np.linalg.pinv(design)
@@ -295,8 +289,7 @@ def _series(states, angles, generator, analyser, method) -> StateSums:
     if solution is None or solution[1] > MOST_CONDITION:
         raise UserError(
             f"{len(states)} generator/analyser states determine neither parallel and crossed images nor the Mueller "
-            "matrix. "
-            "Remedy: for some generator angles photograph the same analyser angle and the one 90 degrees from it"
+            "matrix. Remedy: photograph some generator angles with the same analyser angle and one 90 degrees from it"
         )
     elements, condition = solution
     part = design[:, elements]

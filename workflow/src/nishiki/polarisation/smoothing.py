@@ -32,15 +32,12 @@ BAND = 64  # rows that are smoothed at a time
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Hold smoothed planes.
+    """Hold smoothed planes."""
 
-    planes : as `components` takes them; noise : of the photographs, None where it cannot be measured; doubtful : share
-    of the differences below -3 standard deviations of their own noise, which noise alone leaves at about 0.1 %, None
-    where it is not known or amplitudes cannot be negative.
-    """
-
-    planes: np.ndarray
-    noise: PhotographNoise | None
+    planes: np.ndarray  # as `components` takes them
+    noise: PhotographNoise | None  # of the photographs, None where it cannot be measured
+    # share of the differences below -3 standard deviations of their own noise, which noise alone leaves at about 0.1
+    # %, None where it is not known or amplitudes cannot be negative
     doubtful: float | None
 
 

@@ -160,21 +160,17 @@ class Tile:
 
 @dataclass(frozen=True)
 class Page:
-    """Hold a whole page.
-
-    stamp : name by which the file can be told again; footer : its last line; verdict : what is good, what is doubtful,
-    what would improve it most.
-    """
+    """Hold a whole page."""
 
     title: str
     subtitle: str
     sections: Sequence[Section]
     version: str
-    footer: str
-    stamp: str = ""
+    footer: str  # its last line
+    stamp: str = ""  # name by which the file can be told again
     facts: Sequence[tuple[str, str]] = ()
     tiles: Sequence[Tile] = ()
-    verdict: Sequence[tuple[str, str]] = ()
+    verdict: Sequence[tuple[str, str]] = ()  # what is good, what is doubtful, what would improve it most
     warnings: Sequence[str] = ()
 
 

@@ -148,9 +148,7 @@ def _number(value: float) -> str:
 
 @dataclass(frozen=True)
 class Curve:
-    """One curve of a chart: x, y of equal length; NaN breaks the line. dots: as points, not as a line.
-
-    dash: pattern of a dashed line. strength: opacity of each point, 0 to 1, or None."""
+    """One curve of a chart: x, y of equal length; NaN breaks the line. dots: as points, not as a line."""
 
     label: str
     x: np.ndarray
@@ -158,8 +156,8 @@ class Curve:
     colour: str = PALETTE[0]
     dashed: bool = False
     dots: bool = False
-    dash: str = DASHES[0]
-    strength: np.ndarray | None = None
+    dash: str = DASHES[0]  # pattern of a dashed line
+    strength: np.ndarray | None = None  # opacity of each point, 0 to 1, or None
 
 
 def chart(

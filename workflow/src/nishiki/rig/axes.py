@@ -136,10 +136,8 @@ class Grbl:
     def _expect_release(self, greeting: str) -> None:
         """Raise DeviceError where the controller runs a release of GRBL that this module cannot read."""
         if re.search(TOO_OLD, greeting):
-            raise DeviceError(
-                f"{self.device} at {self.port}: expected GRBL 1.1 or newer, found {greeting!r}. "
-                "Remedy: install GRBL 1.1 on the controller"
-            )
+            where = f"{self.device} at {self.port}"
+            raise DeviceError(f"{where}: expected GRBL 1.1 or newer, found {greeting!r}. Remedy: install GRBL 1.1")
 
     def _restart(self) -> str:
         """Restart the controller and return its greeting."""
@@ -199,10 +197,8 @@ class Grbl:
         except ValueError:
             values = []
         if not values:
-            raise DeviceError(
-                f"{self.device} at {self.port}: sent '?', received {match[0]!r} without a machine position. "
-                "Remedy: set $10=1"
-            )
+            where = f"{self.device} at {self.port}"
+            raise DeviceError(f"{where}: sent '?', received {match[0]!r} without a machine position. Remedy: set $10=1")
         return match[1], dict(zip("XYZABC", values, strict=False))
 
 

@@ -125,9 +125,7 @@ class GPhotoCamera:
             raise DeviceLost(f"{self.name}: expected {wanted} on USB, found none. Remedy: {remedy}")
         if len(connected) > 1:
             found = ", ".join(f"{name} at {place}" for name, place in connected)
-            raise DeviceError(
-                f"{self.name}: expected {wanted}, found several: {found}. Remedy: name model or port in the description"
-            )
+            raise DeviceError(f"{self.name}: expected {wanted}, found several: {found}. Remedy: name model or port")
         gphoto = self.gphoto
         try:
             camera = gphoto.Camera()
@@ -169,8 +167,8 @@ class GPhotoCamera:
         if near is None or max(near / value, value / near) > LARGEST_STEP:
             known = ", ".join(steps.values()) or "none"
             raise DeviceError(
-                f"{self.name}: expected one of its steps of {quantity}, found {value:g}. There are: {known}. "
-                "Remedy: correct the plan, or set the camera to mode M"
+                f"{self.name}: expected one of its steps of {quantity}, found {value:g}. There are: {known}. Remedy: "
+                "use one of these, or mode M"
             )
         self._set(widget, steps[near])
 
@@ -289,8 +287,8 @@ class WatchedFolder:
         """Exposure is set in the camera's own software; nothing is known of it here."""
         if exposure != Exposure():
             raise DeviceError(
-                f"{self.name}: the exposure of a camera behind a folder cannot be set from here. "
-                "Remedy: set it in the camera's software (mode M) and leave it out of the plan"
+                f"{self.name}: the exposure of this camera is set in its software (mode M). Remedy: omit it from the "
+                "plan"
             )
         return Exposure()
 
@@ -336,9 +334,8 @@ class WatchedFolder:
             if time.monotonic() > end:
                 found = ", ".join(f"{name} ({size} bytes)" for name, size in sorted(sizes.items())) or "nothing"
                 raise DeviceLost(
-                    f"{self.name}: expected {self.files} new file(s) in {self.folder} within {self.wait_s:g} s, "
-                    f"found {found}. Remedy: check that the camera is awake and that its software saves there, "
-                    "then run the same command again"
+                    f"{self.name}: expected {self.files} new file(s) in {self.folder} within {self.wait_s:g} s, found "
+                    f"{found}. Remedy: check that camera and software work, then run the same command again"
                 )
             time.sleep(POLL_S)
 
@@ -346,8 +343,8 @@ class WatchedFolder:
         if names:
             raise DeviceError(
                 f"{self.name}: expected {self.files} file(s) for one exposure in {self.folder}, found "
-                f"{', '.join(sorted(names))}: it is not certain which photograph belongs to this frame. "
-                "Remedy: release the camera only when asked, set 'files' (2 for raw and JPEG), and run again"
+                f"{', '.join(sorted(names))}. Remedy: release only when asked, set 'files' (2 for raw and JPEG), run "
+                "again"
             )
 
     def _sizes(self) -> dict[str, int]:
@@ -377,14 +374,10 @@ def run_command(name: str, command: tuple[str, ...]) -> Callable[[], None]:
         try:
             done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=COMMAND_S)
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise DeviceError(
-                f"{name}: the command '{text}' did not run ({error}). Remedy: correct 'release'"
-            ) from None
+            raise DeviceError(f"{name}: the command '{text}' failed ({error}). Remedy: correct 'release'") from None
         if done.returncode:
             said = (done.stderr or done.stdout).strip()[-300:]
-            raise DeviceError(
-                f"{name}: the command '{text}' ended with status {done.returncode}: {said or 'it said nothing'}. "
-                "Remedy: try it in a terminal"
-            )
+            status = f"ended with status {done.returncode}: {said or 'no message'}"
+            raise DeviceError(f"{name}: the command '{text}' {status}. Remedy: try it in a terminal")
 
     return release

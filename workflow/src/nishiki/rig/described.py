@@ -80,8 +80,7 @@ def expect_lamp(name: str, lamp: int, count: int) -> None:
     """Raise DeviceError where there is no such lamp."""
     if not 1 <= lamp <= count:
         raise DeviceError(
-            f"{name}: expected a lamp from 1 to {count}, found {lamp}. "
-            "Remedy: correct the plan, or the number of lamps in the description of the rig"
+            f"{name}: expected a lamp from 1 to {count}, found {lamp}. Remedy: correct plan or description"
         )
 
 

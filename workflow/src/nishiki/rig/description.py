@@ -307,10 +307,8 @@ def expect_devices(frames: tuple[PlannedFrame, ...], rig: Rig | RigDescription) 
     ):
         if missing := sorted(names - set(devices)):
             there = ", ".join(devices) or "none"
-            raise UserError(
-                f"plan: no {kind} '{missing[0]}' in the rig's description, which has {there}. "
-                "Remedy: use one name in both"
-            )
+            where = f"plan: no {kind} '{missing[0]}' in the rig's description, which has {there}"
+            raise UserError(f"{where}. Remedy: use one name in both")
     for frame in frames:
         for name, angle in frame.axes:
             limits = getattr(rig.axes[name], "range_deg", None)

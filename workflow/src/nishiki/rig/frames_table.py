@@ -110,9 +110,8 @@ def read_table(path: Path) -> tuple[Path, tuple[PlannedFrame, ...]]:
         c for c in reader.fieldnames or () if c not in (*COLUMNS, *ESTIMATES) and not c.startswith((AXIS, POLARISER))
     ]
     if unknown or not {"file", "role"} <= set(reader.fieldnames or ()):
-        raise UserError(
-            f"{path} line 2: expected columns of a table of frames, found {', '.join(unknown) or 'no file and role'}"
-        )
+        found = ", ".join(unknown) or "no file and role"
+        raise UserError(f"{path} line 2: expected columns of a table of frames, found {found}")
     frames = tuple(_planned(row, f"{path} line {number}") for number, row in enumerate(reader, start=3))
     twice = [file for file, count in Counter(frame.file for frame in frames).items() if count > 1]
     if twice or not frames:

@@ -86,9 +86,8 @@ def serve(state: RunState, title: str, port: int = DEFAULT_PORT) -> Iterator[str
     except OSError as error:
         if error.errno not in (errno.EADDRINUSE, errno.EACCES):
             raise
-        raise UserError(
-            f"--page: port {port} cannot be used ({error.strerror}). Remedy: --page 0 takes a free one"
-        ) from None
+        why = error.strerror
+        raise UserError(f"--page: port {port} cannot be used ({why}). Remedy: --page 0 takes a free one") from None
     thread = threading.Thread(target=server.serve_forever, name="page of the run", daemon=True)
     thread.start()
     try:

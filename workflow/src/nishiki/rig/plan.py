@@ -112,13 +112,9 @@ class Plan(Closed):
         if isinstance(self.exposure_s, tuple) and (self.kind != "goniometer" or not self.exposure_s):
             raise ValueError("several exposures of one direction are possible with kind: goniometer only")
         if self.exposure_s is None and self.white and self.white.exposure_s:
-            raise ValueError(
-                "white.exposure_s needs exposure_s: images are divided by their exposure, for all or for none"
-            )
+            raise ValueError("white.exposure_s needs exposure_s: exposures are divided out for all images or none")
         if self.exposure_s == "auto" and self.dark and self.dark.when == "before":
-            raise ValueError(
-                "exposure_s: auto needs dark: {when: after}, since dark frames have the exposures that were found"
-            )
+            raise ValueError("exposure_s: auto needs dark: {when: after}, since dark frames have the exposures found")
         if wrong := {"format", "geometry"} & set(self.capture):
             raise ValueError(f"capture: {', '.join(sorted(wrong))} follow from the kind of the plan; leave them out")
         return self
@@ -251,10 +247,8 @@ def _frame(plan: AnyPlan, file: str, role: str, exposure: float | str | None, **
 def _dome_frames(plan: DomePlan, lights: Lights) -> dict[str, list[PlannedFrame]]:
     unknown = [name for name in plan.checks_for if lights.index(name) is None]
     if unknown:
-        raise UserError(
-            f"plan: checks_for: no lamp {', '.join(unknown)} in {plan.lights}, which has "
-            f"{', '.join(lights.names[:8])} ..."
-        )
+        known = ", ".join(lights.names[:8])
+        raise UserError(f"plan: checks_for: no lamp {', '.join(unknown)} in {plan.lights}, which has {known} ...")
     held = {lights.index(name) for name in plan.checks_for}
     (exposure,), (white_exposure,) = _exposures(plan, "object"), _exposures(plan, "white")
     groups: dict[str, list[PlannedFrame]] = {"object": [], "white": []}

@@ -254,8 +254,7 @@ class CaptureRun:
             if rejections > repeats:
                 raise UserError(
                     f"{frame.file}: rejected {rejections} times: {'; '.join(reasons)}. It lies in "
-                    f"{self.work / 'rejected'}. {SAME_COMMAND}; "
-                    f"limits stand in the plan's block 'checks'"
+                    f"{self.work / 'rejected'}. {SAME_COMMAND}; the plan's block 'checks' has the limits"
                 )
 
     def _expose(
@@ -376,10 +375,8 @@ class CaptureRun:
             if wanted == seconds:
                 break
             seconds = wanted
-        raise UserError(
-            f"{frame.file}: no exposure found: {'; '.join(tried)}. Remedy: change the light or the aperture, or set "
-            "exposure_s in the plan"
-        )
+        what = f"{frame.file}: no exposure found: {'; '.join(tried)}"
+        raise UserError(f"{what}. Remedy: change light or aperture, or set exposure_s in the plan")
 
     def _prepare_subject(self, group: str) -> None:
         """Ask for what has to stand before the camera."""

@@ -34,21 +34,16 @@ def check_ranges(settings: Any, *more: tuple[str, float, float, float], prefix: 
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """The camera: sensitivity of the sensor and its noise.
+    """The camera: sensitivity of the sensor and its noise."""
 
-    channels : number of spectral channels, 3 to 8. bits : of the converter. full_well : electrons at full scale.
-    read_noise : electrons, standard deviation. black_level : codes. white_level : fraction of full scale that a
-    perfect white diffuser facing the lamp reaches in the most sensitive channel. noise : False gives the mean signal
-    (still quantised).
-    """
-
-    channels: int = ranged(3, 8, 3)
-    bits: int = ranged(8, 16, 12)
-    full_well: float = ranged(100.0, 1e9, 30000.0)
-    read_noise: float = ranged(0.0, 1e4, 8.0)
-    black_level: int = 64
+    channels: int = ranged(3, 8, 3)  # number of spectral channels, 3 to 8
+    bits: int = ranged(8, 16, 12)  # of the converter
+    full_well: float = ranged(100.0, 1e9, 30000.0)  # electrons at full scale
+    read_noise: float = ranged(0.0, 1e4, 8.0)  # electrons, standard deviation
+    black_level: int = 64  # codes
+    # fraction of full scale that a perfect white diffuser facing the lamp reaches in the most sensitive channel
     white_level: float = ranged(0.01, 1.0, 0.7)
-    noise: bool = True
+    noise: bool = True  # False gives the mean signal (still quantised)
 
     def __post_init__(self):
         check_ranges(self, ("black_level", self.black_level, 0, 2**self.bits // 4))

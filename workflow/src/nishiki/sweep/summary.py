@@ -137,20 +137,16 @@ class Spread:
 
 @dataclass(frozen=True)
 class VariantRow:
-    """Hold one variant of one scene.
-
-    errors: one for each measure; times: seconds and cpu_seconds summed over the counted stages for each repeat; stages:
-    the same stage by stage; bytes: of the artifacts of the counted stages.
-    """
+    """Hold one variant of one scene."""
 
     name: str
     names: tuple[str, ...]
     changes: tuple[str, ...]
-    errors: tuple[float, ...]
-    times: dict[str, Spread]
-    stages: dict[str, dict[str, Spread]]
+    errors: tuple[float, ...]  # one for each measure
+    times: dict[str, Spread]  # seconds and cpu_seconds summed over the counted stages for each repeat
+    stages: dict[str, dict[str, Spread]]  # the same stage by stage
     peak_memory_mib: float
-    bytes: int
+    bytes: int  # of the artifacts of the counted stages
     repeats: int
     reproducible: bool
     different: tuple[str, ...]
@@ -176,12 +172,9 @@ def variant_row(
     records: dict[str, list[dict[str, Any]]],
     *,
     keys: dict[str, str],
-    default: bool,
-    paper: bool,
-    peer: bool,
-    apart: bool = False,
+    **roles: bool,
 ) -> VariantRow:
-    """Row of one variant. records : by counted stage, one for each repeat; the same number for every stage."""
+    """Summarise one variant. records: by counted stage, one a repeat; roles: the last fields of `VariantRow`."""
     numbers = range(min((len(runs) for runs in records.values()), default=0))
     everything = [record for runs in records.values() for record in runs]
     different = {f"{record['stage']}: {name}" for record in everything for name in record["different"]}
@@ -205,8 +198,5 @@ def variant_row(
         keys=dict(keys),
         machines=tuple(sorted({f"{r['processor']}, {r['cpus']} cores, Python {r['python']}" for r in everything})),
         load=max((record["load_before"] for record in everything), default=0.0),
-        default=default,
-        paper=paper,
-        peer=peer,
-        apart=apart,
+        **roles,
     )

@@ -179,19 +179,15 @@ class WeaveModel:
 
 @dataclass(frozen=True)
 class WeaveFit:
-    """A fitted model and how good it is.
-
-    rms_rel: per plane, root of the summed squares of the misfit over those of the data (mean over channels). variance:
-    of the residuals over sigma. intervals: name -> (low, high), see `intervals.profile_intervals`. at_bounds: unknowns
-    that ended at the end of their range.
-    """
+    """A fitted model and how good it is."""
 
     model: WeaveModel
+    # per plane, root of the summed squares of the misfit over those of the data (mean over channels)
     rms_rel: dict[str, float]
-    variance: float
-    intervals: dict[str, tuple[float, float]]
+    variance: float  # of the residuals over sigma
+    intervals: dict[str, tuple[float, float]]  # name -> (low, high), see `intervals.profile_intervals`
     identifiability: Identifiability
-    at_bounds: list[str]
+    at_bounds: list[str]  # unknowns that ended at the end of their range
 
 
 def fit_weave(
@@ -203,16 +199,14 @@ def fit_weave(
     contact: float | None = HALF_PI,
     harness: int | tuple[int, ...] | None = None,
     index: float | None = START_INDEX,
-    confidence: float = 0.95,
-    intervals: bool = True,
+    confidence: float | None = 0.95,
 ) -> WeaveFit:
     """Fit the weave model to both planes; deterministic.
 
     reading : "paper" (Takeda and Tanaka, eq. 15), "shaded" or "yarns". lobe : "gauss" (the paper's) or "ggx". contact :
     angle of the weft section's contacts; None: searched. harness : yarns of a repeat, of which one is bound, where the
     weave is known: then n = harness - 1; several: whichever fits best; None: n is searched. index : refractive index;
-    None: searched (strongly correlated with k_s). confidence : of the intervals. intervals : False leaves them
-    out (empty), for speed.
+    None: searched (strongly correlated with k_s). confidence : of the intervals; None: no intervals, for speed.
     """
     best = None
     for yarns in harness if isinstance(harness, tuple) else (harness,):
@@ -223,7 +217,7 @@ def fit_weave(
     problem, p, cost = best
     model = model_of(p, weft, warp, reading, lobe)
     variance = noise_variance(problem, cost)
-    ranges = profile_intervals(problem, p, cost, confidence=confidence, variance=variance) if intervals else {}
+    ranges = profile_intervals(problem, p, cost, confidence=confidence, variance=variance) if confidence else {}
     rms_rel = {}
     for name, plane in (("weft", weft), ("warp", warp)):
         missed = model.predict(name, plane.theta_i, plane.theta_r).mean(axis=-1) - plane.mean

@@ -184,10 +184,7 @@ ROUNDS, TOLERANCE, RETURNS = 60, 1e-10, 3
 
 @dataclass(frozen=True)
 class Problem:
-    """Hold reflectances in both planes, weft first.
-
-    shared: one pair of strengths. free: unknowns that are searched.
-    """
+    """Hold reflectances in both planes, weft first. shared: one pair of strengths. free: unknowns that are searched."""
 
     rows: np.ndarray
     split: int

@@ -222,16 +222,14 @@ class WarpSection(Section):
 
 @dataclass(frozen=True)
 class WeftSection(Section):
-    """Section along the weft: theta_a (radians), flank l, radius r, one of the two humps a row of n touching yarns.
-
-    contact: angle of the arcs on both sides of a contact; pi/2 (circles that touch) is the model, less stands for
-    yarns that are pressed together or flattened and meet at that slope. n need not be whole (mean over a cloth).
-    """
+    """Section along the weft: theta_a (radians), flank l, radius r, one of the two humps a row of n touching yarns."""
 
     theta_a: float
     l: float  # noqa: E741 - the paper's letter
     r: float
     n: float = 1.0
+    # angle of the arcs on both sides of a contact; pi/2 (circles that touch) is the model, less stands for yarns that
+    # are pressed together or flattened and meet at that slope. n need not be whole (mean over a cloth)
     contact: float = HALF_PI
 
     def __post_init__(self):
@@ -256,17 +254,13 @@ USUAL = {"plain": (2,), "twill": (3, 4), "satin": (5, 8), "unknown": None}  # ya
 
 @dataclass(frozen=True)
 class Surface:
-    """Hold one repeat as a height field.
+    """Hold one repeat as a height field."""
 
-    x (columns,), y (rows,) rising, height (rows, columns), all in warp spacings; is_warp (rows, columns) bool: which
-    yarn is on top; pattern (harness, harness) bool, see weave_pattern.
-    """
-
-    x: np.ndarray
-    y: np.ndarray
-    height: np.ndarray
-    is_warp: np.ndarray
-    pattern: np.ndarray
+    x: np.ndarray  # (columns,)
+    y: np.ndarray  # (rows,) rising
+    height: np.ndarray  # (rows, columns), all in warp spacings
+    is_warp: np.ndarray  # (rows, columns) bool: which yarn is on top
+    pattern: np.ndarray  # (harness, harness) bool, see weave_pattern
 
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (n, 3) float32 and triangles (m, 3) int32, anticlockwise seen from above."""

@@ -197,15 +197,11 @@ def fit_binding(
 
 @dataclass(frozen=True)
 class YarnSearch:
-    """Hold the result of a search.
+    """Hold the result of a search."""
 
-    best: fitted to the end, a usual weave where the samples do not distinguish it from the best one; alike: bindings
-    that explain the samples about as well, the best first; ranking: (binding, cost of its short fit) of all.
-    """
-
-    best: YarnFit
-    alike: list[Binding]
-    ranking: list[tuple[Binding, float]]
+    best: YarnFit  # fitted to the end, a usual weave where the samples do not distinguish it from the best one
+    alike: list[Binding]  # bindings that explain the samples about as well, the best first
+    ranking: list[tuple[Binding, float]]  # (binding, cost of its short fit) of all
 
 
 def search_yarns(measured: Measured, candidates: Iterable[Binding], *, oblique: int = OBLIQUE) -> YarnSearch:

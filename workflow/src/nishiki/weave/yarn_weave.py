@@ -264,24 +264,18 @@ def _over_a_yarn(half_width: float, spacing: float, count: int) -> tuple[np.ndar
 
 @dataclass(frozen=True)
 class YarnWeave:
-    """Describe a weave of elliptical yarns.
-
-    spacing_ratio: spacing of the weft over that of the warp. fill: width of a yarn over its spacing; aspect: thickness
-    over width; both (2,) warp, weft. crimp: the warp's share of the amplitudes. bend: length on which a yarn changes
-    sides, in spacings of the crossed yarns. arch: rise of a float over its period. rough (2, 2): GGX roughness of warp
-    and weft along and across the fibres. gain: of the gloss. soft: radians, scatter of the horizons, for yarns differ.
-    """
+    """Describe a weave of elliptical yarns."""
 
     binding: Binding
-    spacing_ratio: float
-    fill: np.ndarray
-    aspect: np.ndarray
-    crimp: float
-    bend: float
-    arch: float
-    rough: np.ndarray
-    gain: float
-    soft: float
+    spacing_ratio: float  # spacing of the weft over that of the warp
+    fill: np.ndarray  # width of a yarn over its spacing
+    aspect: np.ndarray  # thickness over width; both (2,) warp, weft
+    crimp: float  # the warp's share of the amplitudes
+    bend: float  # length on which a yarn changes sides, in spacings of the crossed yarns
+    arch: float  # rise of a float over its period
+    rough: np.ndarray  # (2, 2): GGX roughness of warp and weft along and across the fibres
+    gain: float  # of the gloss
+    soft: float  # radians, scatter of the horizons, for yarns differ
     index: float = INDEX
 
     @cached_property

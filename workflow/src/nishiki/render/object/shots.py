@@ -169,17 +169,14 @@ the mesh does not show, so that no shadow of it is lost."""
 
 @dataclass(frozen=True)
 class FreeLamp:
-    """A lamp in the frame of the camera.
+    """A lamp in the frame of the camera."""
 
-    azimuth: from the right upwards, elevation: towards the camera, radians; intensity: of a white diffuser that faces
-    it; radius: angular, radians; distance: from the object's middle in diameters of the object, at which the intensity
-    counts, with fall-off by the inverse square; None: very far.
-    """
-
-    azimuth: float
-    elevation: float
-    intensity: float = 1.0
-    radius: float = 0.0
+    azimuth: float  # from the right upwards
+    elevation: float  # towards the camera, radians
+    intensity: float = 1.0  # of a white diffuser that faces it
+    radius: float = 0.0  # angular, radians
+    # from the object's middle in diameters of the object, at which the intensity counts, with fall-off by the inverse
+    # square; None: very far
     distance: float | None = None
 
     @property

@@ -19,16 +19,13 @@ _SAMPLES_AT_ONCE = 1 << 19  # bounds the memory of a band of the screen
 
 @dataclass(frozen=True)
 class Rendering:
-    """A picture and what there is to know about it.
+    """A picture and what there is to know about it."""
 
-    xyz: (rows, columns, 3) float32, linear, Y = 1 for a perfect white that faces a lamp of intensity 1.
-    flags: (rows, columns) uint8, bits of `nishiki.render.plane.flags`; a pixel made of several samples carries
-    NORMAL_MISSING, COLOUR_MISSING and OVERFLOW only if no sample of it is usable, TURNED_AWAY if any sample is.
-    coverage: (rows, columns) float32, share of the pixel inside the painting; the rest shows the background.
-    """
-
-    xyz: np.ndarray
+    xyz: np.ndarray  # (rows, columns, 3) float32, linear, Y = 1 for a perfect white that faces a lamp of intensity 1
+    # (rows, columns) uint8, bits of `nishiki.render.plane.flags`; a pixel made of several samples carries
+    # NORMAL_MISSING, COLOUR_MISSING and OVERFLOW only if no sample of it is usable, TURNED_AWAY if any sample is
     flags: np.ndarray
+    # (rows, columns) float32, share of the pixel inside the painting; the rest shows the background
     coverage: np.ndarray
     white_xyz: np.ndarray  # (3,) of a perfect white under the first light (or the ambient light): what an eye adapts to
     shadowed: tuple  # share of each lamp's light that the relief holds back; () where no shadows were cast

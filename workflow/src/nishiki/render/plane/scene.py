@@ -42,20 +42,16 @@ def _level(name, value) -> None:
 
 @dataclass(frozen=True)
 class Light:
-    """One lamp: a direction (lamp at infinity) or a position, its spectrum, and its strength.
+    """One lamp: a direction (lamp at infinity) or a position, its spectrum, and its strength."""
 
-    direction: (3,) towards the lamp, of any length; position_mm: (3,) from the centre of the painting, in the unit of
-    the pitch.  Exactly one of them is given, with z > 0.  spectrum: (61,) relative power, 400 .. 700 nm every 5 nm;
-    only its shape matters.  intensity: Y of a perfect white that faces the lamp at the centre of the painting.
-    falloff: with a position, irradiance decreases with the square of the distance (1 at the centre).
-    angular_radius: radius of the lamp as seen from the centre, radians; it softens the edges of cast shadows only.
-    """
-
-    direction: tuple | None = None
+    direction: tuple | None = None  # (3,) towards the lamp, of any length
+    # (3,) from the centre of the painting, in the unit of the pitch. Exactly one of them is given, with z > 0
     position_mm: tuple | None = None
+    # (61,) relative power, 400 .. 700 nm every 5 nm; only its shape matters
     spectrum: np.ndarray = field(default_factory=lambda: np.ones(BANDS))
-    intensity: float = 1.0
-    falloff: bool = False
+    intensity: float = 1.0  # Y of a perfect white that faces the lamp at the centre of the painting
+    falloff: bool = False  # with a position, irradiance decreases with the square of the distance (1 at the centre)
+    # radius of the lamp as seen from the centre, radians; it softens the edges of cast shadows only
     angular_radius: float = 0.0
 
     def __post_init__(self):
@@ -185,30 +181,23 @@ class Gloss:
 
 @dataclass(frozen=True)
 class PlaneScene:
-    """The maps of a flat object.
+    """The maps of a flat object."""
 
-    normals: (rows, columns, 3) float32, unit length, (0, 0, 0) where unknown.
-    coefficients: (rows, columns, K) float32, diffuse reflectance.  With `basis` (K, 61), S = coefficients . basis (+
-    `mean` (61,)).  Without a basis they are the albedo in K channels and `channels_to_xyz` (3, K) carries them to XYZ
-    (white point D65); for K = 3 it defaults to that of linear sRGB, which is a guess about the camera.
-    shading: (rows, columns, 3 or 5) float32, terms of the body shading (`torrance_sparrow.body_shading`), or None.
-    slopes: (rows, columns, 3) float32, covariance of the slopes in a pixel (`nishiki.brdf.slopes`), or None: no blur.
-    height: (rows, columns) float32 in the unit of `pitch`, or None: no cast shadows.
-    labels: (rows, columns) uint8 row of `gloss` for each pixel, or None: row 0 everywhere.
-    pitch: distance between neighbouring pixels.
-    """
-
-    normals: np.ndarray
-    coefficients: np.ndarray
+    normals: np.ndarray  # (rows, columns, 3) float32, unit length, (0, 0, 0) where unknown
+    coefficients: np.ndarray  # (rows, columns, K) float32, diffuse reflectance. With `basis` (K, 61), S = coefficients
+    # (+ `mean` (61,)). Without a basis they are the albedo in K channels and `channels_to_xyz` (3, K) carries them to
+    # XYZ (white point D65); for K = 3 it defaults to that of linear sRGB, which is a guess about the camera
     basis: np.ndarray | None = None
     mean: np.ndarray | None = None
     channels_to_xyz: np.ndarray | None = None
+    # (rows, columns, 3 or 5) float32, terms of the body shading (`torrance_sparrow.body_shading`), or None
     shading: np.ndarray | None = None
+    # (rows, columns, 3) float32, covariance of the slopes in a pixel (`nishiki.brdf.slopes`), or None: no blur
     slopes: np.ndarray | None = None
-    height: np.ndarray | None = None
-    labels: np.ndarray | None = None
+    height: np.ndarray | None = None  # (rows, columns) float32 in the unit of `pitch`, or None: no cast shadows
+    labels: np.ndarray | None = None  # (rows, columns) uint8 row of `gloss` for each pixel, or None: row 0 everywhere
     gloss: Gloss = field(default_factory=Gloss.none)
-    pitch: float = 1.0
+    pitch: float = 1.0  # distance between neighbouring pixels
 
     def __post_init__(self):
         if self.normals.ndim != 3 or self.normals.shape[2] != 3 or 0 in self.normals.shape:

@@ -36,8 +36,8 @@ def weave_pattern(weave: str, harness: int, step: int, *, face: str = "warp") ->
     step = 1 if weave == "twill" else step
     if weave == "satin" and (gcd(step, harness) != 1 or step % harness in (1, harness - 1)):
         raise UserError(
-            f"simulation: step {step} of a {harness}-harness satin expected 2 to {harness - 2}, no common factor; "
-            "choose another, such as 2 for 5 or 3 for 8"
+            f"simulation: a {harness}-harness satin: expected a step of 2 to {harness - 2} without common factor, "
+            f"found {step}"
         )
     warp_up = np.ones((harness, harness), bool)
     yarns = np.arange(harness)
@@ -319,16 +319,12 @@ class Yarns:
 
 @dataclass(frozen=True)
 class Solids:
-    """Describe both systems.
-
-    pattern : (weft, warp) bool over the whole cell, True where the warp is on top. free : (z, y, x) float32 mm, how far
-    from a place in that voxel there is certainly no yarn.
-    """
+    """Describe both systems."""
 
     warp: Yarns
     weft: Yarns
-    pattern: np.ndarray
-    free: np.ndarray
+    pattern: np.ndarray  # (weft, warp) bool over the whole cell, True where the warp is on top
+    free: np.ndarray  # (z, y, x) float32 mm, how far from a place in that voxel there is certainly no yarn
 
     @property
     def area(self) -> float:

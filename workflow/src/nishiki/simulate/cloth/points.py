@@ -26,16 +26,12 @@ _LIFT = 2e-3  # of the spacing: rays start so far above the surface
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Hold points of the surface.
+    """Hold points of the surface."""
 
-    place : (n, 3) mm, a little above the surface. frame : (n, 6) normal and filament direction. area : (n,) mm². kind :
-    (n,) 0 warp, 1 weft.
-    """
-
-    place: np.ndarray
-    frame: np.ndarray
-    area: np.ndarray
-    kind: np.ndarray
+    place: np.ndarray  # (n, 3) mm, a little above the surface
+    frame: np.ndarray  # (n, 6) normal and filament direction
+    area: np.ndarray  # (n,) mm²
+    kind: np.ndarray  # (n,) 0 warp, 1 weft
 
 
 def make_points(solids: Solids, settings: ClothSettings, *, candidates: int) -> SurfacePoints:
@@ -150,17 +146,13 @@ def _finish(start, stop, place, which, numbers, free, twist, lift, directions, a
 
 @dataclass(frozen=True)
 class Ends:
-    """Hold one end of each chain.
+    """Hold one end of each chain."""
 
-    point : (n,) which of the surface points it is, -1 = none. place (n, 3) mm, frame (n, 6), kind (n,), toward (n, 3):
-    unit direction to the next point.
-    """
-
-    point: np.ndarray
-    place: np.ndarray
-    frame: np.ndarray
-    kind: np.ndarray
-    toward: np.ndarray
+    point: np.ndarray  # (n,) which of the surface points it is, -1 = none
+    place: np.ndarray  # (n, 3) mm
+    frame: np.ndarray  # (n, 6)
+    kind: np.ndarray  # (n,)
+    toward: np.ndarray  # (n, 3): unit direction to the next point
 
 
 @dataclass(frozen=True)

@@ -31,30 +31,24 @@ class YarnSettings:
 
 @dataclass(frozen=True)
 class ClothSettings:
-    """Everything that decides how a simulated cloth reflects.
+    """Everything that decides how a simulated cloth reflects."""
 
-    weave : plain, twill or satin. face : warp or weft, which is on top mostly. harness : yarns of a repeat (plain: 2).
-    step : shift of the binding from one yarn to the next. warp_crimp : share of the warp in the sum of both amplitudes,
-    which is that of two yarns that touch. bend : shape of the way from one side to the other: 0 straight with
-    kinks, 1 two arcs without a straight part. rest : share of a crossing's length on which a yarn lies level.
-    arch_deg : steepest slope of the arch of a float. irregularity : 0 = all yarns alike; 1 = as in a filament cloth.
-    repeats : the irregular cell holds repeats × repeats repeats of the weave. index : refractive, of the filaments.
-    """
-
-    weave: str
-    harness: int = ranged(2, 16)
-    step: int
+    weave: str  # plain, twill or satin
+    harness: int = ranged(2, 16)  # yarns of a repeat (plain: 2)
+    step: int  # shift of the binding from one yarn to the next
+    # _crimp : share of the warp in the sum of both amplitudes, which is that of two yarns that touch
     warp: YarnSettings
     weft: YarnSettings
     warp_crimp: float = ranged(0.05, 0.95, 0.35)
+    # shape of the way from one side to the other: 0 straight with kinks, 1 two arcs without a straight part
     bend: float = ranged(0.0, 1.0, 0.6)
-    rest: float = ranged(0.0, 0.6, 0.05)
-    arch_deg: float = ranged(0.0, 30.0, 8.0)
-    irregularity: float = ranged(0.0, 3.0, 1.0)
-    repeats: int = ranged(1, 8, 2)
-    index: float = ranged(1.05, 3.0, 1.57)
+    rest: float = ranged(0.0, 0.6, 0.05)  # share of a crossing's length on which a yarn lies level
+    arch_deg: float = ranged(0.0, 30.0, 8.0)  # steepest slope of the arch of a float
+    irregularity: float = ranged(0.0, 3.0, 1.0)  # 0 = all yarns alike; 1 = as in a filament cloth
+    repeats: int = ranged(1, 8, 2)  # the irregular cell holds repeats × repeats repeats of the weave
+    index: float = ranged(1.05, 3.0, 1.57)  # refractive, of the filaments
     seed: int = ranged(0, 2**53, 1)
-    face: str = "warp"
+    face: str = "warp"  # warp or weft, which is on top mostly
     channels: tuple[str, ...] = field(default=("red", "green", "blue"))
 
     def __post_init__(self):

@@ -180,21 +180,18 @@ PICTURE_HEIGHT_MM = 77.0  # the brushes were chosen for a picture of this height
 
 @dataclass(frozen=True)
 class SimulatedObject:
-    """Samples are finer than camera pixels by the supersampling s.
+    """Samples are finer than camera pixels by the supersampling s."""
 
-    height_mm : (rows·s, columns·s) float32; label : (rows·s, columns·s) uint8, paint of each sample; palette : the
-    paints (spectra at `FINE_NM`); waves : (rows, columns, 2) float32 slopes of the varnish against the paint; on camera
-    pixels: normals (rows, columns, 3), mean_height_mm and steepest (radians), float32; ceiling_mm : highest point.
-    """
-
-    height_mm: np.ndarray
-    label: np.ndarray
-    palette: Palette
+    height_mm: np.ndarray  # (rows·s, columns·s) float32
+    label: np.ndarray  # (rows·s, columns·s) uint8, paint of each sample
+    palette: Palette  # the paints (spectra at `FINE_NM`)
+    # (rows, columns, 2) float32 slopes of the varnish against the paint; on camera pixels: normals (rows, columns,
+    # 3), mean_height_mm and steepest (radians), float32
     waves: np.ndarray
     normals: np.ndarray
     mean_height_mm: np.ndarray
     steepest: np.ndarray
-    ceiling_mm: float
+    ceiling_mm: float  # highest point
 
 
 def make_object(settings: SimulationSettings) -> SimulatedObject:

@@ -13,19 +13,14 @@ from nishiki.simulate.randomness import fractal_noise, subkey
 
 @dataclass
 class CanvasMap:
-    """What a painter has in mind, per camera pixel (rows, columns).
+    """What a painter has in mind, per camera pixel (rows, columns)."""
 
-    region : uint8 index of the paint. tone : float32 0..1 along its ramp. direction : float32 radians, brush direction
-    from the right, clockwise in the picture. body : float32, thickness of the strokes relative to usual. group : uint8;
-    a stroke never crosses from one group into another. size : float32, stroke width relative to usual.
-    """
-
-    region: np.ndarray
-    tone: np.ndarray
-    direction: np.ndarray
-    body: np.ndarray
-    group: np.ndarray
-    size: np.ndarray
+    region: np.ndarray  # uint8 index of the paint
+    tone: np.ndarray  # float32 0..1 along its ramp
+    direction: np.ndarray  # float32 radians, brush direction from the right, clockwise in the picture
+    body: np.ndarray  # float32, thickness of the strokes relative to usual
+    group: np.ndarray  # uint8; a stroke never crosses from one group into another
+    size: np.ndarray  # float32, stroke width relative to usual
 
     @classmethod
     def blank(cls, rows: int, columns: int) -> "CanvasMap":
@@ -144,10 +139,6 @@ def _mountain(plan, u, v, width, noise):
     plan.paint(snow & ~lit, "snow shade", tone=tone, body=1.2, size=0.6)
 
 
-def _ridge(u, phase, scale):
-    return 0.6 * np.sin(scale * u + phase) + 0.4 * np.sin(2.3 * scale * u + 1.7 * phase)
-
-
 def _hills(plan, u, v, width, noise):
     for index, (name, level, swing, scale, phase) in enumerate(
         (
@@ -156,7 +147,8 @@ def _hills(plan, u, v, width, noise):
             ("near hills", 0.535, 0.018, 6.3, 4.0),
         )
     ):
-        edge = level - swing * _ridge(u, phase, scale) - 0.05 * np.abs(u / width - 0.5)
+        ridge = 0.6 * np.sin(scale * u + phase) + 0.4 * np.sin(2.3 * scale * u + 1.7 * phase)
+        edge = level - swing * ridge - 0.05 * np.abs(u / width - 0.5)
         inside = (v > edge) & (v < HORIZON + 0.012)
         tone = np.clip(0.75 - 9.0 * (v - edge) + 0.8 * noise(f"hill {index}", 20.0), 0, 1)
         slope = np.arctan(

@@ -17,17 +17,12 @@ BODY_SIGMA = 0.20  # roughness of the paint itself, radians (Oren-Nayar)
 
 @dataclass(frozen=True)
 class Shading:
-    """What one lamp does to some rows of the picture, relative to a white diffuser facing the lamp; all float32.
+    """What one lamp does to some rows of the picture, relative to a white diffuser facing the lamp; all float32."""
 
-    body : (rows, columns, tables) body reflection through each column of the colour table, bounce included.
-    gloss : (rows, columns) mirror reflection, the same at all wavelengths. irradiance : (rows, columns) direct, with
-    shadows. lit : (rows, columns) share of the pixel's area times the lamp's disc that is lit.
-    """
-
-    body: np.ndarray
-    gloss: np.ndarray
-    irradiance: np.ndarray
-    lit: np.ndarray
+    body: np.ndarray  # (rows, columns, tables) body reflection through each column of the colour table, bounce included
+    gloss: np.ndarray  # (rows, columns) mirror reflection, the same at all wavelengths
+    irradiance: np.ndarray  # (rows, columns) direct, with shadows
+    lit: np.ndarray  # (rows, columns) share of the pixel's area times the lamp's disc that is lit
 
 
 @numba.njit(cache=True, error_model="numpy")

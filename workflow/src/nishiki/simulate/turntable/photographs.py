@@ -40,15 +40,12 @@ STATES = ("off", "on")
 
 @dataclass(frozen=True)
 class Optics:
-    """What stands between the light and the converter, without noise.
+    """What stands between the light and the converter, without noise."""
 
-    sensitivity : (rows, columns, 3), share of full scale that a perfect white at the axis gives, first polariser in
-    place; beta : (rows, columns, 3), factor of the second polariser; board : (rows, columns), light from the white
-    board, relative to a perfect white at the axis. All float64.
-    """
-
+    # (rows, columns, 3), share of full scale that a perfect white at the axis gives, first polariser in place
     sensitivity: np.ndarray
-    beta: np.ndarray
+    beta: np.ndarray  # (rows, columns, 3), factor of the second polariser
+    # (rows, columns), light from the white board, relative to a perfect white at the axis. All float64
     board: np.ndarray
 
 

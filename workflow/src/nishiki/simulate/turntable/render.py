@@ -22,19 +22,14 @@ _GATHERED_RAYS = 1 << 19  # at a time
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Hold the surroundings of each vertex.
+    """Hold the surroundings of each vertex."""
 
-    seen (v, directions) int32, the vertex that each ray meets, -1 = none; toward (directions, 3) unit directions about
-    z, cosine-distributed, turned by `spin` (v,) radians; albedo (v, 3); shine (v, 2): roughness, and 1 for metal;
-    normals (v, 3).
-    """
-
-    seen: np.ndarray
-    toward: np.ndarray
+    seen: np.ndarray  # (v, directions) int32, the vertex that each ray meets, -1 = none
+    toward: np.ndarray  # (directions, 3) unit directions about z, cosine-distributed, turned by `spin` (v,) radians
     spin: np.ndarray
-    albedo: np.ndarray
-    shine: np.ndarray
-    normals: np.ndarray
+    albedo: np.ndarray  # (v, 3)
+    shine: np.ndarray  # (v, 2): roughness, and 1 for metal
+    normals: np.ndarray  # (v, 3)
 
 
 def cosine_directions(count: int) -> np.ndarray:
@@ -198,42 +193,33 @@ class SimulatedScene:
 
 @dataclass(frozen=True)
 class Light:
-    """What comes from the object to the camera, relative to a perfect white at the axis that faces the lamp.
+    """What comes from the object to the camera, relative to a perfect white at the axis that faces the lamp."""
 
-    diffuse : (rows, columns, 3) float32, light that has lost its polarisation (body, bounced light, the object's mirror
-    image in itself). specular : likewise, the lamp's mirror reflection. coverage : (rows, columns) float32, share of
-    the pixel that the object fills. depth : mm along the optical axis; normals : (rows, columns, 3), unit, of the
-    smooth surface in the object's frame; albedo : (rows, columns, 3): float32, means over the samples that meet the
-    object, 0 where none does. part : (rows, columns) uint8, of the first sample; 255 = none.
-    """
-
+    # (rows, columns, 3) float32, light that has lost its polarisation (body, bounced light, the object's mirror image
+    # in itself)
     diffuse: np.ndarray
-    specular: np.ndarray
-    coverage: np.ndarray
-    depth: np.ndarray
-    normals: np.ndarray
-    albedo: np.ndarray
-    part: np.ndarray
+    specular: np.ndarray  # likewise, the lamp's mirror reflection
+    coverage: np.ndarray  # (rows, columns) float32, share of the pixel that the object fills
+    depth: np.ndarray  # mm along the optical axis
+    normals: np.ndarray  # (rows, columns, 3), unit, of the smooth surface in the object's frame
+    albedo: np.ndarray  # (rows, columns, 3): float32, means over the samples that meet the object, 0 where none does
+    part: np.ndarray  # (rows, columns) uint8, of the first sample; 255 = none
 
 
 @dataclass(frozen=True)
 class _Points:
-    """Hold the places where rays met the object.
+    """Hold the places where rays met the object."""
 
-    pixel (n,), its number in the pixel (n,), numbers (n, 4) in [0, 1), points, unit normals, directions of the rays (n,
-    3), distance (n,), parts (n, parts), indirect irradiance and image (n, 3).
-    """
-
-    pixel: np.ndarray
+    pixel: np.ndarray  # (n,), its number in the pixel (n,)
     sample: np.ndarray
-    numbers: np.ndarray
-    points: np.ndarray
-    normals: np.ndarray
-    rays: np.ndarray
-    depth: np.ndarray
-    parts: np.ndarray
-    bounce: np.ndarray
-    image: np.ndarray
+    numbers: np.ndarray  # (n, 4) in [0, 1)
+    points: np.ndarray  # (n, 3)
+    normals: np.ndarray  # (n, 3) unit
+    rays: np.ndarray  # (n, 3) directions
+    depth: np.ndarray  # (n,) distance
+    parts: np.ndarray  # (n, parts)
+    bounce: np.ndarray  # (n, 3) indirect irradiance
+    image: np.ndarray  # (n, 3)
 
 
 def make_scene(settings: TurntableSettings) -> SimulatedScene:

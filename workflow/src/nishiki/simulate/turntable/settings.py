@@ -74,18 +74,14 @@ PRESETS = {
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """Describe one view.
-
-    rotation (3, 3): object to camera (x right, y down, z into the scene); centre (3,): the camera, mm; lamp (3,): the
-    lamp's centre, mm, object's frame; focal: pixels; principal: column, row of the optical axis.
-    """
+    """Describe one view."""
 
     name: str
-    rotation: np.ndarray
-    centre: np.ndarray
-    lamp: np.ndarray
-    focal: float
-    principal: tuple[float, float]
+    rotation: np.ndarray  # (3, 3): object to camera (x right, y down, z into the scene)
+    centre: np.ndarray  # (3,): the camera, mm
+    lamp: np.ndarray  # (3,): the lamp's centre, mm, object's frame
+    focal: float  # pixels
+    principal: tuple[float, float]  # column, row of the optical axis
 
     @property
     def matrix(self) -> np.ndarray:

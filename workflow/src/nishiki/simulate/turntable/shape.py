@@ -157,16 +157,12 @@ _CREASE = 0.9  # cosine between the gradient and the mean normal of the triangle
 
 @dataclass(frozen=True)
 class Surface:
-    """Hold the surface.
+    """Hold the surface."""
 
-    vertices (v, 3) float64 mm; triangles (f, 3) int32, counter-clockwise seen from outside; normals (v, 3) float64,
-    unit, of the smooth surface; parts (v, parts) float64, distances from the parts, which decide the material.
-    """
-
-    vertices: np.ndarray
-    triangles: np.ndarray
-    normals: np.ndarray
-    parts: np.ndarray
+    vertices: np.ndarray  # (v, 3) float64 mm
+    triangles: np.ndarray  # (f, 3) int32, counter-clockwise seen from outside
+    normals: np.ndarray  # (v, 3) float64, unit, of the smooth surface
+    parts: np.ndarray  # (v, parts) float64, distances from the parts, which decide the material
 
 
 def make_surface(triangles: int) -> Surface:
