@@ -2,10 +2,12 @@
 
 import ast
 import inspect
+import json
 import re
 import shutil
 import subprocess
 import sys
+import types
 
 import numpy as np
 import pytest
@@ -138,3 +140,21 @@ def test_a_picture_is_saved_as_it_was_given(tmp_path):
     for path, values in ((tmp_path / "a.bmp", linear), (tmp_path / "a.png", linear[..., 0, :, None])):
         with pytest.raises(UserError):
             nishiki.save_picture(path, values)
+
+
+def test_the_notebook_runs(folder, tmp_path, monkeypatch):
+    """Its cells, on another capture; a picture that it shows must be one."""
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    shown = []
+    display = types.ModuleType("IPython.display")
+    display.Image = lambda name: shown.append(read_codes(tmp_path / name, tuple("rgb")).shape)
+    monkeypatch.setitem(sys.modules, "IPython", types.ModuleType("IPython"))
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    cells = json.loads((SOURCE.parents[1] / "docs/notebook.ipynb").read_text(encoding="utf-8"))["cells"]
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    names = {}
+    for number, text in enumerate(code):
+        exec(compile(text, f"cell {number}", "exec"), names)
+    assert shown == [(24, 32, 3)] * 2
+    assert len([cell for cell in cells if any("image/png" in out["data"] for out in cell.get("outputs", []))]) == 2

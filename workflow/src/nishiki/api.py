@@ -272,7 +272,8 @@ def fit_gloss(observations, directions, field: "NormalField", *, valid=None, ref
     directions : (lights, 3) array_like of float
         Unit vectors to the lamps.
     field : NormalField
-        Normals and albedo of the same observations.
+        Normals and albedo of the same observations, from lights that `select_lights` chose; normals that are
+        uncertain by more than 0.1 rad are left out.
     valid : (lights, rows, columns) array_like of bool, optional
         Samples to use. Default: all.
     refractive_index : float, optional
@@ -312,9 +313,11 @@ def fit_gloss(observations, directions, field: "NormalField", *, valid=None, ref
     True
     """
     from nishiki.brdf import gloss_profile
+    from nishiki.photometric.gloss_scene import LARGEST_SIGMA
 
     matt = gloss_profile.GlossProfile(np.zeros(1), np.ones(1), refractive_index, transmission=0.0)
-    values, known = np.asarray(observations, np.float64), field.valid if valid is None else field.valid & valid
+    values = np.asarray(observations, np.float64)
+    known = field.valid & (field.sigma < LARGEST_SIGMA) & (True if valid is None else valid)
     samples = gloss_profile.specular_samples(
         values[..., None], directions, field.normals, field.albedo[..., None], matt, valid=known, shading=field.shading
     )

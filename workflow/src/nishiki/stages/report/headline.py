@@ -44,7 +44,11 @@ def object_headline(diagnostics: dict[str, dict[str, Any]]) -> list[tuple[str, s
     advice = [
         (1 < views < FEW_VIEWS, f"{views} views are few", "photograph the object every ten degrees"),
         (unseen > UNSEEN, hidden, "add a turn with the camera higher, or with the object laid down"),
-        (untold, "no view was left out to test views between the photographs", "name some in texels.hold_out"),
+        (
+            untold,
+            "no view was left out to test views between the photographs",
+            "name some in the setting texels.hold_out",
+        ),
         (not ingest.get("boards"), "no white board: brightness is relative", "photograph a white board (--white)"),
         (unit in (None, "none"), "no unit of length: sizes are relative", "state turntable.unit"),
     ]

@@ -276,7 +276,7 @@ export class Painting {
 
   /** The program of a state in use, with everything but the tile set; its uniforms. */
   #shader(state, lamps, place, { exposure, shown }) {
-    const { gl, manifest } = this, { code, gloss } = manifest;
+    const { gl, manifest } = this, { code } = manifest;
     const shader = this.#tileProgram(lamps.length, Boolean(this.#reliefOf(place))), { uniforms } = shader;
     shader.use();
     const illuminants = lamps.map(({ lamp }) => lamp.illuminant);

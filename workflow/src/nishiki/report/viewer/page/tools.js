@@ -38,7 +38,7 @@ export function actions(app) {
   const step = (by) => () => app.setView(app.scene.capturedView(app.state, by));
   return [
     button("fit", () => app.fit()),
-    ...(app.scene.capturedView ? [button("next", step(1)), button("previous", step(-1))] : []),
+    ...(app.scene.capturedView ? [button("previous", step(-1)), button("next", step(1))] : []),
     button("save", () => app.savePicture()),
     ...(document.fullscreenEnabled ? [button("full", () => app.toggleFullScreen())] : []),
   ];
