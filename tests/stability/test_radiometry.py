@@ -342,7 +342,6 @@ def _selection(seed, share, sizes, count):
             wrong += int((found.usable & ~allowed).sum())
             counted = found.lights_usable.astype(int) + found.highlights + found.shadows + found.invalid
             wrong += int((counted != count).sum() + (found.usable.sum(axis=0) != found.lights_usable).sum())
-            wrong += sum(not np.isfinite(v) for v in found.diagnostics.values() if isinstance(v, float))
     return wrong
 
 

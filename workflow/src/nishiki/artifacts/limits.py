@@ -27,12 +27,6 @@ def at_bounds(diagnostics: Mapping[str, Any]) -> list[str]:
     return names
 
 
-def at_end(value: float, low: float, high: float, *, near: float = 1e-4) -> str:
-    """ "lower" | "upper": the end of its range at which a fitted value stands, within this share of it; else ""."""
-    margin = near * (high - low)
-    return "lower" if value <= low + margin else "upper" if value >= high - margin else ""
-
-
 Figure = Callable[[Mapping[str, Any]], float | None]
 
 

@@ -5,7 +5,6 @@ The published fit is that of Tominaga and Tanaka (2004, eq. 14-18); the default'
 
 import numpy as np
 
-from nishiki.artifacts.limits import at_end
 from nishiki.brdf.fit import GAMMA_BOUNDS
 from nishiki.brdf.gloss_profile import GlossProfile, SpecularProfile
 from nishiki.brdf.torrance_sparrow import attenuation, body_factor, half_vector_geometry
@@ -152,18 +151,10 @@ def described_brightest(
 
 
 def parameters_at_bounds(regions: list[dict]) -> list[str]:
-    """Half widths of fitted lobes that stand at the end of the range that was searched or on offer, in words."""
-    texts = []
-    for number, region in enumerate(regions):
-        name = f"region {number}" if len(regions) > 1 else "whole scene"
-        texts += [f"{each}, {name}" for each in region.get("at_bounds", [])]
-        if "AT_BOUND" not in region["flags"] or region.get("at_bounds"):
-            continue
-        for lobe, (beta, gamma) in enumerate(zip(region["beta"], region["gamma"], strict=True), 1):
-            end = at_end(gamma, *GAMMA_BOUNDS) if beta > 0 else ""
-            if end:
-                texts.append(f"half width of lobe {lobe}, {name}: {np.degrees(gamma):.3g} degrees, the {end} end")
-    return texts
+    """Half widths of fitted lobes that stand at the end of the range on offer, in words."""
+    names = [f"region {number}" if len(regions) > 1 else "whole scene" for number in range(len(regions))]
+    pairs = zip(names, regions, strict=True)
+    return [f"{each}, {name}" for name, region in pairs for each in region.get("at_bounds", [])]
 
 
 def is_facets(parameters: dict) -> bool:

@@ -89,7 +89,7 @@ def fit_scene_gloss(
     the transmission that the samples show, if they show any (`measure_transmission`). Where no gloss is significant
     there is no surface to show it, and the profile returned has no transmission loss either.
     """
-    unit = radiance_unit(tiles)
+    unit = unit_of([tile.reflectance for tile in tiles])  # noise and cells of the histogram are relative to it
     nothing = GlossProfile(np.zeros(LADDER.size), LADDER, refractive_index, unit=unit)
     profile, fits = nothing, [None] * len(tiles)
     for number in range(rounds):
@@ -124,7 +124,7 @@ def find_finishes(
     Yields
     ------
     (finishes, labels, clear): the gloss of each, its number for every cell (cells,), and which cells are clearly its
-    own (cells,) bool: their cost under any other is higher by more than half of what is usual for the finish.
+    own (cells,) bool: those whose cost under any other exceeds their own by the median of the finish or more.
     """
     nothing = replace(gloss, beta=np.zeros(gloss.beta.size), transmission=0.0)
     starts = [[replace(gloss, transmission=1.0), nothing]]
@@ -136,12 +136,8 @@ def find_finishes(
         profiles, labels, costs = min(tries, key=lambda each: each[2].min(axis=0).mean())
         least, second = np.sort(costs, axis=0)[:2]
         usual = np.array([np.median((second - least)[labels == k]) for k in range(len(profiles))])
-        clear = second - least > 0.5 * usual[labels]
-        parts = [[tile.only(labels[tile.cells[0]] == k) for tile in tiles] for k in range(len(profiles))]
-        finishes = [
-            fit_scene_gloss([tile for tile in part if tile.flags.size], refractive_index=gloss.refractive_index)
-            for part in parts
-        ]
+        clear = second - least >= usual[labels]
+        finishes = fit_glosses(tiles, labels, gloss.refractive_index)
         if sum(not finish.profile.beta.any() for finish in finishes) > 1:
             return  # what differs is not the gloss
         yield finishes, labels, clear
@@ -150,6 +146,13 @@ def find_finishes(
             for k, profile in enumerate(profiles)
             if profile.beta.any()
         ]
+
+
+def fit_glosses(tiles: Sequence[GlossTile], labels: np.ndarray, refractive_index: float) -> list[SceneGloss]:
+    """Fit the gloss of each label of the cells (cells,) by itself; that of all where the tiles hold none of it."""
+    parts = [[tile.only(labels[tile.cells[0]] == k) for tile in tiles] for k in range(int(labels.max()) + 1)]
+    parts = [[tile for tile in part if tile.flags.size] or tiles for part in parts]
+    return [fit_scene_gloss(part, refractive_index=refractive_index) for part in parts]
 
 
 def _settle(tiles, profiles, **settings) -> tuple[list[GlossProfile], np.ndarray, np.ndarray]:
@@ -198,11 +201,6 @@ def measure_transmission(tiles: Sequence[GlossTile], profile: GlossProfile, **se
     bend = curve.coef[2]
     best = TRANSMISSIONS[int(costs.argmin())] if bend <= 0 else float(np.clip(-curve.coef[1] / (2 * bend), 0, 1))
     return best if curve(best) < (1 - MEASURED) * curve(profile.transmission) else profile.transmission
-
-
-def radiance_unit(tiles: Sequence[GlossTile]) -> float:
-    """`unit_of` the tiles' reflectances. Noise and the cells of the histogram are relative to it."""
-    return unit_of([tile.reflectance for tile in tiles])
 
 
 def add_tile(

@@ -28,7 +28,7 @@ class LightSelection(Summarised):
 
     usable (lights, rows, columns) bool; the counts (rows, columns) uint16 are lights per pixel. `invalid` counts the
     samples that arrived unusable (saturated, dark-clipped, not finite); `highlights` and `shadows` those that the
-    method rejected as too bright or too dark. The fractions are of all samples.
+    method rejected as too bright or too dark.
     """
 
     usable: np.ndarray

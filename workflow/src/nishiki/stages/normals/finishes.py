@@ -43,11 +43,6 @@ class Finish:
     joint: bool
     errors: dict[str, np.ndarray]
 
-    @property
-    def error(self) -> np.ndarray:
-        """CIEDE2000 (lights,) of captured lamps left out, of the fit that was chosen."""
-        return self.errors["joint" if self.joint else "plain"]
-
     def gloss_gain(self, model: str | None) -> float | None:
         """CIEDE2000 of lamps left out that gloss takes off the fit that was chosen; None where none were left out."""
         name = "joint" if self.joint else model
@@ -109,20 +104,20 @@ def choose_finishes(
     step = max(1, sum(piece.valid.shape[2] for piece in pieces) // RELIGHTING_PIXELS)
     few = [piece.only(np.s_[::step]) for piece in pieces] if told else []
 
-    def part(number: int, labels: np.ndarray, gloss: SceneGloss | None, clear: np.ndarray | bool = True) -> Finish:
-        return fitted_finish(few, labels == number, gloss, settings, models, clear)
+    one = np.zeros(1 + max((int(piece.cells.max()) for piece in pieces), default=0), int)
+    found: list[tuple] = [([None], one, True)]
+    if pieces and looked_for:
+        from nishiki.photometric.gloss_scene import find_finishes, fit_glosses
 
-    if not (pieces and looked_for):
-        tried = [(part(0, np.zeros(1 + most_cell(pieces), int), None),)] if pieces else [(NO_FINISH,)]
-    elif frames.regions is not None:
         tiles = gloss_tiles(pieces, settings)
-        numbers = np.arange(1 + int(frames.regions.max()))
-        tried = [tuple(part(k, numbers, of_region(tiles, k, settings)) for k in numbers)]
-    else:
-        tried = [
-            tuple(part(k, labels, gloss, clear) for k, gloss in enumerate(glosses))
-            for glosses, labels, clear in partitions(gloss_tiles(pieces, settings), settings, told=bool(told))
-        ]
+        labels = one if frames.regions is None else np.arange(1 + int(frames.regions.max()))
+        found = [(fit_glosses(tiles, labels, settings.refractive_index), labels, True)]
+        if told and frames.regions is None:
+            found += find_finishes(tiles, found[0][0][0].found)
+    tried = [
+        tuple(fitted_finish(few, labels == k, gloss, settings, models, clear) for k, gloss in enumerate(glosses))
+        for glosses, labels, clear in found
+    ]
     parts, decision = choose_count(tried)
     if settings.refine == "gloss":
         parts = tuple(replace(each, joint=each.gloss is not None) for each in parts)
@@ -136,35 +131,6 @@ def choose_finishes(
     errors = {name: np.average([each.errors[name] for each in without], axis=0, weights=weights) for name in MODELS}
     model, relighting = choose_model(errors)
     return Finishes(parts, model, (decision, refinement, relighting))
-
-
-NO_FINISH = Finish(None, 1.0, None, False, {})
-
-
-def most_cell(pieces: Sequence[Sampled]) -> int:
-    """Return the largest number of a cell."""
-    return max(int(piece.cells.max()) for piece in pieces)
-
-
-def partitions(
-    tiles: Sequence[GlossTile], settings: NormalsSettings, *, told: bool
-) -> Iterator[tuple[list[SceneGloss], np.ndarray, np.ndarray | bool]]:
-    """Yield one finish and its cells, and where lamps left out can tell, two and more."""
-    from nishiki.photometric.gloss_scene import find_finishes, fit_scene_gloss
-
-    whole = fit_scene_gloss(tiles, refractive_index=settings.refractive_index)
-    yield [whole], np.zeros(1 + max(int(tile.cells.max()) for tile in tiles), int), True
-    if told:
-        yield from find_finishes(tiles, whole.found)
-
-
-def of_region(tiles: Sequence[GlossTile], number: int, settings: NormalsSettings) -> SceneGloss:
-    """Return the gloss of one region of the capture; that of all where the sample holds none of it."""
-    from nishiki.photometric.gloss_scene import fit_scene_gloss
-
-    parts = [tile.only(tile.cells[0] == number) for tile in tiles]
-    parts = [tile for tile in parts if tile.flags.size]
-    return fit_scene_gloss(parts or tiles, refractive_index=settings.refractive_index)
 
 
 def fitted_finish(
@@ -226,7 +192,8 @@ def choose_count(tried: Sequence[tuple[Finish, ...]]) -> tuple[tuple[Finish, ...
     from nishiki.model_selection.relighting import LEAST_GAIN
 
     def error(parts: tuple[Finish, ...]) -> float:
-        return float(sum(part.share * part.error.mean() for part in parts if part.errors))
+        chosen = ((part, "joint" if part.joint else "plain") for part in parts if part.errors)
+        return float(sum(part.share * part.errors[name].mean() for part, name in chosen))
 
     chosen = tried[0]
     for parts in tried[1:]:
@@ -234,8 +201,7 @@ def choose_count(tried: Sequence[tuple[Finish, ...]]) -> tuple[tuple[Finish, ...
             chosen = parts
     if len(tried) < 2:
         return chosen, None
-    other = min((error(parts) for parts in tried[1:]), default=error(tried[0]))
-    gain = error(tried[0]) - (error(chosen) if len(chosen) > 1 else other)
+    gain = error(tried[0]) - min(error(parts) for parts in tried[1:])
     words = "one finish explains the scene" if len(chosen) == 1 else f"{len(chosen)} finishes"
     loss = "nothing" if len(chosen) > 1 or gain <= 0 else f"at most {gain:.2g} CIEDE2000"
     return chosen, Decision(
@@ -256,16 +222,12 @@ def describe_refinement(parts: Sequence[Finish], settings: NormalsSettings) -> D
     if settings.refine == "gloss":
         words += " (set)"
     told = [part for part in looked_for if part.errors]
-    if told:
-        own, fitted = (
-            sum(part.share * float(part.errors[name].mean()) for part in told) for name in ("normals", "joint")
-        )
-        criterion = "CIEDE2000 of captured lamps left out that the joint fit takes off"
-        return Decision("refine", words, criterion, own - fitted, None, "nothing", "normals.refine: gloss")
-    gain = max(part.gloss.gain for part in looked_for)
-    loss = "nothing" if joint else f"robust cost {max(gain, 0.0):.2g} a value higher than with a gloss profile"
-    criterion = "robust cost a value (light and channel) that gloss takes off, on a sample"
-    return Decision("refine", words, criterion, gain, None, loss, "normals.refine: gloss")
+    criterion = "CIEDE2000 of captured lamps left out that the joint fit takes off"
+    gain = float(sum(part.share * (part.errors["normals"] - part.errors["joint"]).mean() for part in told))
+    if not told:
+        criterion = "robust cost a value (light and channel) that gloss takes off, on a sample"
+        gain = max(part.gloss.gain for part in looked_for)
+    return Decision("refine", words, criterion, gain, None, "nothing", "normals.refine: gloss")
 
 
 def finish_labels(

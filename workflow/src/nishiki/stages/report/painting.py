@@ -83,20 +83,12 @@ INTRODUCTION = (
 )
 LINEAR = "Dots: measured, faint where few samples met; line: fitted."
 LOGARITHMIC = "The tails: what lies above the line here is gloss that the lobe lacks."
-FLAGS = {
-    "NO_HIGHLIGHT": "no highlight",
-    "AT_BOUND": "width at its bound",
-    "TOO_FEW": "too few samples",
-    "UNDETERMINED": "width not determined",
-    "NOT_FINITE": "samples not finite",
-    "NOT_CONVERGED": "not converged",
-}
+FLAGS = {"AT_BOUND": "width at its bound", "NOT_CONVERGED": "not converged"}
 """Flags of a fit (`nishiki.brdf.fit`) in words."""
 
 
 GLOSSY_DEG, SATIN_DEG = 6.0, 13.0
 """Half widths of the facets up to which a finish is called glossy and satin."""
-WHERE = "where each finish was found, by the fit that explains the photographs there; a label picture would replace it."
 
 
 def finish_names(finishes: list[dict[str, Any]]) -> list[str]:
@@ -135,7 +127,9 @@ def finishes_of(page: PageMaps, finishes: list[dict[str, Any]]) -> list[Block]:
     caption = (
         "Finishes: share of the painting, part of a smooth surface's loss that the body suffers, fit of the normals."
     )
-    figures = Figures([Figure("Finishes", WHERE, class_picture(labels, key), ruler=page.ruler)])
+    figures = Figures(
+        [Figure("Finishes", "where each was found, by its fit.", class_picture(labels, key), ruler=page.ruler)]
+    )
     return [figures, Table(head, rows, "lrrlr", caption)]
 
 
