@@ -32,22 +32,17 @@ Figure = Callable[[Mapping[str, Any]], float | None]
 
 @dataclass(frozen=True)
 class Limit:
-    """Bound a figure of the diagnostics: the result is beyond the limit below `least` or above `most`.
-
-    figure: None where it does not apply; without a bound it is reported only. why, remedy: reason of the value, and
-    what to change. doubt: level on the same side from which the run goes on with a warning. warns: the run goes on
-    beyond the limit too, because the result may be right.
-    """
+    """Bound a figure of the diagnostics: the result is beyond the limit below `least` or above `most`."""
 
     name: str
     meaning: str
-    figure: Figure
+    figure: Figure  # None where it does not apply; without a bound it is reported only
     most: float | None = None
     least: float | None = None
-    remedy: str = ""
-    why: str = ""
-    warns: bool = False
-    doubt: float | None = None
+    remedy: str = ""  # what to change
+    why: str = ""  # reason of the value
+    warns: bool = False  # the run goes on beyond the limit too, because the result may be right
+    doubt: float | None = None  # level on the same side from which the run goes on with a warning
 
     def beyond(self, value: float) -> bool:
         """Whether a value is beyond the limit; a NaN is."""

@@ -13,23 +13,16 @@ MARGIN = 0.5
 
 @dataclass(frozen=True)
 class Atlas:
-    """Charts cut into tiles of size x size texels; neighbouring tiles share a row or column (stride size - 1).
-
-    size: T; chart (f,) int32, -1 where a triangle has no place; corners (f, 3, 2) float32: (row, column) of the corners
-    in the texels of their chart; chart_grid (charts, 3) int32: first cell, rows and columns of each chart's cells in
-    `cells`, which small charts share; cells (n,) int32: tile of each cell, -1 where it holds no surface; tile_chart
-    (tiles,) int32: the first of its charts; tile_place (tiles, 2) int32: the tile's cell (row, column) in its chart;
-    texels_per_unit (charts, 2) float64.
-    """
+    """Charts cut into tiles of size x size texels; neighbouring tiles share a row or column (stride size - 1)."""
 
     size: int
-    chart: np.ndarray
-    corners: np.ndarray
-    chart_grid: np.ndarray
-    cells: np.ndarray
-    tile_chart: np.ndarray
-    tile_place: np.ndarray
-    texels_per_unit: np.ndarray
+    chart: np.ndarray  # (f,) int32, -1 where a triangle has no place
+    corners: np.ndarray  # (f, 3, 2) float32: (row, column) of the corners in the texels of their chart
+    chart_grid: np.ndarray  # (charts, 3) int32: first cell, rows and columns of a chart's cells in `cells`
+    cells: np.ndarray  # (n,) int32: tile of each cell, which small charts share; -1 where it holds no surface
+    tile_chart: np.ndarray  # (tiles,) int32: the first of its charts
+    tile_place: np.ndarray  # (tiles, 2) int32: the tile's cell (row, column) in its chart
+    texels_per_unit: np.ndarray  # (charts, 2) float64
 
     @property
     def tiles(self) -> int:

@@ -53,15 +53,11 @@ def probe_spacing(mesh: Mesh, cameras: list[Camera], *, texels_per_pixel: float)
 
 @dataclass(frozen=True)
 class Frame:
-    """Hold the axes of charts.
+    """Hold the axes of charts: their rows and columns, viewed from outside with the turntable's axis upright."""
 
-    direction (charts, 3) float64 away from the surface; down, right (charts, 3): the chart's rows and columns, viewed
-    from outside with the turntable's axis upright.
-    """
-
-    direction: np.ndarray
-    down: np.ndarray
-    right: np.ndarray
+    direction: np.ndarray  # (charts, 3) float64 away from the surface
+    down: np.ndarray  # (charts, 3)
+    right: np.ndarray  # (charts, 3)
 
 
 def frame_along(direction: np.ndarray, *, up: np.ndarray, front: np.ndarray) -> Frame:
@@ -183,21 +179,15 @@ STEEPEST = np.cos(np.radians(80.0))
 
 @dataclass(frozen=True)
 class Charts:
-    """Hold the charts of a mesh.
+    """Hold the charts of a mesh."""
 
-    chart (f,) int32, -1 for triangles without area that touch no other; frames: direction and axes of each chart; plane
-    (f, 3, 2) float64: (down, right) of the corners in the chart's plane, in the world's unit; smoothing_rounds: of
-    `smoothed_vertices` before the projection; degenerate: triangles without area; flipped, overlapped: triangles that
-    were split off for that reason, over all rounds.
-    """
-
-    chart: np.ndarray
-    frames: Frame
-    plane: np.ndarray
-    smoothing_rounds: int
-    degenerate: int
-    flipped: int
-    overlapped: int
+    chart: np.ndarray  # (f,) int32, -1 for triangles without area that touch no other
+    frames: Frame  # direction and axes of each chart
+    plane: np.ndarray  # (f, 3, 2) float64: (down, right) of the corners in the chart's plane, in the world's unit
+    smoothing_rounds: int  # of `smoothed_vertices` before the projection
+    degenerate: int  # triangles without area
+    flipped: int  # triangles split off because they were turned over, over all rounds
+    overlapped: int  # triangles split off because they overlapped
 
 
 def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float) -> Charts:

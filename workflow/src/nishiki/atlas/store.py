@@ -18,19 +18,15 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Samples:
-    """Object pixels that lie in one tile.
+    """Object pixels that lie in one tile, sorted by observation, then as the picture is scanned."""
 
-    observation (n,) int32; s (row), t (column) (n,) float32 in [0, T - 1]; values (n, channels) float32 linear; row,
-    column (n,) int32 in the picture; valid (n,) bool. Sorted by observation, then as the picture is scanned.
-    """
-
-    observation: np.ndarray
-    s: np.ndarray
-    t: np.ndarray
-    values: np.ndarray
-    row: np.ndarray
-    column: np.ndarray
-    valid: np.ndarray
+    observation: np.ndarray  # (n,) int32
+    s: np.ndarray  # (n,) float32 row in [0, T - 1]
+    t: np.ndarray  # (n,) float32 column in [0, T - 1]
+    values: np.ndarray  # (n, channels) float32 linear
+    row: np.ndarray  # (n,) int32 in the picture
+    column: np.ndarray  # (n,) int32 in the picture
+    valid: np.ndarray  # (n,) bool
 
 
 class Texels:

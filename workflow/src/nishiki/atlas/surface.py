@@ -246,17 +246,13 @@ def continue_past_border(flat, a, b, c, row, column, u, v, position):
 
 @dataclass(frozen=True)
 class PixelPlaces:
-    """Where the pixels of one view lie in the atlas, sorted by tile, then row, then column.
+    """Places of the pixels of one view in the atlas, sorted by tile, then row, then column."""
 
-    row, column (n,) int32; s, t (n,) float32; offsets (tiles + 1,) int64: tile k has the pixels offsets[k] up to
-    offsets[k + 1].
-    """
-
-    row: np.ndarray
-    column: np.ndarray
-    s: np.ndarray
-    t: np.ndarray
-    offsets: np.ndarray
+    row: np.ndarray  # (n,) int32
+    column: np.ndarray  # (n,) int32
+    s: np.ndarray  # (n,) float32
+    t: np.ndarray  # (n,) float32
+    offsets: np.ndarray  # (tiles + 1,) int64: tile k has the pixels offsets[k] up to offsets[k + 1]
 
 
 def object_pixels(mesh: Mesh, camera: Camera, raster: Raster, silhouette: np.ndarray | None) -> np.ndarray:

@@ -21,16 +21,13 @@ READ_AHEAD_MIB = 64
 
 @dataclass(frozen=True)
 class ViewGeometry:
-    """Hold the part of the object that one view shows under any light.
-
-    raster; shown (rows, columns) bool; places of the pixels and their start in the store.
-    """
+    """Hold the part of the object that one view shows under any light."""
 
     view: int
     raster: Raster
-    shown: np.ndarray
-    places: PixelPlaces
-    start: int
+    shown: np.ndarray  # (rows, columns) bool
+    places: PixelPlaces  # of the pixels in the atlas
+    start: int  # of the pixels in the store
 
 
 class TexelsWriter:

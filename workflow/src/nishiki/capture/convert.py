@@ -31,17 +31,14 @@ WRITERS: dict[type, Callable[..., list[Problem]]] = {
 
 @dataclass(frozen=True)
 class Conversion:
-    """The capture folder made, the layout recognised, the number of photographs, what the user should know.
-
-    channels: of a table of reflectances, in 1/sr.
-    """
+    """The capture folder made, the layout recognised, the number of photographs, what the user should know."""
 
     folder: Path
     layout: str
     photographs: int
     warnings: tuple[Problem, ...]
     geometry: str = "plane"
-    channels: tuple[str, ...] = ()
+    channels: tuple[str, ...] = ()  # of a table of reflectances, in 1/sr
 
 
 def convert(source: Path | str, target: Path | str, options: ConvertOptions | None = None, **given) -> Conversion:

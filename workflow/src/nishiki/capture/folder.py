@@ -38,21 +38,16 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Capture(Photographed):
-    """A flat object under many lamps.
-
-    lights: all lamps of the lights file; intensities (lights, channels) float64 or None; sensitivities: curves in the
-    order of camera.channels, or None; illuminant: curves, the name of a CIE illuminant, or None; warnings: what was
-    tolerated.
-    """
+    """A flat object under many lamps."""
 
     settings: CaptureFile
-    lights: Lights
-    intensities: np.ndarray | None
-    sensitivities: Curves | None
-    illuminant: Curves | str | None
+    lights: Lights  # all lamps of the lights file
+    intensities: np.ndarray | None  # (lights, channels) float64 or None
+    sensitivities: Curves | None  # curves in the order of camera.channels, or None
+    illuminant: Curves | str | None  # curves, the name of a CIE illuminant, or None
     mask: Path | None
     regions: Path | None
-    warnings: tuple[Problem, ...]
+    warnings: tuple[Problem, ...]  # what was tolerated
 
     @property
     def observed(self) -> tuple[Frame, ...]:

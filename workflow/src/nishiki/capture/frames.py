@@ -47,14 +47,7 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True)
 class Frame:
-    """One photograph. file: as written, relative to the payload; light: its lamp's name ('' where no lamp burns).
-
-    f_number: focal length over aperture; iso: sensitivity; None where not stated.
-    shift_px: column and row at which it shows what the photograph without shift shows at 0, 0.
-    bands: its channels, where each has a file of its own, of which `file` is the first; else empty.
-    polariser: state of the polarisers ('' for none); silhouette: picture of the object's outline in this view, or '';
-    angles_deg: theta_i, phi_i, theta_r, phi_r of a goniometer, None where not given.
-    """
+    """One photograph. file: as written, relative to the payload; light: its lamp's name ('' where no lamp burns)."""
 
     file: str
     path: Path
@@ -63,13 +56,16 @@ class Frame:
     exposure_s: float | None = None
     view: str = ""
     row: int = 0
-    polariser: str = ""
-    silhouette: str = ""
+    polariser: str = ""  # state of the polarisers ('' for none)
+    silhouette: str = ""  # picture of the object's outline in this view, or ''
     silhouette_path: Path | None = None
+    # theta_i, phi_i, theta_r, phi_r of a goniometer, None where not given
     angles_deg: tuple[float | None, ...] = (None, None, None, None)
+    # its channels, where each has a file of its own, of which `file` is the first; else empty
     bands: tuple[Band, ...] = ()
-    f_number: float | None = None
-    iso: float | None = None
+    f_number: float | None = None  # focal length over aperture
+    iso: float | None = None  # sensitivity; None where not stated
+    # column and row at which it shows what the photograph without shift shows at 0, 0
     shift_px: tuple[float, float] = (0.0, 0.0)
 
     @property

@@ -39,14 +39,7 @@ DISAGREEMENT = np.radians(3.0)
 
 @dataclass(frozen=True)
 class Layout(SourcePhotographs):
-    """photographs[i] was taken under lights.names[i]; intensities (lights, channels) or None; mask or None.
-
-    kind: what the lamps' vectors are, `direction` or `position_mm`; pitch_mm: width of a pixel on the object, 0 if it
-    is not known; region: row, column, rows, columns to use, None for all; shifts (lights, 2): see `Frame.shift_px`;
-    bands: names of the channels where each has a file of its own, and band_files[i] the files of photograph i;
-    files: further files of the capture by name, of which `mask.png` is the mask where there is no other; notes: for
-    capture.yaml.
-    """
+    """photographs[i] was taken under lights.names[i]; intensities (lights, channels) or None; mask or None."""
 
     name: str
     photographs: tuple[Path, ...]
@@ -54,14 +47,16 @@ class Layout(SourcePhotographs):
     intensities: np.ndarray | None
     mask: Path | None
     warnings: tuple[Problem, ...]
-    kind: str = "direction"
-    pitch_mm: float = 0.0
-    region: tuple[int, int, int, int] | None = None
-    shifts: np.ndarray | None = None
+    kind: str = "direction"  # what the lamps' vectors are, `direction` or `position_mm`
+    pitch_mm: float = 0.0  # width of a pixel on the object, 0 if it is not known
+    region: tuple[int, int, int, int] | None = None  # row, column, rows, columns to use, None for all
+    shifts: np.ndarray | None = None  # (lights, 2): see `Frame.shift_px`
+    # names of the channels where each has a file of its own, and band_files[i] the files of photograph i
     bands: tuple[str, ...] = ()
     band_files: tuple[tuple[Path, ...], ...] = ()
+    # further files of the capture by name, of which `mask.png` is the mask where there is no other
     files: Mapping[str, bytes] = field(default_factory=dict)
-    notes: str = ""
+    notes: str = ""  # for capture.yaml
     geometry = "plane"
 
     @property

@@ -27,18 +27,14 @@ COPLANAR_RATIO = 1e-3  # smallest / largest singular value of the direction matr
 
 @dataclass(frozen=True)
 class Lights:
-    """Named lamps.
+    """Named lamps."""
 
-    names: one a light, distinct; files: the photograph named beside each light, or None;
-    vectors (lights, 3) float64 as written in the file; directions (lights, 3) float64, unit length, from the image
-    centre to the lamp (x right, y up, z to the camera); warnings: what was tolerated.
-    """
-
-    names: tuple[str, ...]
-    files: tuple[str | None, ...]
-    vectors: np.ndarray
+    names: tuple[str, ...]  # one a light, distinct
+    files: tuple[str | None, ...]  # the photograph named beside each light, or None
+    vectors: np.ndarray  # (lights, 3) float64 as written in the file
+    # (lights, 3) float64, unit length, from the image centre to the lamp (x right, y up, z to the camera)
     directions: np.ndarray
-    warnings: tuple[Problem, ...] = ()
+    warnings: tuple[Problem, ...] = ()  # what was tolerated
 
     def index(self, name: str) -> int | None:
         """Position of the light with this name; a photograph's file name stands for its light; None if unknown."""

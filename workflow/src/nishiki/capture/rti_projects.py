@@ -126,15 +126,12 @@ def _of_project(content: dict, images: list, path: Path, kind: str | None, width
 
 @dataclass(frozen=True)
 class _DomeLamps:
-    """Vectors (lamps, 3) of a dome, positions in millimetres or directions; width of the pictures in millimetres or 0.
-
-    directions : where vectors are positions that the photographs have to bear out, else None.
-    """
+    """Vectors (lamps, 3) of a dome, positions in mm or directions; width of the pictures in millimetres or 0."""
 
     vectors: np.ndarray
     kind: str
     width_mm: float
-    directions: np.ndarray | None = None
+    directions: np.ndarray | None = None  # where vectors are positions that the photographs have to bear out, else None
 
     @property
     def read_as(self) -> str:

@@ -110,17 +110,15 @@ Matrix = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class Coding:
-    """What a file states about its codes.
+    """What a file states about its codes."""
 
-    name: for the user, with its source; curve: of every channel; to_xyz: (3, 3) from linear red, green, blue to XYZ
-    relative to D50, None where no primaries are stated; fault: why the statement cannot be used, or ''; developed: the
-    reader has applied the statement itself (channels of different curves, or a table of colours), codes are linear.
-    """
-
-    name: str
-    curve: Curve = LINEAR
+    name: str  # for the user, with its source
+    curve: Curve = LINEAR  # of every channel
+    # (3, 3) from linear red, green, blue to XYZ relative to D50, None where no primaries are stated
     to_xyz: Matrix | None = None
-    fault: str = ""
+    fault: str = ""  # why the statement cannot be used, or ''
+    # the reader has applied the statement itself (channels of different curves, or a table of colours), codes are
+    # linear
     developed: bool = False
 
     @property

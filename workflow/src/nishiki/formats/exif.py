@@ -18,22 +18,17 @@ _ADOBE_RGB = b"R03"  # interoperability index of Adobe RGB (DCF 2.0)
 
 @dataclass(frozen=True)
 class Exif:
-    """Facts that a camera recorded; None or '' where the file does not state them.
+    """Facts that a camera recorded; None or '' where the file does not state them."""
 
-    exposure_s: exposure time in seconds; f_number: focal length over aperture; iso: sensitivity; orientation: 1 to 8,
-    how a viewer would turn the picture (1: not at all); colour_space: 'srgb', 'adobe' or ''; model: of the camera;
-    taken: date and time of the exposure as 'YYYY:MM:DD HH:MM:SS' with a fraction of a second where it is stated;
-    focal_35mm: focal length in mm of a lens with the same field on 36 x 24 mm.
-    """
-
-    exposure_s: float | None = None
-    f_number: float | None = None
-    iso: float | None = None
-    orientation: int = 1
-    colour_space: str = ""
-    model: str = ""
+    exposure_s: float | None = None  # exposure time in seconds
+    f_number: float | None = None  # focal length over aperture
+    iso: float | None = None  # sensitivity
+    orientation: int = 1  # 1 to 8, how a viewer would turn the picture (1: not at all)
+    colour_space: str = ""  # 'srgb', 'adobe' or ''
+    model: str = ""  # of the camera
+    # date and time of the exposure as 'YYYY:MM:DD HH:MM:SS' with a fraction of a second where it is stated
     taken: str = ""
-    focal_35mm: float | None = None
+    focal_35mm: float | None = None  # focal length in mm of a lens with the same field on 36 x 24 mm
 
 
 NO_EXIF = Exif()

@@ -37,26 +37,20 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"}) |
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What a photograph says of itself. channels: as decoded, alpha included; names: of channels without alpha, where
-    the file names them.
-
-    stored_bytes: of all samples before compression, 0 where not known; ratio: how many times smaller than these the
-    file can be at most, 0 where there is no bound; bits: of a code, where they are fewer than the sample has; coding:
-    None where the file states none; exif: facts of the camera.
-    """
+    """Hold the facts of a photograph's header."""
 
     kind: Kind
     rows: int
     columns: int
-    channels: int
+    channels: int  # as decoded, alpha included
     sample: Sample
     alpha: bool = False
-    names: tuple[str, ...] = ()
-    stored_bytes: int = 0
-    ratio: int = 0
-    bits: int | None = None
-    coding: Coding | None = None
-    exif: Exif = NO_EXIF
+    names: tuple[str, ...] = ()  # of channels without alpha, where the file names them
+    stored_bytes: int = 0  # of all samples before compression, 0 where not known
+    ratio: int = 0  # how many times smaller than these the file can be at most, 0 where there is no bound
+    bits: int | None = None  # of a code, where they are fewer than the sample has
+    coding: Coding | None = None  # None where the file states none
+    exif: Exif = NO_EXIF  # facts of the camera
 
     def coding_used(self, encoding: str) -> Coding:
         """The coding by which its codes become light; see `nishiki.formats.coding.coding_used`."""
