@@ -22,7 +22,7 @@ def test_page_shows_every_drawing_that_its_program_makes_of_the_stored_lines(pro
     drawings = {path.name for path in program.page() if path.suffix == ".svg"}
     assert len(drawings) > 1
     assert {path.name for path in program.DRAWINGS.iterdir()} == drawings
-    shown = re.findall(r"\(sweeps/([^)]+\.svg)\)", program.PAGE.read_text(encoding="utf-8"))
+    shown = re.findall(r"\(\.\./sweeps/([^)]+\.svg)\)", program.PAGE.read_text(encoding="utf-8"))
     assert sorted(shown) == sorted(drawings)
 
 
