@@ -174,6 +174,11 @@ class CodedTexels:
     observation: np.ndarray  # (M,)
     texel: np.ndarray  # (T * T,) int64: place in them of each observation and texel of the tile
 
+    @property
+    def nbytes(self) -> int:
+        """Size of the arrays."""
+        return self.values.nbytes + self.observation.nbytes + self.texel.nbytes
+
 
 class Residual:
     """The residual and the reflection parameters of an artifact, for reading; safe from several threads.
