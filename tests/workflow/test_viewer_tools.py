@@ -192,6 +192,11 @@ def test_fingers_move_the_lamp_zoom_and_use_the_lens(index, shown):
     assert frame["y"] + frame["height"] <= 500, "the finger does not cover it"
     fingers("touchEnd")
     page.locator("#lens").wait_for(state="hidden")
+    page.get_by_role("button", name="Note").tap()
+    fingers("touchStart", (250, 380))
+    fingers("touchEnd")
+    page.get_by_label("Text of the note").wait_for()
+    page.wait_for_function("document.querySelector('.notes + textarea').getBoundingClientRect().bottom <= innerHeight")
     sizes = page.evaluate(
         "[...document.querySelectorAll('#tools button, #actions button')].map((each) => each.offsetWidth)"
     )

@@ -71,7 +71,8 @@ export class Annotations {
     this.#keep();
     app.opened.add("annotations");
     this.choose(this.notes.length - 1, false);
-    document.querySelector("[data-section=annotations] textarea")?.focus();
+    app.reveal("annotations");
+    document.querySelector("[data-section=annotations] textarea").focus({ preventScroll: true });
   }
 
   /** Mark a note; seen: under its own lamps, from where it was drawn. */

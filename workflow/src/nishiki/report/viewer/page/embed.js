@@ -8,7 +8,7 @@ customElements.define("nishiki-viewer", class extends HTMLElement {
   static observedAttributes = ["src"];
 
   connectedCallback() {
-    this.frame ??= Object.assign(document.createElement("iframe"), { allow: "fullscreen", loading: "lazy", title: this.title || "Nishiki" });
+    this.frame ??= Object.assign(document.createElement("iframe"), { allow: "fullscreen *", loading: "lazy", title: this.title || "Nishiki" });
     this.frame.style = "border:0;width:100%;height:100%";
     if (getComputedStyle(this).display === "inline") Object.assign(this.style, { display: "block", aspectRatio: "4 / 3", maxHeight: "90vh" });
     this.append(this.frame);

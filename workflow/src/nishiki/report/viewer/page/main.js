@@ -236,9 +236,13 @@ class App {
     Object.assign(this, { probed, mark });
     this.opened.add("probe");
     this.rebuild();
-    // on a narrow page; not while keys move a cross, under which the picture would become smaller
-    if (!this.place && getComputedStyle(by("panel")).visibility === "hidden") this.toggleSheet(true);
-    by("panel").querySelector("[data-section=probe]").scrollIntoView({ block: "nearest" });
+    if (!this.place) this.reveal("probe"); // the picture would become smaller under a cross that keys move
+  }
+
+  /** Bring a section of the panel into sight, which a narrow page hides. */
+  reveal(name) {
+    if (getComputedStyle(by("panel")).visibility === "hidden") this.toggleSheet(true);
+    by("panel").querySelector(`[data-section=${name}]`).scrollIntoView({ block: "nearest" });
   }
 
   toggleSheet(open = !by("panel").classList.contains("open")) {
