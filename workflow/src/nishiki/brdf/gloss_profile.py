@@ -103,7 +103,6 @@ class SpecularHistogram:
         view=(0.0, 0.0, 1.0),
         sigma=None,
         regions=None,
-        every=1,
         shading=None,
         transmission=0.0,
     ) -> "SpecularHistogram":
@@ -116,7 +115,6 @@ class SpecularHistogram:
         (row, column), -1 leaves a pixel out (all region 0 if None).
         shading: (row, column, 3 or 5) as of `body_shading`, or None for Lambert's law; transmission: share
         of the loss of a dielectric surface (`transmittance` there) that the body's light suffers on its way in and out.
-        every: only rows and columns 0, every, 2 every ... of the tile, to save time.
         """
         shape = np.shape(observations)
         real = np.float32
@@ -139,7 +137,7 @@ class SpecularHistogram:
         directions = (np.asarray(lights, float), np.asarray(view, float))
         settings = (self.refractive_index, self.value_unit, float(transmission))
         sums = (new.weights, new.values, new.rows)
-        _add_tile(*maps, *directions, usable, sigma, regions, *settings, every, *sums)
+        _add_tile(*maps, *directions, usable, sigma, regions, *settings, *sums)
         return new
 
     def profile(self, *, region=0, reject=6.0) -> SpecularProfile:
@@ -205,7 +203,6 @@ def _add_tile(
     refractive_index,
     value_unit,
     transmission,
-    every,
     weights,
     values,
     rows,
@@ -217,8 +214,8 @@ def _add_tile(
         length = np.sqrt(length2)
         cos_q = min(1.0, 0.5 * length)
         f = fresnel_scalar(cos_q, refractive_index)
-        for r in range(0, observations.shape[1], every):
-            for c in range(0, observations.shape[2], every):
+        for r in range(observations.shape[1]):
+            for c in range(observations.shape[2]):
                 region = regions[r, c]
                 if region < 0 or not usable[k, r, c]:
                     continue

@@ -58,7 +58,8 @@ class NormalsSettings(Guarded, stage="normals", version=4, limits=LIMITS):
         "need, in captures of some size (docs/notes/economy.md)",
     )
     refine: Literal["auto", "gloss", "none"] = Field(
-        "auto", description="fit normals, reflectance and gloss together; auto: where few lights show gloss that counts"
+        "auto",
+        description="fit normals, reflectance and gloss together; auto: where captured lamps are predicted better",
     )
     refractive_index: float = Field(
         1.45, gt=1, le=3, description="of the varnish or binder, for refine (Tominaga and Tanaka: 1.45)"

@@ -76,12 +76,8 @@ class Finishes:
         parts = [part.described(self.model) for part in self.parts]
         top = {name: value for name, value in max(parts, key=lambda part: part["share"]).items() if "gloss" in name}
         bounds = [bound for part in parts for bound in part.get("at_bounds", [])]
-        return {
-            "refined": any(part.joint for part in self.parts),
-            "finishes": parts,
-            **top,
-            "at_bounds": bounds,
-        }
+        refined = any(part.joint for part in self.parts)
+        return {"refined": refined, "finishes": parts, **top, "at_bounds": bounds}
 
 
 def choose_finishes(

@@ -118,7 +118,11 @@ def finishes_of(page: PageMaps, finishes: list[dict[str, Any]]) -> list[Block]:
             name,
             100 * finish["share"],
             finish.get("gloss_transmission"),
-            "together with the gloss" if finish["joint"] else "from the selected lights",
+            "from the selected lights"
+            if not finish["joint"]
+            else "together with the gloss"
+            if finish.get("gloss_beta")
+            else "from all lights, no gloss",
             finish["left_out_de00"].get("joint" if finish["joint"] else "plain"),
         ]
         for name, finish in zip(names, finishes, strict=True)
@@ -151,8 +155,7 @@ def gloss_section(
     charts: list[Figure] = []
     for number, region in enumerate(parameters["regions"]):
         name = f"region {number}" if len(parameters["regions"]) > 1 else "whole scene"
-        if names and len(names) == len(parameters["regions"]) > 1:
-            name = names[number]
+        name = names[number] if names and len(names) == len(parameters["regions"]) > 1 else name
         flags = ", ".join(FLAGS.get(flag, flag) for flag in region.get("flags") or []) or "–"
         rest = (region["refractive_index"], region.get("samples"), region.get("residual"), flags)
         for lobe, (beta, gamma) in enumerate(zip(region["beta"], region["gamma"], strict=True), 1):
