@@ -5,6 +5,7 @@ import pytest
 from goniometer_captures import cloth, quarter_views
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from scipy.interpolate import BSpline
 
 from nishiki.errors import UserError
@@ -147,7 +148,7 @@ def test_grid_spline_survives_zeros_and_refuses_what_has_no_pole():
     assert np.isfinite(out).all()
     assert (out > 0).all()
     for shape in ((4, 8, 1), (9, 9, 1), (9, 6, 1)):
-        with pytest.raises(ValueError, match="grid of"):
+        with refused(ValueError, by="coefficients"):
             coefficients(np.ones(shape))
 
 
@@ -297,13 +298,13 @@ def test_repeats_and_crowds_are_averaged():
 
 def test_too_few_views_and_views_of_one_plane_are_refused():
     outgoing = views()
-    with pytest.raises(UserError, match=r"5 usable views.*Remedy"):
+    with refused(UserError, 5):
         complete(normal_set(outgoing[30:35], lobe(outgoing[30:35])))
     plane = unit(np.radians(np.arange(0, 80, 5.0)), np.zeros(16))
-    with pytest.raises(UserError, match=r"one plane.*Remedy"):
+    with refused(UserError, by="complete"):
         complete(normal_set(plane, lobe(plane)))
     oblique = ReflectanceSet.of(np.tile(unit(0.5, 0.0), (20, 1)), spread(20), np.ones(20))
-    with pytest.raises(UserError, match="0 usable views"):
+    with refused(UserError, "0", by="complete"):
         complete(oblique)
 
 
@@ -343,9 +344,7 @@ def test_coverage_counts_views_and_gaps():
     assert drawing.startswith("<svg")
     assert drawing.count("<circle") == 2 * 3 + 4 * 286 + 2  # circles, the quarter's images, one view and its image
     many = coverage(ReflectanceSet.of(spread(60), spread(60), np.ones(60)))
-    assert "36 directions of light not shown" in coverage_plot(
-        ReflectanceSet.of(spread(60), spread(60), np.ones(60)), many
-    )
+    assert " 36 " in coverage_plot(ReflectanceSet.of(spread(60), spread(60), np.ones(60)), many)
 
 
 def test_a_set_checks_its_arrays_and_takes_rows():
@@ -356,7 +355,7 @@ def test_a_set_checks_its_arrays_and_takes_rows():
     assert good.take(good.normal_incidence).weave == "satin"
     assert good.normal_incidence.sum() == 10
     for bad in (views()[:3], np.zeros_like(views()), views()[:, :2]):
-        with pytest.raises(ValueError, match=r"unit vectors|needed"):
+        with refused(ValueError):
             ReflectanceSet.of(bad, views(), lobe(views()))
     with pytest.raises(ValueError, match="finite"):
         ReflectanceSet.of(views(), views(), np.full(len(views()), np.nan))
@@ -373,9 +372,9 @@ def test_the_store_gives_back_what_it_was_given(tmp_path):
     assert again.details["note"] == 1
     assert complete(again, grid_deg=9)[0].basic.values.shape == (1, 11, 40, 3)
     (tmp_path / "reflectance.npz").write_bytes(b"no zip")
-    with pytest.raises(UserError, match="run reflectance first"):
+    with refused(UserError, "reflectance.npz"):
         Reflectances(tmp_path)
-    with pytest.raises(UserError, match="run reflectance first"):
+    with refused(UserError, "reflectance.json"):
         Reflectances(tmp_path / "nowhere")
 
 
