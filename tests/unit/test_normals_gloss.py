@@ -22,7 +22,7 @@ from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss import channel_rotation, refine_normals
 from nishiki.photometric.gloss_prediction import NODES, NODES_PER_UNIT, predict
-from nishiki.photometric.gloss_scene import GlossTile, fit_scene_gloss
+from nishiki.photometric.gloss_scene import GlossTile, find_finishes, fit_scene_gloss
 from nishiki.photometric.light_selection import select_diffuse
 from nishiki.photometric.reflectance import diffuse_reflectance
 from nishiki.photometric.solve import estimate_normals
@@ -272,6 +272,29 @@ def test_scene_gloss_tells_varnish_from_matt():
             fit = refine_normals(observed, lights, normals=field.normals, gloss=found.profile)
             assert degrees(fit.normals, truth).mean() < 0.3 * degrees(field.normals, truth).mean()
             assert np.isfinite(list(v for v in found.described.values() if isinstance(v, float))).all()
+
+
+def test_two_finishes_are_told_apart_and_one_is_not_divided():
+    lights, truth = np.vstack([ring(6, 25.0), ring(8, 50.0)[1:]]), tilted(4000, 30)
+    random = np.random.default_rng(9)
+    reflectance, cells = random.uniform(0.1, 0.8, (1, 4000, 3)), np.arange(4000)[None] // 50
+    glossy, matt = (render(truth, reflectance, lights, gloss) for gloss in (VARNISH, MATT))
+    varnished = cells < 50
+    for finish, count in ((varnished, 2), (varnished | True, 0)):
+        observed = np.where(finish[..., None], glossy, matt) + random.normal(0, 0.002, glossy.shape)
+        observed = observed.astype(np.float32)
+        field, rho = start_of(observed, lights)
+        valid = np.ones(observed.shape[:3], bool)
+        tile = GlossTile(observed, valid, lights, field.normals, field.flags, field.sigma, rho, cells)
+        found = list(find_finishes([tile], fit_scene_gloss([tile]).found))
+        if not count:
+            assert not found
+            continue
+        finishes, labels, clear = found[0]
+        assert [part.profile.beta.any() for part in finishes] == [True, False]
+        assert [part.profile.transmission for part in finishes] == [1.0, 0.0]
+        assert np.array_equal(labels, np.arange(80) >= 50)
+        assert 0.4 < clear.mean() < 0.6
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])

@@ -188,8 +188,8 @@ def choose_count(tried: Sequence[tuple[Finish, ...]]) -> tuple[tuple[Finish, ...
     from nishiki.model_selection.relighting import LEAST_GAIN
 
     def error(parts: tuple[Finish, ...]) -> float:
-        chosen = ((part, "joint" if part.joint else "plain") for part in parts if part.errors)
-        return float(sum(part.share * part.errors[name].mean() for part, name in chosen))
+        fits = ((part, ("joint",) if part.joint else MODELS) for part in parts if part.errors)
+        return float(sum(part.share * min(part.errors[name].mean() for name in names) for part, names in fits))
 
     chosen = tried[0]
     for parts in tried[1:]:
