@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.atlas.atlas import Atlas, build_atlas
-from nishiki.atlas.charts import Charts, make_charts, probe_spacing, turning
+from nishiki.atlas.charts import Charts, Rules, make_charts, probe_spacing, turning
 from nishiki.atlas.quality import (
     atlas_picture,
     sampling_density,
@@ -95,9 +95,7 @@ def lay_out(mesh: Mesh, cameras: list[Camera], settings: TexelsSettings) -> tupl
         up=up,
         front=front,
         spacing=probe_spacing(mesh, cameras, texels_per_pixel=settings.texels_per_pixel),
-        range_of_normals=settings.normal_range,
-        smallest=settings.smallest_chart,
-        steepest_deg=settings.steepest_deg,
+        rules=Rules(settings.normal_range, settings.smallest_chart, settings.steepest_deg),
     )
     density = sampling_density(mesh, charts.plane, cameras, percentile=settings.density_percentile)
     scale = texels_per_unit(density, charts.plane, charts.chart, texels_per_pixel=settings.texels_per_pixel)
