@@ -294,7 +294,7 @@ def fit_lambert(
     filled, lights = np.where(known, values, 0.0), len(values)
     ambience = np.zeros(values.shape[1]) if reference is None else reference
     gains, ambient = np.ones(lights), 0.0
-    weights = known / np.maximum(np.nanmedian(values, axis=0), 1e-12) ** 2
+    weights = known / np.maximum(median_of_lights(values), 1e-12) ** 2
     shade = np.zeros(values.shape)
     vectors = directions.reshape(lights, -1, 3)
     for turn in range(ROUNDS):
@@ -431,9 +431,16 @@ def scale_of(residual: np.ndarray, lit: np.ndarray, albedo: np.ndarray) -> np.nd
 
     At least that of all pixels: a pixel whose weights are gone to all but three values fits these exactly.
     """
-    spread = np.nanmedian(np.where(lit, np.abs(residual), np.nan), axis=0)
+    spread = median_of_lights(np.where(lit, np.abs(residual), np.nan))
     usual = np.nanmedian(spread / albedo)
     return np.maximum(1.4826 * np.fmax(spread, usual * albedo), LEAST_SCALE * albedo)
+
+
+def median_of_lights(values: np.ndarray) -> np.ndarray:
+    """Compute the median (pixels,) of values (lights, pixels) that are not NaN, faster than NumPy over few lights."""
+    ordered, count = np.sort(values, axis=0), (~np.isnan(values)).sum(axis=0)
+    middle = np.stack([np.maximum(count - 1, 0) // 2, count // 2])
+    return np.take_along_axis(ordered, np.minimum(middle, len(values) - 1), axis=0).mean(axis=0)
 
 
 def split_course(strengths: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
