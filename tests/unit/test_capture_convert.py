@@ -220,3 +220,11 @@ def test_the_title_is_the_name_of_the_folder_however_it_is_named(tmp_path, monke
     made = convert(given, tmp_path / "c")
     assert load_capture(tmp_path / "c").settings.title == title
     assert {each.file for each in made.warnings} == {title}
+
+
+def test_a_folder_of_photographs_is_proposed_before_that_of_their_masks(tmp_path):
+    for name in ("masks", "photographs"):
+        write_frame(tmp_path / name / "a.png", np.full((8, 8, 1), 100))
+    with pytest.raises(CaptureError) as caught:
+        convert(tmp_path, tmp_path / "c")
+    assert f"./nishiki run {tmp_path / 'photographs'};" in caught.value.problems[0].remedy

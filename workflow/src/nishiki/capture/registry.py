@@ -145,6 +145,7 @@ def read_source(source: Path, options: ConvertOptions, *, search: bool = True) -
         found = "photographs, but no lights file, and no mirror ball in them"
         refuse("layout-unknown", str(source), UNKNOWN, found=found, remedy=remedy)
     inner = [each for each in sorted(source.iterdir()) if each.is_dir() and files_with(each, IMAGE_SUFFIXES)]
+    inner.sort(key=lambda each: "mask" in each.name.lower())  # the photographs first
     named = shlex.quote(str(inner[0] if inner else source))
     remedy = f"Name one of them: ./nishiki run {named}" if inner else "Name the folder that holds the photographs"
     remedy += f"; what each folder holds: ./nishiki convert {shlex.quote(str(source))} --list"
