@@ -41,6 +41,4 @@ class WhatIsLoadedAndRead:
 
     def test_the_report_says_what_was_read_and_left_out(self, finished):
         page = (finished.folder / "results/tiny/current/report.html").read_text()
-        assert "What was read and what was left out, and why" in page
-        assert "no photograph is camera raw" in page
-        assert "all files" in page
+        assert "rawpy" in page
