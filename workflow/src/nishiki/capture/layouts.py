@@ -17,7 +17,7 @@ from nishiki.capture.lights_evidence import sample_photographs
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.pairing import find_bands
 from nishiki.capture.rti_projects import CROPPED, RtiProject, find_relight, is_relight, read_relight
-from nishiki.capture.spheres.optics import direction_from_sphere, mean_direction
+from nishiki.capture.spheres.optics import direction_from_sphere
 from nishiki.capture.stated_lights import StatedLights, decide, decide_strengths, read_lights_file, scale_to_middle
 from nishiki.capture.taking import read_grey
 from nishiki.formats.files import NAME_BYTES, bound, files_with, is_plain, leads_out, read_text, same_name
@@ -315,8 +315,9 @@ def read_with_spheres(source: Path, probes: list[Path], options: ConvertOptions)
         spheres.append([_towards_lamp(p, *_circle(probe)) for p in pictures])
     notes, vectors = [], []
     for i, photograph in enumerate(photographs):
-        mean, angle = mean_direction(np.array([sphere[i] for sphere in spheres]))
-        vectors.append(mean)
+        towards = np.array([sphere[i] for sphere in spheres])
+        vectors.append(towards.sum(axis=0) / np.linalg.norm(towards.sum(axis=0)))
+        angle = np.arccos(np.clip(towards @ vectors[-1], -1, 1)).max()
         if angle > DISAGREEMENT:
             found = f"{np.degrees(angle):.1f} degrees from their mean"
             what = "mirror spheres disagree about the lamp"

@@ -42,9 +42,7 @@ FAINT = 0.1  # gain below which a photograph shows the room and the noise, not i
 LEAST_AMBIENT = 0.02  # of the albedo: less turns normals by less than half a degree, and lenses and walls give as much
 REPEATED = 0.25  # of the difference that two lamps should make: the same lamp twice leaves the noise of the camera
 MOST_AMBIENT = 0.4  # of a lamp: more cannot be told from an even object, where .41 to 1.1 seemed to be
-WORSE = (
-    2.0  # times the misfit without ambient light: shadows prove some that misfits more, up to 1.5; even objects 3 to 75
-)
+WORSE = 2.0  # times the misfit without ambient light: shadows prove some that misfits more, up to 1.5
 LEAST_FLOOR, LEAST_BEHIND = 0.3, 0.75  # of the ambient light: the darkest shadows, and the usual ones behind the object
 EVEN_FLOOR = 0.8  # the same of the darkest shadows where few values lie behind the object
 LARGEST_STEP, WIDEST, NEAREST = 0.3, 4.0, 0.05  # of the width in distances of the lamps: a round, fitted; of a lamp

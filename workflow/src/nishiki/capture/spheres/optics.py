@@ -266,10 +266,3 @@ def direction_from_sphere(image: np.ndarray, centre: tuple[float, float], radius
     if highlight is None:
         raise ValueError("no highlight on the sphere")
     return reflected_rays(highlight.pixel[None], outline, camera, 1.0)[1][0]
-
-
-def mean_direction(directions: np.ndarray) -> tuple[np.ndarray, float]:
-    """Compute the mean direction (3,) of several spheres (spheres, 3), and the largest angle from it in radians."""
-    total = directions.sum(axis=0)
-    mean = total / np.linalg.norm(total)
-    return mean, float(np.arccos(np.clip(directions @ mean, -1, 1)).max())
