@@ -16,7 +16,7 @@ from nishiki.formats.problems import Problem, raise_errors, refuse
 
 JUDGED = (
     *("camera-moved", "lamps-near", "lamp-failed", "photograph-repeated", "room-light", "lights-axes-undecided"),
-    *("white-exchanged", "white-disagrees", "white-levels", "view-contradicts", "views-contradict", "mesh-placement"),
+    *("white-exchanged", "white-disagrees", "view-contradicts", "views-contradict", "mesh-placement"),
 )
 """Kinds of warnings that photographs give against each other, which `convert` passes on."""
 

@@ -25,7 +25,6 @@ from nishiki.observations.blocks import block_edges
 from nishiki.observations.consistency import Judgement, ReducedPhotographs, judgement_problems
 from nishiki.observations.frames import FrameReader, unusable_coding
 from nishiki.observations.goniometer_check import goniometer_files, look_at_windows, table_problems
-from nishiki.observations.pairs_check import PairLevels
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.plane_store import frame_problems
 from nishiki.observations.polariser_check import listed_files, silhouette_problems, turntable_content_problems
@@ -279,10 +278,9 @@ def _content_problems(
         usable = object_mask(capture, (reader.rows, reader.columns), reader.region).inside.astype(np.uint8)
     except CaptureError:
         usable = np.ones((rows, columns), np.uint8)  # reported already
-    pairs, repeated = PairLevels(reader, darks, usable), RepeatedFiles()
-    reduced = ReducedPhotographs(reader, darks, usable)
+    reduced, repeated = ReducedPhotographs(reader, darks, usable), RepeatedFiles()
     for frame, codes in reader.read_ahead([frame for frame in capture.frames if frame.role != "dark"]):
-        found = attempt(partial(_frame_content, reader, frame, codes, usable, darks, edges, (pairs, reduced)))
+        found = attempt(partial(_frame_content, reader, frame, codes, usable, darks, edges, reduced))
         if len(capture.frames_of("sample")) > FEWEST_LAMPS and frame.role != "white":  # ingest leaves it out
             found = [replace(p, severity="warning") if p.kind == "all-dark" else p for p in found]
         problems += found
@@ -292,7 +290,7 @@ def _content_problems(
     judgement = reduced.judge()
     if judgement is not None:
         judged(judgement)
-    return reader.warnings() + problems + pairs.problems() + judgement_problems(judgement, capture)
+    return reader.warnings() + problems + judgement_problems(judgement, capture)
 
 
 def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tuple[DarkField, list[Problem]]:
@@ -312,12 +310,11 @@ def _frame_content(
     usable: np.ndarray,
     darks: DarkField,
     edges: tuple,
-    collectors: tuple,
+    reduced: ReducedPhotographs,
 ) -> list[Problem]:
     codes = decode()
     if frame.role in ("sample", "check", "white") and reader.capture.lights.index(frame.light) is not None:
-        for collector in collectors:
-            collector.add(frame, codes)
+        reduced.add(frame, codes)
     if frame.role == "white":
         return list(board_field(reader, frame, codes, darks, edges, usable).problems)
     if frame.role in ("flat", "ambient"):

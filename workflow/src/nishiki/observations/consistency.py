@@ -20,6 +20,7 @@ from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField, board_cosine
 from nishiki.observations.registration import MARGIN, Movement, Window, align_window, choose_places, measure_movement
 from nishiki.photometric.arrangement import Arrangement, arrange
+from nishiki.photometric.board_pairs import BoardPairs, pair_boards
 from nishiki.photometric.consistency import LEAST_AMBIENT, SURE, Consistency, examine_photographs
 from nishiki.photometric.near_lamps import NearLamps, measure_width
 
@@ -57,8 +58,8 @@ class Judgement:
         `values` with that movement undone.
     before, consistency : Consistency or None
         What each photograph shows as it is, and with the movement undone; None where nothing can be told.
-    boards : bool
-        Whether there are photographs of white boards.
+    boards : (lights, rows, columns) float32 or None
+        The white boards at equal exposure; None where a photograph has none.
     """
 
     lights: tuple[int, ...]
@@ -71,7 +72,7 @@ class Judgement:
     aligned: np.ndarray
     before: Consistency | None
     consistency: Consistency | None
-    boards: bool
+    boards: np.ndarray | None
 
     @cached_property
     def grey(self) -> np.ndarray:
@@ -84,9 +85,18 @@ class Judgement:
         return arrange(self.grey, self.lamps)
 
     @cached_property
+    def pairs(self) -> BoardPairs | None:
+        """Boards that belong to the photographs; None where there are none, or nothing can be told."""
+        return None if self.boards is None else pair_boards(self.grey, self.boards, self.lamps)
+
+    @cached_property
     def near(self) -> NearLamps | None:
         """Distance of directed lamps by the fall-off of their light, in widths of these pictures; None: unknown."""
-        if self.lamps.ndim > 2 or self.boards or not (self.arrangement is None or self.arrangement.as_stated):
+        if (
+            self.lamps.ndim > 2
+            or self.boards is not None
+            or not (self.arrangement is None or self.arrangement.as_stated)
+        ):
             return None
         return measure_width(self.grey, self.lamps)
 
@@ -199,8 +209,10 @@ class ReducedPhotographs:
             else:
                 moved = np.zeros(len(places), bool)
         names = tuple(self.files[i] for i in places)
-        found = (movement, moved, aligned, before, consistency, bool(capture.frames_of("white")))
-        return Judgement(places, names, values, lamps, directions, *found)
+        boards = self._levels_of_boards(places) if self._all_boards(places) else None
+        return Judgement(
+            places, names, values, lamps, directions, movement, moved, aligned, before, consistency, boards
+        )
 
     def _movement(self, values: np.ndarray, places: tuple[int, ...], directions: np.ndarray) -> Movement:
         """Measure the movement of the camera."""
@@ -230,6 +242,17 @@ class ReducedPhotographs:
             return values
         strengths = capture.intensities[list(places)] @ self.reader.weights.T
         return values / strengths[:, None, None, :].astype(np.float32)
+
+    def _levels_of_boards(self, places: tuple[int, ...]) -> np.ndarray:
+        """The boards (lights, rows, columns) at equal exposure; from the gains where these were made of them."""
+        if self.gain is None:
+            return np.stack([self.boards[i].mean(axis=2) for i in places])
+        boards = []
+        for frame, gain in zip(self.reader.capture.observed, self.gain, strict=True):
+            place = self.reader.capture.lights.index(frame.light)
+            level = self._board_cosine(place) / (frame.exposure or 1.0) / self._spread(gain)
+            boards.append(np.broadcast_to(level.mean(axis=2), self.shape))
+        return np.stack(boards)
 
     def _all_boards(self, places: tuple[int, ...]) -> bool:
         return (
@@ -302,7 +325,7 @@ def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Pr
     """What a user should know of a judgement; errors where the lamps do not belong to their photographs."""
     if judgement is None:
         return []
-    problems = movement_problems(judgement)
+    problems = movement_problems(judgement) + pair_problems(judgement, capture)
     problems += [] if judgement.arrangement is None else _arrangement_problems(judgement, capture)
     found = judgement.consistency
     if found is None or any(problem.severity == "error" for problem in problems):
@@ -310,6 +333,30 @@ def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Pr
     problems += near_problems(judgement.near, capture)
     problems += useless_problems(useless_photographs(found, judgement.names), judgement.names)
     return problems + ambient_problems(found, capture)
+
+
+def pair_problems(judgement: Judgement, capture: Capture) -> list[Problem]:
+    """Warn of white boards that belong to other photographs, and of photographs that no board explains."""
+    pairs, problems = judgement.pairs, []
+    if pairs is None:
+        return []
+    names = [capture.lights.names[i] for i in judgement.lights]
+    boards = [capture.white_of(name).file for name in names]
+    moved = np.flatnonzero(pairs.board != np.arange(len(names)))
+    if len(moved):
+        listed = [f"{boards[pairs.board[j]]} for light {names[j]}" for j in moved[:MOST_NAMED]]
+        more = f" and {len(moved) - MOST_NAMED} more" if len(moved) > MOST_NAMED else ""
+        was, would = (100 * np.expm1(np.abs(level[moved]).mean()) for level in (pairs.before, pairs.after))
+        what = "white boards do not belong to their photographs: other boards fit better"
+        said = f"{', '.join(listed)}{more}; mean misfit {was:.0f} % as listed, {would:.0f} % then"
+        remedy = "Compare the boards with the photographs and correct the column light of the white frames"
+        problems.append(warning("white-exchanged", "frames.csv", what, found=said, remedy=remedy))
+    for j in np.flatnonzero(pairs.alone):
+        factor, than = np.exp(abs(pairs.before[j])), "brighter" if pairs.before[j] > 0 else "darker"
+        what = f"photograph is {factor:.1f} times {than} than expected from its white board and the other photographs"
+        remedy = "Check exposure, lamp and board of this light"
+        problems.append(warning("white-disagrees", judgement.names[j], what, found=boards[j], remedy=remedy))
+    return problems
 
 
 def useless_photographs(found: Consistency | None, names: Sequence[str]) -> dict[int, tuple[str, str]]:

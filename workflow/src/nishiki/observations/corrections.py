@@ -21,6 +21,7 @@ from nishiki.observations.consistency import (
     ReducedPhotographs,
     ambient_problems,
     movement_problems,
+    pair_problems,
     useless_photographs,
     useless_problems,
 )
@@ -29,18 +30,17 @@ from nishiki.observations.reference import DarkField
 from nishiki.observations.registration import Movement
 from nishiki.photometric.consistency import (
     LEAST_AMBIENT,
+    LEAST_GAIN,
     MOST_AMBIENT,
     SURE,
     Consistency,
     examine_photographs,
+    law_errors,
     split_course,
 )
 
-LEAST_GAIN = 0.02  # of a lamp's strength that is put right: less turns normals by a tenth of a degree
 UNEQUAL = 0.08  # spread of log strengths about a linear course over the directions, as no equal lamps have shown
 ODD_EXPOSURE = 0.1  # of the brightness that a recorded exposure may be off: cameras round to thirds of a stop
-LAW_COURSE, LAW_REST = 3.0, 1.5  # times the misfit of the law: deviation of log strengths that equal lamps seem to have
-# (rms of six measured sets), of the part that is linear over the directions, and of the rest
 AMBIENT_BIAS = 0.2  # of the estimated light of the room, by which it was off on six measured sets (rms .14)
 
 Choice = Literal["auto", "never"]
@@ -136,7 +136,7 @@ def find_corrections(
     values, found = judgement.values, judgement.before
     if registers:
         values, found = judgement.aligned, judgement.consistency
-    problems = movement_problems(judgement, registers)
+    problems = movement_problems(judgement, registers) + pair_problems(judgement, capture)
     useless, leaves = useless_photographs(found, judgement.names), wishes.leave_out == "auto"
     problems += useless_problems(useless, judgement.names, leaves)
     kept = np.arange(len(frames))
@@ -206,10 +206,8 @@ def _choose_gains(
     if len(off) <= 4 or split_course(found.gain, capture.directions)[1].std() < UNEQUAL:
         return ones, None, problems
     gains = np.where(significant, found.gain, 1.0)
-    of_course, of_rest = np.array([LAW_COURSE, LAW_REST]) * np.nanmedian(found.residual)
-    linear = np.linalg.qr(capture.directions - capture.directions.mean(axis=0))[0]
-    covariance = found.gain_covariance / np.outer(found.gain, found.gain) + of_rest**2 * np.eye(len(off))
-    covariance += of_course**2 * len(off) / 3 * linear @ linear.T
+    course, rest = law_errors(float(np.nanmedian(found.residual)), capture.directions)
+    covariance = found.gain_covariance / np.outer(found.gain, found.gain) + course + rest * np.eye(len(off))
     names = [f"{frames[j].light} {found.gain[j]:.2f} ± {found.gain_sigma[j]:.2f}" for j in np.flatnonzero(significant)]
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     remedy = "Photograph a white board under every lamp"

@@ -13,7 +13,6 @@ from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.blocks import bands_with_object, rows_of_band
 from nishiki.observations.corrections import find_corrections
 from nishiki.observations.frames import FrameReader
-from nishiki.observations.pairs_check import PairLevels
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import Gains, measure_darks, measure_gains, measure_room
 from nishiki.observations.region import chosen, edges_of, object_mask, region_around, region_numbers, window_of
@@ -89,18 +88,14 @@ def write_observations(
     _, _, rows, columns = reader.region
     edges = edges_of(asked, reader.region, settings.white_block)
     darks = measure_darks(reader, edges, tick)
-    pairs = PairLevels(reader, darks, mask)
-    gains = measure_gains(reader, darks, edges, mask, tick, pairs.add)
+    gains = measure_gains(reader, darks, edges, mask, tick)
     reader = replace(reader, room=measure_room(reader, darks, tick))
     corrections = find_corrections(reader, darks, gains.gain, mask, settings.correct, tick)
     capture, gains = corrections.capture, gains.of(corrections.kept)
     reader = replace(reader, capture=capture, motions=corrections.motions)
     group = BandedGroup.create(Path(folder) / STORE)
     band_rows = rows_of_band(len(capture.observed), rows, columns, len(reader.names), settings.tile_mib)
-    look = pairs.add if capture.frames_of("white") else None
-    counts, problems = _write_frames(
-        Path(folder) / STORE, group, reader, mask, band_rows, settings.compression, tick, look
-    )
+    counts, problems = _write_frames(Path(folder) / STORE, group, reader, mask, band_rows, settings.compression, tick)
     defect = darks.defect | gains.defect
     arrays = {"mask": mask, "gain": gains.gain / corrections.strengths, "dark": darks.for_frames(capture.observed)}
     labels, label_warnings = region_numbers(capture, size, reader.region)
@@ -113,7 +108,7 @@ def write_observations(
     if corrections.ambient.any():
         subtract_room(Path(folder) / STORE, corrections.ambient, corrections.gains)
     doubts = (*capture.warnings, *outline.problems, *label_warnings, *reader.warnings(), *corrections.problems)
-    problems = (*doubts, *darks.problems, *gains.problems, *pairs.problems(), *problems)
+    problems = (*doubts, *darks.problems, *gains.problems, *problems)
     diagnostics = _diagnostics(reader, counts, mask, defect, gains, problems, band_rows)
     return replace(diagnostics, corrections=corrections.measured)
 
@@ -133,7 +128,6 @@ def _write_frames(
     band_rows: int,
     compression: str,
     tick: Callable,
-    look: Callable[[Frame, np.ndarray], None] | None,
 ) -> tuple[np.ndarray, list[Problem]]:
     """Every observed frame into its chunks; returns counts (lights, 4) and what was found in the frames.
 
@@ -146,8 +140,6 @@ def _write_frames(
     counts, problems = np.zeros((len(observed), 4), np.int64), []
     bands = bands_with_object(mask, band_rows)
     for j, (frame, codes) in enumerate(reader.read_all(observed)):
-        if look is not None:
-            look(frame, codes)
         *tally, highest = count_unusable(codes, mask, reader.saturated, reader.clip)
         counts[j] = tally
         problems += frame_problems(frame, counts[j], float(highest), reader)

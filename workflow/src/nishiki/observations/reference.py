@@ -237,12 +237,8 @@ def measure_gains(
     edges: Edges,
     mask: np.ndarray,
     tick: Callable[[str], None],
-    look: Callable[[Frame, np.ndarray], None] = lambda frame, codes: None,
 ) -> Gains:
-    """Gain of each observed frame: from its white board, else from the lights' intensities, else from exposure.
-
-    look(frame, codes) is called once a board.
-    """
+    """Gain of each observed frame: from its white board, else from the lights' intensities, else from exposure."""
     capture, shape = reader.capture, reader.region[2:]
     observed = capture.observed
     if not capture.frames_of("white"):
@@ -257,7 +253,6 @@ def measure_gains(
     gains, dead, problems = [None] * len(observed), np.zeros(shape, np.uint8), []
     levels, uniformity = np.zeros(len(observed)), np.zeros(len(observed))
     for frame, codes in reader.read_all(whites):
-        look(frame, codes)
         i = by_light[capture.lights.index(frame.light)]
         field = board_field(reader, frame, codes, darks, edges, mask)
         ratio = (frame.exposure or 1.0) / (observed[i].exposure or 1.0)

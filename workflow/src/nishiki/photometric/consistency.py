@@ -46,6 +46,9 @@ WORSE = 2.0  # times the misfit without ambient light: shadows prove some that m
 LEAST_FLOOR, LEAST_BEHIND = 0.3, 0.75  # of the ambient light: the darkest shadows, and the usual ones behind the object
 EVEN_FLOOR = 0.8  # the same of the darkest shadows where few values lie behind the object
 LARGEST_STEP, WIDEST, NEAREST = 0.3, 4.0, 0.05  # of the width in distances of the lamps: a round, fitted; of a lamp
+LEAST_GAIN = 0.02  # of a lamp's strength that is put right: less turns normals by a tenth of a degree
+LAW_COURSE, LAW_REST = 3.0, 1.5  # times the misfit of the law: deviation of log strengths that equal lamps seem to have
+# (rms of six measured sets), of the part that is linear over the directions, and of the rest
 MOST_COURSE = 0.5  # deviation of log strengths that are linear over the directions: 1.1 on metal, <= .12 elsewhere
 LARGEST_MISFIT = 0.1  # of the brightness: where the photographs are predicted worse, nothing is concluded from them
 SURE = 5.0  # standard errors at which a difference counts: once in two million by chance
@@ -282,11 +285,13 @@ def fit_lambert(
     reference: np.ndarray | None = None,
     places: np.ndarray | None = None,
     width: float = 0.0,
+    hold: float = 0.0,
 ) -> Fit:
     """Fit Lambert's law and the gains to values (lights, pixels), NaN where unusable.
 
     reference (pixels,): image of the ambient light, which is fitted too where it is given; places (pixels, 3): of the
-    pixels, with which the width of the picture is fitted too, from a first value on.
+    pixels, with which the width of the picture is fitted too, from a first value on; hold: part of the information on
+    each gain that says that it is 1.
     """
     known = np.isfinite(values)
     filled, lights = np.where(known, values, 0.0), len(values)
@@ -316,7 +321,9 @@ def fit_lambert(
             mixed = mixed.reshape(len(mixed), -1)
             # a prior of 1 for all of them keeps what is not determined at 1 and 0
             system = np.eye(len(mixed)) - multiply(solved, mixed)
-            system[:lights, :lights] += np.diag((weights * cosine**2).sum(axis=1))
+            own = (weights * cosine**2).sum(axis=1)
+            held = hold ** (turn / (ROUNDS - 1))  # firmly at first: the normals of the majority come before its gains
+            system[:lights, :lights] += (1 + held) * np.diag(own)
             coupled = np.einsum("js,kjs->jk", weights * cosine, further)
             system[:lights, lights:] += coupled
             system[lights:, :lights] += coupled.T
@@ -327,7 +334,9 @@ def fit_lambert(
             scores = np.concatenate([weights * cosine * residual, np.einsum("js,kjs->ks", weights * residual, further)])
             scores[lights] += (shade * residual).sum(axis=0) * ambience
             inverse_system = np.linalg.inv(system)
-            step = inverse_system @ scores.sum(axis=1)
+            pull = scores.sum(axis=1)
+            pull[:lights] += held * own * (1 - gains)
+            step = inverse_system @ pull
             gains, ambient = np.clip(gains + step[:lights], 1e-4, 1e4), float(ambient + step[lights])
             if places is not None:
                 width = float(np.clip(width + np.clip(step[-1], -LARGEST_STEP, LARGEST_STEP), -1, WIDEST))
@@ -449,6 +458,15 @@ def split_course(strengths: np.ndarray, directions: np.ndarray) -> tuple[np.ndar
     terms = np.column_stack([np.ones(len(directions)), directions])
     course = terms @ np.linalg.lstsq(terms, np.log(strengths), rcond=None)[0]
     return course, np.log(strengths) - course
+
+
+def law_errors(misfit: float, directions: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the errors of log strengths by what the law misses, the course over the directions, and the rest.
+
+    Covariance (lights, lights) of the part that is linear over directions (lights, 3), and variance of the rest.
+    """
+    linear = np.linalg.qr(directions - directions.mean(axis=0))[0]
+    return (LAW_COURSE * misfit) ** 2 * len(directions) / 3 * linear @ linear.T, (LAW_REST * misfit) ** 2
 
 
 def is_even(gains: np.ndarray, directions: np.ndarray) -> bool:

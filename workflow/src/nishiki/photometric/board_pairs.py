@@ -1,0 +1,165 @@
+"""Find which white boards belong to which photographs, by the strengths that the photographs show.
+
+With lamp strength s_i(x), direction l_i and a board at angle theta_i (Lambert, 1760),
+
+    photograph P_i = s_i (m . l_i)        board B_i = s_i cos(theta_i)
+
+so that P_i cos(theta_i) / B_i follows Lambert's law with gains of 1, whatever the strengths. Divided by the board of
+another lamp it has the gain B_i / B_j and its course over the picture. Of each photograph the logarithm of its gain and
+the slope of what remains across and down the picture are measured; the same three numbers of every board say what
+another board would make of them. The linear assignment problem (Kuhn, 1955) over the squared differences, in units of
+the standard error and at most those at which a difference counts, gives the boards; a photograph leaves its own board
+only where that gains half as much, so that an exchange of two must be sure as a whole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.photometric.consistency import (
+    FEWEST_LAMPS,
+    FEWEST_PIXELS,
+    GRAZING,
+    KINK,
+    LARGEST_MISFIT,
+    LEAST_GAIN,
+    ROUNDS,
+    SURE,
+    Fit,
+    fit_lambert,
+    is_even,
+    law_errors,
+    none_where_undetermined,
+    regress,
+    spread_pixels,
+)
+
+FIRST, HOLD = 1.0, 0.001  # of the information on a gain, that it is 1: first firmly, for the normals that most lamps
+# agree on, then hardly: those of a flat object would drift to any tilt of it
+FREE, FITS, TURNS = 2, 5, 4  # fits after which any order is taken, most fits, and assignments after each
+TWICE = 2.0  # times the usual error of the law: strengths and slopes of single measured sets exceed five of these
+COMMON = 100.0  # variance of the factor that all log gains share, which says nothing
+ALONE = np.log(2.5)  # log gain of one photograph from which it is named
+GRAZED, FACING = 0.3, 0.9  # cosines of the lamp beyond which shadows make a photograph darker, or gloss brighter
+
+
+@dataclass(frozen=True)
+class BoardPairs:
+    """Which boards belong to the photographs.
+
+    Attributes
+    ----------
+    board : (lights,) int64
+        The lamp whose board each photograph shows; its own where nothing is gained.
+    before, after : (lights,) float64
+        Logarithms of the photographs' gains with their own boards, and with these.
+    alone : (lights,) bool
+        Photographs that no board explains.
+    """
+
+    board: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    alone: np.ndarray
+
+
+@none_where_undetermined
+def pair_boards(values: np.ndarray, boards: np.ndarray, lamps: np.ndarray) -> BoardPairs | None:
+    """Find the boards that belong to the photographs.
+
+    Parameters
+    ----------
+    values : (lights, rows, columns)
+        Linear values of the reduced photographs divided by their boards, NaN where unusable.
+    boards : (lights, rows, columns)
+        Linear values of the boards at equal exposure.
+    lamps : (lights, 3) or (lights, rows, columns, 3)
+        Vectors to the lamps as stated, see `nishiki.photometric.consistency.examine_photographs`.
+
+    Returns
+    -------
+    BoardPairs or None
+        None where nothing can be told: too few lamps or pixels, or an object that does not follow Lambert's law.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    count, rows, columns = values.shape
+    places, patches = spread_pixels(values)
+    whites, divided = (stack.reshape(count, -1)[:, places].astype(np.float64) for stack in (boards, values))
+    if count < FEWEST_LAMPS or np.isfinite(np.log(whites)).sum(axis=1).min() < FEWEST_PIXELS:
+        return None
+    photographs = divided * whites
+    vectors = lamps if lamps.ndim == 2 else lamps.reshape(count, -1, 3)[:, places]
+    directions = vectors.reshape(count, -1, 3).mean(axis=1)
+    down, across = np.divmod(places, columns)
+    terms = np.stack([np.ones(len(places)), across - across.mean(), down - down.mean()], axis=1) / (1, columns, rows)
+    of_boards = np.array([_fit_log(white, terms, patches) for white in whites]).T
+    listed = order = np.arange(count)
+    stay = SURE**2 / 2 * (1 - np.eye(count))
+    for fits in range(FITS):
+        fit = fit_lambert(photographs / whites[order], vectors, patches, hold=HOLD if fits else FIRST)
+        misfit, of_photographs = _measure(photographs / whites[order], fit, terms, patches)
+        shown, last = of_photographs + of_boards[:, order], order
+        course, variance = law_errors(TWICE * misfit, directions)
+        covariances = np.stack([course + COMMON] * len(shown))
+        covariances[0] += fit.covariance / np.outer(fit.gains, fit.gains)
+        for turn in range(TURNS):
+            gains = shown - of_boards[:, order]
+            if fits + turn == 0:  # of which the mean is right in any order of the boards
+                rest = gains - gains.mean(axis=1, keepdims=True)
+            else:
+                rest = _subtract_course(gains, covariances, variance + LEAST_GAIN**2)
+            spread = np.maximum(variance + LEAST_GAIN**2, (1.4826 * np.median(np.abs(rest), axis=1)) ** 2)
+            levels = rest + of_boards[:, order]
+            squares = np.square(levels[:, :, None] - of_boards[:, None, :]) / spread[:, None, None]
+            cost = np.minimum(squares.sum(axis=0), SURE**2)
+            if not np.isfinite(cost).all():
+                return None
+            order = linear_sum_assignment(cost if fits < FREE else cost + stay)[1]
+        if fits >= FREE and (order == last).all():
+            break
+    if not (misfit < LARGEST_MISFIT and is_even(fit.gains, directions)):
+        return None
+    before, after = (levels[0] - of_boards[0, some] for some in (listed, order))
+    facing = directions[:, 2]
+    alone = (order == listed) & (np.abs(before) > np.maximum(ALONE, SURE * np.sqrt(spread[0])))
+    alone &= np.where(before < 0, facing > GRAZED, facing < FACING)
+    return BoardPairs(order, before, after, alone)
+
+
+def _fit_log(white: np.ndarray, terms: np.ndarray, patches: np.ndarray) -> np.ndarray:
+    """Fit the logarithm of a board (pixels,) by terms (pixels, 3)."""
+    level = np.log(white)
+    known = np.isfinite(level)
+    return regress(terms[known], level[known], patches[known])[0]
+
+
+def _measure(values: np.ndarray, fit: Fit, terms: np.ndarray, patches: np.ndarray) -> tuple[float, np.ndarray]:
+    """Measure the usual misfit of photographs (lights, pixels), their log gains and slopes (3, lights).
+
+    Of photographs that show too little, which keep their boards, these are 0.
+    """
+    predictions = values - fit.alone
+    misfits, shown = np.full(len(values), np.nan), np.zeros((3, len(values)))
+    for j in range(len(values)):
+        used = np.flatnonzero(fit.weights[j] > 0)
+        if len(used) >= FEWEST_PIXELS:
+            misfits[j] = np.median(np.abs(fit.alone[j, used])) / np.median(predictions[j, used])
+            factors, _ = regress(predictions[j, used, None] * terms[used], values[j, used], patches[used])
+            factors[0] = max(factors[0], GRAZING**2)
+            shown[:, j] = np.log(fit.gains[j] * factors[0]), *(factors[1:] / factors[0])
+    return float(np.nanmedian(misfits)), shown
+
+
+def _subtract_course(gains: np.ndarray, covariances: np.ndarray, variance: float) -> np.ndarray:
+    """Subtract from gains (3, lights) their best linear prediction by what the law makes correlated.
+
+    covariances (3, lights, lights): of that; variance: of the rest, more of outliers (Cauchy).
+    """
+    rest = gains - np.median(gains, axis=1, keepdims=True)
+    for _ in range(ROUNDS):
+        own = (variance + np.square(rest / KINK))[:, :, None] * np.eye(len(gains.T))
+        rest = (own @ np.linalg.solve(covariances + own, gains[:, :, None]))[:, :, 0]
+    return rest
