@@ -73,11 +73,12 @@ def test_a_scene_keeps_its_own_settings_and_they_are_the_default(project):
 
 
 def test_settings_of_all_variants_and_shared_ones(project):
-    settings = {"hold_out": ["light3"], "brdf.lobes": 1, "height": {"method": "weighted"}, "solver": "least_squares"}
+    settings = {"hold_out": ["light3"], "brdf.refractive_index": 1.4, "solver": "least_squares"}
+    settings["height"] = {"method": "weighted"}
     swept = planned(project, scenes=["a"], stage="normals", vary={"refine": ["none"]}, settings=settings).scenes[0]
     for variant in swept.variants:
         stages = variant.plan.stages
-        assert stages["brdf"].settings["lobes"] == 1
+        assert stages["brdf"].settings["refractive_index"] == 1.4
         assert stages["height"].settings["method"] == "weighted"
         assert stages["normals"].settings["hold_out"] == ("light3",) or stages["normals"].settings["hold_out"] == [
             "light3"

@@ -1,18 +1,17 @@
 """The closed schema of capture.yaml: every key that may appear, with its unit, range and meaning."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from nishiki.artifacts.closed import Closed
 from nishiki.capture.goniometer import GoniometerFile
-from nishiki.capture.schema_base import Positive, Session, read_mapping, validate
+from nishiki.capture.schema_base import Count, Positive, Session, read_mapping, validate
 from nishiki.capture.turntable_rules import TurntableFile
 from nishiki.formats.problems import CaptureError
 
 NAMED_ILLUMINANTS = ("A", "D50", "D55", "D65", "E", *(f"F{i}" for i in range(1, 13)))
-Count = Annotated[int, Field(strict=True, ge=0)]
 LOST_BY_FIT = (
     "cast shadows and highlights are as smooth as that fit made them, what it left over is gone, its coefficients have "
     "8 bits, and neither the scale of brightness nor the strengths and distances of the lamps are known"

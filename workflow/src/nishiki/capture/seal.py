@@ -116,17 +116,16 @@ def _manifest_lines(path: Path) -> list[str]:
     return [line.removesuffix("\r") for line in (lines[:-1] if not lines[-1] else lines)]
 
 
-def capture_digest(root: Path, *, known: dict[str, Entry] | None = None) -> str:
+def capture_digest(root: Path) -> str:
     """SHA-256 over the sorted payload manifest: the identity of a capture, the same before and after sealing.
 
-    Of a sealed capture the manifest is read (`check` proves that the files are still those); otherwise every file is
-    (known: see payload_digests).
+    Of a sealed capture the manifest is read (`check` proves that the files are still those); otherwise every file is.
     """
     if (root / "bagit.txt").is_file():
         text = manifest_text(read_manifest(root / MANIFEST))
     else:
         payload = root / "data" if (root / "data" / "capture.yaml").is_file() else root
-        text = manifest_text({name: e.sha256 for name, e in payload_digests(payload, known=known).items()})
+        text = manifest_text({name: e.sha256 for name, e in payload_digests(payload).items()})
     return hashlib.sha256(text.encode()).hexdigest()
 
 

@@ -167,10 +167,10 @@ def lights_text(lights: Lights) -> str:
     return f"{len(lines)}\n{''.join(lines)}"
 
 
-def read_channels(path: Path, header: ImageHeader | None = None) -> np.ndarray:
+def read_channels(path: Path) -> np.ndarray:
     """Codes (rows, columns, channels) float32, an alpha channel apart: as stored, or linear where the file states a
     curve."""
-    header = header or read_header(path)
+    header = read_header(path)
     codes = read_codes(path, channel_names(header), header=header).astype(np.float32)
     if header.coding is None or header.coding.linear:
         return codes

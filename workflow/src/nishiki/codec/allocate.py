@@ -95,10 +95,6 @@ class Point:
     psnr_db: float
     kept: int
 
-    def as_dict(self) -> dict:
-        """Plain data."""
-        return {"step": self.step, "bytes": self.bytes, "psnr_db": self.psnr_db, "kept": self.kept}
-
 
 @dataclass(frozen=True)
 class EncodedObject:

@@ -165,8 +165,10 @@ def _expect_chunks(folder: Path, unpacked: int, *, packed: bool, check: int) -> 
 
 
 def _content_size(file: BinaryIO, end: int) -> int | None:
-    """`zstd_content_size` of the first `end` bytes of a file. Only headers are read: that of a block of at most 128 KiB
-    says where the next one is."""
+    """Return how long the first `end` bytes of a file are unpacked, None where they do not say so.
+
+    Only headers are read: that of a block of at most 128 KiB says where the next one is.
+    """
     place, total = 0, 0
     try:
         while place < end:

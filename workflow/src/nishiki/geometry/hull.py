@@ -248,23 +248,16 @@ def _undistorted(pixels: np.ndarray, camera: Camera) -> np.ndarray:
     return np.column_stack([x, y, np.ones(len(x))])
 
 
-def carve(
-    silhouettes: list[np.ndarray | None],
-    cameras: list[Camera],
-    *,
-    cells: int = 256,
-    misses: int = 0,
-    box: np.ndarray | None = None,
-) -> Hull:
+def carve(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, cells: int = 256, misses: int = 0) -> Hull:
     """Visual hull of silhouettes, list of (rows, columns) bool arrays or None, one per camera.
 
-    cells: grid cells along the longest side of the box; misses: views (up to 4) that may see background where the body
-    is: with 1, no single wrong mask can carve anything away; box (2, 3): where to look, by default `bounding_box`.
+    cells: grid cells along the longest side of the `bounding_box`; misses: views (up to 4) that may see background
+    where the body is: with 1, no single wrong mask can carve anything away.
     Memory: 4 bytes a grid point, 8 while the surface is extracted. Raises UserError where nothing is left.
     """
     if not 0 <= misses <= MOST_MISSES:
         raise ValueError(f"misses: expected 0 to {MOST_MISSES}, found {misses}")
-    box = bounding_box(silhouettes, cameras, misses=misses) if box is None else np.asarray(box, np.float64)
+    box = bounding_box(silhouettes, cameras, misses=misses)
     cell = float((box[1] - box[0]).max()) / cells
     origin = box[0] - 2.5 * cell
     shape = tuple(int(n) for n in np.ceil((box[1] - box[0]) / cell) + 6)

@@ -1,7 +1,7 @@
 """Write the page of a sweep: points, fronts, drawings, advice and tables."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from markupsafe import Markup
@@ -42,7 +42,7 @@ def scene_content(
         "machines": sorted({machine for row in rows for machine in row.machines}),
         "load": max((row.load for row in rows), default=0.0),
         "busy": any(row.load >= BUSY for row in rows),
-        "rows": [row.as_dict() for row in rows],
+        "rows": [asdict(row) for row in rows],
         "plots": [_plot(scene, rows, k, measure, axis, fronts[k]) for k, measure in enumerate(measures)],
         "advice": [_advice(rows, k, measure, axis) for k, measure in enumerate(measures)],
     }

@@ -4,7 +4,7 @@ import math
 import platform
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -158,10 +158,6 @@ class VariantRow:
     peer: bool = False
     apart: bool = False
     ahead: tuple[bool, ...] = field(default=())
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the row as plain data."""
-        return asdict(self)
 
 
 def variant_row(

@@ -77,13 +77,12 @@ def shade_xyz(
     ambient: Ambient | None = None,
     visibility: np.ndarray | None = None,
     eye: np.ndarray = FRONTAL_EYE,
-    plane: np.ndarray | None = None,
 ) -> Shading:
     """Return linear XYZ (rows, columns, 3) of the scene's maps: Tominaga and Tanaka (2004), eq. 10 and 19, self-shadow
     where n . l <= 0.
 
     visibility: (lights, rows, columns) float32, 1 lit .. 0 in cast shadow, or None; eye: homogeneous (4,), direction
-    and 0 or position and 1; plane: (3, 3) from (column, row, 1) of the maps to the plane (`pixel_to_plane` by default).
+    and 0 or position and 1.
     """
     ambient = Ambient() if ambient is None else ambient
     return shade_channels(
@@ -96,7 +95,7 @@ def shade_xyz(
         gloss=scene.gloss,
         labels=scene.labels,
         visibility=visibility,
-        plane=pixel_to_plane(scene.pitch, scene.shape) if plane is None else plane,
+        plane=pixel_to_plane(scene.pitch, scene.shape),
         eye=eye,
         ambient_level=ambient.level,
     )

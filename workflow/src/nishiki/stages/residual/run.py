@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -275,5 +275,5 @@ def diagnostics(encoded: EncodedObject, counts: dict[str, int]) -> dict:
         "pixels": encoded.pixels,
         "tiles": len(encoded.streams),
         "empty_tiles": int(sum(empty)),
-        "curve": [point.as_dict() for point in encoded.curve],
+        "curve": [asdict(point) for point in encoded.curve],
     }
