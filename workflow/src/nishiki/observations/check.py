@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from nishiki.capture.folder import Capture, examine
+from nishiki.capture.folder import MIRROR_BALLS, Capture, examine
 from nishiki.capture.frames import LIT_ROLES, Frame
 from nishiki.capture.seal import payload_files, verify_seal
 from nishiki.capture.taking import compare_exposures
@@ -101,8 +101,7 @@ def _listed(capture: AnyCapture) -> set[str]:
         settings.rendered_from,
         settings.mask,
         settings.regions,
-        "capture.yaml",
-        "frames.csv",
+        *("capture.yaml", "frames.csv", MIRROR_BALLS),
         *(name for f in capture.frames for name in f.names),
     ]
     if settings.rendered_from and "/" in settings.rendered_from:  # a folder of relight: info.json stands for its planes
