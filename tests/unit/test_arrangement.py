@@ -12,6 +12,7 @@ from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
 from nishiki.observations.consistency import order_text
 from nishiki.photometric.arrangement import arrange, turned
+from nishiki.simulate import command as simulate
 
 RINGS = ((7, 35), (5, 60))
 AXES = ("x,-y", "-y,-x", "y,-x")
@@ -42,6 +43,17 @@ def test_sound_sets_are_left_as_they_are(rings, options):
     assert found.as_stated
     assert found.sigmas == (0.0, 0.0)
     assert not found.mirror_undecided
+
+
+@pytest.mark.parametrize("gloss", ["matte", "satin", "varnish"])
+def test_nothing_is_said_of_the_order_for_a_flat_painting(gloss, tmp_path):
+    size = ["--rows", "72", "--columns", "96", "--supersampling", "1"]
+    folders = ["--output", str(tmp_path / "c"), "--truth", str(tmp_path / "truth")]
+    assert simulate.main([*folders, "--relief", "flat", "--gloss", gloss, *size]) == 0
+    assert not {problem.kind for problem in check_capture(tmp_path / "c", level="full")} & {
+        "lights-order",
+        "lights-axes",
+    }
 
 
 @pytest.mark.parametrize("name", ORDERS)

@@ -46,6 +46,7 @@ STEEPEST = 0.2  # cosine of the steepest slope that counts: beyond, small errors
 STARTS = 60  # rotations from which permutations are sought; exchanged pairs and random orders of 12 need about 10
 FINALISTS = 5  # orders by each of two measures that are fitted robustly
 REFINED, TURNS = 3, 5  # fits from which photographs are assigned to lamps anew, and how often
+FLAT = 0.05  # standard deviation of shading, relative: slopes of some three degrees, which a sheen imitates
 TWINS_DEG = 15.0  # asymmetry of the lamps up to which any order has a twin that makes hills hollows: 5 and 7 on two
 # domes, where wrong orders were found; 20 and more where none were
 DOUBTFUL = 2.0  # standard errors by which an arrangement that is believed may at most be the worse one
@@ -196,12 +197,16 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
     rivals = [rival for rival in rivals if _beyond_doubt((first, 0), rival)]
     rivals.sort(key=lambda rival: _complexity(rival[0].order, rival[1]))
     best, axes = next((one for one in rivals if not any(_beyond_doubt(one, other) for other in rivals)), (first, 0))
+    misfits = [float(np.nanmedian(trial.misfit)) for trial in (first, best)]
+    if best is not first or axes:
+        if _measure_shading(tiles.values) < min(FLAT, 2 * min(misfits)):
+            return None  # a flat thing, whose slopes are those that its gloss makes
     sigmas = _compare((first, 0), (best, axes))[:2]
     mirrored, exchanged, quarter = (_compare((best, axes), (best, axes ^ other))[1] for other in (1, 2, 3))
     return Arrangement(
         tuple(best.order.tolist()),
         _name_axes(axes, best.outwards),
-        (float(np.nanmedian(first.misfit)), float(np.nanmedian(best.misfit))),
+        (misfits[0], misfits[1]),
         (_curl(first, 0), _curl(best, axes)),
         sigmas,
         mirrored > -DOUBTFUL and min(exchanged, quarter) < -SURE,
@@ -265,6 +270,15 @@ def _cut(values: np.ndarray, lamps: np.ndarray) -> _Tiles | None:
     vectors = lamps[:, None, :] if lamps.ndim == 2 else cut(lamps)[:, chosen, TILE // 2, TILE // 2]
     part = np.where(known[chosen], tiles[:, chosen], np.nan).astype(np.float64)
     return _Tiles(part, vectors, np.stack([across - across.mean(), down.mean() - down], axis=1))
+
+
+def _measure_shading(values: np.ndarray) -> float:
+    """Measure by how much the light of one lamp differs between pixels of equal albedo, relative to it."""
+    logarithms = np.log(np.where(values > 0, values, np.nan)).reshape(len(values), -1)
+    for _ in range(2):  # without the lamps' strengths and the albedo
+        logarithms = logarithms - np.nanmedian(logarithms, axis=1, keepdims=True)
+        logarithms -= np.nanmedian(logarithms, axis=0)
+    return 1.4826 * float(np.nanmedian(np.abs(logarithms)))
 
 
 def _try(tiles: _Tiles, order: np.ndarray) -> _Trial | None:
