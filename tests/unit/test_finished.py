@@ -9,13 +9,12 @@ from types import SimpleNamespace
 
 import pytest
 from archives import READS, write_artifact, write_scene
-from unit.test_plan_economy import CLOTH, OBJECT, PLANE
 
 from nishiki.artifacts.artifact import MANIFEST, RUN, open_artifact, publish, run_text
 from nishiki.artifacts.provenance import canonical, stage_key
 from nishiki.commands.engine import names_targets
 from nishiki.engine import finished
-from nishiki.engine.plan import PlannedStage, make_plan
+from nishiki.engine.plan import PlannedStage
 from nishiki.engine.project import Scene, StageSettings
 from nishiki.engine.running_lock import MARK, RUNS, registered, scenes_to_make
 
@@ -187,22 +186,6 @@ def test_behind_a_killed_run_a_damaged_file_of_the_right_size_is_seen(flow):
     found = finished.unfinished_scenes(flow, contents=True)
     assert list(found) == ["second"]
     assert "SHA-256 differs" in found["second"]
-
-
-@pytest.mark.parametrize("facts", [PLANE, OBJECT, CLOTH])
-def test_plans_that_share_their_outline_are_those_made_alone(facts):
-    settings, other = StageSettings(), StageSettings(height={"method": "weighted"})
-    known = {}
-    for number, (own, products) in enumerate([(settings, ("report",)), (settings, ("normals",)), (other, ("report",))]):
-        products = products if facts is PLANE or products == ("report",) else ("evaluate",)
-        for digest in ("a" * 64, "b" * 64):
-            scene = Scene(f"s{number}{digest[0]}", Path("captures/s"), None, products, own)
-            given = replace(facts, capture_digest=digest)
-            assert make_plan(scene, given, known) == make_plan(scene, given)
-    assert len(known) == 3
-    several = replace(facts, channels=1)
-    assert make_plan(scene, several, known) == make_plan(scene, several)
-    assert len(known) == 4
 
 
 def test_the_key_of_a_stage_is_the_digest_of_one_canonical_text():

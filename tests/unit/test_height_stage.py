@@ -36,7 +36,7 @@ def solved_normals(folder, slope_x, slope_y) -> Artifact:
 
     def fill(writer):
         context = SimpleNamespace(output=writer, stamp=STAMP, settings=settings)
-        maps = create_maps(context, frames, terms=0, relight=False)
+        maps = create_maps(context, frames, terms=0, relight=False, several=False)
         maps["normals"][...] = normals / np.linalg.norm(normals, axis=2, keepdims=True)
         maps["flags"][...] = np.zeros(slope_x.shape, np.uint8)
         maps["sigma"][...] = np.full(slope_x.shape, 0.01)
