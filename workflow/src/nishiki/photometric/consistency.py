@@ -44,6 +44,9 @@ REPEATED = 0.25  # of the difference that two lamps should make: the same lamp t
 MOST_AMBIENT = 0.4  # of a lamp: more cannot be told from an even object, where .41 to 1.1 seemed to be
 WORSE = 2.0  # times the misfit without ambient light: shadows prove some that misfits more, up to 1.5
 LEAST_FLOOR, LEAST_BEHIND = 0.3, 0.75  # of the ambient light: the darkest shadows, and the usual ones behind the object
+MOST_DRIFT = (
+    0.2  # of the ambient light from fit to fit: .02 to .11 on six measured sets, .36 and .8 on a glossy painting
+)
 EVEN_FLOOR = 0.8  # the same of the darkest shadows where few values lie behind the object
 LARGEST_STEP, WIDEST, NEAREST = 0.3, 4.0, 0.05  # of the width in distances of the lamps: a round, fitted; of a lamp
 LEAST_GAIN = 0.02  # of a lamp's strength that is put right: less turns normals by a tenth of a degree
@@ -203,16 +206,18 @@ def take_ambient(values: np.ndarray, directions: np.ndarray, patches: np.ndarray
     if dark <= max(LEAST_AMBIENT, SURE * sigma):
         return fit, max(dark, 0.0), sigma
     # the darkest values of all are the ambient light or more: without them, shadows are as dark as the model says
-    ambient, rest = lowest_levels(values / albedo, patches)[0], fit
+    ambient, rest, levels = lowest_levels(values / albedo, patches)[0], fit, []
     for _ in range(TURNS):  # the albedo, which is the image of the ambient light, is of the fit before
         if not ambient > LEAST_AMBIENT:
             break
         rest = fit_lambert(values - ambient * albedo, directions, patches)
         albedo = np.linalg.norm(rest.normals, axis=1)
         floor, sigma, ambient = deepest_shadows(values, replace(rest, ambient=ambient), albedo, patches)
+        levels.append(ambient)
     else:
         misfit, before = (np.nanmedian(np.abs(one.alone)) / np.nanmedian(values) for one in (rest, fit))
-        believed = np.isfinite(dark) or misfit < min(LARGEST_MISFIT / 2, WORSE * before)
+        steady = np.ptp(levels[1:]) < MOST_DRIFT * ambient
+        believed = np.isfinite(dark) or (steady and misfit < min(LARGEST_MISFIT / 2, WORSE * before))
         cosine = np.einsum("jsa,sa->js", directions.reshape(len(values), -1, 3), rest.normals)
         behind = (values / albedo)[cosine < -GRAZING * albedo]
         behind = behind[np.isfinite(behind)]
