@@ -198,9 +198,8 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
     rivals.sort(key=lambda rival: _complexity(rival[0].order, rival[1]))
     best, axes = next((one for one in rivals if not any(_beyond_doubt(one, other) for other in rivals)), (first, 0))
     misfits = [float(np.nanmedian(trial.misfit)) for trial in (first, best)]
-    if best is not first or axes:
-        if _measure_shading(tiles.values) < min(FLAT, 3 * min(misfits)):
-            return None  # a flat thing, whose slopes are those that its gloss makes
+    if (best is not first or axes) and _measure_shading(tiles.values) < min(FLAT, 3 * min(misfits)):
+        return None  # a flat thing, whose slopes are those that its gloss makes
     sigmas = _compare((first, 0), (best, axes))[:2]
     mirrored, exchanged, quarter = (_compare((best, axes), (best, axes ^ other))[1] for other in (1, 2, 3))
     return Arrangement(

@@ -199,7 +199,8 @@ def take_ambient(values: np.ndarray, directions: np.ndarray, patches: np.ndarray
 
     Shadows are sought under the light that the darkest values allow, so that much of it does not hide them. Light from
     one part of the object to another, and rough surfaces, are like ambient light where the lamps reach, but leave deep
-    shadows dark. Returns the fit with the ambient light where it counts, the ambient light and its error.
+    shadows dark. Where no shadow is seen at first, the estimate has to stay the same from fit to fit: else it makes the
+    shadows that it is measured in. Returns the fit with ambient light where it counts, the ambient light and its error.
     """
     albedo = np.linalg.norm(fit.normals, axis=1)
     dark, sigma, _ = deepest_shadows(values, fit, albedo, patches)
