@@ -6,6 +6,7 @@ import pytest
 from lit_relief import degrees, dome, photographs
 
 from nishiki.capture.lights import read_lights
+from nishiki.formats.problems import error_text
 from nishiki.photometric.consistency import LEAST_AMBIENT, examine_photographs
 from nishiki.photometric.near_lamps import measure_width
 
@@ -123,3 +124,11 @@ def test_metal_shows_neither_near_nor_failed_lamps():
     near = measure_width(values, directions)
     assert near is None or not near.shown
     assert examine_photographs(np.where(np.arange(24) == 5, 1e-4, values.T).T, directions).failed == (5,)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "decimals", "text"),
+    [(0.31, 1, "± 0.3"), (0.0004, 3, "± < 0.001"), (0.04, 1, "± < 0.1"), (0.06, 1, "± 0.1"), (0.0, 2, "± < 0.01")],
+)
+def test_no_error_is_written_as_zero(sigma, decimals, text):
+    assert error_text(sigma, decimals) == text

@@ -96,8 +96,7 @@ def _write_complete(target: Path, write: Callable[[Path], list[Problem]], option
         notes = write(partial)
         found = options.examine(partial) if options.examine else []
         raise_errors(found)
-        decided = {"lights-axes-undecided"} if options.lights_axes else set()
-        notes = [*notes, *(problem for problem in found if problem.kind in set(JUDGED) - decided)]
+        notes = [*notes, *(problem for problem in found if problem.kind in JUDGED)]
         os.rename(partial, target)
     finally:
         if partial.exists():

@@ -78,6 +78,8 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     notes += doubts
     settings["camera"] = {"channels": list(channels), "encoding": coding}
     settings["lights"] = {"file": "lights.lp", "kind": layout.kind}
+    if options.lights_axes:
+        settings["lights"]["axes_confirmed"] = True
     if pitch := options.width_mm / header.columns if options.width_mm else layout.pitch_mm:
         settings["pixel_pitch_mm"] = float(f"{pitch:.9g}")
     if layout.intensities is not None:

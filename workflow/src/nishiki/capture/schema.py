@@ -25,6 +25,7 @@ class LightsFile(Closed):
     file: str
     kind: Literal["direction", "position_mm"] = "direction"
     intensities: str | None = None
+    axes_confirmed: bool = False  # by the user, so that undecided axes are not warned about
 
 
 class CaptureFile(Session):

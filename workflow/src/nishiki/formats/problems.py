@@ -75,6 +75,12 @@ def name_some(names: Iterable[object]) -> str:
     return ", ".join(texts[:MOST_NAMED]) + more
 
 
+def error_text(sigma: float, decimals: int) -> str:
+    """Write a standard error as `± 0.3`; below the last digit as `± < 0.1`, never as 0."""
+    least = 10.0**-decimals
+    return f"± < {least:.{decimals}f}" if sigma < least / 2 else f"± {sigma:.{decimals}f}"
+
+
 def left_out(names: Sequence[object], file: str, what: str) -> list[Problem]:
     """photograph-unlisted for pictures that are not taken over; what: which they are. Empty without names."""
     return [warning("photograph-unlisted", file, f"{what} were left out", found=name_some(names))] if names else []

@@ -15,7 +15,7 @@ import numpy as np
 
 from nishiki.capture.folder import MIRROR_BALLS, Capture
 from nishiki.capture.frames import Frame
-from nishiki.formats.problems import Problem, error, warning
+from nishiki.formats.problems import Problem, error, error_text, name_some, warning
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField, board_cosine
 from nishiki.observations.registration import MARGIN, Movement, Window, align_window, choose_places, measure_movement
@@ -27,7 +27,6 @@ from nishiki.photometric.near_lamps import NearLamps, measure_width
 LONGEST = 256  # pixels of a reduced photograph along its longer side: relief is coarser, texture mostly finer
 CELLS = 3  # a side, of a reduced pixel, whose codes are averaged before they are decoded: a curve is straight over them
 INSIDE = 0.95  # of a reduced pixel that must show the object
-MOST_NAMED = 8
 LEAST_MISFIT = 0.02  # of a photograph that repeats another one: an even object looks alike under many lamps
 LEAST_IMPROVEMENT = 0.07  # of the misfit that undoing a movement takes away: 0.11 and more for shifts of 1.2 pixels of
 # the measured sets, 0.055 on the fossil, whose low lamps shift the texture of its relief
@@ -306,9 +305,8 @@ def movement_problems(judgement: Judgement, registers: bool | None = None) -> li
         return []
     far = int(np.argmax(np.where(moved, movement.largest, 0)))
     x, y = movement.shift[far]
-    named = [name for name, each in zip(judgement.names, moved, strict=True) if each]
-    listed = ", ".join(named[:MOST_NAMED]) + (f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else "")
-    found = f"{len(named)} of {len(moved)} ({listed}), {judgement.names[far]} most: {x:+.1f}, {y:+.1f} pixels"
+    listed = name_some(name for name, each in zip(judgement.names, moved, strict=True) if each)
+    found = f"{moved.sum()} of {len(moved)} ({listed}), {judgement.names[far]} most: {x:+.1f}, {y:+.1f} pixels"
     if movement.turn.any():
         found += f", turned by {np.degrees(movement.turn[far]):.2f} degrees"
     what = "the camera moved between the photographs"
@@ -344,11 +342,10 @@ def pair_problems(judgement: Judgement, capture: Capture) -> list[Problem]:
     boards = [capture.white_of(name).file for name in names]
     moved = np.flatnonzero(pairs.board != np.arange(len(names)))
     if len(moved):
-        listed = [f"{boards[pairs.board[j]]} for light {names[j]}" for j in moved[:MOST_NAMED]]
-        more = f" and {len(moved) - MOST_NAMED} more" if len(moved) > MOST_NAMED else ""
+        listed = name_some(f"{boards[pairs.board[j]]} for light {names[j]}" for j in moved)
         was, would = (100 * np.expm1(np.abs(level[moved]).mean()) for level in (pairs.before, pairs.after))
         what = "white boards do not belong to their photographs: other boards fit better"
-        said = f"{', '.join(listed)}{more}; mean misfit {was:.0f} % as listed, {would:.0f} % then"
+        said = f"{listed}; mean misfit {was:.0f} % as listed, {would:.0f} % then"
         remedy = "Compare the boards with the photographs and correct the column light of the white frames"
         problems.append(warning("white-exchanged", "frames.csv", what, found=said, remedy=remedy))
     for j in np.flatnonzero(pairs.alone):
@@ -391,7 +388,7 @@ def ambient_problems(found: Consistency, capture: Capture, subtracts: bool | Non
         what = "the photographs contain more light of the room than those without a lamp"
     if subtracts is not False:
         what += "; its estimate is subtracted" if subtracts else "; ingest subtracts its estimate"
-    said = f"{100 * found.ambient:.1f} ± {100 * found.ambient_sigma:.1f} % of a lamp that faces the object"
+    said = f"{100 * found.ambient:.1f} {error_text(100 * found.ambient_sigma, 1)} % of a lamp that faces the object"
     remedy = "Darken the room, or photograph the object once without a lamp (role ambient)"
     return [warning("room-light", "frames.csv", what, found=said, remedy=remedy)]
 
@@ -416,11 +413,15 @@ def _arrangement_problems(judgement: Judgement, capture: Capture) -> list[Proble
     """lights-order and lights-axes, as errors with the option of `convert` that mends them."""
     arrangement, file = judgement.arrangement, capture.settings.lights.file
     if arrangement.as_stated:
-        if not arrangement.mirror_undecided or (capture.payload / MIRROR_BALLS).exists():
+        decided = capture.settings.lights.axes_confirmed or (capture.payload / MIRROR_BALLS).exists()
+        if decided or not arrangement.mirror_undecided:
             return []
         what = "the photographs do not show which way the y axis of the lights points"
         said = f"curl of the slopes {100 * arrangement.curl[0]:.0f} %, and as little with y mirrored"
-        remedy = "If y counts downwards in that file, or hills appear as hollows, convert again with --lights-axes=x,-y"
+        remedy = (
+            "If y counts downwards in that file, or hills appear as hollows, convert again with --lights-axes=x,-y; "
+            "where the file is right, with --lights-axes=x,y, or set lights.axes_confirmed: true in capture.yaml"
+        )
         return [warning("lights-axes-undecided", file, what, found=said, remedy=remedy)]
     percent = [100 * value for value in (*arrangement.residual, *arrangement.curl)]
     evidence = (

@@ -15,9 +15,8 @@ import numpy as np
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
 from nishiki.capture.lights import direction_problems
-from nishiki.formats.problems import Problem, raise_errors, warning
+from nishiki.formats.problems import Problem, error_text, name_some, raise_errors, warning
 from nishiki.observations.consistency import (
-    MOST_NAMED,
     ReducedPhotographs,
     ambient_problems,
     movement_problems,
@@ -208,15 +207,15 @@ def _choose_gains(
     gains = np.where(significant, found.gain, 1.0)
     course, rest = law_errors(float(np.nanmedian(found.residual)), capture.directions)
     covariance = found.gain_covariance / np.outer(found.gain, found.gain) + course + rest * np.eye(len(off))
-    names = [f"{frames[j].light} {found.gain[j]:.2f} ± {found.gain_sigma[j]:.2f}" for j in np.flatnonzero(significant)]
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    rows = zip(frames, found.gain, found.gain_sigma, strict=True)
+    texts = [f"{frame.light} {gain:.2f} {error_text(sigma, 2)}" for frame, gain, sigma in rows]
+    said = name_some(texts[j] for j in np.flatnonzero(significant))
     remedy = "Photograph a white board under every lamp"
     if wishes.gains == "never":
         gains, covariance, what = ones, None, "the lamps are not equally strong"
         remedy += ", or set ingest.correct.gains: auto"
     else:
         what = "the lamps are not equally strong; their strengths are estimated from the photographs"
-    said = f"{', '.join(names[:MOST_NAMED])}{more}"
     return gains, covariance, [*problems, warning("lamps-unequal", "frames.csv", what, found=said, remedy=remedy)]
 
 

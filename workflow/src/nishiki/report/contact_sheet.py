@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nishiki.formats.problems import Problem
+from nishiki.formats.problems import Problem, error_text
 from nishiki.observations.consistency import Judgement
 from nishiki.photometric.arrangement import turned
 from nishiki.report.page import Block, Figure, Figures, Note, Page, Section, render_page
@@ -101,7 +101,7 @@ def _arrow(drawing: Drawing, start: Sequence[float], step: np.ndarray, colour: s
 def _numbers(judgement: Judgement, j: int) -> list[str]:
     stated, shown = (_degrees(some[j]) for some in (judgement.directions, _shown_directions(judgement)))
     (x, y), sigma = judgement.movement.shift[j], judgement.movement.sigma[j]
-    shift = [f"shift {x:+z.2f}, {y:+z.2f} ± {sigma:.2f} px"] if np.isfinite(sigma) else []
+    shift = [f"shift {x:+z.2f}, {y:+z.2f} {error_text(sigma, 2)} px"] if np.isfinite(sigma) else []
     arrangement, found = judgement.arrangement, judgement.consistency
     lines = [f"stated {stated}"]
     if arrangement is not None and arrangement.rearranged:
@@ -114,9 +114,9 @@ def _numbers(judgement: Judgement, j: int) -> list[str]:
     lines += [f"repeats {judgement.names[b].split('/')[-1]}" for a, b in found.repeats if a == j]
     return [
         *lines,
-        f"shows {shown} ± {found.direction_sigma_deg[j]:.1f}°, {_angles(judgement)[j]:.1f}° from it",
-        f"gain {found.gain[j]:.3f} ± {found.gain_sigma[j]:.3f}",
-        f"offset {found.offset[j] + 0.0:z.3f} ± {found.offset_sigma[j]:.3f}",
+        f"shows {shown} {error_text(found.direction_sigma_deg[j], 1)}°, {_angles(judgement)[j]:.1f}° from it",
+        f"gain {found.gain[j]:.3f} {error_text(found.gain_sigma[j], 3)}",
+        f"offset {found.offset[j] + 0.0:z.3f} {error_text(found.offset_sigma[j], 3)}",
         *shift,
         f"misfit {100 * found.residual[j]:.1f} %",
     ]

@@ -6,6 +6,7 @@ import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.capture.schema_base import OBJECT_FACTS
+from nishiki.formats.problems import error_text
 from nishiki.report.numbers import degrees, figure, percent
 from nishiki.report.page import Block, Figure, Figures, Fold, Note, Section, Table
 from nishiki.report.svg import bars, lights_plot
@@ -65,7 +66,8 @@ def _corrected(corrections: dict[str, Any]) -> Table | None:
         said += [f"divided by {done['gains'][name]:.2f}"] if name in done["gains"] else []
         said += [f"left out: {done['left_out'][name]}"] if name in done["left_out"] else []
         if said:
-            gain = f"{row['gain']:.2f} ± {row['gain_sigma'] or 0:.2f}" if row.get("gain") is not None else "–"
+            known = row.get("gain_sigma") is not None
+            gain = f"{row['gain']:.2f} {error_text(row['gain_sigma'], 2)}" if known else "–"
             moved = f"{row['shift_px'][0]:+.1f}, {row['shift_px'][1]:+.1f}"
             rows.append((name, moved, gain, "; ".join(said)))
     if not rows:
