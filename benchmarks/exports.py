@@ -61,13 +61,6 @@ def materialx(path: Path) -> str:
     return f"MaterialX: {'valid' if valid else message}"
 
 
-def mitsuba(path: Path) -> str:
-    module = importlib.import_module("mitsuba")
-    module.set_variant("scalar_rgb")
-    scene = module.load_file(str(path))
-    return f"Mitsuba loads it ({len(scene.shapes())} shapes, {len(scene.emitters())} lamps)"
-
-
 def bsdf(path: Path) -> str:
     module = importlib.import_module("mitsuba")
     module.set_variant("scalar_rgb")
@@ -104,7 +97,6 @@ READERS: dict[str, Callable[[Path], str]] = {
     "*.glb": gltf,
     "*.usdz": usd,
     "*.mtlx": materialx,
-    "scene.xml": mitsuba,
     "*.bsdf": bsdf,
     "*.tif": tiff,
     "*.exr": exr,

@@ -1,24 +1,21 @@
-"""Scenes of Mitsuba 3 for objects and with its own material, rendered by it beside our own formulas."""
+"""Scenes of Mitsuba 3 for objects, rendered by it beside our own formulas."""
 
 import importlib.util
 from dataclasses import replace
 from types import SimpleNamespace
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from glossy_ball import PLACE, glossy_ball
+from glossy_ball import glossy_ball
 from refusals import expect_facts
 from scipy.spatial.transform import Rotation
 from unit.test_patches_charts import around
 
 from nishiki.brdf.texels.model import Lighting, predict
-from nishiki.formats.mitsuba_xml import Parameter, write_scene
 from nishiki.geometry.camera import Camera
 from nishiki.report.numbers import figure
-from nishiki.stages.export import renderers as principled
 from nishiki.stages.export.object_look import object_mesh, sample
-from nishiki.stages.export.object_mitsuba import by_principled, falloff, lamp_facts, nearest_pinhole, write_folder
+from nishiki.stages.export.object_mitsuba import lamp_facts, nearest_pinhole, write_folder
 from nishiki.stages.export.object_surface import SeenPoints
 from nishiki.stages.report.capture import lost
 
@@ -32,62 +29,6 @@ def mi():
     mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed (group path-tracing)")
     mitsuba.set_variant("scalar_rgb")
     return mitsuba
-
-
-def test_a_scene_is_written_as_its_dictionary_says(tmp_path):
-    objects = {
-        "lamp": {"type": "point", "position": (1, 2.5, -3), "intensity": {"type": "rgb", "value": [1, 2, 3]}},
-        "shape": {"type": "ply", "filename": Parameter("mesh", "string"), "face_normals": True, "number": 2},
-        "eye": {"type": "orthographic", "to_world": np.arange(16.0).reshape(4, 4), "direction": (0.0, 1.0, 0.0)},
-    }
-    remark = "a--b, a---b----"  # of which XML allows none
-    write_scene(tmp_path / "s.xml", objects, defaults={"mesh": "a.ply"}, include="b/$view.xml", remark=remark)
-    assert "a- -b, a- - -b- - - -" in (tmp_path / "s.xml").read_text()
-    scene = ElementTree.parse(tmp_path / "s.xml").getroot()
-    found = [(each.tag, each.attrib) for each in scene.iter()]
-    assert ("default", {"name": "mesh", "value": "a.ply"}) in found
-    assert ("point", {"name": "position", "x": "1", "y": "2.5", "z": "-3"}) in found
-    assert ("vector", {"name": "direction", "x": "0", "y": "1", "z": "0"}) in found
-    assert ("rgb", {"name": "intensity", "value": "1 2 3"}) in found
-    assert ("string", {"name": "filename", "value": "$mesh"}) in found
-    assert ("boolean", {"name": "face_normals", "value": "true"}) in found
-    assert ("integer", {"name": "number", "value": "2"}) in found
-    assert ("matrix", {"value": " ".join(map(str, range(16)))}) in found
-    assert ("include", {"filename": "b/$view.xml"}) in found
-    with pytest.raises(TypeError, match="expected a number"):
-        write_scene(tmp_path / "s.xml", {"a": {"type": "ply", "b": None}})
-
-
-@pytest.mark.parametrize(("roughness", "reflectance", "weight"), [(0.2, 0.03, 1.0), (0.5, 0.09, 0.4), (0.9, 0.3, 0.0)])
-def test_principled_is_what_mitsuba_evaluates(mi, roughness, reflectance, weight):
-    colour = np.array([0.8, 0.3, 0.1])
-    body = {"type": "rgb", "value": colour.tolist()}
-    material = mi.load_dict(principled.material(body, roughness, reflectance, weight))
-    interaction = mi.SurfaceInteraction3f()
-    interaction.n, interaction.uv = [0, 0, 1], [0.5, 0.5]
-    interaction.sh_frame = mi.Frame3f([0, 0, 1])
-    up, random = np.array([0, 0, 1.0]), np.random.default_rng(3)
-    for light, view in random.normal((0, 0, 1), 1, size=(60, 2, 3)):
-        light, view = light / np.linalg.norm(light), view / np.linalg.norm(view)
-        if min(light[2], view[2]) < 0.05:
-            continue
-        half = (light + view) / np.linalg.norm(light + view)
-        interaction.wi = mi.Vector3f(*view.tolist())
-        theirs = np.array(material.eval(mi.BSDFContext(), interaction, mi.Vector3f(*light.tolist())))
-        cosines = tuple(np.array([each]) for each in (half @ up, light @ up, view @ up, view @ half))
-        diffuse, gloss = principled.shown(colour[None], roughness, reflectance, weight, cosines)
-        np.testing.assert_allclose(theirs * np.pi, (diffuse + gloss[:, None])[0] * light[2], rtol=2e-5)
-
-
-def test_specular_and_roughness_of_principled_mean_what_the_page_says(mi):
-    by_index = mi.load_dict({"type": "principled", "roughness": 0.4, "eta": 1.5})
-    by_specular = mi.load_dict({"type": "principled", "roughness": 0.4, "specular": 0.5})
-    interaction = mi.SurfaceInteraction3f()
-    interaction.sh_frame, interaction.wi = mi.Frame3f([0, 0, 1]), mi.Vector3f(0, 0, 1)
-    values = [
-        np.array(each.eval(mi.BSDFContext(), interaction, mi.Vector3f(0, 0, 1))) for each in (by_index, by_specular)
-    ]
-    np.testing.assert_allclose(*values, rtol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -145,32 +86,16 @@ def test_mitsuba_shows_our_model_of_an_object(mi, exported, nishiki_object):
     assert np.mean((theirs > 1e-6).all(axis=1) != (expected > 1e-4).all(axis=1)) < 0.05
 
 
-def test_the_plain_scene_of_an_object_shows_what_its_loss_is_reckoned_with(mi, exported):
-    look = exported.look
-    points = thinned(SeenPoints.of(look, 2), 7)
-    expected = by_principled(look, look.decoded.mesh.vertices.mean(axis=0))(points)
-    theirs = along_our_rays(
-        mi, mi.load_file(str(exported.folder / "scene.xml"), view="2"), look.decoded.cameras[2], points
-    )
-    lit = (expected > 1e-3).all(axis=1) & (theirs > 1e-6).all(axis=1)
-    assert lit.mean() > 0.5
-    np.testing.assert_allclose(theirs[lit], expected[lit], rtol=5e-3)
-
-
 def test_the_cameras_of_the_scenes_are_the_captures(mi, exported, nishiki_object):
-    for number, camera in enumerate(exported.look.decoded.cameras):
-        scenes = (
-            mi.load_dict(nishiki_object.description(view=camera.name, folder=exported.folder)),
-            mi.load_file(str(exported.folder / "scene.xml"), view=str(number)),
-        )
-        for scene in scenes:
-            sensor = scene.sensors()[0]
-            assert tuple(sensor.film().size()) == (camera.columns, camera.rows)
-            for column, row in ((0, 0), (camera.columns - 1, 3), (10, camera.rows - 1)):
-                place = [(column + 0.5) / camera.columns, (row + 0.5) / camera.rows]
-                ray = sensor.sample_ray(0, 0, place, [0.5, 0.5])[0]
-                point = (np.array(ray.o) + 5 * UNIT * np.array(ray.d)) / UNIT
-                np.testing.assert_allclose(camera.project(point[None])[0], [[column, row]], atol=0.01)
+    for camera in exported.look.decoded.cameras:
+        scene = mi.load_dict(nishiki_object.description(view=camera.name, folder=exported.folder))
+        sensor = scene.sensors()[0]
+        assert tuple(sensor.film().size()) == (camera.columns, camera.rows)
+        for column, row in ((0, 0), (camera.columns - 1, 3), (10, camera.rows - 1)):
+            place = [(column + 0.5) / camera.columns, (row + 0.5) / camera.rows]
+            ray = sensor.sample_ray(0, 0, place, [0.5, 0.5])[0]
+            point = (np.array(ray.o) + 5 * UNIT * np.array(ray.d)) / UNIT
+            np.testing.assert_allclose(camera.project(point[None])[0], [[column, row]], atol=0.01)
     assert exported.figures["camera_px"] == pytest.approx(0, abs=1e-6)
     assert "cameras" not in lost(exported.figures)
 
@@ -221,19 +146,11 @@ def test_the_nearest_pinhole_of_a_projective_camera_and_of_a_square_one(exported
         assert moved(angles, np.exp(size * random.normal()), axis) > (1 - 1e-3) * apart
 
 
-def test_lamps_of_each_kind(mi, exported, nishiki_object):
-    camera, points = exported.look.decoded.cameras[0], exported.look.decoded.mesh.vertices
-    near = Lighting("position", (PLACE,), reference=2.0).lamp(camera)
-    assert falloff(near, points) == 0
-    assert 0.05 < falloff(Lighting("position", (PLACE,)).lamp(camera), points) <= exported.figures["lamp_falloff"]
-    told = f"are off by at most {figure(100 * exported.figures['lamp_falloff'])} % on the object"
-    assert told in lost(exported.figures)
-    assert "lamps" not in lost({**exported.figures, "lamp_falloff": 0.0})
+def test_lamps_of_each_kind(mi, nishiki_object):
     known = {"kind": "point", "position": [0, 0, 1], "distance": 2.0, "falloff": True}
     assert nishiki_object.lamp_of(known)["intensity"]["value"] == pytest.approx([4 * np.pi] * 3)
     unknown = {**known, "falloff": False}
     assert nishiki_object.lamp_of(unknown)["type"] == "nishiki_lamp"
-    assert nishiki_object.lamp_of(unknown, plain=True, scale=2)["intensity"]["value"] == pytest.approx([8 * np.pi] * 3)
     for lamp in ({"kind": "directional", "direction": [0, 0, -1]}, {"kind": "around", "radiance": [0.1, 0.2, 0.3]}):
         assert mi.load_dict(nishiki_object.lamp_of(lamp)) is not None
 

@@ -123,7 +123,7 @@ OBJECT_LIMITS = (
 )  # fmt: skip
 
 
-class ObjectExportSettings(Guarded, stage="object_export", version=2, limits=OBJECT_LIMITS):
+class ObjectExportSettings(Guarded, stage="object_export", version=3, limits=OBJECT_LIMITS):
     """Files of an object for other programs."""
 
     formats: tuple[ObjectFormat, ...] = Field(

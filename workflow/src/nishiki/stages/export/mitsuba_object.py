@@ -119,16 +119,14 @@ def facts_of(folder=None):
     return json.loads((Path(folder or Path(__file__).parent) / "scene.json").read_text())
 
 
-def lamp_of(lamp, *, scale=1.0, plain=False):
-    """A lamp of scene.json as Mitsuba's dictionary; scale: of its strength; plain: by Mitsuba's own types alone, whose
-    near lamps always grow less with the square of the distance."""
-    value = [scale * math.pi] * 3
+def lamp_of(lamp):
+    """Return a lamp of scene.json as Mitsuba's dictionary."""
+    value = [math.pi] * 3
     if lamp["kind"] == "directional":
         return {"type": "directional", "direction": lamp["direction"], "irradiance": {"type": "rgb", "value": value}}
     if lamp["kind"] == "around":
-        radiance = [scale * each for each in lamp["radiance"]]
-        return {"type": "constant", "radiance": {"type": "rgb", "value": radiance}}
-    if lamp["falloff"] or plain:
+        return {"type": "constant", "radiance": {"type": "rgb", "value": lamp["radiance"]}}
+    if lamp["falloff"]:
         value = [each * lamp["distance"] ** 2 for each in value]
         return {"type": "point", "position": lamp["position"], "intensity": {"type": "rgb", "value": value}}
     return {"type": LAMP, "position": lamp["position"], "strength": {"type": "rgb", "value": value}}

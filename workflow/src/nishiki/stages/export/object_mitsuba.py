@@ -1,5 +1,5 @@
-"""An object as a scene of Mitsuba 3: mesh, textures of the fitted model, captured views and lamps, and two materials:
-our reflection model in Python, and `principled` for scenes without Python.
+"""An object as a scene of Mitsuba 3: mesh, textures of the fitted model, captured views and lamps, and our reflection
+model in Python.
 """
 
 import json
@@ -13,16 +13,14 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.texels.model import DISTANT, POINT, Lamp, predict
 from nishiki.colour.colour import decode
 from nishiki.formats.banded_pictures import ExrWriter
-from nishiki.formats.mitsuba_xml import Parameter, write_scene
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.formats.textured_surface import TexturedMesh, faces, heading, vertices
 from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.stages.export import mitsuba_object
-from nishiki.stages.export import renderers as principled
 from nishiki.stages.export.object_look import METRES, ObjectLook, TextureAtlas, fill_gaps, sample
-from nishiki.stages.export.object_surface import ObjectSurface, SeenPoints, Shown, against_photographs
+from nishiki.stages.export.object_surface import ObjectSurface, SeenPoints, against_photographs
 
 FITTED_POINTS = 1000  # of the mesh, to which a pinhole is fitted
 
@@ -32,14 +30,13 @@ def write_mitsuba(context: Context, surface: ObjectSurface) -> dict:
     look = surface.look
     parameters = model_textures(look.decoded, look.layout)
     unit = METRES.get(context.inputs["mesh"].diagnostics.get("unit"), 1.0)
-    middle = surface.mesh.positions.mean(axis=0) / unit
     folder = context.output.path("exports/mitsuba/scene.json").parent
     figures = write_folder(folder, look, surface.mesh, parameters, unit=unit, stamp=context.stamp)
     return {
         "files": sorted(f"exports/mitsuba/{path.relative_to(folder)}" for path in folder.rglob("*") if path.is_file()),
         **look.figures(),
         **figures,
-        "kinds": {name: {"psnr_db": found} for name, found in errors(context, look, parameters, middle).items()},
+        "kinds": {name: {"psnr_db": found} for name, found in errors(context, look, parameters).items()},
     }
 
 
@@ -54,7 +51,7 @@ def write_folder(
 ) -> dict:
     """Write the files; parameters: as of `model_textures`; unit: metres of a length of 1 in the cameras' world.
 
-    Returns the number of vertices, `camera_px` as `scene_facts` has it, and `lamp_falloff`.
+    Returns the number of vertices, and `camera_px` as `scene_facts` has it.
     """
     decoded = look.decoded
     (folder / "object.ply").write_bytes(
@@ -67,15 +64,12 @@ def write_folder(
         channels = "RGB" if values.shape[2] == 3 else "Y"
         with ExrWriter(folder / f"{name}.exr", channels, *values.shape[:2], header) as exr:
             exr.write(values)
-    for name, picture in look.surface().pictures().items():
-        (folder / f"{name}.png").write_bytes(png_bytes(picture))
+    (folder / "colour.png").write_bytes(png_bytes(look.surface().pictures()["colour"]))
     facts, apart = scene_facts(decoded, mesh.positions, unit)
     facts |= {"colour_scale": look.scale, "stamp": dict(stamp)}
     (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
     (folder / "nishiki_object.py").write_text(Path(mitsuba_object.__file__).read_text(encoding="utf-8"))
-    write_plain_scene(folder, look, facts)
-    falloffs = [falloff(decoded.lighting.lamp(camera), mesh.positions / unit) for camera in decoded.cameras]
-    return {"vertices": len(mesh.positions), "camera_px": apart, "lamp_falloff": max(falloffs)}
+    return {"vertices": len(mesh.positions), "camera_px": apart}
 
 
 def model_textures(decoded: DecodedObject, layout: TextureAtlas) -> dict[str, np.ndarray]:
@@ -178,57 +172,8 @@ def lamp_facts(lamp: Lamp, middle: np.ndarray, unit: float) -> dict:
     return {"kind": "around", "radiance": mean.astype(float).tolist()}
 
 
-def falling(lamp: Lamp, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Return (n,) by how much a near lamp whose distance does not count in the capture is stronger at points (n, 3) for
-    a renderer, where it always counts; it is right at the object's middle (3,)."""
-    if lamp.form != POINT or lamp.reference > 0:
-        return np.ones(len(points))
-    distance = np.linalg.norm(points - lamp.vector, axis=1)
-    return (np.linalg.norm(middle - lamp.vector) / distance) ** 2
-
-
-def falloff(lamp: Lamp, points: np.ndarray) -> float:
-    """Return largest share by which such a lamp is stronger or weaker at points (n, 3)."""
-    return float(np.abs(falling(lamp, points, points.mean(axis=0)) - 1).max())
-
-
-def write_plain_scene(folder: Path, look: ObjectLook, facts: dict) -> None:
-    """Write scene.xml with the material `principled`, and camera and lamp of every view and light."""
-    material = principled.material(
-        principled.texture("colour.png", raw=False),
-        principled.texture("roughness.png"),
-        look.normal_reflectance,
-        principled.texture("specular.png"),
-    )
-    objects = {
-        "integrator": {"type": "path", "max_depth": Parameter("max_depth", "integer"), "hide_emitters": True},
-        "object": {"type": "ply", "filename": "object.ply", "material": material},
-    }
-    defaults = {"view": "0", "light": "0", "max_depth": 2, "samples": 16}
-    names = ", ".join(f"{number}: {name}" for number, name in enumerate(facts["views"]))
-    write_scene(
-        folder / "scene.xml", objects, defaults=defaults, include="views/$view-$light.xml", remark=f"views: {names}"
-    )
-    (folder / "views").mkdir()
-    for number, view in enumerate(facts["views"].values()):
-        camera = view["camera"]
-        sensor = {
-            **{"type": "perspective", "fov": camera["field_of_view_deg"], "fov_axis": "x"},
-            "principal_point_offset_x": camera["principal_offset"][0],
-            "principal_point_offset_y": camera["principal_offset"][1],
-            **{"to_world": camera["to_world"], "near_clip": camera["near"], "far_clip": camera["far"]},
-            **principled.film(camera["columns"], camera["rows"]),
-        }
-        for light, lamp in enumerate(view["lamps"].values()):
-            emitter = mitsuba_object.lamp_of(lamp, scale=look.scale, plain=True)
-            write_scene(folder / f"views/{number}-{light}.xml", {"sensor": sensor, "lamp": emitter})
-
-
-def errors(
-    context: Context, look: ObjectLook, parameters: dict[str, np.ndarray], middle: np.ndarray
-) -> dict[str, dict]:
-    """Return PSNR against photographs of the reflection model and of principled, both with the colours of all
-    photographs; middle (3,): of the object in the cameras' world."""
+def errors(context: Context, look: ObjectLook, parameters: dict[str, np.ndarray]) -> dict[str, dict]:
+    """Return PSNR against photographs of the reflection model with the colours of all photographs."""
     colour = decode(look.colour / 255, "srgb")
     model = np.concatenate([colour * look.scale, parameters["ks"], parameters["sigma"]], axis=-1)
 
@@ -236,21 +181,4 @@ def errors(
         kd, ks, sigma = np.split(sample(model, points.places), [3, 6], axis=1)
         return sum(predict(kd, ks, sigma[:, 0], points.positions, points.normals, points.centre, points.lamp))
 
-    found = {"model": by_model, "principled": by_principled(look, middle)}
-    return against_photographs(context, look, found)
-
-
-def by_principled(look: ObjectLook, middle: np.ndarray) -> Shown:
-    """Return what scene.xml shows of seen points; middle (3,): of the object in the cameras' world."""
-    weights = np.stack([look.roughness, look.specular], axis=-1) / 255
-    stored = np.concatenate([decode(look.colour / 255, "srgb"), weights], axis=-1)
-
-    def shown(points: SeenPoints) -> np.ndarray:
-        texels = sample(stored, points.places)
-        irradiance, strength = points.factors()
-        cosines = points.cosines()
-        body, gloss = principled.shown(texels[:, :3], texels[:, 3], look.normal_reflectance, texels[:, 4], cosines)
-        lit = look.scale * (body * irradiance + (gloss * cosines[1] * strength)[:, None])
-        return lit * falling(points.lamp, points.positions, middle)[:, None]
-
-    return shown
+    return against_photographs(context, look, {"model": by_model})

@@ -248,9 +248,4 @@ def lost(each: dict) -> str:
         texts.append(f"{layer}: JPEG keeps {figure(decibels)} dB of the coded picture")
     if each.get("camera_px", 0) >= LEAST_PX:
         texts.append(f"its cameras are off by at most {figure(each['camera_px'])} pixels")
-    if each.get("lamp_falloff"):
-        texts.append(
-            f"lamps of scene.xml, whose distance always counts, are off by at most "
-            f"{figure(100 * each['lamp_falloff'])} % on the object"
-        )
     return "; ".join(texts) or "nothing"
