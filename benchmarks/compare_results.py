@@ -5,7 +5,7 @@
 One JSON object a line for each stage of each scene: how many arrays and figures there are, how many have other
 bytes, and the largest difference, absolute and relative to the largest value of the array (`arrays`), or
 relative to the figure (`figures`). Keys may differ: artifacts are taken from `current/`. Times, digests, versions
-and host names are no figures. Stages of the first folder may have their former names. For checking that a change
+and host names are no figures. For checking that a change
 of structure changes no result; a difference beyond float32 rounding (1e-6) ends with exit status 1.
 """
 
@@ -19,7 +19,6 @@ import zarr
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import _project  # noqa: F401
-from nishiki.stages.table import FORMER_NAMES
 
 ROUNDING = 1e-6  # relative
 NO_FIGURE = {"code", "digest", "key", "libraries", "upstream", "version", "files", "stamp", "created", "seconds"}
@@ -36,7 +35,7 @@ def main() -> None:
     for scene in arguments.scenes or sorted(path.parent.name for path in arguments.before.glob("*/current")):
         first, second = (folder / scene / "current" for folder in (arguments.before, arguments.after))
         for stage in sorted(path.name for path in first.iterdir() if (path / "artifact.json").is_file()):
-            row = compared(first / stage, second / FORMER_NAMES.get(stage, stage))
+            row = compared(first / stage, second / stage)
             worst = max(worst, row["arrays_relative"], row["figures_relative"], float("inf") if row["missing"] else 0)
             print(json.dumps({"scene": scene, "stage": stage, **row}), flush=True)
     sys.exit(worst > ROUNDING)
@@ -105,7 +104,7 @@ def manifest(folder: Path) -> dict:
     told = {"diagnostics": json.loads((folder / "artifact.json").read_text())["diagnostics"]}
     for path in sorted(folder.resolve().glob("*.json")):
         if path.name not in ("artifact.json", "run.json"):
-            told[FORMER_NAMES.get(path.stem, path.stem)] = json.loads(path.read_text())
+            told[path.stem] = json.loads(path.read_text())
     return told
 
 

@@ -1,65 +1,64 @@
 """Mistakes in settings are told by the keys that the user wrote, with what would be right."""
 
 import pytest
+from pydantic import ValidationError
+from refusals import refused
 
-from nishiki.artifacts.closed import parse
+from nishiki.artifacts.closed import FORMER, faults, parse
 from nishiki.engine.project import Configuration
 from nishiki.errors import UserError
-from nishiki.stages.table import PRODUCTS
 
-PRODUCT_NAMES = f"{', '.join(map(repr, PRODUCTS[:-1]))} or {PRODUCTS[-1]!r}"
-MESSAGES = {
-    "a kind of value": ({"hold_out": "ring1"}, "hold_out: input should be 'auto' or 'none' or a list, found 'ring1'"),
-    "a word or a block": (
-        {"scatter": "all"},
-        "scatter: input should be 'none' or 'auto' or a block of keys and values, found 'all'",
-    ),
-    "a key of such a block": (
-        {"scatter": {"height": 2}},
-        "scatter.height: input should be 'separate', 'normals' or 'spectra', found 'height'",
-    ),
-    "a value of such a block": (
-        {"scatter": {"normals": 0}},
-        "scatter.normals: input should be greater than or equal to 1, found 0",
-    ),
-    "a block that is none": ({"normals": 3}, "normals: input should be a block of keys and values, found 3"),
-    "a word or a number": (
-        {"separate": {"lights": "x"}},
-        "separate.lights: input should be 'all' or 'auto' or an integer, found 'x'",
-    ),
-    "items of a list": (
-        {"hold_out": ["a", 1]},
-        "hold_out.1: input should be a valid string, found 1",
-    ),
-    "a list too short": ({"separate": {"keep": [0.1]}}, "key 'separate.keep.1' is missing"),
+FAULTS = {
+    "a kind of value": ({"hold_out": "ring1"}, [("wrong-value", "hold_out", "ring1")]),
+    "a word or a block": ({"scatter": "all"}, [("wrong-value", "scatter", "all")]),
+    "a key of such a block": ({"scatter": {"height": 2}}, [("wrong-value", "scatter.height", "height")]),
+    "a value of such a block": ({"scatter": {"normals": 0}}, [("wrong-value", "scatter.normals", 0)]),
+    "a block that is none": ({"normals": 3}, [("wrong-value", "normals", 3)]),
+    "a word or a number": ({"separate": {"lights": "x"}}, [("wrong-value", "separate.lights", "x")]),
+    "items of a list": ({"hold_out": ["a", 1]}, [("wrong-value", "hold_out.1", 1)]),
+    "a list too short": ({"separate": {"keep": [0.1]}}, [("missing-key", "separate.keep.1", None)]),
     "inside a list of blocks": (
         {"render": {"pictures": [{"nam": 1}]}},
-        "key 'render.pictures.0.name' is missing; unknown key 'render.pictures.0.nam'; did you mean 'name'?",
+        [("missing-key", "render.pictures.0.name", None), ("unknown-key", "render.pictures.0.nam", None)],
     ),
     "blocks of several kinds": (
         {"render": {"pictures": [{"name": "a", "view": {"kind": "x"}}]}},
-        "render.pictures.0.view.kind: input should be 'frontal' or 'pinhole', found 'x'",
+        [("wrong-value", "render.pictures.0.view.kind", "x")],
     ),
-    "one of a few words": (
-        {"normals": {"solver": "x"}},
-        "normals.solver: input should be 'default', 'lobe' or 'least_squares', found 'x'",
-    ),
-    "a stage by its former name": ({"fabric": {"oblique": 0}}, "unknown key 'fabric'; it is now called 'cloth_brdf'"),
-    "a product by its former name": (
-        {"products": ["weave", "reflection"]},
-        f"products.1: input should be {PRODUCT_NAMES}, found 'reflection'; it is now called 'object_brdf'",
-    ),
-    "the only product by its former name": (
-        {"products": ["fabric"]},
-        f"products.0: input should be {PRODUCT_NAMES}, found 'fabric'; it is now called 'cloth_brdf'",
-    ),
-    "a key that is near": ({"heigth": {}}, "unknown key 'heigth'; did you mean 'height'?"),
+    "one of a few words": ({"normals": {"solver": "x"}}, [("wrong-value", "normals.solver", "x")]),
+    "a product by its former name": ({"products": ["weave", "fabric"]}, [("wrong-value", "products.1", "fabric")]),
+    "a key that is near": ({"heigth": {}}, [("unknown-key", "heigth", None)]),
 }
 
 
-@pytest.mark.parametrize("name", MESSAGES)
+@pytest.mark.parametrize("name", FAULTS)
 def test_what_is_reported(name):
-    values, words = MESSAGES[name]
-    with pytest.raises(UserError) as told:
+    values, expected = FAULTS[name]
+    with pytest.raises(ValidationError) as caught:
+        Configuration.model_validate(values)
+    found = faults(Configuration, values, caught.value)
+    assert [(fault.kind, fault.key, fault.value) for fault in found] == expected
+    with refused(UserError, *(fault.key for fault in found)):
         parse(Configuration, values, "c.yaml")
-    assert str(told.value) == f"c.yaml: {words}"
+
+
+@pytest.mark.parametrize(
+    ("values", "former"),
+    [
+        ({"fabric": {"oblique": 0}}, "fabric"),
+        ({"products": ["weave", "reflection"]}, "reflection"),
+        ({"brdf": {"lobes": "ladder"}}, "brdf.lobes"),
+        ({"cloth_render": {"cloth": {}}}, "cloth_render.cloth"),
+        ({"normals": {"solver": "lobes"}}, "normals.solver: lobes"),
+        ({"cloth_brdf": {"model": "ward"}}, "ward"),
+        ({"cloth_brdf": {"compare": ["facets", "ggx"]}}, "ggx"),
+    ],
+)
+def test_what_earlier_versions_took_is_refused_with_its_remedy(values, former):
+    with refused(UserError, FORMER[former]):
+        parse(Configuration, values, "c.yaml")
+
+
+def test_the_nearest_key_is_named():
+    with refused(UserError, "heigth", "height"):
+        parse(Configuration, {"heigth": {}}, "c.yaml")

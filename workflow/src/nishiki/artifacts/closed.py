@@ -2,7 +2,6 @@
 
 import difflib
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
 
@@ -11,14 +10,28 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from nishiki.artifacts.limits import Limit
 from nishiki.errors import UserError
 
+_PEER = "choose another model: a benchmark compares this one with them"
+FORMER = {
+    "reflection": "it is now called 'object_brdf'",
+    "reflectance": "it is now called 'goniometer_samples'",
+    "fabric": "it is now called 'cloth_brdf'",
+    "fabric_render": "it is now called 'cloth_render'",
+    "fabric_evaluate": "it is now called 'cloth_evaluate'",
+    "fabric_report": "it is now called 'cloth_report'",
+    "brdf.lobes": "delete it: the ladder of widths is the only mixture of lobes",
+    "cloth_render.cloth": "delete it: the cloth is draped as it was by default",
+    "normals.solver: lobes": "delete it: 'lobe' is the default and was not worse on any measured object",
+    "ward": _PEER,
+    "ashikhmin_shirley": _PEER,
+    "ggx": _PEER,
+}
+"""Remedies for what earlier versions took: a key with its dots, a value of a key after a colon, or a value anywhere."""
+
 
 class Closed(BaseModel):
     """Base of every settings model: frozen, no unknown keys, no silent conversion of strings to numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
-
-    RENAMED: ClassVar[Mapping[str, str]] = {}
-    """Present names of keys and values that had another name in earlier versions."""
 
 
 class Guarded(Closed):
@@ -168,13 +181,10 @@ def _fault(model: type[Closed], path: tuple, problem: Any) -> Fault:
         known = _known_keys(model, path[:-1])
         near = difflib.get_close_matches(last, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
-        return Fault("unknown-key", key, hint=_renamed(model, last) or hint)
-    return Fault("wrong-value", key, _plain(problem["msg"]), _renamed(model, value), value)
-
-
-def _renamed(model: type[Closed], name: Any) -> str:
-    present = model.RENAMED.get(name) if isinstance(name, str) else None
-    return f"it is now called {present!r}" if present else ""
+        return Fault("unknown-key", key, hint=FORMER.get(key, hint))
+    return Fault(
+        "wrong-value", key, _plain(problem["msg"]), FORMER.get(f"{key}: {value}", FORMER.get(str(value), "")), value
+    )
 
 
 def _joined(path: tuple) -> str:

@@ -3,19 +3,18 @@
 import csv
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import yaml
 from pydantic import Field, create_model
 
-from nishiki.artifacts.closed import Closed, parse
+from nishiki.artifacts.closed import FORMER, Closed, parse
 from nishiki.errors import UserError
 from nishiki.formats import plain_yaml
 from nishiki.formats.files import is_plain, read_text
-from nishiki.stages.table import CHAIN, FORMER_NAMES, PRODUCTS, chain_of
+from nishiki.stages.table import CHAIN, PRODUCTS, chain_of
 from nishiki.sweep.settings import SweepName, SweepSettings
 
 CONFIGURATION = "config/config.yaml"
@@ -32,8 +31,6 @@ SWEEPS = "sweeps"
 
 class Shared(Closed):
     """Settings of a scene that concern several stages."""
-
-    RENAMED: ClassVar[Mapping[str, str]] = FORMER_NAMES
 
     hold_out: Literal["auto", "none"] | tuple[str, ...] = Field(
         "auto",
@@ -176,8 +173,7 @@ def _scene(row: dict[str, str], configuration: Configuration, values: dict, tabl
     products = tuple(row.get("products", "").replace(",", " ").split()) or configuration.products
     unknown = [product for product in products if product not in PRODUCTS]
     if unknown:
-        present = FORMER_NAMES.get(unknown[0])
-        hint = f"it is now called {present!r}" if present else f"known: {', '.join(PRODUCTS)}"
+        hint = FORMER.get(unknown[0], f"known: {', '.join(PRODUCTS)}")
         raise UserError(f"{table}: scene {name!r}: unknown product {unknown[0]!r}; {hint}")
     truth = row.get("truth", "").strip()
     return Scene(

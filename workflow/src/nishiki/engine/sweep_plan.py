@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from nishiki.artifacts.closed import parse
+from nishiki.artifacts.closed import FORMER, parse
 from nishiki.artifacts.provenance import differences
 from nishiki.engine.plan import Plan, make_plan
 from nishiki.engine.project import Project, Scene, Shared, load_yaml, scene_with
 from nishiki.errors import UserError
 from nishiki.stages.base import SceneFacts
-from nishiki.stages.table import CHAIN, FORMER_NAMES
+from nishiki.stages.table import CHAIN
 from nishiki.sweep.settings import AS_CONFIGURED, SweepSettings, Variant, expand, nested
 
 FILE_KEYS = ("configuration",)
@@ -93,8 +93,7 @@ def plan_sweep(named: str, project: Project, facts_of: Callable[[Scene], SceneFa
     if unknown:
         raise UserError(f"{named}: no scene {unknown[0]!r} in the scene table; scenes: {', '.join(project.scenes)}")
     if sweep.stage not in CHAIN:
-        present = FORMER_NAMES.get(sweep.stage)
-        hint = f"it is now called {present!r}" if present else f"stages: {', '.join(CHAIN)}"
+        hint = FORMER.get(sweep.stage, f"stages: {', '.join(CHAIN)}")
         raise UserError(f"{named}: stage: unknown stage {sweep.stage!r}; {hint}")
     variants = expand(sweep, stages=CHAIN, where=named)
     scenes = [project.scenes[scene] for scene in sweep.scenes or project.scenes]

@@ -142,8 +142,6 @@ class Stage:
         What it makes, in a few words.
     geometry : str or None
         Of the captures that it is for; None: all.
-    formerly : str
-        Name that it had in earlier versions: using it is an error that gives the present name.
     product : str
         Name under which a scene asks for it, where that is not its own: the `render` of a plane and that of a
         turntable are different stages with one name for the user.
@@ -176,7 +174,6 @@ class Stage:
     settings: type[Guarded]
     does: str
     geometry: str | None = "plane"
-    formerly: str = ""
     product: str = ""
     requires: tuple[str, ...] = ()
     wants: Callable[[Closed], tuple[str, ...]] = lambda settings: ()

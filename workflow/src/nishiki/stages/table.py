@@ -39,7 +39,6 @@ NAMES = (
 
 CHAIN: dict[str, Stage] = {name: declaration_of(name) for name in NAMES}
 PRODUCTS = tuple(dict.fromkeys(stage.asked_as for stage in CHAIN.values() if stage.name != "ingest"))
-FORMER_NAMES = {stage.formerly: name for name, stage in CHAIN.items() if stage.formerly}
 LIMITS: dict[str, tuple[Limit, ...]] = {name: stage.limits for name, stage in CHAIN.items()}
 """Stages that judge and show (render, evaluate, report) have none: a bad result must be shown as well."""
 

@@ -101,7 +101,6 @@ class ObjectBrdfSettings(Guarded, stage="object_brdf", version=2, limits=OBJECT_
 OBJECT = Stage(
     settings=ObjectBrdfSettings,
     does="Lambert and Torrance-Sparrow parameters of every texel",
-    formerly="reflection",
     geometry="turntable",
     requires=("ingest", "texels"),
     needs_colour=True,
@@ -173,7 +172,6 @@ def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -
 CLOTH = Stage(
     settings=ClothBrdfSettings,
     does="reflectance for every direction of light and view",
-    formerly="fabric",
     geometry="goniometer",
     requires=("goniometer_samples",),
     wants=lambda settings: ("weave",) * ("weave" in (settings.model, *settings.compare)),

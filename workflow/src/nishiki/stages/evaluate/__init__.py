@@ -93,7 +93,6 @@ def _seen_from_one_light_only(facts: SceneFacts, settings: Closed) -> str | None
 CLOTH = Stage(
     settings=ClothEvaluateSettings,
     does="errors of the predicted against the measured reflectance",
-    formerly="fabric_evaluate",
     geometry="goniometer",
     product="evaluate",
     requires=("goniometer_samples", "cloth_brdf"),

@@ -109,7 +109,6 @@ def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -
 STAGE = Stage(
     settings=GoniometerSamplesSettings,
     does="photographs by direction to reflectance, over the whole hemisphere",
-    formerly="reflectance",
     geometry="goniometer",
     requires=("ingest",),
     needs_colour=True,

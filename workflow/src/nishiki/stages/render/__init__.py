@@ -259,7 +259,6 @@ def with_digest_of_mesh(mesh: MeshSettings | None, stage: str) -> dict:
 CLOTH = Stage(
     settings=ClothRenderSettings,
     does="the cloth on a draped mesh, in any dye",
-    formerly="fabric_render",
     geometry="goniometer",
     product="render",
     requires=("cloth_brdf",),

@@ -69,7 +69,6 @@ class ClothReportSettings(PageSettings, stage="cloth_report", version=1):
 CLOTH = Stage(
     settings=ClothReportSettings,
     does="HTML report of the scene",
-    formerly="fabric_report",
     geometry="goniometer",
     product="report",
     requires=("ingest", "goniometer_samples"),
