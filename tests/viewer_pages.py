@@ -100,6 +100,38 @@ class Page:
         return values[::-1, :, :3]
 
 
+def lens_and_larger_picture(shown: Page, rows: int, columns: int, **state: Any) -> tuple[np.ndarray, np.ndarray]:
+    """What a lens shows of a picture of this size, and the same part of the picture of three times the size: uint8."""
+    at, side = (columns // 2 - 5, rows // 2 + 3), 40
+    larger = shown.picture(3 * columns, 3 * rows, **state).copy()
+    shown.picture(columns, rows, **state)
+    left, top = at[0] - side // 2, at[1] - side // 2
+    draw = """([at, region]) => {
+      const { scene, state } = nishiki, seen = scene.enlarged(state, 3, at, at);
+      do scene.draw(seen, region, "lens"); while (scene.busy);
+      return (READ)(); // at once: the page draws its own state after it
+    }""".replace("READ", READ)
+    region = {"x": left, "y": top, "width": side, "height": side}
+    values = np.frombuffer(base64.b64decode(shown.page.evaluate(draw, [at, region])), np.uint8)
+    drawn = values.reshape(rows, columns, 4)[::-1, :, :3]
+    first = (top + 2 * at[1], left + 2 * at[0])
+    return (
+        drawn[top : top + side, left : left + side],
+        larger[first[0] : first[0] + side, first[1] : first[1] + side],
+    )
+
+
+def presets_seen(shown: Page) -> dict[str, np.ndarray]:
+    """The canvas under every preset of the page, the first of them, which is chosen last, twice."""
+    buttons = shown.page.locator("#panel [role=group][aria-label=Presets] button")
+    seen = {}
+    for number in (*range(buttons.count()), 0):
+        buttons.nth(number).evaluate("each => each.click()")
+        assert buttons.nth(number).get_attribute("aria-pressed") == "true"
+        seen[buttons.nth(number).text_content() + (" again" if number == 0 and seen else "")] = shown.canvas().copy()
+    return seen
+
+
 @contextmanager
 def painting_page(current: Path, folder: Path) -> Iterator[Path]:
     """The page that the stage viewer makes in an empty folder of the present results of a painting."""

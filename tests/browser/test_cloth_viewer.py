@@ -139,6 +139,23 @@ def test_dragging_turns_the_cloth_and_another_surface_brings_its_own_view(shown)
     assert (again == before).all()
 
 
+def test_the_lens_shows_the_picture_of_three_times_the_size(shown):
+    state = {**STATES["distant"], "exposure": 0.9, "options": {"shape": "drape"}, "view": None, "layer": "appearance"}
+    lens, larger = viewer_pages.lens_and_larger_picture(shown.page, 90, 120, **state)
+    assert np.ptp(larger) > 20
+    apart = viewer_pages.difference(lens, larger)
+    assert np.median(apart) == 0
+    assert np.mean(apart > 2) < 0.01
+
+
+def test_presets_change_what_is_seen_and_the_first_one_brings_it_back(shown):
+    shown.page.picture(120, 90, options={"shape": "flat"}, view=None, layer="appearance")
+    opened, *others, again = viewer_pages.presets_seen(shown.page).values()
+    assert len(others) == 2  # raking, gloss
+    assert np.array_equal(opened, again)
+    assert all(np.mean(opened != other) > 0.05 for other in others)
+
+
 def test_layers_and_an_own_dye_differ_and_nothing_was_complained_of(shown):
     names = shown.page.page.evaluate("nishiki.scene.layers().map(layer => layer.name)")
     state = {"view": None, "options": {"shape": "drape"}, "lamps": [lamp(140, 35)]}

@@ -13,6 +13,7 @@ from nishiki.geometry.camera import look_at
 from nishiki.render.display import encoded
 from nishiki.render.object.shots import Shot, neighbours
 from nishiki.report.viewer.page import Blocks
+from nishiki.stages.render.painting import direction
 from nishiki.stages.viewer.object import write_object
 
 pytestmark = pytest.mark.skipif(viewer_pages.missing() is not None, reason=str(viewer_pages.missing()))
@@ -138,7 +139,7 @@ def test_two_states_with_shadows_of_their_own_come_to_rest(shown):
       const { scene } = nishiki;
       do {
         scene.draw(state, {x: 75, y: 0, width: 75, height: 130});
-        scene.draw({...state, ...kept}, {x: 0, y: 0, width: 75, height: 130});
+        scene.draw({...state, ...kept}, {x: 0, y: 0, width: 75, height: 130}, "left");
       } while (scene.busy);
       return (READ)(); // at once: the page draws its own state after it
     }""".replace("READ", viewer_pages.READ)
@@ -291,6 +292,55 @@ def test_a_region_is_a_part_of_the_same_picture(shown):
     assert (mixed[:, :70] == whole[:, :70]).all()
     assert (mixed[:, 70:] == other[:, 70:]).all()
     assert (whole != other).any()
+
+
+def test_the_lens_shows_the_picture_of_three_times_the_size(shown):
+    state = {"options": {}, "lamps": [], "ambient": 0, "layer": "appearance", "view": {"captured": 2}}
+    lens, larger = viewer_pages.lens_and_larger_picture(shown.page, 130, 150, **state)
+    assert np.ptp(larger) > 20
+    assert viewer_pages.difference(lens, larger).max() < 1
+
+
+def test_the_lens_goes_with_the_pointer_and_does_not_turn(shown):
+    page = with_tool(shown, "g")
+    before = shown.page.canvas()
+    page.mouse.move(150, 100)
+    page.locator("#lens").wait_for(state="visible")
+    page.mouse.down()
+    page.mouse.move(155, 100)
+    page.mouse.up()
+    assert 0 < np.mean(shown.page.canvas() != before) < 1
+    assert page.evaluate("nishiki.state.view.captured") == 2
+    page.mouse.move(150, 250)
+    page.keyboard.press("m")
+    page.locator("#lens").wait_for(state="hidden")
+    assert np.array_equal(shown.page.canvas(), before)
+
+
+def test_presets_change_what_is_seen_and_the_first_one_brings_it_back(shown):
+    canvas(shown, view={"captured": 2}, ambient=0.05)
+    seen = viewer_pages.presets_seen(shown.page)
+    opened, *others, again = seen.values()
+    assert len(others) == 3  # raking, gloss, relief
+    assert np.array_equal(opened, again)
+    pictures = [opened, *others]
+    assert all(np.mean(a != b) > 0.05 for k, a in enumerate(pictures) for b in pictures[:k])
+
+
+def test_the_emphasised_gloss_is_brightest_halfway_between_lamp_and_eye(shown):
+    lamps = [viewer_pages.lamp(30, 50, radius_deg=0)]
+    options = {"lighting": "free", "shadows": False}
+    view = {"view": {"captured": 2}, "lamps": lamps, "options": options}
+    bright = canvas(shown, **view, enhance="specular", strength=1, exposure=0.5).sum(axis=-1, dtype=int)
+    rows, columns = np.nonzero(bright == bright.max())
+    at = [float(np.median(columns)), float(np.median(rows))]
+    probed = shown.page.page.evaluate("([x, y]) => nishiki.scene.probe(x, y, nishiki.state)", at)
+    camera = shown.decoded.cameras[2]
+    towards = camera.rotation.T @ (np.array([1, -1, -1]) * direction(50, 30))
+    away = camera.centre - np.array(probed["position_mm"])
+    halfway = towards + away / np.linalg.norm(away)
+    assert probed["normal"] @ halfway / np.linalg.norm(halfway) > 0.99
+    canvas(shown, enhance="none", exposure=1)
 
 
 def test_controls_that_change_nothing_are_not_offered(shown):

@@ -8,7 +8,9 @@ import { lensOf } from "viewer/lens";
 import { PlaneView } from "viewer/plane_view";
 import { crc32, withTexts } from "viewer/png";
 import { bookmark, firstState, fromBookmark } from "viewer/state";
-import { panned, tilted, zoomed } from "viewer/flat";
+import { enlarged, panned, tilted, zoomed } from "viewer/flat";
+import { enlarged as nearer, lookAt, projected } from "viewer/cameras";
+import { smoothed } from "viewer/coded_object";
 
 const PLANE = { rows: 300, columns: 400, pitch_mm: 0.25 };
 const near = (found, expected, reach = 1e-9) => found.forEach((value, k) => assert.ok(Math.abs(value - expected[k]) <= reach, `${found} is not ${expected}`));
@@ -21,7 +23,8 @@ function scene() {
     const [column, row] = of(state).toMap(x, y);
     return [(column - 200) * 0.25, (150 - row) * 0.25];
   };
-  return { canvas, toScene, bounds: () => ({ width_mm: 100, height_mm: 75, unit: "mm" }) };
+  const made = { canvas, toScene, bounds: () => ({ width_mm: 100, height_mm: 75, unit: "mm" }), enlarged: (...asked) => enlarged(made, ...asked) };
+  return made;
 }
 const state = { view: { x: 3, y: -7, zoom: 1.5, tilt_deg: 0, azimuth_deg: 0 }, compare: null };
 
@@ -100,6 +103,45 @@ test("the lens shows the place under the pointer in its middle, larger", () => {
   assert.deepEqual(raised.region, { x: 200, y: 0, width: 200, height: 150 });
   near(made.toScene(300, 50, raised.state), made.toScene(...at, state), 0.05);
   assert.equal(lensOf(made, state, { at: [900, 900], size: 100, raised: false }).region.width, 0);
+});
+
+test("the picture of a camera is larger about a place, which comes to lie where it is wanted", () => {
+  const size = { width: 300, height: 200 }, view = { eye: [1, 2, 8], target: [0, 0, 0], up: [0, 1, 0], fov_deg: 30 };
+  const camera = { ...lookAt(view, size.height, size.width), distortion: [-0.1, 0.02, 0.001, 0.002, 0] }, points = [[0.3, 0.2, 0.4], [0.5, -0.1, 0]];
+  const pixel = (by, point) => projected(by, point).map((v) => v + 0.5), from = pixel(camera, points[0]), to = [100, 50];
+  const part = ([x, y]) => [x / size.width, y / size.height], larger = nearer(camera, { times: 3, from: part(from), to: part(to) }, size);
+  near(pixel(larger, points[0]), to, 1e-6);
+  const apart = (by) => pixel(by, points[1]).map((v, k) => v - pixel(by, points[0])[k]);
+  near(apart(larger), apart(camera).map((v) => 3 * v), 1e-6);
+});
+
+test("smoothed normals keep the form and lose the relief", () => {
+  // a cylinder of radius 2 with ripples of its normals, on a grid of 60 x 60 corners a tenth apart
+  const side = 60, angle = (column) => (column - side / 2) * 0.05, vertices = [], normals = [], form = [], triangles = [];
+  for (let n = 0; n < side * side; n++) {
+    const column = n % side, row = (n - column) / side, ripple = angle(column) + 0.3 * (-1) ** (row + column);
+    vertices.push(2 * Math.sin(angle(column)), row * 0.1, 2 * Math.cos(angle(column)));
+    normals.push(Math.sin(ripple), 0, Math.cos(ripple));
+    form.push(Math.sin(angle(column)), 0, Math.cos(angle(column)));
+    if (row < side - 1 && column < side - 1) triangles.push(n, n + 1, n + side, n + 1, n + side + 1, n + side);
+  }
+  const found = smoothed(normals, vertices, triangles, 0.3);
+  for (const row of [25, 30]) for (const column of [20, 30, 41]) {
+    const at = 3 * (row * side + column);
+    near(found.subarray(at, at + 3), form.slice(at, at + 3), 0.01);
+  }
+  // the spread of a single corner's normal is the deviation that was asked for, along both axes
+  const spike = vertices.map((_, k) => (k % 3 === 2 ? 1 : 0)), middle = 3 * (30 * side + 30);
+  spike[middle] = 1e-3;
+  const spread = smoothed(spike, vertices.map((v, k) => (k % 3 === 2 ? 0 : k % 3 ? v : ((k / 3) % side) * 0.1)), triangles, 0.3);
+  let total = 0, across = 0, along = 0;
+  for (let n = 0; n < side * side; n++) {
+    const [x, y] = [(n % side) - 30, Math.floor(n / side) - 30].map((v) => v * 0.1), weight = spread[3 * n];
+    total += weight;
+    across += weight * x * x;
+    along += weight * y * y;
+  }
+  near([Math.sqrt(across / total), Math.sqrt(along / total)], [0.3, 0.3], 0.06);
 });
 
 test("zoom keeps the place under the pointer, and a pan moves it", () => {

@@ -109,6 +109,13 @@ export function fitted(camera, rows, columns) {
   return { ...camera, intrinsics: multiply(change, camera.intrinsics), rows, columns };
 }
 
+/** The same camera with its picture {width, height} so many times larger, the place `from` brought to `to`: both [x, y] as
+ * parts of the picture. */
+export function enlarged(camera, { times, from, to }, { width, height }) {
+  const shift = (k, size) => (to[k] - times * from[k]) * size + 0.5 * (times - 1);
+  return { ...camera, intrinsics: multiply([[times, 0, shift(0, width)], [0, times, shift(1, height)], [0, 0, 1]], camera.intrinsics) };
+}
+
 /** Eye, target, up and field of view of a camera whose target lies beside `centre`. */
 export function freeView(camera, centre) {
   const eye = centreOf(camera), [, down, ahead] = camera.rotation;

@@ -1,11 +1,11 @@
 // The viewer's scene of a cloth: draped, flat or on cylinders, with any of its models and dyes, under any lamps.
 
 import { unpackArrays } from "viewer/arrays";
-import { freeView, lookAt, screenMatrix } from "viewer/cameras";
+import { enlarged, freeView, lookAt, screenMatrix } from "viewer/cameras";
 import { sharesOf, uploadMaterial, uploadSurface } from "viewer/cloth_blocks";
 import { CLOTH_FRAGMENT, CLOTH_VERTEX, DEVELOP_FRAGMENT, SHADOW_VERTEX } from "viewer/cloth_shaders";
 import { decode } from "viewer/colour";
-import { SCREEN_VERTEX } from "viewer/common_shaders";
+import { SCREEN_VERTEX, enhancementOf } from "viewer/common_shaders";
 import { freeLamps } from "viewer/free_lamps";
 import { Shader, drop, framebuffer, image } from "viewer/gl";
 import { dot, normalised, scale, subtract } from "viewer/matrices";
@@ -58,6 +58,11 @@ export class ClothScene extends RoundScene {
   /** What of the panel this scene has use for. */
   get offers() {
     return ["softness", "exposure sheet"];
+  }
+
+  /** The surfaces are computed, not captured: they have no relief to exaggerate. */
+  get enhancements() {
+    return ["none", "specular"];
   }
 
   /** For the control of the camera. */
@@ -159,7 +164,7 @@ export class ClothScene extends RoundScene {
     const zero = new Array(16).fill(0);
     return {
       lamps: lamps.length, near: padded(lamps.map(({ near }) => near), false), lampVector: padded(lamps.map(({ vector }) => vector), [0, 0, 1]),
-      strength: padded(lamps.map(({ strength }) => strength), 0), reference: padded(lamps.map(({ distance }) => distance), 1),
+      lampStrength: padded(lamps.map(({ strength }) => strength), 0), reference: padded(lamps.map(({ distance }) => distance), 1),
       toLamp: padded(matrices, zero), centre: shape.centre, radius: shape.radius, shadows: this.maps.texture, lift: shape.lift, shadowBias: MAP_BIAS,
       above: state.ambient ?? 0, below: BELOW * (state.ambient ?? 0), reflectance: shape.reflectance, leastCosine: least_cosine,
       table: material.table, sides, rings, turns, edge, largest: material.largest, ...sharesOf(this.gl, material, dye),
@@ -175,12 +180,18 @@ export class ClothScene extends RoundScene {
     return Boolean(this.shapes.get(`shape-${shape}`)?.made && this.materials.get(key)?.table);
   }
 
-  /** Draw one frame; region {x, y, width, height} of the canvas, from its upper left corner, or all of it. */
-  draw(state, region) {
+  /** Give up what was kept for parts of the canvas that are not drawn any more. */
+  keepOnly(parts) {
+    this.means.keepOnly(parts);
+  }
+
+  /** Draw one frame; region {x, y, width, height} of the canvas, from its upper left corner, or all of it; part: its name,
+   * `main`, `left` of the divider, or `lens`. */
+  draw(state, region, part = "main") {
     const { width, height } = this.canvas, area = region ?? { x: 0, y: 0, width, height };
     if (!this.#has(state)) return;
     this.shown = this.shapeName(state);
-    const { texture, more } = this.means.next(area, state, width, height);
+    const { texture, more } = this.means.next(part, area, state, { width, height });
     if (more) setTimeout(() => this.onready());
     this.onCanvas(area, () => {
       this.programs.develop.use({ picture: texture, exposure: exposureOf(state), coded: layerOf(state) > 0 });
@@ -188,24 +199,30 @@ export class ClothScene extends RoundScene {
     });
   }
 
-  #drawSample(target, size, shift, k, state) {
-    this.#drawSurface(target, state, size, shift, k, layerOf(state));
+  /** Draw one sample of a picture, within an area {x, y, width, height} of the framebuffer where it is given. */
+  #drawSample(target, size, shift, k, state, area) {
+    this.#drawSurface(target, state, size, shift, k, layerOf(state), { area });
   }
 
-  #drawSurface(target, state, size, shift, k, layer, picture = size) {
+  #drawSurface(target, state, size, shift, k, layer, { picture = size, area = null } = {}) {
     const { gl } = this, name = this.shapeName(state), surface = this.shapes.get(`shape-${name}`);
     const view = this.viewOf(state), camera = this.cameraOf(view, name, picture);
     const uniforms = this.#uniforms(state, surface, k);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.viewport(0, 0, size.width, size.height);
     gl.enable(gl.DEPTH_TEST);
+    if (area) {
+      gl.enable(gl.SCISSOR_TEST);
+      gl.scissor(area.x, area.y, area.width, area.height);
+    }
     gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
     gl.clear(gl.DEPTH_BUFFER_BIT);
     gl.bindVertexArray(surface.made);
     const { radius } = this.manifest.shapes[name], toScreen = screenMatrix(camera, size, shift, NEAREST * radius, FARTHEST * radius);
-    this.programs.cloth.use({ ...uniforms, toScreen, eye: view.eye, layer });
+    this.programs.cloth.use({ ...uniforms, toScreen, eye: view.eye, layer, enhance: enhancementOf(state), strength: state.strength ?? 0 });
     gl.drawElements(gl.TRIANGLES, surface.all, gl.UNSIGNED_INT, 0);
     gl.bindVertexArray(null);
+    gl.disable(gl.SCISSOR_TEST);
   }
 
   /** The camera of a view; a canvas that is narrower than the first view's picture shows the same from side to side. */
@@ -213,7 +230,7 @@ export class ClothScene extends RoundScene {
     const { rows, columns } = this.manifest.shapes[shape].camera;
     const camera = lookAt(view, Math.min(height, (width * rows) / columns), width);
     camera.intrinsics[1][2] = (height - 1) / 2;
-    return camera;
+    return view.lens ? enlarged(camera, view.lens, { width, height }) : camera;
   }
 
   /** What the canvas shows at (x, y): place, normal, openness, and the cloth's reflectance there under the first lamp. */
@@ -237,7 +254,7 @@ export class ClothScene extends RoundScene {
   #pixel(x, y, state, layer) {
     const { gl, canvas } = this, values = image(gl, "RGBA32F", 1, 1), target = framebuffer(gl, [values], [1, 1]);
     const size = { width: canvas.width, height: canvas.height };
-    this.#drawSurface(target, state, { width: 1, height: 1, x: Math.floor(x), y: Math.floor(y) }, [0, 0], 0, layer, size);
+    this.#drawSurface(target, state, { width: 1, height: 1, x: Math.floor(x), y: Math.floor(y) }, [0, 0], 0, layer, { picture: size });
     const out = new Float32Array(4);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, out);

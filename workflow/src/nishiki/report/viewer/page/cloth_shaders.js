@@ -1,7 +1,7 @@
 // @ts-check
 // Shaders of the cloth's viewer: nishiki.render.cloth on a mesh, with its BRDF from a table (render/cloth/scene.py).
 
-import { ENCODING, REACHES } from "viewer/common_shaders";
+import { ENCODING, ENHANCE, REACHES } from "viewer/common_shaders";
 import { MOST_LAMPS } from "viewer/state";
 
 /** Depth of the cloth as a lamp sees it. */
@@ -42,7 +42,7 @@ uniform int layer;              // 0 appearance, 1 normals, 2 weft, 3 openness, 
 uniform int lamps;
 uniform bool near[LAMPS];
 uniform vec3 lampVector[LAMPS]; // unit vector to a distant lamp, or the place of a near one
-uniform float strength[LAMPS], reference[LAMPS]; // distance at which a near lamp has its strength
+uniform float lampStrength[LAMPS], reference[LAMPS]; // distance at which a near lamp has its strength
 uniform float lift;             // along the normal, in the unit of the scene
 uniform float above, below;     // radiance of the room
 uniform vec3 back;              // share of even light that the cloth sends back, mean over views
@@ -92,7 +92,7 @@ vec3 reflected(vec3 i, vec3 o) { // pi f cos theta_i
   if (dyed) value += dye * i.z * (1.0 - albedoOfGloss(i)) * (1.0 - albedoOfGloss(o)) / max(1.0 - meanAlbedo, 1e-3);
   return value;
 }
-${REACHES}void main() {
+${ENHANCE}${REACHES}void main() {
   vec3 view = normalize(eye - at), face = normalize(cross(dFdx(at), dFdy(at)));
   if (dot(face, view) < 0.0) face = -face;                // towards the eye
   float side = gl_FrontFacing ? 1.0 : -1.0;
@@ -113,7 +113,7 @@ ${REACHES}void main() {
   vec3 light = vec3(0);
   for (int k = 0; k < lamps; k++) {
     vec3 d = lampVector[k];
-    float level = strength[k];
+    float level = lampStrength[k];
     if (near[k]) {
       d -= at;
       level *= reference[k] * reference[k] / dot(d, d);
@@ -126,6 +126,7 @@ ${REACHES}void main() {
       result = vec4(value / incident.z, incident.z);
       return;
     }
+    if (paper < 0.5) value = bodyShare() * value + highlight(vec3(0, 0, 1), normalize(incident + outgoing));
     light += level * value * reaches(k, at + lift * n);
   }
   if (layer == 5) {

@@ -6,6 +6,7 @@ import { cross, norm, scale, subtract } from "viewer/matrices";
 import { PlaneSynthesis } from "viewer/wavelet";
 
 const WIDTH_FLOOR = 1e-3, WIDTH_CEILING = 1e3;
+const MOST_STEPS = 100; // of a smoothing
 const IDENTITY = (count) => Array.from({ length: count }, (_, i) => Array.from({ length: count }, (_, j) => +(i === j)));
 
 export class CodedObject {
@@ -191,6 +192,34 @@ function vertexNormals(vertices, corners, vertexOf) {
     normals.set(length > 0 ? scale(sum, 1 / length) : [0, 0, 1], n);
   }
   return normals;
+}
+
+/** Normals of a mesh, the mean of those around: a step takes the mean over the corners of the triangles at each vertex, whose
+ * variance along each axis is about a third of the squared length of an edge. */
+export function smoothed(normals, vertices, triangles, deviation) {
+  let squares = 0;
+  triangles.forEach((a, n) => {
+    const b = triangles[n % 3 === 2 ? n - 2 : n + 1];
+    for (let k = 0; k < 3; k++) squares += (vertices[3 * a + k] - vertices[3 * b + k]) ** 2;
+  });
+  const steps = Math.min(Math.ceil((3 * deviation ** 2 * triangles.length) / squares), MOST_STEPS);
+  let now = Float64Array.from(normals);
+  for (let step = 0; step < steps; step++) {
+    const next = new Float64Array(now.length);
+    for (let n = 0; n < triangles.length; n += 3) {
+      const corners = [3 * triangles[n], 3 * triangles[n + 1], 3 * triangles[n + 2]];
+      for (let k = 0; k < 3; k++) {
+        const sum = now[corners[0] + k] + now[corners[1] + k] + now[corners[2] + k];
+        for (const corner of corners) next[corner + k] += sum;
+      }
+    }
+    for (let at = 0; at < next.length; at += 3) {
+      const length = Math.hypot(next[at], next[at + 1], next[at + 2]);
+      for (let k = 0; k < 3; k++) next[at + k] = length > 0 ? next[at + k] / length : now[at + k];
+    }
+    now = next;
+  }
+  return Float32Array.from(now);
 }
 
 /** (triangle, tile, row and column of the tile's cell) of every triangle near every tile, four numbers each. */

@@ -17,6 +17,24 @@ vec3 decoded(vec3 v) {
 }
 `;
 
+/** Emphases of a picture that no eye would see; shaders know them by their numbers. */
+export const ENHANCEMENTS = ["none", "specular", "curvature", "raking", "unsharp", "relief"];
+
+/** Number of a state's enhancement. */
+export const enhancementOf = ({ enhance }) => Math.max(ENHANCEMENTS.indexOf(enhance), 0);
+
+/** What the enhancements do to a normal, to the light of the body and to the gloss. */
+export const ENHANCE = `
+uniform int enhance;            // number in ENHANCEMENTS
+uniform float strength;         // 0 to 1
+vec3 steepened(vec3 n, vec3 m) { // slopes against the direction m
+  float along = dot(n, m);
+  return normalize(along * m + (1.0 + 4.0 * strength) * (n - along * m));
+}
+float bodyShare() { return enhance == 1 ? 1.0 - 0.8 * strength : 1.0; }
+float highlight(vec3 n, vec3 h) { return enhance == 1 ? 0.6 * strength * pow(max(dot(n, h), 0.0), 60.0) : 0.0; }
+`;
+
 /** Whether light of lamp n reaches a place that stands `lift` above the surface; see shadow_maps.js. */
 export const REACHES = `
 uniform mat4 toLamp[${MOST_LAMPS}];

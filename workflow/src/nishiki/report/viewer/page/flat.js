@@ -7,11 +7,15 @@ const MOST_ZOOM = 400, LEAST_ZOOM = 0.5;
 
 /** `state.view` with the point at (x, y) of the canvas kept in its place, `factor` times larger. */
 export function zoomed(scene, state, factor, x, y) {
-  const [px, py] = scene.toScene(x, y, state);
   const zoom = Math.min(Math.max(state.view.zoom * factor, LEAST_ZOOM), MOST_ZOOM);
-  const view = { ...state.view, zoom };
-  const [qx, qy] = scene.toScene(x, y, { ...state, view });
-  return inside(scene, { ...view, x: view.x + px - qx, y: view.y + py - qy });
+  return inside(scene, enlarged(scene, state, zoom / state.view.zoom, [x, y], [x, y]).view);
+}
+
+/** A state whose picture is so many times larger, with the place at the pixel `from` of the canvas at `to`. */
+export function enlarged(scene, state, times, from, to) {
+  const view = { ...state.view, zoom: times * state.view.zoom };
+  const [px, py] = scene.toScene(...from, state), [qx, qy] = scene.toScene(...to, { ...state, view });
+  return { ...state, view: { ...view, x: view.x + px - qx, y: view.y + py - qy } };
 }
 
 /** `state.view` moved by (dx, dy) pixels of the canvas. */

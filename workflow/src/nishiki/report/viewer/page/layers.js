@@ -4,7 +4,6 @@ import { choice, element, slider, tick } from "viewer/dom";
 import { copy } from "viewer/state";
 import { text } from "viewer/texts";
 
-const ENHANCEMENTS = ["none", "specular", "curvature", "raking", "unsharp", "relief"];
 const RAKING_DEG = 10; // elevation of the lamp in raking light
 const PRESETS = {
   plain: () => ({}),
@@ -15,11 +14,14 @@ const PRESETS = {
 };
 const BARS = { grey: "linear-gradient(to right,#000,#fff)", diverging: "linear-gradient(to right,#2166ac,#f7f7f7,#b2182b)" };
 
-/** Buttons that bring the picture as it opens, in raking light, or enhanced; the view stays. */
+/** Buttons that bring the picture as it opens, in raking light, or enhanced; the view stays. What was captured under one lamp
+ * opens under it, and is enhanced under lamps of its own. */
 export function presets(app) {
-  const { state, first } = app;
-  return element("div", { className: "buttons", role: "group", "aria-label": text("presets") }, Object.entries(PRESETS).map(([name, made]) => {
-    const { lamps, layer, enhance, strength } = first, wanted = { lamps, layer, enhance, strength, ...made(first, state.lamps) };
+  const { state, first, scene } = app, { lighting, ...others } = state.options;
+  const offered = Object.entries(PRESETS).filter(([name]) => ["plain", "raking", ...scene.enhancements].includes(name));
+  return element("div", { className: "buttons", role: "group", "aria-label": text("presets") }, offered.map(([name, made]) => {
+    const options = scene.offers.includes("captured lamps") && name !== "plain" ? { ...others, lighting: "free" } : others;
+    const { lamps, layer, enhance, strength } = first, wanted = { lamps, layer, enhance, strength, options, ...made(first, state.lamps) };
     const pressed = Object.entries(wanted).every(([key, value]) => JSON.stringify(state[key]) === JSON.stringify(value));
     return element("button", { type: "button", "aria-pressed": `${pressed}`, onclick: () => app.set(copy(wanted)) }, text(`preset.${name}`));
   }));
@@ -33,8 +35,8 @@ export function layersSection(app) {
     state.layer = layer;
     app.rebuild();
   })];
-  if (state.layer === "appearance" && app.flat) {
-    parts.push(choice(text("enhance"), ENHANCEMENTS.map((name) => [name, text(`enhance.${name}`)]), state.enhance, (enhance) => {
+  if (state.layer === "appearance") {
+    parts.push(choice(text("enhance"), scene.enhancements.map((name) => [name, text(`enhance.${name}`)]), state.enhance, (enhance) => {
       state.enhance = enhance;
       app.rebuild();
     }));

@@ -12,7 +12,7 @@ import { RoundTools } from "viewer/round_tools";
 import { download, pictureOf } from "viewer/save";
 import { bookmark, copy, firstState, fromBookmark } from "viewer/state";
 import { LANGUAGES, preferred, speak, text } from "viewer/texts";
-import { actions, FlatTools, toolbar } from "viewer/tools";
+import { actions, FlatTools, toolbar, toolsOf } from "viewer/tools";
 
 const BOOKMARK_AFTER = 400; // ms without a change
 const MOST_RATIO = 2; // pixels of the canvas to one of CSS
@@ -95,7 +95,7 @@ class App {
     return [
       element("h1", {}, title),
       element("p", { className: "from" }, text("from", { scene, key, version })),
-      this.flat && presets(this),
+      presets(this),
       this.section("light", lampsSection(this)),
       this.section("layers", layersSection(this)),
       this.section("probe", probeSection(this)),
@@ -143,14 +143,17 @@ class App {
   }
 
   helpSection() {
-    const keys = this.flat ? ["l m t p r a g"] : [`m p${this.scene.offers.includes("ruler") ? " r" : ""}${this.annotations ? " a" : ""}`];
-    keys.push("f s", "← → ↑ ↓", "⇧ ← → ↑ ↓", "Enter", "+ −", "0");
+    const tools = toolsOf(this), common = ["f s", "← → ↑ ↓", "⇧ ← → ↑ ↓", "Enter", "+ −", "0"];
+    const keys = [
+      [Object.keys(tools).join(" "), Object.values(tools).map((name) => text(`key.${name}`)).join(", ")],
+      ...common.map((key) => [key, text(`keys.${this.flat ? "" : "object."}${key}`)]),
+    ];
     const { width_mm, height_mm, unit } = this.scene.bounds(), size = [width_mm, height_mm].map((length) => written(length, unit)).join(" × ");
     const languages = element("select", { "aria-label": text("language"), onchange: () => ((this.state.language = languages.value), this.rebuild()) },
       Object.entries(LANGUAGES).map(([code, name]) => element("option", { value: code, selected: code === this.state.language }, name)));
     return [
       element("label", {}, text("language"), languages),
-      element("dl", { className: "values keys" }, keys.flatMap((key) => [element("dt", {}, element("kbd", {}, key)), element("dd", {}, text(`keys.${this.flat ? "" : "object."}${key}`))])),
+      element("dl", { className: "values keys" }, keys.flatMap(([key, what]) => [element("dt", {}, element("kbd", {}, key)), element("dd", {}, what)])),
       element("p", { className: "hint" }, text("size", { size }), unit === "mm" ? "" : ` ${text(unit === "px" ? "no.scale" : "no.unit")}`),
     ];
   }
@@ -296,16 +299,20 @@ class App {
   draw() {
     const { scene, state } = this, { width, height } = canvas, { compare } = state;
     const cut = compare ? Math.round(compare.divider * width) : 0;
-    if (cut < width) scene.draw(state, { x: cut, y: 0, width: width - cut, height });
-    if (cut > 0 && !this.beside) scene.draw({ ...state, ...compare.state, compare: null }, { x: 0, y: 0, width: cut, height });
+    const lens = this.tool === "lens" && this.lens && lensOf(scene, state, this.lens);
+    const parts = {
+      ...(cut < width && { main: [state, { x: cut, y: 0, width: width - cut, height }] }),
+      ...(cut > 0 && !this.beside && { left: [{ ...state, ...compare.state, compare: null }, { x: 0, y: 0, width: cut, height }] }),
+      ...(lens && { lens: [lens.state, lens.region] }),
+    };
+    scene.keepOnly?.(Object.keys(parts));
+    for (const [part, [shown, region]] of Object.entries(parts)) scene.draw(shown, region, part);
     by("divider").hidden = !compare;
     if (compare) {
       by("divider").style.left = `${100 * compare.divider}%`;
       by("divider").setAttribute("aria-valuenow", Math.round(100 * compare.divider));
     }
     this.beside?.show(cut / width);
-    const lens = this.flat && this.tool === "lens" && this.lens && lensOf(scene, state, this.lens);
-    if (lens) scene.draw(lens.state, lens.region);
     Object.assign(by("lens"), { hidden: !lens });
     if (lens) Object.assign(by("lens").style, Object.fromEntries(["x", "y", "width", "height"].map((side, k) => [["left", "top", "width", "height"][k], `${lens.region[side] / this.ratio}px`])));
     drawOverlay(this, by("overlay"));

@@ -20,9 +20,9 @@ void main() {
   result = count > 0.0 ? mix(texelFetch(mean, at, 0), value, 1.0 / (count + 1.0)) : value;
 }`;
 
-/** Means for the parts of a canvas: `whole`, or `left` and `right`, each of its own state. */
+/** Means for the parts of a canvas, by their names, each of its own state. */
 export class MeanPictures {
-  /** drawSample(target, {width, height}, shift, k, state): one picture; drawScreen(): a program over all of a framebuffer. */
+  /** drawSample(target, {width, height}, shift, k, state, area): one picture, or an area of it; drawScreen(): a program over all of a framebuffer. */
   constructor(gl, drawSample, drawScreen) {
     Object.assign(this, { gl, drawSample, drawScreen, parts: {}, slow: false });
     this.changed = -Infinity; // time of the last change of what is shown
@@ -33,18 +33,22 @@ export class MeanPictures {
     return Object.values(this.parts).some(({ count }) => count < SAMPLES);
   }
 
-  /** The texture of a state's mean after one more picture, and whether more are to come. */
-  next(area, state, width, height) {
-    const name = area.width === width ? "whole" : area.x > 0 ? "right" : "left";
-    for (const other of name === "whole" ? ["left", "right"] : ["whole"]) this.#forget(other);
+  /** Give up the means of all other parts. */
+  keepOnly(names) {
+    for (const name of Object.keys(this.parts)) if (!names.includes(name)) this.#forget(name);
+  }
+
+  /** The texture of a state's mean after one more picture of a part of the canvas, and whether more are to come. */
+  next(name, area, state, { width, height }) {
     const part = this.#part(name, state, width, height);
-    if (part.count < SAMPLES) this.#add(part, state);
+    // the lens moves with its state; the divider uncovers what was drawn before
+    if (part.count < SAMPLES) this.#add(part, state, name === "lens" ? area : null);
     return { texture: part.mean[0].texture, more: part.count < SAMPLES };
   }
 
   /** The textures of a part of the canvas; begun anew where its state is another than before. */
   #part(name, state, width, height) {
-    const { lamps, ambient, view, layer, options } = state, key = JSON.stringify([lamps, ambient, view, layer, options]);
+    const { lamps, ambient, view, layer, options, enhance, strength } = state, key = JSON.stringify([lamps, ambient, view, layer, options, enhance, strength]);
     let part = this.parts[name];
     if (!part || part.width !== width || part.height !== height) {
       this.#forget(name);
@@ -74,11 +78,13 @@ export class MeanPictures {
     delete this.parts[name];
   }
 
-  #add(part, state) {
+  #add(part, state, area) {
     const { gl } = this, { width, height } = part, coarse = part.count < 0 ? COARSE : 1, k = Math.max(part.count, 0), [mean, next] = part.mean;
     // the additive sequence of the plastic number covers the pixel evenly, its middle first
     const shift = k ? [(0.5 + k * 0.7548776662) % 1 - 0.5, (0.5 + k * 0.5698402910) % 1 - 0.5] : [0, 0];
-    this.drawSample(part.sample.target, { width: Math.ceil(width / coarse), height: Math.ceil(height / coarse) }, shift, k, state);
+    const [columns, rows] = [width, height].map((size) => Math.ceil(size / coarse)), low = (v) => Math.floor(v / coarse);
+    const within = area && { x: low(area.x), y: low(height - area.y - area.height), width: low(area.width) + 2, height: low(area.height) + 2 };
+    this.drawSample(part.sample.target, { width: columns, height: rows }, shift, k, state, within);
     gl.bindFramebuffer(gl.FRAMEBUFFER, next.target);
     gl.viewport(0, 0, width, height);
     gl.disable(gl.DEPTH_TEST);

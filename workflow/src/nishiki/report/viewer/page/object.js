@@ -2,10 +2,10 @@
 // nishiki.render.object draws it.
 
 import { unpackArrays } from "viewer/arrays";
-import { projected } from "viewer/cameras";
+import { enlarged, projected } from "viewer/cameras";
 import { CodedObject } from "viewer/coded_object";
 import { decode } from "viewer/colour";
-import { SCREEN_VERTEX } from "viewer/common_shaders";
+import { SCREEN_VERTEX, enhancementOf } from "viewer/common_shaders";
 import { Shader, drop, framebuffer, image } from "viewer/gl";
 import { add, apply, scale } from "viewer/matrices";
 import { capturedUniforms, freeUniforms, hasFreeLamps } from "viewer/object_lamps";
@@ -61,6 +61,10 @@ export class ObjectScene extends RoundScene {
     return ["captured lamps", "softness", ...(this.millimetres ? ["ruler"] : [])];
   }
 
+  get enhancements() {
+    return ["none", "specular", "relief"];
+  }
+
   /** Axis of the turn and radius of the object, for the control of the camera. */
   get axis() {
     return this.manifest.turn.axis;
@@ -84,6 +88,11 @@ export class ObjectScene extends RoundScene {
     return this.views.first();
   }
 
+  /** View of a state; the first one where the state has none of an object. */
+  viewOf(state) {
+    return this.views.of(state);
+  }
+
   freeViewOf(state) {
     return this.views.freed(state);
   }
@@ -92,8 +101,10 @@ export class ObjectScene extends RoundScene {
     return this.views.stepped(state, steps);
   }
 
-  cameraOf(view, size) {
-    return this.views.camera(view, size);
+  /** The camera of a view for a picture {width, height}, and its position along the turn. */
+  cameraOf(view, size = { width: 1, height: 1 }) {
+    const { camera, position } = this.views.camera(view, size);
+    return { camera: view.lens ? enlarged(camera, view.lens, size) : camera, position };
   }
 
   lightOf(state) {
@@ -110,33 +121,40 @@ export class ObjectScene extends RoundScene {
     };
   }
 
-  /** Captured views, with weights, whose residual a state shows; a residual belongs to the light that it was captured under. */
+  /** Captured views, with weights, whose residual a state shows; a residual belongs to the light that it was captured under,
+   * and to what an eye sees. */
   lending(state, view, position) {
-    return hasFreeLamps(state) || state.options?.residual === false ? [] : this.views.lending(view, position);
+    return hasFreeLamps(state) || enhancementOf(state) || state.options?.residual === false ? [] : this.views.lending(view, position);
   }
 
-  /** Draw the texels as a state's camera sees them, for a part of the canvas; see ObjectShadows. */
+  /** Draw the texels as a state's camera sees them, for a part of the canvas; see ObjectShadows. The lens shows the texels of
+   * `main` from the same eye. */
   drawTexels(state, camera, lenders, part) {
     const light = this.lightOf(state), free = hasFreeLamps(state);
     const shaded = free && state.lamps?.length > 0 && state.options.shadows !== false;
     if (!shaded) this.shadows.forget(part);
     const shadows = shaded ? this.shadows.next(part, state, camera) : null;
     const lamps = free ? freeUniforms(this.manifest, state, camera) : capturedUniforms(this.manifest, light, camera);
-    this.texels.draw(camera, lamps, lenders, light, { shadows });
+    this.texels.draw(camera, { ...lamps, enhance: enhancementOf(state), strength: state.strength ?? 0 }, lenders, light, { shadows });
     if (this.shadows.busy) setTimeout(() => this.onready());
   }
 
-  /** Draw one frame; region {x, y, width, height} of the canvas, from its upper left corner, or all of it. */
-  draw(state, region) {
+  /** Give up what was kept for parts of the canvas that are not drawn any more. */
+  keepOnly(parts) {
+    if (!parts.includes("left")) this.shadows.forget("left");
+  }
+
+  /** Draw one frame; region {x, y, width, height} of the canvas, from its upper left corner, or all of it; part: its name,
+   * `main`, `left` of the divider, or `lens`. */
+  draw(state, region, part = "main") {
     const { gl, canvas } = this, size = { width: canvas.width, height: canvas.height };
-    const area = region ?? { x: 0, y: 0, ...size }, view = this.views.of(state);
+    const area = region ?? { x: 0, y: 0, ...size }, view = this.viewOf(state);
     const { camera, position } = this.cameraOf(view, size);
     const layer = LAYERS.find(({ name }) => name === state.layer) ?? LAYERS[0];
     const lenders = layer.name === "residual" ? this.views.lending(view, position) : this.lending(state, view, position);
-    const part = area.x === 0 && area.width < size.width ? "left" : "main";
-    if (area.width === size.width) this.shadows.forget("left");
-    if (layer.name === "appearance") this.drawTexels(state, camera, lenders, part);
-    else this.shadows.forget(part);
+    const lit = part === "left" ? "left" : "main";
+    if (layer.name === "appearance") this.drawTexels(state, camera, lenders, lit);
+    else this.shadows.forget(lit);
     const target = this.target(size.width, size.height);
     gl.enable(gl.SCISSOR_TEST);
     // more than the area, because the object's edge is carried on from the pixels around
@@ -249,7 +267,7 @@ export class ObjectScene extends RoundScene {
 
   /** What the canvas shows at (x, y): place, normal, parameters, and the captured views' values there. */
   async probe(x, y, state) {
-    const { camera } = this.cameraOf(this.views.of(state), this.canvas);
+    const { camera } = this.cameraOf(this.viewOf(state), this.canvas);
     const found = new ObjectProbe(this).at(camera, x, y, this.lightOf(state));
     if (!found) return null;
     const { kd, ks, normal, place, photographs } = found;
@@ -261,20 +279,20 @@ export class ObjectScene extends RoundScene {
 
   /** Point of the surface at (x, y) of the canvas, in mm or the cameras' unit; null beside the object. */
   pointAt(x, y, state) {
-    const { camera } = this.cameraOf(this.views.of(state), this.canvas);
+    const { camera } = this.cameraOf(this.viewOf(state), this.canvas);
     const place = new ObjectProbe(this).placeAt(camera, x, y);
     return place && scale(place, this.millimetres ?? 1);
   }
 
   /** Place on the canvas of a point, mm; as events have it, with whole numbers at the corners of pixels. */
   fromScene(point, state) {
-    const { camera } = this.cameraOf(this.views.of(state), this.canvas);
+    const { camera } = this.cameraOf(this.viewOf(state), this.canvas);
     return projected(camera, scale(point, 1 / (this.millimetres ?? 1))).map((v) => v + 0.5);
   }
 
   /** Pixels of the canvas to a millimetre at the depth of the object's middle. */
   scaleOf(state) {
-    const { camera } = this.cameraOf(this.views.of(state), this.canvas);
+    const { camera } = this.cameraOf(this.viewOf(state), this.canvas);
     const depth = add(apply(camera.rotation, this.manifest.centre), camera.translation)[2];
     return camera.intrinsics[0][0] / depth / this.millimetres;
   }

@@ -66,7 +66,7 @@ export class ObjectProbe {
     views.forEach((camera, view) => {
       const away = subtract(centreOf(camera), position);
       if (coded.placeOf(tile, view) < 0 || dot(away, normal) <= 0.1 * norm(away) || this.#hides(camera, position)) return;
-      texels.draw(camera, capturedUniforms(manifest, light, camera), [], light, { within: { x: texel.x, y: texel.y, width: 2, height: 2 } });
+      texels.draw(camera, { ...capturedUniforms(manifest, light, camera), enhance: 0, strength: 0 }, [], light, { within: { x: texel.x, y: texel.y, width: 2, height: 2 } });
       const { values, predicted } = this.#values(texel, tile, view, light);
       const towards = towardsCaptured(lighting, light, camera, away);
       out.push({ view: camera.name, light: normalised(towards), values: values.map((v) => Math.max(v, 0)), predicted });

@@ -1,21 +1,16 @@
 // The mesh of an object on the graphics processor, its charts, and the lines that show where the cameras stand.
 import { centreOf } from "viewer/cameras";
-import { surfaceOf } from "viewer/coded_object";
+import { smoothed, surfaceOf } from "viewer/coded_object";
 import { attribute, image, integers } from "viewer/gl";
 import { add, apply, transpose } from "viewer/matrices";
+
+const FORM = 0.06; // standard deviation, in radii of the object, of the smoothing that leaves the form without its relief
 
 export class ObjectSurface {
   constructor(gl, manifest, arrays) {
     Object.assign(this, { gl, manifest, surface: surfaceOf(manifest, arrays), empty: gl.createVertexArray() });
-    const { vertices, normals, corners, vertexOf, place, chartOf } = this.surface;
-    const width = 6 * 256, rows = Math.ceil(corners.length / 3 / 256);
-    const data = new Float32Array(4 * width * rows);
-    for (let n = 0; n < corners.length; n++) {
-      const point = corners[n], vertex = 3 * vertexOf[point];
-      data.set([...vertices.subarray(vertex, vertex + 3), place[2 * point]], 8 * n);
-      data.set([...normals.subarray(vertex, vertex + 3), place[2 * point + 1]], 8 * n + 4);
-    }
-    this.corners = image(gl, "RGBA32F", width, rows, data);
+    const { normals, corners, chartOf } = this.surface;
+    this.corners = this.#cornersWith(normals);
     this.charts = integers(gl, "R32I", Int32Array.from(corners.filter((_, n) => n % 3 === 0), (point) => chartOf[point]), 1);
     const grid = arrays.chart_grid.values, padded = new Int32Array((grid.length / 3) * 4);
     for (let n = 0; n < grid.length / 3; n++) padded.set(grid.subarray(3 * n, 3 * n + 3), 4 * n);
@@ -27,6 +22,24 @@ export class ObjectSurface {
     gl.bindVertexArray(this.cameraLines);
     attribute(gl, 0, lines, 4);
     gl.bindVertexArray(null);
+  }
+
+  /** Texture of the triangles' corners: position and row, normal and column of each. */
+  #cornersWith(normals) {
+    const { vertices, corners, vertexOf, place } = this.surface, width = 6 * 256, rows = Math.ceil(corners.length / 3 / 256);
+    const data = new Float32Array(4 * width * rows);
+    for (let n = 0; n < corners.length; n++) {
+      const point = corners[n], vertex = 3 * vertexOf[point];
+      data.set([...vertices.subarray(vertex, vertex + 3), place[2 * point]], 8 * n);
+      data.set([...normals.subarray(vertex, vertex + 3), place[2 * point + 1]], 8 * n + 4);
+    }
+    return image(this.gl, "RGBA32F", width, rows, data);
+  }
+
+  /** The same texture with the normals of the form without its relief. */
+  formCorners() {
+    const { vertices, normals, corners, vertexOf } = this.surface;
+    return this.#cornersWith(smoothed(normals, vertices, Array.from(corners, (point) => vertexOf[point]), FORM * this.manifest.radius));
   }
 
   /** All triangles, by the program in use. */

@@ -2,7 +2,7 @@
 // Shaders of an object's texels, which lie in one atlas texture, tile beside tile: where they are, who sees them, and the encoded
 // model plus its residual (nishiki.render.object.renderer).
 
-import { ENCODING, REACHES } from "viewer/common_shaders";
+import { ENCODING, ENHANCE, REACHES } from "viewer/common_shaders";
 import { MOST_LAMPS } from "viewer/state";
 import { CAMERA } from "viewer/object_shaders";
 
@@ -150,10 +150,11 @@ void main() {
 }`;
 
 /** Texels as a camera sees them under the lamps: the encoded model plus the residual of the captured views around. */
-export const texelFragment = (parts, srgb) => `${ENCODING}
+export const texelFragment = (parts, srgb) => `${ENCODING}${ENHANCE}
 #define PARTS ${parts}
 #define LAMPS ${MOST_LAMPS + 1} // one more, for the even light beside the state's own
 uniform sampler2D positions, normals, diffuse, specular;
+uniform sampler2D plainNormals; // normals of the surface without its relief
 uniform sampler2D residual0[PARTS], residual1[PARTS], visible0, visible1;
 uniform int views;              // that lend their residual: 0, 1 or 2
 uniform vec2 weights;
@@ -192,20 +193,21 @@ void main() {
   vec4 position = texelFetch(positions, at, 0), kd = texelFetch(diffuse, at, 0), ks = texelFetch(specular, at, 0);
   if (position.w == 0.0) discard;
   vec3 normal = texelFetch(normals, at, 0).xyz, view = normalize(eye - position.xyz);
+  if (enhance == 5) normal = steepened(normal, normalize(texelFetch(plainNormals, at, 0).xyz));
   float cosR = dot(normal, view);
-  vec3 body = vec3(0), gloss = vec3(0);
+  vec3 body = vec3(0), gloss = vec3(0), shine = vec3(0);
   for (int n = 0; n < lamps; n++) {
     vec3 light = lampVector[n];
-    float strength = 1.0;
+    float level = 1.0;
     if (form[n] == 0) {
       light -= position.xyz;
       float square = dot(light, light);
       light *= inversesqrt(square);
-      if (reference[n] > 0.0) strength = reference[n] * reference[n] / square;
+      if (reference[n] > 0.0) level = reference[n] * reference[n] / square;
     }
-    strength *= share(n, at);
+    level *= share(n, at);
     float cosI = dot(normal, light);
-    vec3 lit = form[n] == 2 ? irradiance(normal) : vec3(max(cosI, 0.0) * strength);
+    vec3 lit = form[n] == 2 ? irradiance(normal) : vec3(max(cosI, 0.0) * level * bodyShare());
     body += lampColour[n] * lit;
     vec3 bisector = light + view;
     float square = dot(bisector, bisector);
@@ -213,11 +215,12 @@ void main() {
     float alpha2 = alphaSquared(min(0.25 * dot(off, off), 0.5));
     if (cosI > 0.0 && cosR > 0.0) {
       float ratio = 0.5 * alpha2 / (kd.w * kd.w);
-      gloss += lampColour[n] * (ratio < 40.0 ? strength / max(cosR, 0.05) * exp(-ratio) : 0.0);
+      gloss += lampColour[n] * (ratio < 40.0 ? level / max(cosR, 0.05) * exp(-ratio) : 0.0);
+      if (form[n] < 2) shine += lampColour[n] * level * highlight(normal, bisector * inversesqrt(square));
     }
   }
   body *= kd.rgb;
-  gloss *= ks.rgb;
+  gloss = gloss * ks.rgb + shine;
   vec2 share = views == 1 ? vec2(1, 0) : vec2(0);
   if (views == 2) {
     vec2 seen = vec2(texelFetch(visible0, at, 0).r, texelFetch(visible1, at, 0).r);

@@ -2,7 +2,7 @@
 // captured views, and what a camera sees of them. Streams are decoded one after another while frames go on.
 import { centreOf } from "viewer/cameras";
 import { trianglesOfTiles } from "viewer/coded_object";
-import { SCREEN_VERTEX } from "viewer/common_shaders";
+import { ENHANCEMENTS, SCREEN_VERTEX } from "viewer/common_shaders";
 import { Shader, attribute, drop, framebuffer, image } from "viewer/gl";
 import { DEPTH_FRAGMENT, MESH_VERTEX } from "viewer/object_shaders";
 import { SURFACE_FRAGMENT, SURFACE_VERTEX, VISIBILITY_FRAGMENT, texelFragment } from "viewer/object_texel_shaders";
@@ -27,7 +27,13 @@ export class ObjectTexels {
       visibility: new Shader(gl, SCREEN_VERTEX, VISIBILITY_FRAGMENT),
       texels: new Shader(gl, SCREEN_VERTEX, texelFragment(this.parts, coded.design.encoding === "srgb")),
     };
-    this.#makePlaces(arrays);
+    const pairs = trianglesOfTiles(mesh.surface, arrays, coded.size);
+    this.instances = gl.createVertexArray();
+    gl.bindVertexArray(this.instances);
+    attribute(gl, 0, pairs, 4);
+    gl.vertexAttribDivisor(0, 1);
+    this.instanceCount = pairs.length / 4;
+    [this.positions, this.normals] = this.#places(mesh.corners);
     const { atlas } = this;
     this.diffuse = image(gl, "RGBA16F", atlas, atlas);
     this.specular = image(gl, "RGBA16F", atlas, atlas);
@@ -38,28 +44,33 @@ export class ObjectTexels {
     this.#decodeAll();
   }
 
-  /** Position and normal of every texel. */
-  #makePlaces(arrays) {
-    const { gl, atlas, coded } = this;
-    this.positions = image(gl, "RGBA32F", atlas, atlas);
-    this.normals = image(gl, "RGBA16F", atlas, atlas);
-    const pairs = trianglesOfTiles(this.mesh.surface, arrays, coded.size);
-    const instances = gl.createVertexArray();
-    gl.bindVertexArray(instances);
-    attribute(gl, 0, pairs, 4);
-    gl.vertexAttribDivisor(0, 1);
-    const target = framebuffer(gl, [this.positions, this.normals], [atlas, atlas]);
+  /** Textures of the position and the normal of every texel. */
+  #places(corners) {
+    const { gl, atlas, coded } = this, made = [image(gl, "RGBA32F", atlas, atlas), image(gl, "RGBA16F", atlas, atlas)];
+    gl.bindVertexArray(this.instances);
+    const target = framebuffer(gl, made, [atlas, atlas]);
     gl.viewport(0, 0, atlas, atlas);
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.LESS);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     this.programs.surface.use({
-      corners: this.mesh.corners, size: coded.size, tilesAcross: this.across, atlasSize: atlas,
+      corners, size: coded.size, tilesAcross: this.across, atlasSize: atlas,
     });
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, pairs.length / 4);
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.instanceCount);
     gl.bindVertexArray(null);
     drop(gl, target);
+    return made;
+  }
+
+  /** Normals of the form without its relief, made when a picture needs them first. */
+  #form() {
+    if (!this.form) {
+      const { gl } = this, corners = this.mesh.formCorners(), [positions, normals] = this.#places(corners);
+      [corners, positions].forEach((old) => gl.deleteTexture(old));
+      this.form = normals;
+    }
+    return this.form;
   }
 
   #upload(target, tile, data) {
@@ -167,7 +178,7 @@ export class ObjectTexels {
     return visible;
   }
 
-  /** Draw into `seen` the texels as a camera sees them: lamps: uniforms; lenders: captured views that lend their residual of
+  /** Draw into `seen` the texels as a camera sees them: lamps: uniforms, and those of the enhancement; lenders: captured views that lend their residual of
    * a light, with weights; within: {x, y, width, height} of the atlas alone; shadows: of ObjectShadows. */
   draw(camera, lamps, lenders, light, { within = null, shadows = null } = {}) {
     const { gl, atlas } = this;
@@ -175,6 +186,7 @@ export class ObjectTexels {
     const key = JSON.stringify([eye, lamps, lenders, light, this.version, within, shadows?.part, shadows?.key, shadows?.samples]);
     if (key === this.drawn) return;
     this.drawn = key;
+    const plainNormals = ENHANCEMENTS[lamps.enhance] === "relief" ? this.#form() : this.normals;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.seenTarget);
     gl.viewport(0, 0, atlas, atlas);
     gl.disable(gl.DEPTH_TEST);
@@ -185,7 +197,7 @@ export class ObjectTexels {
     const none = { parts: new Array(this.parts).fill(this.zero), visible: this.zero };
     const [first, second] = [lent[0] ?? none, lent[1] ?? none];
     this.programs.texels.use({
-      positions: this.positions, normals: this.normals, diffuse: this.diffuse, specular: this.specular,
+      positions: this.positions, normals: this.normals, plainNormals, diffuse: this.diffuse, specular: this.specular,
       residual0: first.parts, residual1: second.parts, visible0: first.visible, visible1: second.visible,
       lit0: this.zero, lit1: this.zero, samples: 0, views: lent.length, weights: [lenders[0]?.weight ?? 0, lenders[1]?.weight ?? 0], eye, ...lamps, ...shadows,
     });

@@ -2,19 +2,20 @@
 //
 // Pixels of the map have their upper left corner at whole numbers; the scene's own unit is mm (or pixels where no scale
 // is known), from the centre of the painting, x to the right and y up.
+import { ENHANCEMENTS, enhancementOf } from "viewer/common_shaders";
 import { afterPicture } from "viewer/dom";
 import { bind, context, program, readback, texture } from "viewer/gl";
 import { Exposures } from "viewer/exposures";
 import { Colours } from "viewer/painting_colours";
 import { LAYER_FRAGMENT, paintingFragment, SHOWN, TILE_VERTEX } from "viewer/painting_shaders";
 import { Values } from "viewer/painting_values";
+import { enlarged } from "viewer/flat";
 import { PlaneView } from "viewer/plane_view";
 import { Relief } from "viewer/relief";
 import { Shadows } from "viewer/shadows";
 import { MOST_LAMPS } from "viewer/state";
 import { Tiles } from "viewer/tiles";
 
-const ENHANCEMENTS = ["none", "specular", "curvature", "raking", "unsharp", "relief"];
 const LAYER_COLOURS = ["grey", "diverging", "flags"];
 const BACKGROUND = 0.106;
 const FRONTAL = { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 };
@@ -57,6 +58,10 @@ export class Painting {
     return ["softness", "exposure auto"];
   }
 
+  get enhancements() {
+    return ENHANCEMENTS;
+  }
+
   /** Whether something that the present view needs is on its way. */
   get busy() {
     return this.pending > 0 || this.shadows.busy;
@@ -71,6 +76,11 @@ export class Painting {
   /** Pixels of the canvas that a pixel of the map takes at zoom 1: the painting fits into the canvas. */
   fit() {
     return Math.min(this.canvas.width / this.manifest.columns, this.canvas.height / this.manifest.rows);
+  }
+
+  /** A state whose picture is so many times larger, with the place at the pixel `from` of the canvas at `to`. */
+  enlarged(state, times, from, to) {
+    return enlarged(this, state, times, from, to);
   }
 
   /** Point of the scene's plane, in its own unit, at a pixel of the canvas (from its upper left corner). */
@@ -112,15 +122,15 @@ export class Painting {
     };
   }
 
-  /** Draw one frame; region {x, y, width, height} of the canvas, from its upper left corner, or all of it. */
-  draw(state, region) {
+  /** Draw one frame; region {x, y, width, height} of the canvas, from its upper left corner, or all of it; part: its name,
+   * `main`, `left` of the divider, or `lens`. */
+  draw(state, region, part = "main") {
     const { gl, canvas } = this;
     const area = region ?? { x: 0, y: 0, width: canvas.width, height: canvas.height };
     const layer = this.manifest.layers.find(({ name }) => name === state.layer);
     const plain = !layer || layer.name === "appearance";
     const lamps = this.#lamps(state);
     const place = this.#place(state);
-    const part = area.x === 0 && area.width < canvas.width ? "left" : "main"; // of the divider
     this.shadow = plain ? this.shadows.of(lamps, this.#share(place), part) : null;
     const exposure = plain ? this.#exposureOf(state, lamps) : 1;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
@@ -301,7 +311,7 @@ export class Painting {
       set("uniform4fv", "powers", new Float32Array(lamps.flatMap(({ lamp, w, length }) => [lamp.intensity, w ? length ** 2 : 0, 0, 0])));
     }
     set("uniform1f", "ambient", state.ambient);
-    set("uniform1i", "enhance", Math.max(ENHANCEMENTS.indexOf(state.enhance), 0));
+    set("uniform1i", "enhance", enhancementOf(state));
     set("uniform1f", "strength", state.strength ?? 0.5);
     bind(gl, 1, gl.TEXTURE_2D, this.gloss, uniforms.gloss);
     set("uniform1i", "shown", shown);

@@ -1,5 +1,6 @@
 // @ts-check
 // Shaders of the painting. Shading follows nishiki.render.plane.kernel term by term.
+import { ENHANCE } from "viewer/common_shaders";
 
 /** What a shader of the tiles writes: the picture, codes of its luminance, or the normals. */
 export const SHOWN = { display: 0, luminance: 1, normals: 2 };
@@ -83,11 +84,9 @@ uniform sampler2DArray visibility;
 uniform vec4 shadowPlace;        // scale and offset of its part of the map
 #endif
 uniform int shown;               // one of SHOWN
-uniform int enhance;             // 0 none, 1 specular, 2 curvature, 3 raking, 4 unsharp, 5 relief
-uniform float strength;
 in vec2 at;
 out vec4 result;
-
+${ENHANCE}
 const float LN2 = 0.6931471805599453;
 
 vec4 codes(int layer, vec2 place) { return texture(planes, vec3((place - origin) / side, float(layer))); }
@@ -100,10 +99,10 @@ vec3 decodedNormal(vec2 code) {
 }
 
 /** Raking light and the exaggerated relief show steeper slopes. */
-vec3 steepened(vec3 n) { return enhance == 3 || enhance == 5 ? normalize(vec3(n.xy * (1.0 + 4.0 * strength), n.z)) : n; }
+vec3 steeper(vec3 n) { return enhance == 3 || enhance == 5 ? steepened(n, vec3(0, 0, 1)) : n; }
 
 vec2 slopeAt(vec2 place) {
-  vec3 n = steepened(decodedNormal(codes(0, clamp(place, vec2(0.5), size - 0.5)).rg));
+  vec3 n = steeper(decodedNormal(codes(0, clamp(place, vec2(0.5), size - 0.5)).rg));
   return n.xy / max(n.z, 0.2);
 }
 
@@ -145,7 +144,7 @@ void main() {
     result = vec4(n * 0.5 + 0.5, 1.0);
     return;
   }
-  n = steepened(n);
+  n = steeper(n);
   vec2 here = n.xy / max(n.z, 0.2);
   if (enhance == 4) { // away from the mean of the normals around it
     vec3 around = vec3(0.0);
@@ -236,9 +235,8 @@ void main() {
 #endif
     if (table.z > 0.0) w *= passed(cosI, contrast, table.z) * leave;
     if (enhance == 1) {
-      vec3 h = s * inversesqrt(length2);
-      specular += 0.6 * strength * e * pow(max(dot(n, h), 0.0), 60.0);
-      w *= 1.0 - 0.8 * strength;
+      specular += e * highlight(n, s * inversesqrt(length2));
+      w *= bodyShare();
     }
     diffuse = w * gain;
     ${colourOf("j", CHROMA)}

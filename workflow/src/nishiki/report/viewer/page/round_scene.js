@@ -13,6 +13,12 @@ export class RoundScene {
     this.empty = this.gl.createVertexArray();
   }
 
+  /** A state whose picture is so many times larger, with the place at the pixel `from` of the canvas at `to`. */
+  enlarged(state, times, from, to) {
+    const part = ([x, y]) => [x / this.canvas.width, y / this.canvas.height];
+    return { ...state, view: { ...this.viewOf(state), lens: { times, from: part(from), to: part(to) } } };
+  }
+
   /** Run the program in use over the whole of a framebuffer. */
   drawScreen() {
     this.gl.bindVertexArray(this.empty);

@@ -1,13 +1,11 @@
 // What a pointer and the keys do on an object or a cloth besides turning it: values under a click, the ruler from point to
-// point of the surface, choice of the tool.
+// point of the surface, notes, lens, choice of the tool.
 import { KeyPlace } from "viewer/key_place";
+import { followPointer } from "viewer/lens";
 import { Orbit } from "viewer/orbit";
+import { toolsOf } from "viewer/tools";
 
-const KEYS = { m: "move", p: "probe", r: "ruler", a: "annotate" };
 const CLICK = 5; // pixels that a click may wander
-
-/** Tools of a scene, for the toolbar. */
-export const toolsOf = (scene) => Object.values(KEYS).filter((name) => (name === "ruler" ? scene.offers.includes("ruler") : name !== "annotate" || scene.pointAt));
 
 export class RoundTools {
   /** app: {scene, state, tool, ratio, ruler, chooseTool, setView, fit, probe, measure, say, rulerText} */
@@ -15,7 +13,8 @@ export class RoundTools {
     Object.assign(this, { app, from: [], measuring: false });
     this.keys = new KeyPlace(app, canvas);
     canvas.addEventListener("keydown", (event) => this.key(event)); // before those of the camera
-    new Orbit(canvas, app.scene, () => app.state, (view) => app.setView(view), () => !["ruler", "annotate"].includes(app.tool));
+    new Orbit(canvas, app.scene, () => app.state, (view) => app.setView(view), () => !["ruler", "annotate", "lens"].includes(app.tool));
+    followPointer(app, canvas);
     canvas.addEventListener("pointerdown", (event) => this.down(event));
     canvas.addEventListener("pointermove", (event) => {
       if (this.measuring) this.measure(event, [app.ruler[0]]);
@@ -54,9 +53,9 @@ export class RoundTools {
 
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const { app } = this, tool = KEYS[event.key];
+    const { app } = this, tool = toolsOf(app)[event.key];
     if (event.key === "0") app.fit();
-    else if (tool && toolsOf(app.scene).includes(tool)) app.chooseTool(tool);
+    else if (tool) app.chooseTool(tool);
     else if (event.key === "f") app.toggleFullScreen();
     else if (event.key === "s") app.savePicture();
     else if (!this.keys.key(event)) return;

@@ -4,7 +4,7 @@ import { drawing, element } from "viewer/dom";
 import { panned, tilted, zoomed } from "viewer/flat";
 import { KeyPlace } from "viewer/key_place";
 import { directionAt, pointOf } from "viewer/lamps";
-import { toolsOf } from "viewer/round_tools";
+import { followPointer } from "viewer/lens";
 import { text } from "viewer/texts";
 
 const ICONS = {
@@ -25,12 +25,16 @@ const KEYS = { l: "light", m: "move", t: "tilt", p: "probe", r: "ruler", a: "ann
 const KEY_ZOOM = 1.25, KEY_PAN = 60, KEY_LAMP = 0.05, KEY_TILT = 5; // factor; pixels; of the unit disc; degrees
 const TILT = 180; // degrees of a drag over the whole height of the canvas
 const CLICK = 5; // pixels that a click may wander
-const LENS = 220; // CSS pixels along a side
+
+/** Tools that a scene has use for, by their keys. */
+export function toolsOf({ flat, scene }) {
+  const useful = { light: flat, tilt: flat, ruler: flat || scene.offers.includes("ruler"), annotate: Boolean(scene.pointAt) };
+  return Object.fromEntries(Object.entries(KEYS).filter(([, name]) => useful[name] ?? true));
+}
 
 /** The buttons on the picture. app: {tool, chooseTool(name), fit()} */
 export function toolbar(app) {
-  const names = app.flat ? Object.values(KEYS) : toolsOf(app.scene);
-  return names.map((name) => button(name, () => app.chooseTool(name), app.tool === name));
+  return Object.values(toolsOf(app)).map((name) => button(name, () => app.chooseTool(name), app.tool === name));
 }
 
 /** The buttons that do something at once. app: {scene, fit(), setView(view), savePicture(), toggleFullScreen()} */
@@ -55,10 +59,10 @@ export class FlatTools {
     Object.assign(this, { app, canvas });
     this.pointers = new Map();
     this.keys = new KeyPlace(app, canvas);
+    followPointer(app, canvas);
     canvas.addEventListener("pointerdown", (event) => this.down(event));
     canvas.addEventListener("pointermove", (event) => this.move(event));
     for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => this.up(event));
-    canvas.addEventListener("pointerleave", () => app.lens && this.lens(null));
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("keydown", (event) => this.key(event));
     canvas.addEventListener("wheel", (event) => {
@@ -93,17 +97,9 @@ export class FlatTools {
     if (this.app.tool === "ruler") this.app.measure([this.app.scene.pointAt(...this.at(event), this.app.state)]);
     else if (this.app.tool === "light") this.light(event);
     else if (this.app.tool === "annotate") this.app.annotations.begin(event.offsetX, event.offsetY);
-    else if (this.app.tool === "lens") this.lens(event);
-  }
-
-  /** Show the lens at an event; null: nowhere. */
-  lens(event) {
-    this.app.lens = event && { at: this.at(event), size: LENS * this.app.ratio, raised: event.pointerType === "touch" };
-    this.app.redraw();
   }
 
   move(event) {
-    if (this.app.tool === "lens" && this.pointers.size < 2 && !this.moves) this.lens(event);
     const before = this.pointers.get(event.pointerId);
     if (!before) return;
     const here = this.at(event), [dx, dy] = [here[0] - before[0], here[1] - before[1]];
@@ -126,7 +122,6 @@ export class FlatTools {
     if (!this.pointers.delete(event.pointerId)) return;
     if (event.type === "pointercancel") this.app.annotations.drawn = null;
     this.app.annotations.end();
-    if (event.pointerType === "touch" && this.app.lens) this.lens(null);
     const here = this.at(event), wandered = Math.hypot(here[0] - this.started[0], here[1] - this.started[1]);
     if (this.app.tool === "probe" && wandered < CLICK * this.app.ratio && !this.moves) this.app.probe(...here);
     if (this.app.tool === "ruler" && this.app.ruler.length === 2) this.app.say(this.app.rulerText());
