@@ -324,8 +324,8 @@ def test_measured_tables_are_converted_and_checked(data, tmp_path):
 @pytest.mark.parametrize(
     ("columns", "held"),
     [
-        (("red", "brdf_mc_stderr"), "error or count"),
-        (("brdf_per_sr", "brdf_mc_stderr"), "error or count"),
+        (("red", "brdf_mc_stderr"), "error"),
+        (("brdf_per_sr", "brdf_mc_stderr"), "error"),
         (("brdf_per_sr", "radiance_factor"), "radiance factor"),
         (("radiance_factor_r", "radiance_factor_g"), "radiance factor"),
         (("Reflectance factor 500 nm",), "radiance factor"),

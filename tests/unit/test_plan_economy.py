@@ -126,7 +126,7 @@ def test_the_report_is_told_of_parts_and_packages():
     told = planned(PLANE, "normals", "report").stages["report"].settings["left_out"]
     (check,) = (why for part, why in told.items() if part.startswith("2 "))
     expect_facts(check, "evaluate", "export")
-    assert "package rawpy" in told
+    assert any("rawpy" in part for part in told)
     assert "render" in told["package av"]
 
 
@@ -215,7 +215,7 @@ def test_section_of_the_report():
     assert [row[3] for row in files.rows] == ["3.00", "3.00"]
     expect_facts(kept, "1 of 3")
     assert planned_out == Facts([("a", "1"), ("b", "2")])
-    assert decided.rows == [("brdf", "the lobe", *entry.values())]
+    assert [(stage, *rest) for stage, _, *rest in decided.rows] == [("brdf", *entry.values())]
     assert len(left_out_blocks({}, {})) == 1
 
 

@@ -227,7 +227,7 @@ def test_changed_settings_and_reasons_are_reported(full, tmp_path):
     settings = ReportSettings(title="Own title", left_out={"separate": "its method is set to none"})
     inputs = {name: full[name] for name in ("ingest", "normals")}
     text = run(tmp_path, "report", inputs, settings).path("report.html").read_text(encoding="utf-8")
-    assert "<h1>Own title</h1>" in text
+    assert f"<h1>{settings.title}</h1>" in text
     assert "its method is set to none" in text
     assert 'id="relighting"' not in text
 

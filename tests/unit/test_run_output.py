@@ -110,7 +110,8 @@ def test_what_snakemake_says_for_itself_is_left_to_its_log_file(console):
     assert console.say(LogEvent.SHELLCMD, "python scripts/stage.py", shellcmd="python") == ""
     assert console.say(None, "Nothing to be done (all files are there).") != ""
     assert console.say(None, "Cannot restore results/x: no backup found.", logging.WARNING) == ""
-    assert console.say(None, "a disk is slow", logging.WARNING) == "a disk is slow\n"
+    warning = "a disk is slow"
+    assert console.say(None, warning, logging.WARNING) == f"{warning}\n"
     assert "MissingInputException" in console.say(
         LogEvent.ERROR, "MissingInputException:\nno rule", logging.ERROR, exception="MissingInputException"
     )

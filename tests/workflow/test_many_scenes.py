@@ -4,6 +4,7 @@ import os
 import shutil
 
 import pytest
+from refusals import expect_facts
 
 pytestmark = pytest.mark.long
 SCENES = 10_000
@@ -20,11 +21,11 @@ def test_one_unfinished_scene_among_many_is_made_and_no_other(site):
     shutil.rmtree((unfinished / "current/report").resolve())
     before = written(results)
     done = site.nishiki("run")
-    assert f"{SCENES - 1} of {SCENES} scenes are finished and left as they are" in done.stderr
+    expect_facts(done.stderr, f"{SCENES - 1} of {SCENES}")
     assert (unfinished / "current/report/report.html").is_file()
     after = written(results)
     assert {name for name in after if after[name] != before[name]} == {unfinished.name}
-    assert f"Nothing to be done: {SCENES} of {SCENES} scenes are finished" in site.nishiki("run").stderr
+    expect_facts(site.nishiki("run").stderr, f"{SCENES} of {SCENES}")
 
 
 def written(results):

@@ -50,7 +50,7 @@ def test_the_saved_picture_is_the_one_that_is_seen_and_says_what_it_shows(shown)
     picture.load()
     assert name == "tiny-120-30.png"
     texts = picture.text
-    assert (texts["Comment"], texts["Source"].split(",")[0]) == ("Größe", "Scene tiny")
+    assert (texts["Comment"], texts["Source"].split(",")[0].split()[-1]) == ("Größe", "tiny")
     assert {"azimuth 120", "elevation 30", "D65"} <= {
         part for part in ("azimuth 120", "elevation 30", "D65") if part in texts["Description"]
     }
