@@ -22,11 +22,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 sys.path.insert(1, str(Path(__file__).resolve().parents[1] / "tests"))
 sys.path.insert(2, str(Path(__file__).resolve().parents[1] / "workflow/src"))
-from published_fits import fit_brightest_light
+from published_fits import fit_brightest_light, fit_points, point_problem
 from reflectance_table import directions, fit_reflectance_table, predict_reflectances, r2_cube_root
 
 import _project  # noqa: F401
-from nishiki.brdf.fit import fit_points, fit_torrance_sparrow, point_problem
+from nishiki.brdf.fit import fit_torrance_sparrow
 from nishiki.brdf.gloss_profile import SpecularHistogram, fit_gloss
 from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular
 
@@ -191,22 +191,6 @@ def points(count, scipy_count):
                 gamma_error_p99=None if error is None else float(np.quantile(error, 0.99)),
                 flagged=round(float(1 - good.mean()), 4),
             )
-        few = [a[:scipy_count].astype(float) for a in arrays]
-        settings = dict(attenuation=few[2], diffuse=few[3], weights=few[4], method="levenberg_marquardt")
-        fit = fit_torrance_sparrow(few[0], few[1], **settings)
-        report(
-            material=f"simulated_{kind}_noise_{noise}",
-            model="lambert+1xtorrance_sparrow",
-            method="levenberg_marquardt_scipy",
-            r2_cuberoot=round(cube_root_r2(fit, few, truth[:scipy_count]), 5),
-            us_per_point=round(reference, 1),
-            us_per_point_differences=round(differences, 1),
-            gamma=float(np.nanmedian(fit.gamma)),
-            beta=float(np.median(fit.specular)),
-            refractive_index=1.45,
-            default=False,
-            ratio_to_scipy=1.0,
-        )
 
 
 def scenes():

@@ -26,13 +26,12 @@ import _project  # noqa: E402, F401
 from nishiki.capture.goniometer_tables import is_table, read_table  # noqa: E402
 from nishiki.goniometry.directions import disc, images, reduced, unit  # noqa: E402
 from nishiki.goniometry.hemisphere import gathered  # noqa: E402
-from nishiki.goniometry.interpolation import fit_linear, fit_spline  # noqa: E402
+from nishiki.goniometry.interpolation import fit_spline, unfold  # noqa: E402
 from nishiki.stages.goniometer_samples import GoniometerSamplesSettings  # noqa: E402
 
 FEWEST = 60
 SHARES = (0.3, 0.7)
 CHANNELS = 4  # of a spectrum: neighbours tell the same
-KERNELS = {"spline": "cubic", "thin_plate": "thin_plate"}
 
 
 def lobes() -> list[tuple[str, float, float, np.ndarray, np.ndarray]]:
@@ -63,6 +62,34 @@ def tables(folder: Path) -> list[tuple[str, float, float, np.ndarray, np.ndarray
     return found
 
 
+def fit_linear(points: np.ndarray, logs: np.ndarray, folds: np.ndarray):
+    """Linear on the triangles of the points and their images; the nearest point's value outside them.
+
+    Triangles over symmetric points need not be symmetric, so places are folded first.
+    """
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+    unfolded, repeated = unfold(points, logs, folds)
+    inside, nearest = LinearNDInterpolator(unfolded, repeated), NearestNDInterpolator(unfolded, repeated)
+
+    def predict(places: np.ndarray) -> np.ndarray:
+        places = folded(places, folds)
+        values = inside(places)
+        return np.where(np.isfinite(values), values, nearest(places))
+
+    return predict
+
+
+def folded(places: np.ndarray, folds: np.ndarray) -> np.ndarray:
+    """Places (m, 2) brought to one of their images: that with the greatest x, then the greatest y."""
+    best = places
+    for fold in folds:
+        image = places * fold
+        better = (image[:, 0] > best[:, 0]) | ((image[:, 0] == best[:, 0]) & (image[:, 1] > best[:, 1]))
+        best = np.where(better[:, None], image, best)
+    return best
+
+
 def judge(views: np.ndarray, values: np.ndarray, symmetry: np.ndarray, method: str, share: float, rounds: int):
     """Errors of the views left out, and seconds: medians over the rounds."""
     points, logs, sigma = gathered(disc(views), values, np.zeros_like(values))
@@ -73,7 +100,7 @@ def judge(views: np.ndarray, values: np.ndarray, symmetry: np.ndarray, method: s
         if method == "linear":
             predict = fit_linear(points[~out], logs[~out], symmetry)
         else:
-            predict = fit_spline(points[~out], logs[~out], sigma[~out], symmetry, kernel=KERNELS[method])
+            predict = fit_spline(points[~out], logs[~out], sigma[~out], symmetry)
         found = predict(points[out])
         seconds = time.perf_counter() - start
         true, weights = np.exp(logs[out]), np.cos(np.linalg.norm(points[out], axis=1) * np.pi / 2)[:, None]
@@ -98,7 +125,7 @@ def main() -> None:
             views = reduced(np.tile([0.0, 0.0, 1.0], (len(views), 1)), views, "quarter")[1]
         judge(views, values, quarter if along else mirror, default, 0.5, 1)  # imports and compiled code
         for share in SHARES:
-            for method in ("spline", "thin_plate", "linear"):
+            for method in ("spline", "linear"):
                 relative, log, seconds = judge(
                     views, values, quarter if along else mirror, method, share, options.rounds
                 )

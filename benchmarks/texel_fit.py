@@ -17,9 +17,11 @@ import numpy as np
 
 PROJECT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(PROJECT / "scripts"))
+sys.path.insert(1, str(PROJECT / "tests"))
+
+from published_fits import fit_points, point_problem  # noqa: E402
 
 import _project  # noqa: E402, F401
-from nishiki.brdf.fit import fit_points, point_problem  # noqa: E402
 from nishiki.brdf.texels.model import Lighting  # noqa: E402
 from nishiki.brdf.texels.texel_fit import Observed, first_fit, observed, strengths  # noqa: E402
 

@@ -243,21 +243,3 @@ def test_radiometric_scale_does_not_matter(scale):
     for n in tiles:
         np.testing.assert_allclose(two[n].kd / scale, one[n].kd, atol=1e-5)
         np.testing.assert_allclose(two[n].sigma, one[n].sigma, rtol=1e-4)
-
-
-def test_the_published_method_agrees_where_it_converges():
-    tiles, lighting = scene(simplified(), noise=0.001)
-    few = {
-        0: Tile(
-            tiles[0].values[:, :6, :6],
-            tiles[0].visible[:, :6, :6],
-            tiles[0].positions[:6, :6],
-            tiles[0].normals[:6, :6],
-            tiles[0].inside[:6, :6],
-        )
-    }
-    ours, _ = fitted(few, lighting, width="texel")
-    theirs, _ = fitted(few, lighting, width="texel", method="levenberg_marquardt")
-    both = ((ours[0].flags | theirs[0].flags) & TexelFlag.NO_HIGHLIGHT) == 0
-    assert both.sum() > 5
-    assert np.median(abs(ours[0].sigma / theirs[0].sigma - 1)[both]) < 0.02

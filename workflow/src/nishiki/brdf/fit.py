@@ -4,10 +4,10 @@ Levenberg-Marquardt needs a start, and parameters of like size: here it works on
 start that the caller may choose.  scipy's `least_squares(method="lm")` is MINPACK's lmder (More, The
 Levenberg-Marquardt algorithm: implementation and theory, 1978).
 
-The strengths (K_s, K_d, or beta) enter linearly and the half width gamma does not.  The default eliminates the
-strengths and searches log gamma globally (variable projection): there is no start value to choose, and beta = 164
-beside gamma = 0.07 is no harder than beta = 1 beside gamma = 1.  Levenberg-Marquardt on everything is the published
-choice (Tominaga and Tanaka 2004, eq. 18) and stays selectable as the baseline.  Fits over a whole scene are in
+The strengths (K_s, K_d, or beta) enter linearly and the half width gamma does not.  Fits of points eliminate the
+strengths and search log gamma globally (variable projection): there is no start value to choose, and beta = 164 beside
+gamma = 0.07 is no harder than beta = 1 beside gamma = 1.  Levenberg-Marquardt on everything is the published choice
+(Tominaga and Tanaka 2004, eq. 18) and stays for one lobe of a scene.  Fits over a whole scene are in
 `nishiki.brdf.scene`.
 """
 
@@ -78,64 +78,6 @@ def fit_lobe(phi, amplitude, attenuation, *, start=(1.0, START_GAMMA)):
     return float(beta), gamma, covariance, float(np.sqrt(2 * solution.cost / phi.size)), converged
 
 
-def point_problem(phi, amplitude, attenuation, diffuse, root_weights):
-    """(residual, jacobian, start) of one point: unknowns K_d per channel, K_s per channel, log gamma.
-
-    The start is what the data suggest without a search: the median of amplitude / q as K_d, the largest rest divided by
-    its a as K_s, and START_GAMMA.
-    """
-    channels = amplitude.shape[1]
-    lambert = np.any(diffuse != 0)
-    columns = np.eye(channels)
-
-    def parts(p):
-        kd, ks = p[:channels], p[channels : 2 * channels]
-        ratio2 = _squared_ratio(phi, p[-1])
-        return kd, ks, root_weights * attenuation * np.exp2(-ratio2), ratio2
-
-    def residual(p):
-        kd, ks, lobe, _ = parts(p)
-        return (np.outer(root_weights * diffuse, kd) + np.outer(lobe, ks) - root_weights[:, None] * amplitude).ravel()
-
-    def jacobian(p):
-        _, ks, lobe, ratio2 = parts(p)
-        blocks = [np.multiply.outer(c, columns).reshape(-1, channels) for c in (root_weights * diffuse, lobe)]
-        return np.hstack([*blocks, np.outer(lobe * _TWO_LN2 * ratio2, ks).reshape(-1, 1)])
-
-    facing = diffuse > 0
-    kd = np.median(amplitude[facing] / diffuse[facing, None], axis=0) if lambert else np.zeros(channels)
-    rest = (amplitude - np.outer(diffuse, kd)) / np.where(attenuation > 0, attenuation, np.inf)[:, None]
-    ks = np.maximum(rest.max(axis=0), 1e-12)
-    return residual, jacobian, np.concatenate([kd, ks, [np.log(START_GAMMA)]])
-
-
-def fit_points(phi, amplitude, attenuation, diffuse, weights, strengths, reports, *, analytic=True):
-    """`variable_projection.project_points` by scipy, one point after the other; the same outputs."""
-    from scipy.optimize import least_squares
-
-    for p in range(amplitude.shape[0]):
-        good = np.isfinite(amplitude[p]).all(axis=1) & (weights[p] > 0)
-        good &= np.isfinite(phi[p] + attenuation[p] + diffuse[p] + weights[p])
-        x, y, a, q, w = (np.asarray(m[p][good], float) for m in (phi, amplitude, attenuation, diffuse, weights))
-        channels = y.shape[1]
-        reports[p, vp.USED], reports[p, vp.SCALE], reports[p, vp.GAMMA] = good.sum(), 1, np.nan
-        if good.sum() * channels < 2 * channels + 1:
-            continue
-        residual, jacobian, start = point_problem(x, y, a, q, np.sqrt(w))
-        with np.errstate(over="ignore", under="ignore"):
-            solution = least_squares(residual, start, jac=jacobian if analytic else "2-point", method="lm")
-        strengths[p, :, 0], strengths[p, :, 1] = solution.x[channels : 2 * channels], solution.x[:channels]
-        gamma = np.exp(np.clip(solution.x[-1], -80, 80))
-        basis = np.sqrt(w) * q
-        best = np.maximum(basis @ (np.sqrt(w)[:, None] * y) / max(basis @ basis, 1e-300), 0)
-        reports[p, vp.GAMMA], reports[p, vp.RSS] = gamma, 2 * solution.cost
-        reports[p, vp.RSS_DIFFUSE] = np.sum(w[:, None] * (y - np.outer(q, best)) ** 2)
-        others, last = solution.jac[:, :-1], solution.jac[:, -1]
-        rest = last - others @ np.linalg.lstsq(others, last, rcond=None)[0]
-        reports[p, vp.CURVATURE] = float(rest @ rest)
-        reports[p, vp.NEAREST], reports[p, vp.LIT] = x.min(), np.sum(x < 2 * gamma)
-
-
 GAMMA_BOUNDS = (1e-3, 1.6)
 SIGNIFICANCE = 8.0  # F ratio that a lobe must reach; chance alone passes 6 for 1 in 1000 points of 36 x 3 observations
 UNDETERMINED_LOG_GAMMA = 0.5
@@ -168,7 +110,6 @@ def fit_torrance_sparrow(
     attenuation=None,
     diffuse=None,
     gamma_bounds=GAMMA_BOUNDS,
-    method="projection",
     threads=1,
 ) -> PointFits:
     """Fit K_d q + K_s a D(phi; gamma) to the observations of many points; K per channel, gamma per point.
@@ -179,9 +120,8 @@ def fit_torrance_sparrow(
     cos theta_r (Miyazaki et al. 2007, eq. 8); ones if None.  diffuse q: (points, observations), the Lambert term
     max(cos theta_i, 0); no diffuse term if None.
     weights: (points, observations), >= 0, inverse variances up to a factor; 0 leaves an observation out, as does any
-    value that is not finite.  gamma_bounds: radians, the range searched.  method: "projection" (default) or
-    "levenberg_marquardt" (the baseline: slow, from one start, no bounds).  threads: that work on the points; the result
-    does not depend on it.
+    value that is not finite.  gamma_bounds: radians, the range searched.   threads: that work on
+    the points; the result does not depend on it.
 
     Fitted in float32 if amplitude is float32, else in float64.  Raises UserError for shapes that do not agree, negative
     weights, or bounds that are not 0 < low < high.
@@ -193,12 +133,7 @@ def fit_torrance_sparrow(
     points, _, channels = arrays[1].shape
     strengths = np.zeros((points, channels, 2), arrays[1].dtype)
     reports = np.zeros((points, vp.REPORT), arrays[1].dtype)
-    if method == "projection":
-        _in_threads(arrays, float(np.log(low)), float(np.log(high)), strengths, reports, threads)
-    elif method == "levenberg_marquardt":
-        fit_points(*arrays, strengths, reports)
-    else:
-        raise UserError(f"method: expected 'projection' or 'levenberg_marquardt', found {method!r}")
+    _in_threads(arrays, float(np.log(low)), float(np.log(high)), strengths, reports, threads)
     return _judged(arrays, strengths, reports, low, high)
 
 

@@ -1,16 +1,14 @@
 """The normal-incidence reflectance on the whole hemisphere: symmetry, interpolation, what is measured, what is not."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import disc, images, reduced, unit
-from nishiki.goniometry.interpolation import fit_linear, fit_spline, unfold
+from nishiki.goniometry.interpolation import fit_spline, unfold
 from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
 
-Method = Literal["spline", "thin_plate", "linear"]
 MOST_POINTS = 1500  # of one eigenvalue problem; more views are averaged over small cells
 WITHIN = 0.75  # of the grid's step, a little more than half its diagonal: a view that near measures the node
 FEWEST = 6
@@ -21,21 +19,19 @@ class Interpolation:
     """Hold the interpolation of a hemisphere.
 
     basic: the grid; left_out (regions,): relative error of the views, each predicted from the others, as the root mean
-    square of the logarithm, None for the linear method; smoothing (regions,): chosen by it; points (regions,): views of
+    square of the logarithm; smoothing (regions,): chosen by it; points (regions,): views of
     the reduced hemisphere that entered; measured, extrapolated: shares of the hemisphere's solid angle.
     """
 
     basic: BasicReflectance
-    left_out: tuple[float | None, ...]
-    smoothing: tuple[float | None, ...]
+    left_out: tuple[float, ...]
+    smoothing: tuple[float, ...]
     points: tuple[int, ...]
     measured: float
     extrapolated: float
 
 
-def complete(
-    measured: ReflectanceSet, *, grid_deg: float = 3.0, method: Method = "spline"
-) -> tuple[ReflectanceSet, Interpolation]:
+def complete(measured: ReflectanceSet, *, grid_deg: float = 3.0) -> tuple[ReflectanceSet, Interpolation]:
     """Fill in `basic` of a set from the views at normal incidence. UserError where they are too few."""
     rows = np.flatnonzero(measured.normal_incidence)
     chosen = [rows[measured.valid[rows, r] & positive(measured.values[rows, r])] for r in range(len(measured.regions))]
@@ -53,7 +49,6 @@ def complete(
             measured.noise[usable, r],
             symmetry=measured.symmetry,
             grid_deg=grid_deg,
-            method=method,
         )
         for r, usable in enumerate(chosen)
     ]
@@ -89,7 +84,6 @@ def interpolate(
     *,
     symmetry: str = "quarter",
     grid_deg: float = 3.0,
-    method: Method = "spline",
 ) -> Interpolation:
     """BRDF values (n, channels) > 0 at views (n, 3), light along the normal, on a regular grid of one region.
 
@@ -112,11 +106,7 @@ def interpolate(
     places = disc(nodes).reshape(-1, 2)
     try:
         inside = within_hull(places, unfold(points, logs, folds)[0])
-        if method == "linear":
-            predict, left_out, smoothing = fit_linear(points, logs, folds), None, None
-        else:
-            predict = fit_spline(points, logs, sigma, folds, kernel="cubic" if method == "spline" else "thin_plate")
-            left_out, smoothing = float(np.sqrt((predict.left_out**2).mean())), predict.smoothing
+        predict = fit_spline(points, logs, sigma, folds)
     except ValueError as e:
         raise UserError(
             f"the views at normal incidence cannot be interpolated ({e}). Remedy: photograph views in several azimuths"
@@ -129,7 +119,8 @@ def interpolate(
     basic = BasicReflectance(theta, phi, grid[None], measured, beyond & ~measured)
     weights = solid_angles(basic)
     shares = float((weights * basic.measured).sum()), float((weights * basic.extrapolated).sum())
-    return Interpolation(basic, (left_out,), (smoothing,), (len(points),), *shares)
+    left_out = float(np.sqrt((predict.left_out**2).mean()))
+    return Interpolation(basic, (left_out,), (predict.smoothing,), (len(points),), *shares)
 
 
 def grid_axes(grid_deg: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,8 +1,6 @@
 """Interpolate positive functions on the hemisphere, from a grid or from scattered directions."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numba import njit
@@ -90,8 +88,6 @@ def _weights(t, w):
 
 SMOOTHING = np.logspace(-12, 0, 25)  # of the roughness against the misfit, over the kernel's largest eigenvalue
 LEAST_SIGMA = 0.01  # of a logarithm: what repeated measurements leave at best
-Kernel = Literal["thin_plate", "cubic"]
-Predictor = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -102,26 +98,22 @@ class SmoothingSpline:
     weights: np.ndarray  # (n, channels)
     trend: np.ndarray  # (terms, channels)
     folds: np.ndarray  # (k, 2): signs of the symmetric images
-    kernel: Kernel
     smoothing: float  # the factor chosen, over the kernel's largest eigenvalue
     left_out: np.ndarray  # (n, channels): error of the logarithm at each point when it is predicted from the others
 
     def __call__(self, places: np.ndarray) -> np.ndarray:
         """Logarithms (m, channels) at places (m, 2)."""
-        radial = symmetric_kernel(places, self.points, self.folds, self.kernel)
+        radial = symmetric_kernel(places, self.points, self.folds)
         return radial @ self.weights + trend_terms(places, self.folds) @ self.trend
 
 
-def symmetric_kernel(a: np.ndarray, b: np.ndarray, folds: np.ndarray, kernel: Kernel) -> np.ndarray:
-    """Mean of r^2 log r or r^3 over the distances from a (m, 2) to the images of b (n, 2): (m, n)."""
+def symmetric_kernel(a: np.ndarray, b: np.ndarray, folds: np.ndarray) -> np.ndarray:
+    """Mean of r^3 over the distances from a (m, 2) to the images of b (n, 2): (m, n)."""
     total = np.zeros((len(a), len(b)))
     for fold in folds:
         image = b * fold
         squared = (a[:, :1] - image[:, 0]) ** 2 + (a[:, 1:] - image[:, 1]) ** 2
-        if kernel == "cubic":
-            total += squared * np.sqrt(squared)
-        else:
-            total += 0.5 * squared * np.log(np.maximum(squared, 1e-300))
+        total += squared * np.sqrt(squared)
     return total / len(folds)
 
 
@@ -131,9 +123,7 @@ def trend_terms(places: np.ndarray, folds: np.ndarray) -> np.ndarray:
     return np.column_stack([np.ones(len(places)), *(places[:, axis] for axis in kept)])
 
 
-def fit_spline(
-    points: np.ndarray, logs: np.ndarray, sigma: np.ndarray, folds: np.ndarray, *, kernel: Kernel = "cubic"
-) -> SmoothingSpline:
+def fit_spline(points: np.ndarray, logs: np.ndarray, sigma: np.ndarray, folds: np.ndarray) -> SmoothingSpline:
     """Fit a polyharmonic spline with the smoothing that predicts each point best from the others.
 
     Ordinary cross-validation: Wahba, Spline Models for Observational Data, 1990, ch. 4.
@@ -147,7 +137,7 @@ def fit_spline(
         raise ValueError(f"{len(points)} directions do not determine a surface; at least 4, not in one line, expected")
     deviation = np.sqrt(sigma**2 + LEAST_SIGMA**2)
     scale = np.sqrt(np.mean(deviation**2)) / deviation  # noisy points count less
-    matrix = scale[:, None] * symmetric_kernel(points, points, folds, kernel) * scale
+    matrix = scale[:, None] * symmetric_kernel(points, points, folds) * scale
     basis = np.linalg.qr(scale[:, None] * trend, mode="complete")[0][:, trend.shape[1] :]
     eigenvalues, vectors = np.linalg.eigh(basis.T @ matrix @ basis)
     eigenvalues, vectors = np.maximum(eigenvalues, 0.0), basis @ vectors
@@ -162,37 +152,7 @@ def fit_spline(
     _, factor, weights, left_out = min(tried, key=lambda entry: entry[0])
     misfit = scale[:, None] * logs - matrix @ weights - factor * largest * weights
     beta = np.linalg.lstsq(scale[:, None] * trend, misfit, rcond=None)[0]
-    return SmoothingSpline(
-        points, scale[:, None] * weights, beta, folds, kernel, float(factor), left_out / scale[:, None]
-    )
-
-
-def fit_linear(points: np.ndarray, logs: np.ndarray, folds: np.ndarray) -> Predictor:
-    """Linear on the triangles of the points and their images; the nearest point's value outside them.
-
-    Triangles over symmetric points need not be symmetric, so places are folded first.
-    """
-    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-
-    unfolded, repeated = unfold(points, logs, folds)
-    inside, nearest = LinearNDInterpolator(unfolded, repeated), NearestNDInterpolator(unfolded, repeated)
-
-    def predict(places: np.ndarray) -> np.ndarray:
-        places = folded(places, folds)
-        values = inside(places)
-        return np.where(np.isfinite(values), values, nearest(places))
-
-    return predict
-
-
-def folded(places: np.ndarray, folds: np.ndarray) -> np.ndarray:
-    """Places (m, 2) brought to one of their images: that with the greatest x, then the greatest y."""
-    best = places
-    for fold in folds:
-        image = places * fold
-        better = (image[:, 0] > best[:, 0]) | ((image[:, 0] == best[:, 0]) & (image[:, 1] > best[:, 1]))
-        best = np.where(better[:, None], image, best)
-    return best
+    return SmoothingSpline(points, scale[:, None] * weights, beta, folds, float(factor), left_out / scale[:, None])
 
 
 def unfold(points: np.ndarray, logs: np.ndarray, folds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

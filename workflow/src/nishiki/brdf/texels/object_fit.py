@@ -57,17 +57,16 @@ def fit_object(
     write: Callable[[int, Parameters], None],
     *,
     width: str = "smooth",
-    method: str = "projection",
     apart: bool = False,
     threads: int = 1,
 ) -> ObjectFit:
     """Fit all tiles: read(tile) gives its texels, write(tile, parameters) takes the result; from several threads.
 
     width: "smooth" (sigma and K_s drawn towards the neighbours' as far as the data allow), "texel" (the paper's: each
-    texel by itself, the neighbours only where no highlight was observed), "object" (one sigma).  method: of the first
-    pass, "projection" or "levenberg_marquardt".  apart: where tiles have components, K_d from the
-    diffuse and K_s from the specular one (the paper's); else only sigma comes from the specular component, and K_d and
-    K_s from the total, which is what a picture shows.  The result does not depend on `threads`.
+    texel by itself, the neighbours only where no highlight was observed), "object" (one sigma).  apart: where tiles
+    have components, K_d from the diffuse and K_s from the specular one (the paper's); else only sigma comes from the
+    specular component, and K_d and K_s from the total, which is what a picture shows.  The result does not depend on
+    `threads`.
     """
     tiles = list(tiles)
     lattice = lattice_of([read(tile) for tile in tiles[:: max(len(tiles) // 6, 1)]])
@@ -78,7 +77,7 @@ def fit_object(
     def every(function):
         return list(in_threads(function, range(len(tiles)), threads))
 
-    first = every(lambda k: _First.of(read(tiles[k]), capture, method, lattice))
+    first = every(lambda k: _First.of(read(tiles[k]), capture, lattice))
     widths = _Widths.of(first, lattice, width)
     second = every(lambda k: _Second.of(fitted_tile(k), capture, widths, first[k], lattice))
     gloss = _Gloss.of(second, first, lattice, width)
@@ -120,9 +119,9 @@ class _First:
     stride: int
 
     @classmethod
-    def of(cls, tile: Tile, capture: Capture, method: str, lattice: Lattice) -> "_First":
+    def of(cls, tile: Tile, capture: Capture, lattice: Lattice) -> "_First":
         total, specular = capture.observe(tile)
-        fit = texel_fit.first_fit(total, specular, method=method)
+        fit = texel_fit.first_fit(total, specular)
         informed = fit.information > 0
         precision = np.where(informed, 1 / (1 / np.where(informed, fit.information, 1) + SCATTER_SIGMA**2), 0)
         # every texel of the charts counts as surface, also those that no view shows

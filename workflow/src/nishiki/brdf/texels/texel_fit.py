@@ -241,13 +241,9 @@ class FirstFit:
     flags: np.ndarray
 
 
-def first_fit(
-    total: Observed, specular: Observed | None = None, *, method: str = "projection", threads: int = 1
-) -> FirstFit:
+def first_fit(total: Observed, specular: Observed | None = None, *, threads: int = 1) -> FirstFit:
     """Fit each texel alone.  total: observations of Lambert + lobe; where `specular` (the same slots) is given, `total`
     holds the diffuse component, and the two terms are fitted apart (Miyazaki et al. 2007, sections 3.1, 3.2).
-
-    method: "projection", or "levenberg_marquardt" (the paper's, slow).
     """
     data, basis = (total, total.diffuse) if specular is None else (specular, None)
     low, high = (bound * WIDTH_OF_SIGMA for bound in SIGMA_BOUNDS)
@@ -258,7 +254,6 @@ def first_fit(
         attenuation=data.attenuation,
         diffuse=basis,
         gamma_bounds=(low, high),
-        method=method,
         threads=threads,
     )
     known = ((fit.flags & LOST) == 0) & np.isfinite(fit.gamma) & (fit.sigma_log_gamma > 0)

@@ -76,9 +76,6 @@ class ObjectBrdfSettings(Guarded, stage="object_brdf", version=2, limits=OBJECT_
         description="sigma and K_s: drawn towards the neighbours' as far as the data allow; each texel's own, filled "
         "where no highlight was observed (the paper's); one sigma for the object",
     )
-    method: Literal["projection", "levenberg_marquardt"] = Field(
-        "projection", description="fit of a texel's lobe; levenberg_marquardt: the paper's, slow"
-    )
     lighting: Literal["auto", "camera", "fitted"] = Field(
         "auto",
         description="auto: the capture's lamps, fitted where it states none; camera: a lamp at the camera; fitted: an "

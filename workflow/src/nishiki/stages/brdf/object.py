@@ -48,7 +48,6 @@ def run(context: Context) -> dict:
             capture,
             out.write,
             width=settings.width,
-            method=settings.method,
             apart=settings.components == "apart",
             threads=threads(),
         )

@@ -90,10 +90,10 @@ class GoniometerSamplesSettings(Guarded, stage="goniometer_samples", version=1, 
     )
     normal_deg: float = Field(1.0, gt=0, le=15, description="light within this angle of the normal counts as along it")
     grid_deg: float = Field(3.0, ge=1, le=10, description="step of the hemisphere's grid, degrees")
-    interpolation: Literal["spline", "thin_plate", "linear", "none"] = Field(
+    interpolation: Literal["spline", "none"] = Field(
         "spline",
-        description="between the views at normal incidence, of the logarithm: smoothing spline of r^3 or r^2 log r, or "
-        "linear on triangles; none: no hemisphere, for captures without normal incidence",
+        description="between the views at normal incidence, of the logarithm: smoothing spline of r^3; none: no "
+        "hemisphere, for captures without normal incidence",
     )
     symmetry: Literal["auto", "quarter", "half", "none"] = Field(
         "auto", description="of the weave: two mirror planes, half a turn, none; auto: as the capture says"

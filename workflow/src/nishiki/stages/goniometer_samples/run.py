@@ -38,7 +38,7 @@ def run(context: Context) -> dict:
     )
     made = None
     if settings.interpolation != "none":
-        measured, made = complete(measured, grid_deg=settings.grid_deg, method=settings.interpolation)
+        measured, made = complete(measured, grid_deg=settings.grid_deg)
     covered = coverage(measured)
     context.output.path("coverage.svg").write_text(coverage_plot(measured, covered))
     report = {"stamp": context.stamp, "coverage": [light.as_dict() for light in covered]}
