@@ -46,6 +46,7 @@ WHAT_TO_MAKE = frozenset(
 """Options in a profile that decide what is made."""
 ITS_OWN_OUTPUT = {"--verbose", "--logger"}
 """Options with which Snakemake prints for itself."""
+QUIET = ["--quiet", "rules", "host"]  # where Snakemake itself writes on the screen
 SAMPLED_SCENES = 200
 """Scenes from which the expected time of each stage is taken."""
 
@@ -103,7 +104,7 @@ def call_engine(
     """
     environment = engine_environment() | ({LEAVE_OUT: "1"} if flow.refused else {})
     if LOOKS_ONLY & set(command):
-        return subprocess.run([*command[:3], "--nolock", *command[3:]], check=False, env=environment).returncode
+        return subprocess.run([*command[:3], "--nolock", *QUIET, *command[3:]], check=False, env=environment).returncode
     with registered(Path(flow.results), flow.plans, gone=gone, tell=_tell) as held:
         scenes = list(flow.plans)
         if unfinished_only:
@@ -120,7 +121,7 @@ def call_engine(
         set_aside_unsound(dict(_plans(flow, scenes)), _tell, contents=held.unclean)
         with tempfile.TemporaryFile() as failed:
             counted = len(scenes) if unfinished_only else None
-            shown = [] if ITS_OWN_OUTPUT & set(command) else _display(flow, scenes, counted, failed.fileno())
+            shown = QUIET if ITS_OWN_OUTPUT & set(command) else _display(flow, scenes, counted, failed.fileno())
             if not INSTALLED:  # Snakemake looks for its plugins on the path of Python
                 path = (str(SOURCE), environment.get("PYTHONPATH"))
                 environment["PYTHONPATH"] = os.pathsep.join(filter(None, path))

@@ -188,8 +188,12 @@ def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Pa
     if not (folder / "config.yaml").is_file():
         known = ", ".join(sorted(path.name for path in PROFILES.iterdir()))
         raise UserError(f"--profile {name}: no such profile; known: {known}, or a folder that holds a config.yaml")
-    arguments = ["--workflow-profile", str(folder)]
-    executor = str(load_yaml(folder / "config.yaml").get("executor", "local"))
+    options, arguments = load_yaml(folder / "config.yaml"), ["--workflow-profile", str(folder)]
+    if name == "default":  # Snakemake would name the profile on the screen
+        arguments = ["--workflow-profile", "none"]
+        for key, value in options.items():
+            arguments += [f"--{key}"] if value is True else [f"--{key}", str(value)]
+    executor = str(options.get("executor", "local"))
     if executor != "local":
         plugin = f"snakemake_executor_plugin_{executor.replace('-', '_')}"
         if importlib.util.find_spec(plugin) is None:
