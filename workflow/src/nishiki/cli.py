@@ -51,6 +51,8 @@ MODULES = {name: module for section in SECTIONS.values() for name, module in sec
 class Commands(Group):
     """All commands; a module is imported when one of its commands is wanted."""
 
+    sections = SECTIONS
+
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names in the order of the help."""
         return list(MODULES)
@@ -61,13 +63,6 @@ class Commands(Group):
             raise click.exceptions.NoSuchCommand(name, possibilities=MODULES, ctx=ctx)
         module = importlib.import_module(f"nishiki.commands.{MODULES[name]}")
         return next(each for each in vars(module).values() if isinstance(each, click.Command) and each.name == name)
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the commands by section."""
-        for title, names in SECTIONS.items():
-            with formatter.section(title.capitalize()):
-                rows = [(name, self.get_command(ctx, name).get_short_help_str(200)) for name in names]
-                formatter.write_dl(rows, col_max=14)
 
 
 def print_version(context: click.Context, parameter: click.Parameter, given: bool) -> None:

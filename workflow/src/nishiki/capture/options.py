@@ -34,15 +34,16 @@ class ConvertOptions:
 
     title: str | None = declared("--title TEXT", "title of the object (default: name of the source)")
     encoding: Literal["linear", "srgb"] | None = declared(
-        "--encoding linear|srgb", "coding of the photographs (default: as they state)"
+        "--encoding linear|srgb", "encoding of the photographs (default: as their files state)"
     )
     lights_file: Path | None = declared(
-        "--lights FILE", "lights file, where it is not found by itself; of a relightable image: to render under"
+        "--lights FILE",
+        "lights file, where it is not found by itself; for a relightable image: the lamps to render it under",
     )
     lights_kind: str | None = declared(
         f"--lights-kind {'|'.join(LIGHT_KINDS)}",
-        "what the numbers of the lights file are, where it is not clear; elevation from the object's plane, polar "
-        "angle from its normal",
+        "what the numbers of the lights file are, where it is not clear; elevation is counted from the object's plane, "
+        "the polar angle from its normal",
     )
     lights_order: str | None = declared(
         "--lights-order ORDER",
@@ -54,14 +55,15 @@ class ConvertOptions:
     )
     width_mm: float | None = declared("--width-mm MM", "width of the whole photographs on the object", type=float)
     mask: Path | None = declared(
-        "--mask FILE", "picture, light where the object is, or with its shape as alpha; turntable: a folder of them"
+        "--mask FILE",
+        "picture that is light where the object is, or has its shape as alpha; turntable: a folder of them",
     )
-    white: Path | None = declared("--white FOLDER", "the white board's photographs, one a light, paired by name")
-    dark: Path | None = declared("--dark FOLDER", "dark frames")
+    white: Path | None = declared("--white FOLDER", "photographs of the white board, one per lamp, paired by name")
+    dark: Path | None = declared("--dark FOLDER", "dark frames: photographs with the lens closed")
     ambient: Path | None = declared(
         "--ambient FILE", "photograph without lamp, in the light of the room alone, or a folder of such"
     )
-    checks: tuple[str, ...] = declared("--check LIGHT", "a light kept for evaluation (repeatable)", (), multiple=True)
+    checks: tuple[str, ...] = declared("--check LAMP", "a lamp kept for evaluation (repeatable)", (), multiple=True)
     values: Values | None = declared(
         f"--values {'|'.join(get_args(Values))}", "what a table of reflectances holds (default: brdf, in 1/sr)"
     )
@@ -69,15 +71,18 @@ class ConvertOptions:
         "--azimuths cloth|lamp|mirror",
         "what the azimuth of the view in a table is counted from (default: cloth, the weft, as that of the light)",
     )
-    link: bool = declared("--link", "hard links instead of copies, on the same disk", False)
+    link: bool = declared("--link", "make hard links instead of copies; both folders on one disk", False)
     turn: Literal["reverse"] | None = declared(
-        "--turn reverse", "turntable: the object turned against the order of the cameras"
+        "--turn reverse", "turntable: the object turned in the direction opposite to the order of the cameras"
     )
     camera_of: dict[str, str] | None = declared(
-        "--camera-of VIEW=CAMERA,...", "turntable: views that have the camera of another view"
+        "--camera-of VIEW=CAMERA,...", "turntable: the camera of another view, for views whose own is wrong"
     )
     region: tuple[int, int, int, int] | None = declared(
-        "--roi ROW COLUMN ROWS COLUMNS", "crop: part of the photographs", nargs=4, type=int
+        "--roi ROW COLUMN ROWS COLUMNS",
+        "part of the photographs to use: first row and column, number of rows and columns",
+        nargs=4,
+        type=int,
     )
     examine: Callable[[Path], list[Problem]] | None = None
 

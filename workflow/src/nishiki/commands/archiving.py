@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 @click.argument("folders", nargs=-1, help="results, scene, stage, artifact or crate (default: results)")
 @option("--capture FOLDER", "a sealed capture to verify as well", "captures", multiple=True)
 @with_json
-@option("--threads N", "threads that read (default: one a processor)", type=int, default=0, show_default=False)
+@option("--threads N", "threads that read files (default: one per processor)", type=int, default=0, show_default=False)
 @option("--set-aside", "rename each damaged artifact, so that the next run makes it again")
 def verify(folders, captures, as_json, threads, set_aside) -> int:
-    """Recompute every digest; name each damaged, missing or foreign file.
+    """Recompute every digest, and name each damaged, missing or foreign file.
 
     Exit status 1 where anything is damaged, missing or foreign.
     """
@@ -161,8 +161,8 @@ def _set_aside(unsound: set[Path]) -> None:
 )
 @scene_argument
 @option("--output FOLDER", "folder to make; must not exist", required=True)
-@option("--without-capture", "not the photographs, only their names and digests")
-@option("--zip", "the folder as a ZIP file too, beside it", "zipped")
+@option("--without-capture", "leave the photographs out, and keep their names and digests")
+@option("--zip", "also write the folder as a ZIP file beside it", "zipped")
 @with_configuration
 def pack(scene: str, output: str, without_capture: bool, zipped: bool, configfile: str) -> None:
     """Pack a finished scene, with all that it was made from, as an RO-Crate."""
@@ -242,8 +242,8 @@ def _artifacts(flow: "Workflow", name: str, plan: "Plan") -> "list[Artifact]":
 
 
 @command("prune", "prune --delete")
-@option("--configfile FILE", f"repeatable (default: {CONFIGURATION})", "configfiles", multiple=True)
-@option("--sweep FILE", "file of a sweep to keep (repeatable)", "sweeps", multiple=True)
+@option("--configfile FILE", f"configuration (repeatable; default: {CONFIGURATION})", "configfiles", multiple=True)
+@option("--sweep FILE", "file of a sweep whose results are kept (repeatable)", "sweeps", multiple=True)
 @option("--unnamed", "also scenes and sweeps that no given configuration names")
 @option("--delete", "remove what is listed")
 @with_json

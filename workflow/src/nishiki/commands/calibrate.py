@@ -27,7 +27,7 @@ def calibrate() -> None:
 
 
 folder = click.argument("folder", type=Path, help="new folder for the results")
-into = option("--into CAPTURE", "write the lines into a capture that is not sealed, too", type=Path)
+into = option("--into CAPTURE", "also write the results into this capture, which must not be sealed", type=Path)
 
 
 def corner(context: click.Context, parameter: click.Parameter, texts: tuple[str, ...] | None):
@@ -55,11 +55,11 @@ def corner(context: click.Context, parameter: click.Parameter, texts: tuple[str,
 )
 @option(
     "--encoding linear|srgb",
-    "coding of the photograph (default: as the file states; else 8 bit srgb, all others linear)",
+    "encoding of the photograph (default: as the file states; else srgb for 8 bit, linear for all others)",
 )
 @option(
     "--light SPECTRUM",
-    "of the lamp: A, D50, D65, E, FL2, FL7, FL11, or a CSV table; with it the sensitivities are recovered",
+    "spectrum of the lamp: A, D50, D65, E, FL2, FL7, FL11, or a CSV table; with it the sensitivities are recovered",
 )
 @option(
     "--reflectances CSV", "of this very chart: wavelength_nm and 24 columns (default: mean of thirty charts)", type=Path
@@ -78,31 +78,33 @@ def target(photograph, folder, into, corners, encoding, light, reflectances) -> 
         "convert painting/ captures/painting --lights calibration/dome/lamps.dome",
     ),
     epilog="""\
-Look at calibration/dome/calibration.html: the green outlines must lie on the spheres' rims, each red cross in a
+Look at calibration/dome/calibration.html: the green outlines must lie on the rims of the balls, each red cross in a
 highlight. lamps.lp and lamps.dome serve all captures of this dome, until it or the camera is moved.""",
 )
-@click.argument("photographs", nargs=-1, required=True, help="one a lamp, of the same spheres: files, or folders")
+@click.argument(
+    "photographs", nargs=-1, required=True, help="one photograph per lamp, of the same balls: files, or folders"
+)
 @folder
 @into
 @option(
     "--sphere ROW COLUMN RADIUS",
-    "roughly where a sphere is, in pixels (repeatable; default: found)",
+    "roughly where a ball is, in pixels (repeatable; default: found in the photographs)",
     "seeds",
     nargs=3,
     type=float,
     multiple=True,
 )
-@option("--mask FILE", "picture, light on the spheres: their outlines are taken from it", type=Path)
-@option("--count N", "spheres that must be found (default: all that there are)", type=int)
+@option("--mask FILE", "picture that is light on the balls: their outlines are taken from it", type=Path)
+@option("--count N", "number of balls that must be found (default: all that there are)", type=int)
 @option(
     "--focal-px N",
-    "focal length in pixels; inf: seen from afar (default: from Exif, else from the agreement of the spheres)",
+    "focal length in pixels; inf: seen from afar (default: from Exif, else from the agreement of the balls)",
     type=float,
 )
 @option("--radius-mm MM", "radius of every sphere; needed for positions", type=float)
 @option(
     "--object-height-mm MM",
-    "height of the object's surface above the plane on which the spheres lie",
+    "height of the object's surface above the plane on which the balls lie",
     type=float,
     default=0.0,
 )
@@ -110,11 +112,11 @@ highlight. lamps.lp and lamps.dome serve all captures of this dome, until it or 
     "--board FOLDER",
     "folder of a flat matt board in the object's plane, one photograph a lamp: the fall-off refines the lamps",
 )
-@option("--compare LP", "a lights file: the angles to it stand on the page", type=Path)
+@option("--compare LP", "lights file; the page shows the angles between its lamps and these", type=Path)
 def spheres(photographs, folder, into, board, seeds, **given) -> None:
-    """Measure the lamps of a dome: directions from one mirror sphere, positions from two or more.
+    """Measure the lamps of a dome: directions from one mirror ball, positions from two or more.
 
-    Lay the spheres where the object will lie, and photograph them once under every lamp, the camera fixed.
+    Lay the balls where the object will lie, and photograph them once under every lamp, with the camera fixed.
     """
     from nishiki.calibrate.result import list_photographs
     from nishiki.calibrate.spheres_result import calibrate_spheres
@@ -147,11 +149,11 @@ def camera(series, folder, into, bits) -> None:
         "calibrate geometry board-to-print --board 9 6 15 11 --print",
     )
 )
-@click.argument("photographs", nargs=-1, help="the board, tilted another way in each: files, or folders of them")
+@click.argument("photographs", nargs=-1, help="photographs of the board, tilted differently in each: files, or folders")
 @folder
 @into
 @option("--board COLUMNS ROWS SQUARE_MM MARKER_MM", "squares and their size", nargs=4, type=float, required=True)
-@option("--dictionary NAME", "of the markers, OpenCV's name", default="DICT_4X4_50")
+@option("--dictionary NAME", "OpenCV's name for the dictionary of the markers", default="DICT_4X4_50")
 @option("--print", "write the board as SVG and PNG instead", "print_only")
 @option("--stage FOLDER", "the board on the turntable or goniometer, the camera at rest")
 @option("--distortion none|radial|tangential|full", "terms of the distortion", default="tangential")

@@ -41,7 +41,7 @@ convert_options = apply(
     "open_page",
 )
 def check(captures: tuple[str, ...], quick: bool, open_page: bool) -> int:
-    """Say everything that is wrong with a capture, in one pass."""
+    """List everything that is wrong with captures, in one pass."""
     return max(2 if examine(name, quick=quick, open_page=open_page) else 0 for name in captures)
 
 
@@ -112,7 +112,7 @@ def seal_folder(capture: Path) -> str:
 @option("--unsealed", "do not seal yet: camera curves and the like will be added")
 @option("--open", "former name of --unsealed", "opened", hidden=True)
 def convert(source: str, capture: str | None, list_only: bool, unsealed: bool, opened: bool, **given) -> None:
-    """Turn photographs, with their lights or cameras, or a goniometer's table, into a sealed capture folder."""
+    """Turn photographs with their lamps or cameras, or a goniometer's table, into a sealed capture folder."""
     if opened:
         raise UserError("--open: of other commands it opens a page. Remedy: --unsealed leaves the capture unsealed")
     if list_only:

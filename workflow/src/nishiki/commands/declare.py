@@ -1,6 +1,6 @@
 """The form of every command, the options that several commands share, and the completion of scene names."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import click
@@ -41,11 +41,19 @@ class Group(Command, click.Group):
     """Commands below a command, such as `rig run`."""
 
     command_class = Command
+    sections: dict[str, Iterable[str]] | None = None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options, then the commands."""
+        """Write the options, then the commands, each with the first sentence of its help."""
         super().format_options(ctx, formatter)
         self.format_commands(ctx, formatter)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands by section."""
+        for title, names in (self.sections or {"commands": self.list_commands(ctx)}).items():
+            with formatter.section(title.capitalize()):
+                rows = [(name, self.get_command(ctx, name).get_short_help_str(200)) for name in names]
+                formatter.write_dl(rows, col_max=14)
 
 
 def command(*examples: str, **settings) -> Callable[[Callable], Command]:
@@ -115,11 +123,11 @@ def names_of_scenes(context: click.Context, parameter: click.Parameter, incomple
 
 with_configuration = option("--configfile FILE", "configuration", default=CONFIGURATION)
 with_cores = option("--cores N", "processors to use (default: all)", callback=cores)
-with_profile = option("--profile NAME", "slurm for a cluster, or a folder of Snakemake's options", default="default")
+with_profile = option("--profile NAME", "slurm for a cluster, or a folder with Snakemake's options", default="default")
 with_gone = option(
-    "--host-is-gone HOST", "a machine whose unfinished runs are certainly dead (repeatable)", "gone", multiple=True
+    "--host-is-gone HOST", "a machine whose unfinished runs have certainly ended (repeatable)", "gone", multiple=True
 )
-with_json = option("--json", "print one JSON object a line", "as_json")
+with_json = option("--json", "print one JSON object per line", "as_json")
 scene_argument = click.argument("scene", shell_complete=names_of_scenes, help="name of a scene")
 any_scene_argument = click.argument(
     "scene", required=False, shell_complete=names_of_scenes, help="name of a scene (default: all)"

@@ -25,15 +25,15 @@ DEMOS = {
 
 
 @command("demo", "demo --object", "demo --cloth", passed_on=True)
-@option("--object", "an object on a turntable instead", "jar")
-@option("--cloth", "a satin on a gonioreflectometer instead", "satin")
-@option("--rig", "the painting through a simulated dome, which takes its photographs (needs the extra rig)", "dome")
+@option("--object", "simulate a jar on a turntable instead", "jar")
+@option("--cloth", "simulate a satin on a gonioreflectometer instead", "satin")
+@option("--rig", "let a simulated dome take the photographs of the painting (needs the extra rig)", "dome")
 @click.argument("rest", nargs=-1, type=click.UNPROCESSED, metavar="[SNAKEMAKE OPTION]...")
 def demo(jar: bool, satin: bool, dome: bool, rest: tuple[str, ...]) -> int:
-    """Simulate a painting, run the whole workflow on it, name the report.
+    """Simulate a painting, digitise it and name its report.
 
-    In the folder of the checkout; an installed package makes the folder nishiki-demo where it is called. What is there
-    already is used again.
+    Photographs and results are written to the folder of the checkout; an installed package makes the folder
+    nishiki-demo where it is called. What is there already is used again.
     """
     from nishiki.commands.running import run_scenes
 
@@ -96,7 +96,7 @@ def photograph_by_rig(by_hand: Path, folder: Path, capture: Path) -> int:
 )
 @click.argument("rest", nargs=-1, type=click.UNPROCESSED)
 def simulate(rest: tuple[str, ...]) -> int:
-    """Photograph a simulated painting, object or cloth; the truth is kept apart."""
+    """Photograph a simulated painting, object or cloth, and keep the truth apart."""
     return call_simulator(*rest)
 
 

@@ -39,7 +39,7 @@ See docs/stages/export.md."""
 @with_cores
 @with_gone
 def export(scene, formats, output, configfile, cores, gone) -> int:
-    """Write files of a scene's results for other programs; whatever of the scene they need is made first."""
+    """Write a scene's results in formats of other programs; stages that these need run first."""
     from nishiki.commands.engine import call_engine
     from nishiki.engine.project import load_yaml
     from nishiki.engine.workflow import Workflow
@@ -71,7 +71,7 @@ def export(scene, formats, output, configfile, cores, gone) -> int:
 @click.argument("file", help="file to write, .csv or .parquet (needs the extra export)")
 @with_configuration
 def table(file: str, configfile: str) -> None:
-    """Write the figures of all scenes as a table, one row a scene."""
+    """Write the figures of all scenes as a table, one row per scene."""
     from nishiki.engine.finished import campaign_rows, columns_of
 
     path = Path(file)
@@ -98,14 +98,14 @@ def table(file: str, configfile: str) -> None:
     required=True,
     type=click.UNPROCESSED,
     metavar="SWEEP... [SNAKEMAKE OPTION]...",
-    help="files, or names of blocks of `sweeps`",
+    help="files of sweeps, or names under `sweeps` in the configuration",
 )
-@option("--configfile FILE", "configuration (default: as the file names, config/config.yaml)")
+@option("--configfile FILE", "configuration (default: the one that the sweep's file names, else config/config.yaml)")
 @with_cores
 @with_profile
 @with_gone
 def sweep(words, configfile, cores, profile, gone) -> int:
-    """Draw error against run time over variants of settings.
+    """Run variants of settings, and plot their error against their run time.
 
     All variants are made and timed; then table, page and advice are written. Exit status 1 where a stage failed or a
     repeat gave other bytes than its first run.

@@ -28,7 +28,7 @@ def planned_workflow(configfile: str, scene: str | None = None, **how) -> "Workf
 @with_configuration
 @with_json
 def plan(scene: str | None, configfile: str, as_json: bool) -> None:
-    """Show what will run, be read and be loaded, at what cost; what is left out and why."""
+    """Show which stages would run, what they read and cost, and what is left out and why."""
     flow = planned_workflow(configfile, scene)
     for name in flow.plans:
         summary = scene_plan(flow, name)
@@ -228,7 +228,7 @@ def _nearest(folder: Path, flow: "Workflow", scene: str, stage: str) -> list[str
 @with_configuration
 @option("--keys KEY KEY", "two keys of one stage: what differs between them", nargs=2)
 def explain(scene: str | None, configfile: str, keys: tuple[str, str] | None) -> None:
-    """Say why each stage of a scene would run or not; or what differs between two results."""
+    """Explain why each stage of a scene would run or not, or what differs between two results."""
     flow = planned_workflow(configfile, scene)
     if keys:
         _explain_keys(flow.project.results, *keys)

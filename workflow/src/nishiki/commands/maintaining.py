@@ -26,20 +26,20 @@ cloth_render: {view: {rows: 48, columns: 48}, supersampling: 1}
 
 @command("install", "install --extras rig export", "install --all")
 @option("--extras EXTRA...", "raw, video, mesh, rig, export, slurm; beside what is installed")
-@option("--least", "without any extra")
-@option("--all", "all but slurm, with the tools of tests and documentation", "everything")
+@option("--least", "install no extras")
+@option("--all", "install every extra but slurm, and the tools for tests and documentation", "everything")
 def install(**options) -> None:
-    """Install the environment again, or further extras; done by the launcher of a checkout."""
+    """Install the packages of a checkout again, or add extras."""
     how = "pip install 'nishiki[EXTRA]'" if INSTALLED else f"{PROJECT / 'nishiki'} install"
     raise UserError(f"the launcher of a checkout installs, or pip. Remedy: {how}")
 
 
 @command("test --quick", "test tests/unit -k spectra", passed_on=True)
-@option("--quick", "without the tests that are marked slow or long")
-@option("--long", "also much fuzzing, faults, Slurm and many scenes")
+@option("--quick", "leave out the tests that are marked slow or long")
+@option("--long", "also run long fuzzing, the campaign of faults, Slurm and many scenes")
 @click.argument("rest", nargs=-1, type=click.UNPROCESSED, metavar="[PYTEST ARGUMENT]...")
 def test(quick: bool, long: bool, rest: tuple[str, ...]) -> int:
-    """Run the tests of a checkout with pytest, files side by side; tests/conftest.py says what belongs to a tier."""
+    """Run the tests of a checkout with pytest."""
     if quick and long:
         raise click.UsageError("--quick and --long are not allowed together; choose one.")
     if INSTALLED:
@@ -94,7 +94,7 @@ def compile_kernels(plane: bool) -> int:
 @command("completion bash >> ~/.bashrc", "completion fish > ~/.config/fish/completions/nishiki.fish")
 @click.argument("shell", type=click.Choice(("bash", "zsh", "fish")), help="the shell")
 def completion(shell: str) -> None:
-    """Print what makes a shell complete commands, options and names of scenes."""
+    """Print the script with which a shell completes commands, options and names of scenes."""
     from click.shell_completion import get_completion_class
 
     root = click.get_current_context().find_root().command

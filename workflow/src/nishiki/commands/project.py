@@ -170,8 +170,10 @@ def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
         next(iter(kinds & {"encoding-assumed"}), ""), "as stated"
     )
     other = "linear" if described.camera.encoding != "linear" else "srgb"
-    coding = "as each file states" if described.camera.encoding == "file" else f"{described.camera.encoding} ({stated})"
-    rows.append(("coding", coding, f"--encoding {other}"))
+    encoding = (
+        "as each file states" if described.camera.encoding == "file" else f"{described.camera.encoding} ({stated})"
+    )
+    rows.append(("encoding", encoding, f"--encoding {other}"))
     order = "in the order of the photographs' names" if kinds & set(IN_THE_LIST[1:]) else "by file name"
     order = "measured on the mirror balls" if made.layout == "mirror balls" else order
     if made.geometry == "turntable":

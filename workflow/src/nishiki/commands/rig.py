@@ -87,7 +87,7 @@ def plan(plan_file: Path, table: Path | None) -> None:
 @click.argument("capture", type=Path, help="capture folder to make, or to go on with")
 @option(
     "--page [PORT]",
-    "show how far it is on a page for this computer's browser (default port 8377; 0: any that is free)",
+    "show the progress on a page for the browsers of this computer (default port 8377; 0: any that is free)",
     type=int,
     flag_value=8377,
     is_flag=False,
@@ -136,7 +136,7 @@ def _teller(capture: str) -> Any:
 @rig.command(examples=("rig test rig.yaml",))
 @click.argument("rig_file", metavar="RIG", type=Path, help="description of the rig (YAML)")
 def test(rig_file: Path) -> int:
-    """Move every device of a rig once and take one photograph; exit status 2 where one fails."""
+    """Move every device of a rig once and take one photograph; exit status 2 if one fails."""
     from nishiki.rig.description import open_rig
     from nishiki.rig.device import DeviceError
 

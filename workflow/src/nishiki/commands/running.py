@@ -48,13 +48,13 @@ NAMED = 20
 @with_gone
 @option(
     "--stop-at-first-failure",
-    "end the run where a scene fails or cannot be planned (default: the other scenes are made)",
+    "end the run when a scene fails or cannot be planned (default: go on with the others)",
 )
-@option("--name SCENE", "name of the scene that a folder becomes (default: the folder's)")
+@option("--name SCENE", "name of the scene made from a folder (default: name of the folder)")
 @option("--open", "open the page of the result in the browser", "open_page")
 @convert_options
 def run(words, configfile, cores, profile, gone, stop_at_first_failure, name, open_page, **given) -> int:
-    """Make scenes, or everything that the configuration asks for.
+    """Digitise folders of photographs, or scenes of the scene table.
 
     A folder of photographs is converted to captures/NAME, checked, and added to the scene table first; what was
     assumed is listed with the option that changes it (the options of convert). An error that the check finds ends the

@@ -1,10 +1,10 @@
 """Simulate the capture of a painting, of sphere caps, of a jar on a turntable, of a cloth: photographs and the truth.
 
-    nishiki simulate --output captures/painting --truth captures/painting-truth
-    nishiki simulate --output captures/small --truth captures/small-truth --preset tiny
-    nishiki simulate --output captures/tray --truth captures/tray-truth --scene spheres --gloss satin --seed 7
-    nishiki simulate --output captures/jar --truth captures/jar-truth --preset object
-    nishiki simulate --output captures/satin --truth captures/satin-truth --preset satin
+    ./nishiki simulate --output captures/painting --truth captures/painting-truth
+    ./nishiki simulate --output captures/small --truth captures/small-truth --preset tiny
+    ./nishiki simulate --output captures/tray --truth captures/tray-truth --scene spheres --gloss satin --seed 7
+    ./nishiki simulate --output captures/jar --truth captures/jar-truth --preset object
+    ./nishiki simulate --output captures/satin --truth captures/satin-truth --preset satin
 
 The capture folder is what a studio would hand over: photographs of the object and of a white board under each lamp,
 dark frames, and tables of the lamps, of the camera's sensitivities and of the lamp's spectrum. The truth folder holds
@@ -55,7 +55,7 @@ OPTIONS = {  # name, help, settings of argparse
         ("rows", "camera pixels, instead of the preset's", _COUNT),
         ("columns", "camera pixels, instead of the preset's", _COUNT),
         ("pitch-mm", "size of a camera pixel on the object (0.2; cloths 0.25)", _NUMBER),
-        ("supersampling", "points a pixel in each direction (2; object 4)", _COUNT),
+        ("supersampling", "points per pixel in each direction (2; object 4)", _COUNT),
     ),
     "object": (
         ("scene", "what is photographed (painting)", {"choices": SCENES, "default": "painting"}),
@@ -79,7 +79,7 @@ OPTIONS = {  # name, help, settings of argparse
             "incidence of the lamps that are kept for evaluation (20 30 50 60); none: no values",
             {**_NUMBER, "nargs": "*", "default": [20.0, 30.0, 50.0, 60.0], "metavar": "DEGREES"},
         ),
-        ("distance-mm", "from the lamp to the centre of the object (80 half diagonals)", _NUMBER),
+        ("distance-mm", "distance from the lamp to the centre of the object (80 half diagonals)", _NUMBER),
         (
             "lights-as",
             "what the capture states of the lamps (direction; on a turntable position, or camera: beside the camera)",
@@ -89,17 +89,17 @@ OPTIONS = {  # name, help, settings of argparse
     ),
     "camera": (
         ("channels", "3 = red, green, blue; up to 8 bands (3)", {**_COUNT, "default": 3}),
-        ("bits", "of the converter (12)", {**_COUNT, "default": 12}),
+        ("bits", "bits of the converter (12)", {**_COUNT, "default": 12}),
         (
             "white-level",
             "share of full scale of a white facing the lamp; more saturates more highlights (0.7; object 0.5)",
             _NUMBER,
         ),
         ("no-noise", "quantised, but without shot and read noise", _FLAG),
-        ("format", "of the photographs (png for 3 channels, tiff for more)", {"choices": ("png", "tiff")}),
+        ("format", "format of the photographs (png for 3 channels, tiff for more)", {"choices": ("png", "tiff")}),
     ),
     "turntable": (
-        ("views", "over a full turn, instead of the preset's", _COUNT),
+        ("views", "views over a full turn, instead of the preset's", _COUNT),
         (
             "polariser",
             "circular: two pictures a view (default)",
@@ -107,27 +107,27 @@ OPTIONS = {  # name, help, settings of argparse
         ),
         (
             "silhouettes",
-            "of every view: given (default) or not",
+            "outlines of every view in the capture: given (default) or none",
             {"choices": ("given", "none"), "default": "given"},
         ),
         (
             "mesh",
-            "in the capture: a scan (default) or none",
+            "mesh in the capture: a scan (default) or none",
             {"choices": ("scan", "none"), "default": "scan"},
         ),
-        ("mesh-noise-mm", "of the scan, along the normal (0.02)", _NUMBER),
-        ("triangles", "of the object, instead of the preset's", _COUNT),
-        ("scan-triangles", "of the scan, where not the object's own", _COUNT),
+        ("mesh-noise-mm", "noise of the scan along the normal (0.02)", _NUMBER),
+        ("triangles", "triangles of the object, instead of the preset's", _COUNT),
+        ("scan-triangles", "triangles of the scan (default: those of the object)", _COUNT),
     ),
     "cloth": (
         ("harness", "yarns of a repeat (satin 5: 5 and 7 to 10 or 12; twill 4)", _COUNT),
         ("flatness", "exponent of the warp's section, 2 = ellipse (satin about 2.6)", _NUMBER),
         ("arch-deg", "steepest slope of the arch of a float (satin 8)", _NUMBER),
         ("filaments", "roughness along and across them (silk)", {"choices": FILAMENTS}),
-        ("dye", "of the first cloth (black)", {"choices": DYES}),
+        ("dye", "dye of the first cloth (black)", {"choices": DYES}),
         (
             "two-cloths",
-            "a second one beside the first, weft on top, dyed gold, with a picture of the regions",
+            "add a second cloth beside the first, weft on top, dyed gold, with a picture of the regions",
             _FLAG,
         ),
     ),
