@@ -9,13 +9,13 @@ from pathlib import Path
 
 import _project  # noqa: F401
 from nishiki.artifacts.artifact import open_artifact
-from nishiki.artifacts.stage import PROJECT_VERSION
 from nishiki.engine.sweep_plan import PlannedVariant, SceneSweep
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
 from nishiki.sweep.page import render_sweep, scene_content, sweep_content, table_rows
 from nishiki.sweep.settings import MeasureSettings
 from nishiki.sweep.summary import VariantRow, as_measure, candidates, compared, paths_in, values_of, variant_row
+from nishiki.version import PROJECT_VERSION
 
 
 def main() -> None:

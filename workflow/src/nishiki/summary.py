@@ -1,10 +1,16 @@
 """Short texts of results, for prompts and notebooks."""
 
+from collections.abc import Mapping
 from html import escape
 
 
 class Summarised:
     """Show the `diagnostics` of a result in place of its arrays."""
+
+    @property
+    def diagnostics(self) -> Mapping[str, object]:
+        """Facts of the result by name."""
+        raise NotImplementedError
 
     def __repr__(self) -> str:
         facts = (f"{name}={_short(value)}" for name, value in self.diagnostics.items() if value or value == 0)

@@ -29,7 +29,8 @@ class Listing:
 class Tree(Protocol):
     """Files under relative names with `/`."""
 
-    root: Path
+    @property
+    def root(self) -> Path: ...
 
     def listing(self, below: str = "") -> Listing:
         """Everything below a folder of the tree, names relative to that folder."""

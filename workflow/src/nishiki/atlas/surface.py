@@ -269,8 +269,8 @@ def pixel_places(atlas: Atlas, raster: Raster, shown: np.ndarray) -> PixelPlaces
     row, column = np.nonzero(shown)
     tile, s, t = atlas.locate(raster.triangle[row, column], raster.barycentric[row, column])
     order, offsets = by_tile(tile, atlas.tiles)
-    places = (values[order] for values in (row.astype(np.int32), column.astype(np.int32), s, t))
-    return PixelPlaces(*places, offsets)
+    row, column = row.astype(np.int32), column.astype(np.int32)
+    return PixelPlaces(row[order], column[order], s[order], t[order], offsets)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -144,13 +144,18 @@ def _in_threads(arrays, log_low, log_high, strengths, reports, threads):
 
     def work(edge):
         first, last = edge
-        parts = [array[first:last] for array in arrays]
-        vp.project_points(*parts, log_low, log_high, strengths[first:last], reports[first:last])
+        part = slice(first, last)
+        angles, amplitude, attenuation, diffuse, weights = (array[part] for array in arrays)
+        vp.project_points(
+            angles, amplitude, attenuation, diffuse, weights, log_low, log_high, strengths[part], reports[part]
+        )
 
     over_items(work, pairwise(edges), threads)
 
 
-def _prepared(phi, amplitude, attenuation, diffuse, weights):
+def _prepared(
+    phi, amplitude, attenuation, diffuse, weights
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Contiguous arrays of one float type, with the defaults filled in and the shapes checked."""
     amplitude = np.asarray(amplitude)
     real = np.float32 if amplitude.dtype == np.float32 else np.float64
@@ -168,7 +173,8 @@ def _prepared(phi, amplitude, attenuation, diffuse, weights):
         columns.append(np.ascontiguousarray(array, real))
     if np.any(columns[3] < 0):
         raise UserError(f"weights: expected values >= 0, found {np.nanmin(columns[3])}; 0 leaves an observation out")
-    return columns[0], np.ascontiguousarray(amplitude, real), *columns[1:]
+    angles, attenuation, diffuse, weights = columns
+    return angles, np.ascontiguousarray(amplitude, real), attenuation, diffuse, weights
 
 
 def _judged(arrays, strengths, reports, low, high) -> PointFits:

@@ -87,9 +87,9 @@ class SpecularHistogram:
         left out.
         """
         phi, residual, attenuation, sigma = np.broadcast_arrays(phi, residual, attenuation, sigma)
-        flat = [np.ascontiguousarray(a, np.float64).ravel() for a in (phi, residual, attenuation, sigma)]
+        p, r, a, s = (np.ascontiguousarray(each, np.float64).ravel() for each in (phi, residual, attenuation, sigma))
         new = replace(self, weights=self.weights.copy(), values=self.values.copy(), rows=self.rows.copy())
-        _add_samples(*flat, self.value_unit, new.weights[region], new.values[region], new.rows[region])
+        _add_samples(p, r, a, s, self.value_unit, new.weights[region], new.values[region], new.rows[region])
         return new
 
     def add_tile(

@@ -161,8 +161,8 @@ def warped(density: np.ndarray, s: np.ndarray, t: np.ndarray) -> tuple[np.ndarra
     target = s * line[:, -1]
     column = np.clip((line <= target[:, None]).sum(axis=1) - 1, 0, columns - 2)
     each = np.arange(len(s))
-    ends = [density[row, at] + v * (density[row + 1, at] - density[row, at]) for at in (column, column + 1)]
-    u = linear_root(*ends, target - line[each, column])
+    first, last = (density[row, at] + v * (density[row + 1, at] - density[row, at]) for at in (column, column + 1))
+    u = linear_root(first, last, target - line[each, column])
     return (column + u) / (columns - 1), (row + v) / (rows - 1)
 
 

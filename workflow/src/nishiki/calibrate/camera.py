@@ -105,29 +105,27 @@ def calibrate_camera(table: Path, *, bits: int | None = None) -> Calibration:
     middle = tuple(slice(int(n * (1 - WINDOW) / 2), int(n * (1 + WINDOW) / 2)) for n in dark.shape[:2])
     samples = dark[middle].shape[0] * dark[middle].shape[1]
     black = np.median(dark, axis=(0, 1))
-    exposures, levels, variances, usable = [], [], [], []
+    listed: tuple[list, ...] = ([], [], [], [])
     brightest: np.ndarray | None = None
     for exposure, paths in {0.0: series[0], **pairs}.items():
         one, two = read_channels(paths[0]), read_channels(paths[1])
         a, b = one[middle], two[middle]
         difference = a - b
         difference -= difference.mean(axis=(0, 1))
-        exposures.append(exposure)
-        levels.append((a + b).mean(axis=(0, 1)) / 2 - dark[middle].mean(axis=(0, 1)))
-        variances.append((difference**2).mean(axis=(0, 1)) / 2)
-        usable.append(((a > SATURATION * full) | (b > SATURATION * full)).mean(axis=(0, 1)) < SATURATED_SHARE)
-        if usable[-1].all():
+        usable = ((a > SATURATION * full) | (b > SATURATION * full)).mean(axis=(0, 1)) < SATURATED_SHARE
+        level = (a + b).mean(axis=(0, 1)) / 2 - dark[middle].mean(axis=(0, 1))
+        for values, value in zip(listed, (exposure, level, (difference**2).mean(axis=(0, 1)) / 2, usable), strict=True):
+            values.append(value)
+        if usable.all():
             brightest = (one + two) / 2 - dark
-    exposures = np.array(exposures)
-    levels, variances, usable = np.array(levels), np.array(variances), np.array(usable)
+    exposures, levels, variances, usable = (np.array(each) for each in listed)
     results, warnings, rows, noise_of_white = {}, [], [], []
     for c, channel in enumerate(channels):
         good = usable[:, c]
         if good.sum() < LEAST_LEVELS + 1:
-            usable = int(good.sum()) - 1
             raise UserError(
-                f"channel {channel}: expected {LEAST_LEVELS} unsaturated exposures, found {usable}. Remedy: add "
-                "shorter ones"
+                f"channel {channel}: expected {LEAST_LEVELS} unsaturated exposures, found {good.sum() - 1}. Remedy: "
+                "add shorter ones"
             )
         lit = good & (exposures > 0)
         line = check_linearity(levels[lit, c], exposures[lit])

@@ -18,7 +18,7 @@ from nishiki.calibrate.target import (
 )
 from nishiki.capture.tables import read_curves
 from nishiki.capture.taking import full_scale_of
-from nishiki.colour.colour import Encoding, illuminant, srgb_encode, white_xyz, xyz_to_srgb_linear
+from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_to_srgb_linear
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
 from nishiki.formats.images import read_codes, read_header
@@ -65,7 +65,7 @@ class TargetInput:
     """
 
     photograph: Path
-    encoding: Encoding | None = None
+    encoding: str | None = None
     corners: np.ndarray | None = None
     light: str | None = None
     reflectances: Path | None = None

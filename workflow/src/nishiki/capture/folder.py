@@ -20,12 +20,13 @@ from nishiki.capture.frames import (
     lamp_problems,
     read_frames,
 )
-from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
+from nishiki.capture.goniometer import GoniometerCapture, GoniometerFile, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.schema import LOST_BY_FIT, NAMED_ILLUMINANTS, CaptureFile, geometry_named, read_capture_file
 from nishiki.capture.schema_base import Session
 from nishiki.capture.tables import Curves, read_curves
 from nishiki.capture.turntable import TurntableCapture, examine_turntable
+from nishiki.capture.turntable_rules import TurntableFile
 from nishiki.formats.files import bound, leads_out
 from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading, table_rows
@@ -149,7 +150,7 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture 
     settings = attempt(lambda: read_capture_file(payload / "capture.yaml"))
     geometry = settings.geometry if settings else geometry_named(payload / "capture.yaml")
     geometry = geometry if geometry in tuple(DIALECTS) else dialect_of(payload / "frames.csv")
-    listed = not (settings and geometry == "goniometer" and settings.goniometer.table)  # a table has no photographs
+    listed = not (isinstance(settings, GoniometerFile) and settings.goniometer.table)  # a table has no photographs
     frames: tuple[Frame, ...] | None = ()
     if listed:
         table = payload / "frames.csv"
@@ -167,12 +168,14 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture 
     label = settings.camera.sensitivities
     sensitivities = attempt(lambda: read_curves(curves, names=names, label=label)) if curves else None
     illuminant = _illuminant(settings, named, attempt)
-    if geometry != "plane":
-        look = examine_turntable if geometry == "turntable" else examine_goniometer
-        capture, remarks = look(root, payload, settings, frames, (sensitivities, illuminant), attempt)
-        return capture, problems + remarks
-    lights_path = named(settings.lights.file, "lights.file")
-    lights = attempt(lambda: read_lights(lights_path, kind=settings.lights.kind)) if lights_path else None
+    if isinstance(settings, TurntableFile):
+        turned, remarks = examine_turntable(root, payload, settings, frames, (sensitivities, illuminant), attempt)
+        return turned, problems + remarks
+    if isinstance(settings, GoniometerFile):
+        measured, remarks = examine_goniometer(root, payload, settings, frames, (sensitivities, illuminant), attempt)
+        return measured, problems + remarks
+    lights_path, kind = named(settings.lights.file, "lights.file"), settings.lights.kind
+    lights = attempt(lambda: read_lights(lights_path, kind=kind)) if lights_path else None
     mask, regions = named(settings.mask, "mask"), named(settings.regions, "regions")
     scales = named(settings.lights.intensities, "lights.intensities")
     if named(settings.rendered_from, "rendered_from"):
@@ -182,9 +185,9 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture 
         return None, problems
     intensities = attempt(lambda: read_intensities(scales, lights, names)) if scales else None
     problems += match_frames(frames, lights, settings)
-    remarks = tuple(p for p in (*problems, *lights.warnings) if p.severity == "warning")
+    doubts = tuple(p for p in (*problems, *lights.warnings) if p.severity == "warning")
     capture = Capture(
-        root, payload, settings, frames, lights, intensities, sensitivities, illuminant, mask, regions, remarks
+        root, payload, settings, frames, lights, intensities, sensitivities, illuminant, mask, regions, doubts
     )
     return capture, problems + list(lights.warnings)
 

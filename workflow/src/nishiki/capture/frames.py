@@ -8,11 +8,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from nishiki.capture.lights import Lights, light_name
 from nishiki.capture.polariser import parse_state
-from nishiki.capture.schema_base import Session
 from nishiki.formats.files import bound, leads_out, name_fault
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse
 from nishiki.formats.text_tables import expect_rows, label_problems, reading, table_rows
@@ -60,7 +59,7 @@ class Frame:
     silhouette: str = ""  # picture of the object's outline in this view, or ''
     silhouette_path: Path | None = None
     # theta_i, phi_i, theta_r, phi_r of a goniometer, None where not given
-    angles_deg: tuple[float | None, ...] = (None, None, None, None)
+    angles_deg: tuple[Any, ...] = (None, None, None, None)
     # its channels, where each has a file of its own, of which `file` is the first; else empty
     bands: tuple[Band, ...] = ()
     f_number: float | None = None  # focal length over aperture
@@ -328,7 +327,7 @@ class Photographed:
 
     root: Path
     payload: Path
-    settings: Session
+    settings: Any  # the CaptureFile, TurntableFile or GoniometerFile
     frames: tuple[Frame, ...]
 
     @property

@@ -209,7 +209,7 @@ class GoniometerCapture(Photographed):
         return self.settings.camera.channels if self.table is None else self.table.channels
 
     @property
-    def angles_deg(self) -> list[tuple[float, float, float, float]]:
+    def angles_deg(self) -> list[tuple[float, ...]]:
         """theta_i, phi_i, theta_r, phi_r of every measurement of the cloth."""
         if self.table is None:
             return [f.angles_deg for f in self.observed]

@@ -39,7 +39,8 @@ MERL_VIEWS = ((0.0, 0.0), *((3.0 * k, 7.5 * step) for k in range(1, 27) for step
 """theta and phi in degrees at which tables of the MERL database are read: as densely as a cloth is photographed."""
 SHOWN = 5  # wrong rows told of one kind
 MOST_PROBLEMS = 20  # rows that cannot be read, before reading stops
-Lines, Rows = Iterator[tuple[int, str]], Iterator[tuple[int, list[str]]]
+Lines = Iterator[tuple[int, str]]
+Rows = Iterator[tuple[int, list[str]]]
 FEWEST_ANGLES = 6  # measurements whose angles together tell their unit
 LEAST_SPREAD = 0.1  # greatest theta, in whatever unit, below which angles tell nothing
 

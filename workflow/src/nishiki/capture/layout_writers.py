@@ -138,8 +138,8 @@ def _take_bands(folder: Path, layout: Layout, held: set[int | None], options: Co
         if given is None:
             continue
         found = _sorted_bands(given, bands)
-        for files in complete_bands(bands, found, str(given)) if found else ():
-            chosen += [(path, role, "", band) for band, path in zip(bands, files, strict=True)]
+        for taken in complete_bands(bands, found, str(given)) if found else ():
+            chosen += [(path, role, "", band) for band, path in zip(bands, taken, strict=True)]
         chosen += [(path, role, "", "") for path in (() if found else photographs_in(given))]
     same = Counter((role, path.name) for path, role, _, _ in chosen)
     rows = []

@@ -9,7 +9,7 @@ import codecs
 import io
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
@@ -99,7 +99,7 @@ def _decoded(content: bytes, encoding: str | None = None) -> str:
 
 
 def lights_from_vectors(
-    names: list[str | None], vectors: np.ndarray, *, file: str, kind: str = "direction", frontal: bool = True
+    names: Sequence[str | None], vectors: np.ndarray, *, file: str, kind: str = "direction", frontal: bool = True
 ) -> Lights:
     """Check and normalise vectors (lights, 3); a light without a name is called by its number, from 1."""
     problems: list[Problem] = []

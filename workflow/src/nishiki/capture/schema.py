@@ -46,16 +46,16 @@ class CaptureFile(Session):
         return self
 
 
-def read_capture_file(path: Path) -> Session:
-    """Parse capture.yaml, by its geometry a CaptureFile, TurntableFile or GoniometerFile; a CaptureError lists every
-    mistake in it.
+def read_capture_file(path: Path) -> CaptureFile | TurntableFile | GoniometerFile:
+    """Parse capture.yaml by its geometry; a CaptureError lists every mistake in it.
 
     Kinds: yaml-missing, yaml-invalid, unknown-key, missing-key, wrong-value.
     """
     parsed = read_mapping(path)
-    models = {"turntable": TurntableFile, "goniometer": GoniometerFile}
     geometry = parsed.get("geometry")
-    return validate(models.get(geometry, CaptureFile) if isinstance(geometry, str) else CaptureFile, parsed, path.name)
+    if geometry == "turntable":
+        return validate(TurntableFile, parsed, path.name)
+    return validate(GoniometerFile if geometry == "goniometer" else CaptureFile, parsed, path.name)
 
 
 def geometry_named(path: Path) -> str | None:

@@ -252,9 +252,9 @@ def one_pass(
     extents = [NOTHING if r is None else r[0].extent for r in results]
     integers = [None if r is None else r[2] for r in results]
     models, streams = code_streams(integers, extents, design, threads=threads)
-    sums = [sum(getattr(t, name) for t in coded) for name in ("pixels", "error", "model_error", "zero_error")]
+    sums = {name: sum(getattr(t, name) for t in coded) for name in ("pixels", "error", "model_error", "zero_error")}
     kept = sum(r[1] for r in results if r is not None)
-    return EncodedObject(design, models, extents, integers, streams, *sums, kept, [])
+    return EncodedObject(design, models, extents, integers, streams, kept=kept, curve=[], **sums)
 
 
 def code_streams(
@@ -323,7 +323,7 @@ def find_step(
         encoded = run(steps[-1], encoded)
         curve.append(point_of(encoded, share))
         off.append(value(curve[-1]) - goal)
-        if abs(off[-1]) < least or abs(off[-1]) <= tolerance:
+        if best is None or abs(off[-1]) < least or abs(off[-1]) <= tolerance:
             best, least = encoded, abs(off[-1])
         if (abs(off[-1]) <= tolerance and len(curve) > 1) or len(curve) >= passes:
             return replace(best, curve=curve)

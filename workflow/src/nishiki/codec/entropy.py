@@ -81,7 +81,7 @@ def encode(values: np.ndarray, levels: int, model: Model) -> Coded:
 
 def _encoded(values: np.ndarray, levels: int, model: Model, size: int) -> tuple[Coded, int]:
     """Coded into a buffer of `size` bytes, and the bytes that it takes: the coding is void where these are more."""
-    bands = bands_of(*values.shape[-2:], levels)
+    bands = bands_of(values.shape[-2], values.shape[-1], levels)
     data = np.empty(size, np.uint8)
     ends = np.zeros(len(bands), np.int64)
     chance, seen, weights = model.chance.copy(), model.seen.copy(), model.weights.copy()

@@ -86,7 +86,7 @@ def expected_bits(coefficients: np.ndarray, step: float, levels: int) -> np.ndar
     shape = coefficients.shape
     values = np.empty((shape[0], shape[1] * shape[2], *shape[3:]), np.uint8)
     magnitudes(np.ascontiguousarray(coefficients).reshape(-1), step, values.reshape(-1))
-    bands = bands_of(*shape[-2:], levels)
+    bands = bands_of(shape[-2], shape[-1], levels)
     amounts = np.zeros(values.shape, np.int32)
     neighbourhoods(values, bands, amounts)
     tally = np.zeros((LEVELS, GRADES, 2), np.int64)

@@ -337,8 +337,8 @@ def _levels(planes: np.ndarray, plane: Plane, kind: str, chosen: np.ndarray = EV
     down, across = getattr(plane.down, kind), getattr(plane.across, kind)
     levels = range(plane.levels - 1, -1, -1) if kind == "synthesis" else range(plane.levels)
     for level in levels:
-        arguments = [a for part in (down[level], across[level]) for a in (part.index, part.weights(planes.dtype))]
-        plane_level(planes, chosen, *arguments, scratch)
+        rows, columns = (down[level].weights(planes.dtype), across[level].weights(planes.dtype))
+        plane_level(planes, chosen, down[level].index, rows, across[level].index, columns, scratch)
 
 
 def along(matrix: np.ndarray, values: np.ndarray, axis: int, needed: np.ndarray | None = None) -> np.ndarray:

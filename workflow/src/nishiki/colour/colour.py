@@ -17,7 +17,6 @@ In the capture's encoding pictures are compared and residuals are coded.
 
 import functools
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -194,14 +193,13 @@ def _weighted_difference(l1, l2, c1, c2, hue_term, mean_hue):
     return np.sqrt(np.maximum(d_l**2 + d_c**2 + d_h**2 + rotation * d_c * d_h, 0.0))
 
 
-Encoding = Literal["linear", "srgb"]
 BLOCK = 1 << 16  # values at a time: temporaries stay in the cache
 KNEE, CODED_KNEE = 0.0031308, 0.04045
 """Linear value, and code, at which the straight part ends."""
 SLOPE, SCALE, OFFSET, POWER = 12.92, 1.055, 0.055, 1 / 2.4
 
 
-def encode(linear: np.ndarray, encoding: Encoding) -> np.ndarray:
+def encode(linear: np.ndarray, encoding: str) -> np.ndarray:
     """Linear values to code values, full scale 1, of any shape; float32 stays float32, all else is float64.
 
     srgb: the transfer curve of IEC 61966-2-1, continued below 0 by its straight part and above 1 by its power; linear:
@@ -218,7 +216,7 @@ def encode(linear: np.ndarray, encoding: Encoding) -> np.ndarray:
     return _through(linear, encoding, curve)
 
 
-def decode(values: np.ndarray, encoding: Encoding) -> np.ndarray:
+def decode(values: np.ndarray, encoding: str) -> np.ndarray:
     """Code values to linear ones: the inverse of `encode`."""
 
     def curve(values: np.ndarray, out: np.ndarray) -> None:
@@ -231,7 +229,7 @@ def decode(values: np.ndarray, encoding: Encoding) -> np.ndarray:
     return _through(values, encoding, curve)
 
 
-def encoding_slope(linear: np.ndarray, encoding: Encoding) -> np.ndarray:
+def encoding_slope(linear: np.ndarray, encoding: str) -> np.ndarray:
     """Differentiate the encoding at linear values, of their type; that of the straight part up to its end."""
     if encoding == "linear":
         return np.ones_like(linear)

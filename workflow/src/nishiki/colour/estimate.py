@@ -264,23 +264,23 @@ def estimate_spectra(
 
 def _apply(responses, estimator, coefficients, sigma, flags, threads):
     """Run the kernel over slices of the pixels, one a thread."""
-    arguments = _kernel_arguments(estimator)
+    tables = _tables(estimator)
     count = max(1, min(threads, len(responses) // _PIXELS_A_THREAD))
     bounds = np.linspace(0, len(responses), count + 1).astype(int)
     slices = [slice(low, high) for low, high in pairwise(bounds)]
 
     def run(part):
-        kernels.apply_estimator(responses[part], *arguments, coefficients[part], sigma[part], flags[part])
+        kernels.apply_estimator(responses[part], tables, coefficients[part], sigma[part], flags[part])
 
     over_items(run, slices, count)
 
 
-def _kernel_arguments(e: SpectralEstimator) -> tuple:
-    """Arguments of `apply_estimator` between the responses and the outputs, in its order and types."""
+def _tables(e: SpectralEstimator) -> kernels.Tables:
+    """Return the estimator as its kernel takes it."""
     precision = 0.5 / e.white_width**2 if e.white_width > 0 else 0.0
     double, single = np.float64, np.float32
     c = np.ascontiguousarray  # one memory layout, hence one compilation, wherever the arrays come from
-    return (
+    return kernels.Tables(
         c(e.linear, double), c(e.anchor, double), precision, c(e.mean, double), c(e.whiten, double), c(e.low, double),
         c(e.high, double), c(e.table, single), c(e.table_origin, double), c(e.table_step, double),
         c(e.centres.T, single), c(e.weights, single), e.radius, c(e.variance, single), e.far_variance,

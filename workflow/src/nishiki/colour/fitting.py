@@ -179,10 +179,10 @@ def correction_table(
     origin = space.low - TAPER_END
     extent = space.high + TAPER_END - origin
     cells = np.clip(np.ceil(extent / TABLE_STEP).astype(int), 1, TABLE_CELLS)
-    axes = [origin[i] + extent[i] * np.linspace(0.0, 1.0, cells[i] + 1) for i in range(3)]
+    x, y, z = (origin[i] + extent[i] * np.linspace(0.0, 1.0, cells[i] + 1) for i in range(3))
     table = np.empty((*(cells + 1), correction.weights.shape[1] + 2), np.float32)
     single = np.float32
     centres = np.ascontiguousarray(correction.centres.T, single)
     weights, variance = correction.weights.astype(single), correction.variance.astype(single)
-    kernels.fill_table(*axes, centres, weights, correction.radius, variance, correction.far_variance, table)
+    kernels.fill_table(x, y, z, centres, weights, correction.radius, variance, correction.far_variance, table)
     return table, origin, extent / cells

@@ -5,6 +5,8 @@ kernels (any number of channels). The loops release the interpreter lock instead
 over slices of the pixels run as fast, and compile in half the time.
 """
 
+from collections import namedtuple
+
 import numpy as np
 from numba import njit
 
@@ -160,27 +162,31 @@ def fill_table(axis0, axis1, axis2, centres, weights, radius, variance, far_vari
                 _kernel_sums(z, centres, weights, radius, variance, far_variance, apart, table[i, j, k])
 
 
+Tables = namedtuple(
+    "Tables",
+    "linear anchor precision mean whiten low high table origin step centres weights radius variance far_variance "
+    "noise_variance gamut_distance basis unit_low unit_high ill_conditioned",
+)
+"""A `SpectralEstimator` as its kernel takes it; precision: 1 / (2 width^2) of its white anchor, 0 without one."""
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def apply_estimator(
-    responses, linear, anchor, precision, mean, whiten, low, high, table, origin, step,
-    centres, weights, radius, variance, far_variance, noise_variance, gamut_distance, basis, unit_low, unit_high,
-    ill_conditioned, coefficients, sigma, flags,
-):  # fmt: skip
+def apply_estimator(responses, e, coefficients, sigma, flags):
     """Fill coefficients (P, K), sigma (P,), flags (P,) for responses (P, N), all float32 or uint8.
 
     The correction comes from `table` (three channels) where it has nodes, else from `centres` where there are any,
     else it is zero (a linear estimator).
     """
     pixels, channels = responses.shape
-    size = basis.shape[0]
+    size = e.basis.shape[0]
     z = np.empty(channels, np.float64)
     extra = np.empty(size + 2, np.float32)
-    apart = np.empty(centres.shape[1], np.float32)
-    spectrum = np.empty(basis.shape[1], np.float32)
+    apart = np.empty(e.centres.shape[1], np.float32)
+    spectrum = np.empty(e.basis.shape[1], np.float32)
     for p in range(pixels):
         response = responses[p]
         out = coefficients[p]
-        brightness, finite, negative = _whitened(response, mean, whiten, z)
+        brightness, finite, negative = _whitened(response, e.mean, e.whiten, z)
         if not finite:
             for k in range(size):
                 out[k] = 0.0
@@ -188,27 +194,27 @@ def apply_estimator(
             flags[p] = NOT_FINITE
             continue
         flag = NEGATIVE_RESPONSE if negative else 0
-        _linear_and_anchor(response, linear, anchor, precision, out)
-        taper, excess = _taper(z, low, high)
-        local_variance, distance = far_variance, excess
-        if table.shape[0] > 1 or centres.shape[1] > 0:
+        _linear_and_anchor(response, e.linear, e.anchor, e.precision, out)
+        taper, excess = _taper(z, e.low, e.high)
+        local_variance, distance = e.far_variance, excess
+        if e.table.shape[0] > 1 or e.centres.shape[1] > 0:
             if taper > 0.0:
-                if table.shape[0] > 1:
-                    _interpolate(table, z, origin, step, extra)
+                if e.table.shape[0] > 1:
+                    _interpolate(e.table, z, e.origin, e.step, extra)
                 else:
-                    _kernel_sums(z, centres, weights, radius, variance, far_variance, apart, extra)
+                    _kernel_sums(z, e.centres, e.weights, e.radius, e.variance, e.far_variance, apart, extra)
                 scale = np.float32(taper * brightness / (brightness + DARK))
                 for k in range(size):
                     out[k] += scale * extra[k]
                 local_variance, distance = max(extra[size], 0.0), extra[size + 1]
             else:
                 distance = np.inf
-        sigma[p] = np.sqrt(local_variance + noise_variance)
-        if distance > gamut_distance:
+        sigma[p] = np.sqrt(local_variance + e.noise_variance)
+        if distance > e.gamut_distance:
             flag |= OUTSIDE_TRAINING
-        if ill_conditioned:
+        if e.ill_conditioned:
             flag |= ILL_CONDITIONED
-        if _outside_unit(out, basis, unit_low, unit_high, spectrum):
+        if _outside_unit(out, e.basis, e.unit_low, e.unit_high, spectrum):
             flag |= OUTSIDE_UNIT
         for k in range(size):
             finite = finite and np.isfinite(out[k])

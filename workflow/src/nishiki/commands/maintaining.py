@@ -95,10 +95,11 @@ def compile_kernels(plane: bool) -> int:
 @click.argument("shell", type=click.Choice(("bash", "zsh", "fish")), help="the shell")
 def completion(shell: str) -> None:
     """Print the script with which a shell completes commands, options and names of scenes."""
-    from click.shell_completion import get_completion_class
+    from click.shell_completion import BashComplete, FishComplete, ZshComplete
 
     root = click.get_current_context().find_root().command
-    print(get_completion_class(shell)(root, {}, "nishiki", "_NISHIKI_COMPLETE").source())
+    form = {"bash": BashComplete, "zsh": ZshComplete, "fish": FishComplete}[shell]
+    print(form(root, {}, "nishiki", "_NISHIKI_COMPLETE").source())
 
 
 def install_for_meshlab() -> None:

@@ -163,7 +163,7 @@ def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
     described = read_capture_file(payload_of(made.folder) / "capture.yaml")
     kinds = {problem.kind for problem in made.warnings}
     rows = [("title", described.title, "--title")]
-    if made.geometry == "goniometer":
+    if described.geometry == "goniometer":
         values, azimuths = described.goniometer.values, described.goniometer.azimuths
         return [*rows, ("values", str(values), "--values"), ("azimuths", f"of the view from {azimuths}", "--azimuths")]
     stated = {"encoding-assumed": "8 bit say nothing of it"}.get(
@@ -176,7 +176,7 @@ def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
     rows.append(("encoding", encoding, f"--encoding {other}"))
     order = "in the order of the photographs' names" if kinds & set(IN_THE_LIST[1:]) else "by file name"
     order = "measured on the mirror balls" if made.layout == "mirror balls" else order
-    if made.geometry == "turntable":
+    if described.geometry == "turntable":
         mask = "none: outlines are taken from the photographs"
         rows += [("cameras", order, "--turn, --camera-of"), ("outlines", given["mask"] or mask, "--mask FOLDER")]
         return [*rows, ("white board", given["white"] or "none: colours are relative", "--white FOLDER")]

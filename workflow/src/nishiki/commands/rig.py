@@ -1,5 +1,6 @@
 """Commands for a capture rig: what is connected, and whether the rig that a description names works."""
 
+import functools
 import os
 import sys
 import tempfile
@@ -146,9 +147,9 @@ def test(rig_file: Path) -> int:
         if opened.lamps is not None:
             checks["lamps"] = lambda: _try_lamps(opened.lamps)
         for name, axis in opened.axes.items():
-            checks[f"axis {name}"] = lambda axis=axis: _try_axis(axis)
+            checks[f"axis {name}"] = functools.partial(_try_axis, axis)
         for name, polariser in opened.polarisers.items():
-            checks[f"polariser {name}"] = lambda polariser=polariser: _try_polariser(polariser)
+            checks[f"polariser {name}"] = functools.partial(_try_polariser, polariser)
         checks["camera"] = lambda: _try_camera(opened.camera, opened.lamps)
         for name, check in checks.items():
             start = time.monotonic()

@@ -1,7 +1,7 @@
 """Estimate memory, time and threads of each job for the scheduler, on this machine."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -48,7 +48,7 @@ PARTS = ".parts"
 class Scheduling:
     """Costs, groups and parts of the jobs of all plans; a part of `nishiki.engine.workflow.Workflow`."""
 
-    plans: dict[str, Plan]
+    plans: Mapping[str, Plan]
     results: str
 
     def stage(self, scene: str, stage: str, key: str) -> PlannedStage:

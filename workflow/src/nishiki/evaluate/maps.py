@@ -71,7 +71,7 @@ class Pool:
 
     def _percentile(self, percent: float) -> float:
         below = np.searchsorted(np.cumsum(self.bins), percent / 100 * self.count, side="left")
-        return min(round((float(below) + 0.5) * self.BIN, 6), self.worst)
+        return min(round((float(below) + 0.5) * self.BIN, 6), self.worst or 0.0)
 
 
 SLOPE_EDGES_DEG = (0.0, 10.0, 20.0, 30.0, 50.0, 90.0)

@@ -144,12 +144,12 @@ def difference_of(
     is the same for any number of threads.
     """
     sums = np.zeros((len(classes), max(NAMES) + 1, kernels.SUMS))
-    pictures = [np.ascontiguousarray(picture, np.float32) for picture in (first, second)]
+    first, second = (np.ascontiguousarray(picture, np.float32) for picture in (first, second))
     matrix = np.ascontiguousarray(matrix, np.float64)
     white = np.ascontiguousarray(white, np.float64)
 
     def rows(start: int, stop: int) -> None:
-        kernels.compare_rows(start, stop, *pictures, classes, matrix, white, de00, sums)
+        kernels.compare_rows(start, stop, first, second, classes, matrix, white, de00, sums)
 
     over_rows(rows, len(classes))
     return sums.sum(axis=0)

@@ -191,7 +191,7 @@ def outwards(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera])
     shared = np.bincount(first, minlength=len(triangles)) + np.bincount(second, minlength=len(triangles))
     closed = np.bincount(mine, weights=shared, minlength=parts) == 3 * np.bincount(mine, minlength=parts)
     centre = np.stack([np.bincount(mine, weights=middle[:, k], minlength=parts) for k in range(3)], axis=1)
-    centre /= np.bincount(mine, minlength=parts)[:, None]
+    centre = centre / np.bincount(mine, minlength=parts)[:, None]
     volume = np.bincount(mine, weights=np.einsum("ij,ij->i", normals, middle - centre[mine]), minlength=parts)
     seen = np.zeros(parts)
     if not closed.all():

@@ -219,7 +219,7 @@ def _scale_turn(cameras: list[Camera], factor: float) -> list[Camera] | None:
 def _orders(outlines: Outlines) -> list[Trial]:
     """Photographs in another order than the cameras: backwards, sorted as text, begun elsewhere."""
     places = list(range(len(outlines.cameras)))
-    as_text = [sorted(places, key=lambda place, first=first: str(place + first)) for first in (0, 1)]
+    as_text = [[place for _, place in sorted((str(place + first), place) for place in places)] for first in (0, 1)]
     orders = [places[::-1], *as_text, *(np.argsort(order).tolist() for order in as_text)]
     orders += [each[k:] + each[:k] for k in places[1:] for each in (places, places[::-1])]
     distinct = dict.fromkeys(tuple(order) for order in orders if order != places)

@@ -142,7 +142,7 @@ def bounding_box(silhouettes: list[np.ndarray | None], cameras: list[Camera], *,
     planes = [_planes(mask, camera) for mask, camera in zip(silhouettes, cameras, strict=True) if mask is not None]
     _expect_two(len(planes))
     middle = np.mean([camera.centre for camera in cameras], axis=0)
-    size = max(np.linalg.norm(camera.centre - middle) for camera in cameras) or 1.0
+    size = max(float(np.linalg.norm(camera.centre - middle)) for camera in cameras) or 1.0
     if not misses:
         return _extent(planes, middle, size)
     box = None
@@ -153,7 +153,7 @@ def bounding_box(silhouettes: list[np.ndarray | None], cameras: list[Camera], *,
                 freed.append((_extent(planes[:place] + planes[place + 1 :], middle, size), place))
             except UserError as error:
                 failure = error
-        if not freed:
+        if failure and not freed:
             raise failure
         for extent, _ in freed:
             box = extent if box is None else np.array([np.minimum(box[0], extent[0]), np.maximum(box[1], extent[1])])

@@ -139,7 +139,7 @@ def measure_placement(
         moved = Mesh.of(*move_mesh(mesh.vertices, mesh.triangles, *reading))
         return float(np.mean([agreement(outline_of(moved, camera), mask) for mask, camera in views]))
 
-    stated = (1.0, *AXES[0])
+    stated = 1.0, AXES[0][0], AXES[0][1]
     found = overlap(stated)
     if found >= enough:
         return Placement(found, *stated, found)

@@ -255,8 +255,8 @@ def register(scans: list[np.ndarray], *, overlap: float = 0.5) -> Registered:
             candidates.append((residual, index, motion))
         residual, index, motion = min(candidates, key=lambda item: item[:2])
         if residual > GOOD_ENOUGH * clouds[index].spacing:
-            candidates = [(*_search(clouds[i], target, overlap), i) for _, i, _ in candidates]
-            motion, residual, index = min(candidates, key=lambda item: item[1:])
+            again = [(*_search(clouds[i], target, overlap), i) for _, i, _ in candidates]
+            motion, residual, index = min(again, key=lambda item: item[1:])
             searched.append(index)
             if residual > WORST * clouds[index].spacing:
                 raise UserError(

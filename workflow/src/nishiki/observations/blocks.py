@@ -74,14 +74,16 @@ def on_one_grid(gain: np.ndarray, dark: np.ndarray) -> tuple[np.ndarray, np.ndar
     kernels would be compiled once more for it.
     """
     shape = np.broadcast_shapes(gain.shape, dark.shape)
-    fields = (field if field.shape == shape else np.broadcast_to(field, shape) for field in (gain, dark))
-    return tuple(np.ascontiguousarray(field, dtype=np.float32) for field in fields)
+    gain, dark = (field if field.shape == shape else np.broadcast_to(field, shape) for field in (gain, dark))
+    return np.ascontiguousarray(gain, np.float32), np.ascontiguousarray(dark, np.float32)
 
 
-def grid_of(nodes: tuple[int, int], shape: tuple[int, int], edges: Edges) -> tuple[np.ndarray, ...]:
+def grid_of(
+    nodes: tuple[int, int], shape: tuple[int, int], edges: Edges
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rows, row weights, cells and column weights of a whole picture (see `view_values`) for a field of these nodes."""
     if nodes == (1, 1):
-        edges = tuple(np.array([0, n]) for n in shape)
+        edges = np.array([0, shape[0]]), np.array([0, shape[1]])
     rows, row_weights = positions(edges[0], 0, shape[0])
     _, column_weights = positions(edges[1], 0, shape[1])
     return rows, row_weights, cells(edges[1], 0, shape[1]), column_weights
@@ -89,7 +91,7 @@ def grid_of(nodes: tuple[int, int], shape: tuple[int, int], edges: Edges) -> tup
 
 def picture_edges(shape: tuple[int, int], block: int) -> Edges:
     """Edges of the blocks of a picture."""
-    return tuple(block_edges(n, block) for n in shape)
+    return block_edges(shape[0], block), block_edges(shape[1], block)
 
 
 def rows_of_band(lights: int, rows: int, columns: int, channels: int, tile_mib: int) -> int:

@@ -5,12 +5,15 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Band, Frame, inside
+from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import expect_sealed, sealed_digests
+from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.coding import Coding
 from nishiki.formats.images import Region, read_codes, read_header
 from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
@@ -19,6 +22,7 @@ from nishiki.observations.plane_decode import to_luma
 from nishiki.observations.region import region_of
 from nishiki.observations.resampling import move_codes, region_behind, subtract_light
 
+AnyCapture = TypeVar("AnyCapture", Capture, TurntableCapture, GoniometerCapture)
 CAMERA_BITS = (10, 12, 14)
 """Of cameras whose codes are stored in 16 bits."""
 NEAR_TOP = 31 / 32
@@ -33,7 +37,7 @@ def unusable_coding(coding: Coding, file: str) -> Problem:
 
 
 @dataclass(frozen=True)
-class FrameReader:
+class FrameReader(Generic[AnyCapture]):
     """How to read this capture's photographs.
 
     rows, columns, dtype, coding: of the first frame, which all others must match; bits: significant ones of a code,
@@ -43,7 +47,7 @@ class FrameReader:
     room: (rows, columns, channels) float16 linear light of the room at exposure 1, subtracted from the object's.
     """
 
-    capture: Capture
+    capture: AnyCapture
     channels: str
     rows: int
     columns: int
@@ -59,12 +63,12 @@ class FrameReader:
     @classmethod
     def of(
         cls,
-        capture: Capture,
+        capture: AnyCapture,
         channels: str,
         *,
         prove: bool = True,
         unopened: Collection[str] = (),
-    ) -> "FrameReader":
+    ) -> "FrameReader[AnyCapture]":
         """Look at the first photograph's header, and prove that a sealed capture's tables are as they were sealed.
 
         channels: auto, all, luminance, green (of names without it the middle one), or the name of one stored channel;
@@ -73,7 +77,7 @@ class FrameReader:
         where the header or the region cannot be used, or a file changed.
         """
         channels = "all" if channels == "auto" else channels
-        stored = capture.settings.camera.channels
+        stored: tuple[str, ...] = capture.settings.camera.channels
         if channels not in ("all", "luminance", "green", *stored):
             expected = f"auto, all, luminance, green, or a channel of the capture ({', '.join(stored)})"
             refuse("channel-unknown", "ingest.channels", "channels", expected=expected, found=channels)

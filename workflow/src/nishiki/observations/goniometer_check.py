@@ -21,7 +21,7 @@ from nishiki.observations.store_parts import RepeatedFiles, as_errors
 DARK_WHITE = 0.005  # of full scale: below it the board's quantisation alone is worth a percent
 
 
-def windowed(reader: FrameReader, capture: GoniometerCapture) -> FrameReader:
+def windowed(reader: FrameReader[GoniometerCapture], capture: GoniometerCapture) -> FrameReader[GoniometerCapture]:
     """The reader of the central window of crop_px, or of whole photographs where there are regions."""
     side = max(reader.rows, reader.columns) if capture.regions else capture.settings.goniometer.crop_px
     return replace(reader, region=central((reader.rows, reader.columns), side))
@@ -76,7 +76,7 @@ def hot_problems(files: list[str], count: int) -> list[Problem]:
     return [warning("some-saturated", "frames.csv", what, found=found, remedy=remedy)]
 
 
-def white_level(frame: Frame, codes: np.ndarray, reader: FrameReader, darks: DarkField) -> float:
+def white_level(frame: Frame, codes: np.ndarray, reader: FrameReader[GoniometerCapture], darks: DarkField) -> float:
     """Mean of the board, worst channel, as a fraction of full scale. CaptureError: white-saturated, white-dark."""
     side = reader.capture.settings.goniometer.crop_px
     row, column, rows, columns = central(codes.shape[:2], side)
@@ -146,7 +146,9 @@ def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
     return reader.warnings() + problems + hot_problems(hot, len(capture.observed))
 
 
-def _frame_problems(reader: FrameReader, frame: Frame, darks: DarkField, hot: list[str]) -> list[Problem]:
+def _frame_problems(
+    reader: FrameReader[GoniometerCapture], frame: Frame, darks: DarkField, hot: list[str]
+) -> list[Problem]:
     try:
         codes = reader.read(frame)
         problems = code_problems(frame, codes, reader)

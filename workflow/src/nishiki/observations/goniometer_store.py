@@ -13,10 +13,10 @@ from nishiki.capture.seal import expect_sealed, sealed_digests
 from nishiki.formats.masks import label_problems
 from nishiki.formats.problems import Problem, group_problems
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
-from nishiki.observations.blocks import block_edges
+from nishiki.observations.blocks import Edges, block_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.goniometer_check import code_problems, hot_problems, region_labels, white_level, windowed
-from nishiki.observations.reference import DarkField, Edges, measure_darks
+from nishiki.observations.reference import DarkField, measure_darks
 from nishiki.observations.region import chosen
 from nishiki.observations.store_parts import PhotographCounter, Settings, Tick, write_small_arrays
 

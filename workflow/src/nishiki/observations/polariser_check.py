@@ -36,7 +36,7 @@ LIT = 0.1
 class PolariserLevels:
     """Small linear pictures of each polariser state of every view, and of the white boards."""
 
-    def __init__(self, reader: FrameReader):
+    def __init__(self, reader: FrameReader[TurntableCapture]):
         self.reader, self.pictures = reader, {}
         self.files: dict[tuple[str, str, str], dict[str, str]] = {}
         self.compared = len(reader.capture.states) > 1
@@ -191,7 +191,7 @@ def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Pr
     return reader.warnings() + problems
 
 
-def _reference_problems(reader: FrameReader, tick: Tick) -> list[Problem]:
+def _reference_problems(reader: FrameReader[TurntableCapture], tick: Tick) -> list[Problem]:
     """Dark frames and normalising white boards."""
     edges = tuple(block_edges(n, CHECK_BLOCK) for n in (reader.rows, reader.columns))
     try:

@@ -152,7 +152,9 @@ def measure_movement(whole: Window, windows: list[Window], directions: np.ndarra
     parts = [whole, *(whole.part(rows, columns) for rows in halves[0] for columns in halves[1])]
     shape = whole.step[::-1] * whole.inside.shape
     count, centre = len(directions), whole.corner + whole.step * (np.array(whole.inside.shape[::-1]) - 1) / 2
-    movement = Movement(np.zeros((count, 2)), *np.zeros((3, count)), float(np.hypot(*shape)) / 2, centre)
+    movement = Movement(
+        np.zeros((count, 2)), np.zeros(count), np.zeros(count), np.zeros(count), float(np.hypot(*shape)) / 2, centre
+    )
     # pairs of photographs: those of similar lamps, and each with the one before
     nearest = np.argsort(-(directions @ directions.T) - 9 * np.eye(count), axis=1)[:, 1 : NEIGHBOURS + 1]
     similar = {(min(j, k), max(j, k)) for j in range(count) for k in nearest[j]}

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -148,7 +149,7 @@ class Views:
         return self.dtype.type(code) if self.dtype.kind == "u" else np.float32(np.inf if code is None else code)
 
 
-class _Calibration(Sequence):
+class _Calibration(Sequence[dict]):
     """Pictures of the calibration board, each read when it is asked for."""
 
     def __init__(self, views: Views):
@@ -157,7 +158,7 @@ class _Calibration(Sequence):
     def __len__(self) -> int:
         return len(self._listed)
 
-    def __getitem__(self, place: int) -> dict:
+    def __getitem__(self, place: Any) -> Any:
         if not -len(self) <= place < len(self):
             raise IndexError(place)
         place %= len(self)

@@ -13,11 +13,11 @@ from nishiki.colour.colour import encode
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
 from nishiki.formats.problems import Problem, group_problems, refuse
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
-from nishiki.observations.blocks import block_edges
+from nishiki.observations.blocks import Edges, block_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.linearise import LUMA_WEIGHTS
 from nishiki.observations.plane_decode import count_unusable
-from nishiki.observations.reference import DarkField, Edges, measure_darks
+from nishiki.observations.reference import DarkField, measure_darks
 from nishiki.observations.region import chosen
 from nishiki.observations.store_parts import (
     PhotographCounter,

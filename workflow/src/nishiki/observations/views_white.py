@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.problems import Problem
 from nishiki.observations.block_kernels import count_outliers
-from nishiki.observations.blocks import grid_of, on_one_grid
+from nishiki.observations.blocks import Edges, grid_of, on_one_grid
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.linearise import straight_scale
-from nishiki.observations.reference import DEAD, DarkField, Edges, white_field
+from nishiki.observations.reference import DEAD, DarkField, white_field
 from nishiki.observations.views_decode import view_values
 
 Tick = Callable[[str], None]
@@ -34,15 +35,15 @@ class Whites:
     problems: tuple[Problem, ...]
 
 
-def measure_whites(reader: FrameReader, darks: DarkField, edges: Edges, tick: Tick) -> Whites:
+def measure_whites(reader: FrameReader[TurntableCapture], darks: DarkField, edges: Edges, tick: Tick) -> Whites:
     """Gain of each light from its white board without polariser, else 1.
 
     Values are those at the longest exposure of the sample frames; a board brings them to a perfect white.
     """
     capture = reader.capture
     times = [f.exposure for f in capture.observed]
-    longest = max(times) if times[0] is not None else None
-    scale = tuple(longest / t if longest else 1.0 for t in times)
+    longest = max((t for t in times if t), default=None)
+    scale = tuple(longest / t if longest and t else 1.0 for t in times)
     by_light = {f.light: f for f in capture.frames_of("white") if not f.polariser}
     shape = (reader.rows, reader.columns)
     if not by_light:
@@ -78,7 +79,7 @@ def measure_whites(reader: FrameReader, darks: DarkField, edges: Edges, tick: Ti
     return Whites(np.stack(gains), scale, longest, True, tuple(levels), defect, tuple(problems))
 
 
-def board_cosine(reader: FrameReader, place: int) -> float:
+def board_cosine(reader: FrameReader[TurntableCapture], place: int) -> float:
     """cos(theta_W) between lamp and board; 1 where only the lamp's position, or nothing, is known."""
     settings, lights = reader.capture.settings, reader.capture.lights
     if lights is None or settings.lights.kind != "direction":
@@ -88,7 +89,12 @@ def board_cosine(reader: FrameReader, place: int) -> float:
 
 
 def mean_boards(
-    reader: FrameReader, keys: list[tuple[str, str]], darks: DarkField, whites: Whites, edges: Edges, tick: Tick
+    reader: FrameReader[TurntableCapture],
+    keys: list[tuple[str, str]],
+    darks: DarkField,
+    whites: Whites,
+    edges: Edges,
+    tick: Tick,
 ) -> Iterator[np.ndarray]:
     """Mean white board (rows, columns, channels) float32 of each (light, polariser state), in the samples' units.
 

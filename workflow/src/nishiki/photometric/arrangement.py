@@ -176,16 +176,16 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
     for order in _candidates(tiles, seed, starts):
         _add(trials, tiles, order)
     for trial in [*sorted(trials.values(), key=lambda t: np.nanmedian(t.misfit))[:REFINED], first]:
-        starts = [np.eye(3)]
+        turns = [np.eye(3)]
         if trial is not first:
             # a ring of lamps turned by its own step is explained as well: the normals turned so that the curl is least
-            starts += [
+            turns += [
                 turn @ half
                 for turn in trial.turns
                 if np.isfinite(turn).all()
                 for half in (np.eye(3), np.diag([-1.0, -1.0, 1.0]))
             ]
-        for turn in starts:
+        for turn in turns:
             following: _Trial | None = trial
             for _ in range(TURNS):
                 following = _add(trials, tiles, _reassigned(tiles, following, turn))

@@ -27,7 +27,8 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-P, R = ParamSpec("P"), TypeVar("R")
+P = ParamSpec("P")
+R = TypeVar("R")
 
 ROUNDS = 15  # of reweighting; the gains change by less than their errors after ten
 KINK = 2.0  # robust standard deviations of a pixel's residuals at which the weight of a value is a half (Cauchy)

@@ -91,7 +91,8 @@ def fit_scene_gloss(
     """
     unit = unit_of([tile.reflectance for tile in tiles])  # noise and cells of the histogram are relative to it
     nothing = GlossProfile(np.zeros(LADDER.size), LADDER, refractive_index, unit=unit)
-    profile, fits = nothing, [None] * len(tiles)
+    profile: GlossProfile = nothing
+    fits: Sequence[RefinedNormals | None] = [None] * len(tiles)
     for number in range(rounds):
         if number > 0 and number == rounds - 1:
             transmission = measure_transmission(tiles, profile, **settings)
@@ -151,7 +152,7 @@ def find_finishes(
 def fit_glosses(tiles: Sequence[GlossTile], labels: np.ndarray, refractive_index: float) -> list[SceneGloss]:
     """Fit the gloss of each label of the cells (cells,) by itself; that of all where the tiles hold none of it."""
     parts = [[tile.only(labels[tile.cells[0]] == k) for tile in tiles] for k in range(int(labels.max()) + 1)]
-    parts = [[tile for tile in part if tile.flags.size] or tiles for part in parts]
+    parts = [[tile for tile in part if tile.flags.size] or list(tiles) for part in parts]
     return [fit_scene_gloss(part, refractive_index=refractive_index) for part in parts]
 
 

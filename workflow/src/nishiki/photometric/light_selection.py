@@ -123,7 +123,8 @@ def select_diffuse(
             raise UserError(
                 f"light selection by rank: expected keep = [low, high] with 0 <= low < high <= 1, found {keep}"
             )
-        reject(stack, known, *rank_limits(stack, known, low, high, min_lights), usable, highlights, shadows)
+        darkest, brightest = rank_limits(stack, known, low, high, min_lights)
+        reject(stack, known, darkest, brightest, usable, highlights, shadows)
     else:
         raise UserError(f"light selection: expected a method of {', '.join(METHODS)}, found {method!r}")
     invalid = np.broadcast_to((~known).sum(axis=0, dtype=np.uint16), pixels)
@@ -209,8 +210,9 @@ def distinct_sets(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def refit(stack, known, directions, starts, noise, min_lights, usable, highlights, shadows):
     """Run `refit_selection` with the project's constants (docs/stages/separate.md gives their reasons)."""
+    from nishiki.photometric.block import BLOCK
     from nishiki.photometric.lanes import repeated
-    from nishiki.photometric.refit import BLOCK, refit_selection
+    from nishiki.photometric.refit import refit_selection
 
     if not (1 <= starts <= 32 and 0 <= noise < 1 and min_lights >= 3):
         raise UserError(

@@ -269,7 +269,8 @@ def shading_of_mean(intensity, mean, directions, field, *, usable, valid, least_
     (rows, columns, 3) float32
         (a, b, d) of `nishiki.brdf.torrance_sparrow`; that of the field without an estimate or a lobe.
     """
-    from nishiki.photometric.body_terms import BLOCK, fit_body_terms
+    from nishiki.photometric.body_terms import fit_body_terms
+    from nishiki.photometric.lobe import BLOCK
 
     stack, directions = checked_stack(mean, directions)
     known = sample_weights(stack, valid, None, np.shape(mean))
@@ -292,7 +293,7 @@ def shading_of_mean(intensity, mean, directions, field, *, usable, valid, least_
     return shading[:pixels].reshape(field.shading.shape)
 
 
-def lambertian(stack, directions, factors, max_condition):
+def lambertian(stack, directions, factors, max_condition) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Lambertian least squares into new outputs; factors (lights, pixels) uint8 or float32, or None for all."""
     from nishiki.photometric.least_squares import BLOCK, solve_masked, solve_shared, solve_weighted
 
@@ -308,7 +309,7 @@ def lambertian(stack, directions, factors, max_condition):
     return outputs
 
 
-def empty_outputs(pixels):
+def empty_outputs(pixels) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Arrays that the kernels fill: normals, (albedo, sigma, condition, residual), lights used, flags."""
     return (
         np.empty((pixels, 3), dtype=np.float32),

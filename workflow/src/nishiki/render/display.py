@@ -10,7 +10,7 @@ import numpy as np
 from nishiki.colour.colour import decode, srgb_encode, xyz_to_srgb_linear
 from nishiki.errors import UserError
 
-_LUMINANCE = np.float32([0.2126, 0.7152, 0.0722])  # of linear sRGB, IEC 61966-2-1
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB, IEC 61966-2-1
 ADAPTED_PERCENTILE, ADAPTED_LEVEL, ADAPTED_BOUNDS = 98, 0.8, (0.5, 8.0)
 
 

@@ -198,7 +198,7 @@ def _yuv420(pixels: np.ndarray) -> np.ndarray:
     """Planes Y, U, V of BT.709, limited range, 8 bits, stacked as (1.5 rows, columns): what PyAV takes as yuv420p."""
     rows, columns = pixels.shape[:2]
     rgb = np.pad(pixels, ((0, rows % 2), (0, columns % 2), (0, 0)), mode="edge").astype(np.float32) / 255
-    luma = rgb @ np.float32([0.2126, 0.7152, 0.0722])
+    luma = rgb @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     blue = (rgb[..., 2] - luma) / 1.8556
     red = (rgb[..., 0] - luma) / 1.5748
     halves = [(c[::2, ::2] + c[1::2, ::2] + c[::2, 1::2] + c[1::2, 1::2]) / 4 for c in (blue, red)]

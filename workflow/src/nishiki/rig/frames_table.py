@@ -11,6 +11,7 @@ import shutil
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -124,7 +125,7 @@ def _planned(row: dict[str, str], where: str) -> PlannedFrame:
     if None in row or None in row.values():
         raise UserError(f"{where}: expected a value for each column, between tabs; empty ones count")
 
-    def number(key: str, kind: type = float) -> float | int | None:
+    def number(key: str, kind: type = float) -> Any:
         text = (row.get(key) or "").strip()
         try:
             value = kind(text) if text else None

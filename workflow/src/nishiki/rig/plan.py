@@ -86,6 +86,7 @@ class Estimate(Closed):
 class Plan(Closed):
     """What the plans of all kinds have in common."""
 
+    kind: str
     suffix: str = Field(description="of the camera's files: nef, cr3, tif, png, jpg")
     exposure_s: Positive | Literal["auto"] | tuple[Positive, ...] | None = Field(
         None, description="seconds; auto; left out: as the camera is set; goniometer: also a list"
@@ -264,7 +265,9 @@ def _turntable_frames(plan: TurntablePlan) -> dict[str, list[PlannedFrame]]:
     if plan.turn_deg < 360 and plan.steps > 1:
         angles = [plan.turn_deg * i / (plan.steps - 1) for i in range(plan.steps)]
     digits = max(3, len(str(plan.steps)))
-    views = [(f"{i:0{digits}d}" if plan.steps > 1 else "", ((plan.axis, angle),)) for i, angle in enumerate(angles)]
+    views: list[tuple] = [
+        (f"{i:0{digits}d}" if plan.steps > 1 else "", ((plan.axis, angle),)) for i, angle in enumerate(angles)
+    ]
     if plan.steps == 1:
         views = [("", ())]
     states = plan.states or ("",)

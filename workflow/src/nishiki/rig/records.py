@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.capture.folder import examine
+from nishiki.capture.frames import ANGLE_COLUMNS
 from nishiki.capture.schema_base import FORMAT, Camera
 from nishiki.capture.taking import channel_names, choose_encoding, lights_text, settings_text, table_text
 from nishiki.errors import UserError
@@ -21,7 +22,7 @@ from nishiki.formats.files import flush_folder, name_fault, put_file
 from nishiki.formats.picture_files import ImageHeader
 from nishiki.formats.problems import CaptureError
 from nishiki.rig.frame_check import Measures
-from nishiki.rig.frames_table import ANGLES, PlannedFrame
+from nishiki.rig.frames_table import PlannedFrame
 from nishiki.rig.plan import GEOMETRIES, DomePlan, ReadPlan, TurntablePlan
 
 
@@ -215,13 +216,15 @@ def _frames_csv(plan: ReadPlan, frames: tuple[PlannedFrame, ...], exposures: Map
     columns = {
         "dome": ["file", "role", "light"],
         "turntable": ["file", "role", "view", "light", "polariser"],
-        "goniometer": ["file", "role", *ANGLES],
+        "goniometer": ["file", "role", *ANGLE_COLUMNS],
     }[plan.settings.kind]
     if all(frame.file in exposures for frame in frames if frame.group != "dark"):
         columns.append("exposure_s")
     rows = [columns]
     for frame in frames:
-        cells = {key: getattr(frame, key, "") for key in columns} | dict(zip(ANGLES, frame.angles_deg, strict=False))
+        cells = {key: getattr(frame, key, "") for key in columns} | dict(
+            zip(ANGLE_COLUMNS, frame.angles_deg, strict=False)
+        )
         cells["exposure_s"] = exposures.get(frame.file, "")
         rows.append([f"{cells[key]:.10g}" if isinstance(cells[key], float) else cells[key] for key in columns])
     return table_text(rows)

@@ -17,8 +17,10 @@ import argparse
 import os
 import shutil
 import sys
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from nishiki.capture.seal import seal
 from nishiki.errors import UserError
@@ -30,7 +32,7 @@ from nishiki.simulate.painting.settings import BODIES, RELIEFS, ROUGHNESS, SCENE
 from nishiki.simulate.painting.settings import PRESETS as PAINTINGS
 from nishiki.simulate.turntable.settings import PRESETS as OBJECTS
 
-CHAINS = {"painting": PAINTINGS, "turntable": OBJECTS, "cloth": CLOTHS}
+CHAINS: dict[str, Mapping[str, Any]] = {"painting": PAINTINGS, "turntable": OBJECTS, "cloth": CLOTHS}
 """Presets of each kind of capture, by the folder that simulates it."""
 _FINISHES = ", ".join(f"{name} {alpha:g}" for name, alpha in ROUGHNESS.items())
 _NUMBER, _COUNT, _FLAG = {"type": float}, {"type": int}, {"action": "store_true"}

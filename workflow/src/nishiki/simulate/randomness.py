@@ -81,7 +81,7 @@ def fractal_noise(x: np.ndarray, y: np.ndarray, *, key: int, octaves: int = 3) -
     """
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
     out = np.empty(x.shape, np.float32)
-    over_rows(_fractal, out.shape[0], np.uint64(key), np.ascontiguousarray(x), np.ascontiguousarray(y), octaves, out)
+    over_rows(_fractal, len(out), np.uint64(key), np.ascontiguousarray(x), np.ascontiguousarray(y), octaves, out)
     return out
 
 

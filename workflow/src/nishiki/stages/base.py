@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit
 from nishiki.artifacts.provenance import file_digest, module_of
 from nishiki.errors import UserError
@@ -176,12 +176,12 @@ class Stage:
     geometry: str | None = "plane"
     product: str = ""
     requires: tuple[str, ...] = ()
-    wants: Callable[[Closed], tuple[str, ...]] = lambda settings: ()
+    wants: Callable[[Any], tuple[str, ...]] = lambda settings: ()
     uses: tuple[str, ...] = ()
-    lacks: Callable[[SceneFacts, Closed], str | None] = lambda facts, settings: None
+    lacks: Callable[[SceneFacts, Any], str | None] = lambda facts, settings: None
     needs_colour: bool = False
     looks_at: Parts = lambda facts, settings, asked: ()
-    filled: Callable[[Closed, Closed], dict[str, Any]] = lambda block, settings: {}
+    filled: Callable[[Any, Any], dict[str, Any]] = lambda block, settings: {}
     libraries: tuple[str, ...] = ("numpy", "numba", "zarr")
     idle: Mapping[str, Reason] = field(default_factory=dict)
     deliverables: tuple[str, ...] = ()

@@ -208,13 +208,11 @@ def fit_weave(
     weave is known: then n = harness - 1; several: whichever fits best; None: n is searched. index : refractive index;
     None: searched (strongly correlated with k_s). confidence : of the intervals; None: no intervals, for speed.
     """
-    best = None
+    fits = []
     for yarns in harness if isinstance(harness, tuple) else (harness,):
         problem, start = _problem(weft, warp, READINGS[reading] + LOBES[lobe], contact, yarns, index)
-        p, cost = search(problem, start)
-        if best is None or cost < best[2]:
-            best = problem, p, cost
-    problem, p, cost = best
+        fits.append((problem, *search(problem, start)))
+    problem, p, cost = min(fits, key=lambda each: each[2])
     model = model_of(p, weft, warp, reading, lobe)
     variance = noise_variance(problem, cost)
     ranges = profile_intervals(problem, p, cost, confidence=confidence, variance=variance) if confidence else {}
@@ -266,11 +264,11 @@ def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str, lobe: str) -
     strengths = np.array([nnls(matrix, column)[0] for column in values.T])
     root = np.sqrt(f0)
     theta_a, length, radius, _, yarns, contact = shape_of(p[:SIZE], 0)
-    weft = WeftSection(theta_a, length, radius, yarns, contact)
-    warp = WarpSection(*shape_of(p[SIZE : 2 * SIZE], 1)[:4])
+    of_weft = WeftSection(theta_a, length, radius, yarns, contact)
+    of_warp = WarpSection(*shape_of(p[SIZE : 2 * SIZE], 1)[:4])
     return WeaveModel(
-        weft.scaled(1 / weft.period),
-        warp.scaled(1 / warp.period),
+        of_weft.scaled(1 / of_weft.period),
+        of_warp.scaled(1 / of_warp.period),
         a_weft=float(np.exp(p[3])),
         a_warp=float(np.exp(p[SIZE + 3])),
         index=float((1 + root) / (1 - root)),

@@ -195,7 +195,7 @@ class Problem:
     free: np.ndarray
 
     @property
-    def data(self) -> tuple:
+    def data(self) -> tuple[np.ndarray, int, np.ndarray, np.ndarray, bool, int]:
         """What the compiled functions take."""
         return self.rows, self.split, self.y, self.weight, self.shared, self.reading
 
@@ -228,7 +228,7 @@ def cells(theta: np.ndarray) -> np.ndarray:
     return np.concatenate([THETA_A[:1], jumps, THETA_A[1:]])
 
 
-def in_cell(low, high, edges, plane: int, cell: int):
+def in_cell(low, high, edges, plane: int, cell: int) -> tuple[np.ndarray, np.ndarray]:
     """Restrict the bounds to one cell of a plane's theta_a; the lower end belongs to it, the upper does not."""
     low, high = low.copy(), high.copy()
     low[plane * SIZE], high[plane * SIZE] = edges[cell], edges[cell + 1] - 1e-12

@@ -116,10 +116,14 @@ def visible_share(shape, theta_i, theta_r):
     return min((humps + shape[3] + contacts) / total_length(shape), 1.0)
 
 
+@dataclass(frozen=True)
 class Section:
     """What the two sections have in common; `shape` is (theta_a, l, r, m, n, contact)."""
 
-    shape: tuple[float, float, float, float, float, float]
+    @property
+    def shape(self) -> tuple[float, float, float, float, float, float]:
+        """(theta_a, l, r, m, n, contact)."""
+        raise NotImplementedError
 
     @property
     def length(self) -> float:

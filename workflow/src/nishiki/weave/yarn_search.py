@@ -215,8 +215,8 @@ def search_yarns(measured: Measured, candidates: Iterable[Binding], *, oblique: 
     for same in by_harness.values():
         fits = [fit_binding(few, binding, density=COARSE, evaluations=SHORT[1]) for binding in same]
         short += fits
-        best = min(fit.cost for fit in fits)
-        least, since = min(least, best), since + 1 if best > least + HOPELESS else 0
+        cost = min(fit.cost for fit in fits)
+        least, since = min(least, cost), since + 1 if cost > least + HOPELESS else 0
         if since == LAST:
             break
     short.sort(key=lambda fit: fit.cost)

@@ -290,7 +290,9 @@ class YarnWeave:
             self.bend, self.arch,
         ])  # fmt: skip
 
-    def points(self, density: tuple[int, int] = (POINTS_ACROSS, POINTS_ALONG)):
+    def points(
+        self, density: tuple[int, int] = (POINTS_ACROSS, POINTS_ALONG)
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points of one column: (n, COLUMNS), which yarn (n,), horizons (n, AZIMUTHS)."""
         across, along = density
         q, harness, form = self.spacing_ratio, self.binding.harness, self.form

@@ -20,7 +20,7 @@ specular-matte BRDF model with importance sampling, 2001).
 """
 
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -224,7 +224,7 @@ class Dyed:
     """A gloss over a dye; channels are the dye's."""
 
     KIND: ClassVar[str] = "dyed"
-    gloss: object  # a BRDF of one channel, or of the dye's channels
+    gloss: Any  # a BRDF of one channel, or of the dye's channels
     albedo: np.ndarray  # (channels,) of the dye under a gloss that takes nothing, 0 .. 1
     gloss_albedo: np.ndarray  # (THETAS, PHIS) share of the light that the gloss reflects, mean over its channels
     mean_albedo: float  # cosine-weighted mean of gloss_albedo

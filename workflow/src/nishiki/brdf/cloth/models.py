@@ -1,6 +1,7 @@
 """All models of a cloth by name, each fitted to the measurements that it may use."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ MODELS = (DEFAULT, *NORMAL_ONLY, *REFERENCE)
 class Fitted:
     """A model, the rows of the measurements that it used, and facts about the fit (finite plain values)."""
 
-    brdf: object
+    brdf: Any
     used: np.ndarray
     facts: dict = field(default_factory=dict)
 

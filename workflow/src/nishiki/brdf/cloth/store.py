@@ -11,7 +11,7 @@ import zipfile
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -167,7 +167,7 @@ _KIND = "kind"
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every member: a file's bytes do not depend on when it was written
 
 
-def class_of(kind: str) -> type:
+def class_of(kind: str) -> Any:
     """The dataclass of a kind of BRDF."""
     if kind not in KINDS:
         raise UserError(f"kind of BRDF: expected one of {', '.join(sorted(KINDS))}, found {kind!r}")

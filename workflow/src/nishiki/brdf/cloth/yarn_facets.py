@@ -31,7 +31,7 @@ view from one side only the lower limit counts, which is how shadowing and maski
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit
@@ -350,10 +350,10 @@ class YarnFacets:
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "YarnFacets":
         """The model of `as_arrays`."""
-        names = YarnShape.__dataclass_fields__
-        shape = YarnShape(**{n: arrays[n] if np.ndim(arrays[n]) else float(arrays[n]) for n in names})
+        of_shape: dict[str, Any] = {n: arrays[n] for n in YarnShape.__dataclass_fields__}
+        shape = YarnShape(**{n: value if np.ndim(value) else float(value) for n, value in of_shape.items()})
         names = ("body", "lambert", "correction", "images", "image_weights")
-        return cls(shape, *(np.asarray(arrays[name], float) for name in names), quarter=bool(arrays["quarter"]))
+        return cls(shape, quarter=bool(arrays["quarter"]), **{name: np.asarray(arrays[name], float) for name in names})
 
 
 def shape_parts(shape: YarnShape, incident: np.ndarray, outgoing: np.ndarray, *, compiled=None) -> np.ndarray:

@@ -145,8 +145,8 @@ class Measured:
 
     def take(self, rows: np.ndarray) -> "Measured":
         """Some of them."""
-        parts = (self.incident, self.outgoing, self.values, self.normal)
-        return Measured(*(np.ascontiguousarray(part[rows]) for part in parts), self.quarter)
+        names = ("incident", "outgoing", "values", "normal")
+        return replace(self, **{name: np.ascontiguousarray(getattr(self, name)[rows]) for name in names})
 
     @property
     def grey(self) -> np.ndarray:

@@ -111,8 +111,8 @@ class Lighting(PlainFields):
             form, vector = DISTANT, rotation.T @ vector
         else:
             form, vector = POINT, camera.centre + rotation.T @ vector
-        arrays = (np.ascontiguousarray(a, np.float32) for a in (vector, rotation, harmonics))
-        return Lamp(form, *arrays, self.reference)
+        vector, rotation, harmonics = (np.ascontiguousarray(a, np.float32) for a in (vector, rotation, harmonics))
+        return Lamp(form, vector, rotation, harmonics, self.reference)
 
 
 def _rows(values) -> tuple[tuple[float, ...], ...]:
@@ -185,7 +185,9 @@ def factors(
     return irradiance.reshape(*positions.shape[:-1], channels), angles.reshape(*positions.shape[:-1], 3)
 
 
-def _view(camera_centre: np.ndarray, lamp: Lamp, channels: int) -> tuple:
+def _view(
+    camera_centre: np.ndarray, lamp: Lamp, channels: int
+) -> tuple[np.ndarray, int, np.ndarray, np.ndarray, np.ndarray, np.float32]:
     """The arguments that the compiled loops share: one row of harmonics serves every channel."""
     harmonics = lamp.harmonics
     if harmonics.shape[1] != channels:

@@ -55,11 +55,12 @@ class Neighbourhood:
         while len(levels[-1][0]) > 8 and len(levels) < _BITS:
             keys, sums = levels[-1]
             levels.append(_shared(_unpacked(keys) / 2, sums))
-        parents = None
-        for keys, sums in reversed(levels):
-            above = mean if parents is None else _looked_up(_unpacked(keys) / 2, *parents)
-            parents = keys, (sums[:, 1:] + coarse * above) / (sums[:, :1] + coarse)
-        return Field(self.lattice, *parents, mean)
+        above, below, values = mean, levels[-1][0], mean[None]
+        for number, (keys, sums) in enumerate(reversed(levels)):
+            if number:
+                above = _looked_up(_unpacked(keys) / 2, below, values)
+            below, values = keys, (sums[:, 1:] + coarse * above) / (sums[:, :1] + coarse)
+        return Field(self.lattice, below, values, mean)
 
 
 def spread(positions: np.ndarray, values: np.ndarray, precision: np.ndarray, lattice: Lattice) -> tuple:

@@ -83,7 +83,7 @@ def observed(
     return Observed(texel, picked, diffuse, attenuation, alpha, weights, view)
 
 
-def _side_by_side(lamps: list[Lamp]) -> tuple:
+def _side_by_side(lamps: list[Lamp]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Form, vectors, rotations, grey harmonics and squared references of the lamps, as arrays."""
     form = np.array([lamp.form for lamp in lamps], np.int64)
     vectors, rotations = (np.stack([getattr(lamp, name) for lamp in lamps]) for name in ("vector", "rotation"))
@@ -215,8 +215,8 @@ class Capture:
         """Total radiance (..., channels) that the model gives for one observation of a tile, or of some of its texels
         (an index into (T, T))."""
         of_texels = (parameters.kd, parameters.ks, parameters.sigma, tile.positions, tile.normals)
-        picked = (array[texels] for array in of_texels)
-        diffuse, specular = predict(*picked, self.centres[observation], self.lamps[observation])
+        kd, ks, sigma, places, facing = (array[texels] for array in of_texels)
+        diffuse, specular = predict(kd, ks, sigma, places, facing, self.centres[observation], self.lamps[observation])
         return diffuse + specular
 
 

@@ -210,7 +210,8 @@ def search_circles(given: SphereInput, overview: Overview, findings: Findings) -
         if good := examine(cluster, circles):
             candidates.append((cluster, good))
         else:
-            best = max(circles, key=lambda each: each.support, default=Circle(*cluster.centre, cluster.radius, 0.0))
+            nowhere = Circle(cluster.centre[0], cluster.centre[1], cluster.radius, 0.0)
+            best = max(circles, key=lambda each: each.support, default=nowhere)
             findings.rejected.append((best, f"no outline: edges along {100 * best.support:.0f} % of a circle only"))
     # Balls are often of one size: edges are looked for along circles as large as those of the other balls.
     for k, (cluster, circles) in enumerate(candidates):
@@ -385,4 +386,8 @@ def _settle_pair(
     steps = 0.05 * np.array([circles[0].radius] * 3 + [circles[1].radius] * 3 + [1.0])
     simplex = np.vstack([start, start + np.diag(steps)])
     x = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 400, "initial_simplex": simplex}).x
-    return Circle(*map(float, x[:3]), circles[0].support), Circle(*map(float, x[3:6]), circles[1].support)
+    (column, row, radius), (other_column, other_row, other_radius) = x[:3].tolist(), x[3:6].tolist()
+    return (
+        Circle(column, row, radius, circles[0].support),
+        Circle(other_column, other_row, other_radius, circles[1].support),
+    )

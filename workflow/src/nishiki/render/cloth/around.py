@@ -27,8 +27,9 @@ class Surroundings:
     @classmethod
     def of(cls, scene: ClothScene, light: AmbientLight) -> "Surroundings":
         """Test light.rays directions over each side of every vertex."""
-        fields = (smoothed(values, scene.mesh.triangles) for values in openness(scene, light.rays, light.reach))
-        return cls(light, *fields, np.ascontiguousarray(scene.mesh.triangles))
+        corners = np.ascontiguousarray(scene.mesh.triangles)
+        share, from_above = (smoothed(values, corners) for values in openness(scene, light.rays, light.reach))
+        return cls(light, share, from_above, corners)
 
     def radiance(self, table: np.ndarray, samples: Samples) -> np.ndarray:
         """(n, 3): even light that samples of a material reflect to the eye; table: its `shares`.

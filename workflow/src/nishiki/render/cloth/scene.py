@@ -26,7 +26,9 @@ from nishiki.threads import over_items
 class Brdf(Protocol):
     """What a surface is made of; every model of `nishiki.brdf.cloth` is one."""
 
-    channels: int
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """(..., channels) sr^-1 for unit vectors (..., 3) in the frame weft, warp, normal; 0 below the horizon."""
@@ -74,7 +76,7 @@ class Lamp:
 
     def __post_init__(self):
         given = self.direction if self.place is None else self.place
-        if (self.direction is None) == (self.place is None) or np.linalg.norm(given) < 1e-9:
+        if given is None or (self.direction is None) == (self.place is None) or np.linalg.norm(given) < 1e-9:
             raise UserError(f"lamp: expected a direction or a place, not 0, and not both; found {self}")
         if not (np.isfinite([*given, *self.colour, self.radius, self.distance]).all() and min(self.colour) >= 0):
             raise UserError(f"lamp: expected finite numbers and a colour of 0 or more, found {self}")

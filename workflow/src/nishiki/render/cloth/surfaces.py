@@ -263,7 +263,7 @@ def swatch(width: float, height: float, *, centre=(0.0, 0.0, 0.0), turn: float =
     """Return a flat rectangle that faces z, weft to the right."""
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, 9) * width, np.linspace(-0.5, 0.5, 9) * height, indexing="ij")
     place = np.stack([x, y, 0 * x], axis=2).reshape(-1, 3) + np.asarray(centre, float)
-    normals = np.tile(np.float32([0, 0, 1]), (len(place), 1))
+    normals = np.tile(np.array([0, 0, 1], np.float32), (len(place), 1))
     weft = np.tile([np.cos(turn), np.sin(turn), 0.0], (len(place), 1))
     return Surface(Mesh(place, grid_triangles(9, 9), normals), weft)
 

@@ -136,7 +136,8 @@ class ObjectRenderer:
         first, order = by_tile(places[tile], len(present) + 1)
         slots = {int(number): k for k, number in enumerate(present)}
         if self.lit:
-            shot, lamps = lit_by(shot, ((0, 1.0),)), [self.lit.seen_by(shot.camera)]
+            shot = lit_by(shot, ((0, 1.0),))
+            lamps: list = [self.lit.seen_by(shot.camera)]
         else:
             lamps = [self.lighting.lamp(shot.camera, light) for light, _ in shot.lights]
         prepared = Prepared(shot, raster, pixels, s, t, slots, first, order, lamps)
@@ -173,11 +174,11 @@ class ObjectRenderer:
         base: number of the light's first observation.
         """
         positions, normals = flat.positions[chosen], flat.normals[chosen]
-        parameters = (values[chosen] for values in flat.parameters)
+        kd, ks, sigma = (values[chosen] for values in flat.parameters)
         if isinstance(lamp, LampsInView):
-            modelled = lamp.predict(*parameters, positions, normals)
+            modelled = lamp.predict(kd, ks, sigma, positions, normals)
         else:
-            modelled = predict(*parameters, positions, normals, prepared.shot.camera.centre, lamp)
+            modelled = predict(kd, ks, sigma, positions, normals, prepared.shot.camera.centre, lamp)
         if len(self.parts) == 1:
             modelled = [modelled[0] + modelled[1]]
         coded = [encode(values, self.encoding) for values in modelled]
@@ -230,7 +231,7 @@ class ObjectRenderer:
         linear = np.zeros((raster.triangle.size, self.channels), np.float32)
         highest = np.inf if self.lit or self.ceiling is None else self.ceiling
         for values, (_, weight) in zip(prepared.values, shot.lights, strict=True):
-            light = sum(to_linear(part, self.encoding) for part in values)
+            light = np.sum([to_linear(part, self.encoding) for part in values], axis=0)
             linear[prepared.pixels] += np.float32(weight) * np.clip(light, 0, highest, dtype=np.float32)
         linear = linear.reshape(*raster.triangle.shape, self.channels)
         covered = raster.triangle >= 0

@@ -157,8 +157,8 @@ class Tile:
     @property
     def nbytes(self) -> int:
         """Size of the arrays."""
-        arrays = (*self.parameters, self.positions, self.normals, *(self.residual or ()))
-        return sum(values.nbytes for values in arrays)
+        arrays = (*self.parameters, self.positions, self.normals)
+        return sum(values.nbytes for values in arrays) + sum(part.nbytes for part in self.residual or ())
 
 
 LIFT = 0.25

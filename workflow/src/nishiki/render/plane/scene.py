@@ -117,7 +117,7 @@ class View:
 
     def __post_init__(self):
         if (self.rows is None) != (self.columns is None) or (
-            self.rows is not None and min(self.rows, self.columns) < 1
+            self.rows is not None and self.columns is not None and min(self.rows, self.columns) < 1
         ):
             raise UserError(f"view: expected rows and columns >= 1, found {self.rows} and {self.columns}; give both")
         if self.eye_mm is None:

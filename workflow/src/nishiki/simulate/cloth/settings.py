@@ -1,6 +1,7 @@
 """Cloths and sessions: what they are made of, by name, checked when they are made."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -171,7 +172,7 @@ def make_settings(
     along, across = FILAMENTS[filaments]
     spun = filaments == "spun"
     flatness = changes.pop("flatness", None)
-    yarns = [
+    of_warp, of_weft = (
         YarnSettings(
             spacing_mm=vary(spacing, 0.08),
             fill=0.96 if system == "warp" else 0.92,
@@ -183,9 +184,9 @@ def make_settings(
             dye=DYES[dye],
         )
         for system, (spacing, thickness, flat) in (("warp", warp), ("weft", weft))
-    ]
-    values = {"warp_crimp": crimp, "bend": bend, "arch_deg": arch, "repeats": max(10 // harness, 1)}
-    return ClothSettings(weave, harness, step, *yarns, seed=seed, **(values | changes))
+    )
+    values = {"warp_crimp": crimp, "bend": bend, "arch_deg": arch, "repeats": max(10 // harness, 1), "seed": seed}
+    return ClothSettings(weave, harness, step, of_warp, of_weft, **(values | changes))
 
 
 def preset(name: str, *, regions: bool = False, **options) -> GoniometerSettings:
@@ -195,7 +196,7 @@ def preset(name: str, *, regions: bool = False, **options) -> GoniometerSettings
     """
     overrides = {key: options.pop(key) for key in list(options) if key in GoniometerSettings.__dataclass_fields__}
     seed = overrides.get("seed", 1)
-    values = {"angles_deg": session(quarter_views(), hemisphere_views())}
+    values: dict[str, Any] = {"angles_deg": session(quarter_views(), hemisphere_views())}
     if name.endswith("-tiny"):
         few = session(
             quarter_views(9.0, 22.5), hemisphere_views(20.0, 45.0), incidences=(30.0, 60.0), azimuths=(0.0, 90.0)
@@ -203,7 +204,7 @@ def preset(name: str, *, regions: bool = False, **options) -> GoniometerSettings
         values = {"angles_deg": few, "rows": 24, "columns": 24, "candidates": 20_000, "chains": 6_000}
         options.setdefault("repeats", 1)
     cloth = make_settings(PRESETS[name], seed=seed, **options)
-    cloths = (cloth,)
+    cloths: tuple[ClothSettings, ...] = (cloth,)
     if regions:
         figure = make_settings(PRESETS[name], seed=seed + 1, **(options | {"dye": "gold"}))
         cloths = (cloth, replace(figure, face="weft" if PRESETS[name] != "plain" else "warp"))

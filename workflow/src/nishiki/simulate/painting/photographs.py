@@ -108,8 +108,8 @@ def photograph(thing: SimulatedObject, lamp: Lamp, settings: SimulationSettings,
     codes, lit = np.empty((*shape, channels), np.uint16), np.empty(shape, np.uint8)
     truth = None
     if tables.table.shape[1] > channels:
-        truth = {"xyz_lamp": (3,), "xyz_d65": (3,), "gloss": (), "body": ()}
-        truth = {name: np.empty((*shape, *tail), np.float32) for name, tail in truth.items()}
+        tails = {"xyz_lamp": (3,), "xyz_d65": (3,), "gloss": (), "body": ()}
+        truth = {name: np.empty((*shape, *tail), np.float32) for name, tail in tails.items()}
     key = subkey(settings.seed, f"noise sample {lamp.name}")
     for rows in bands(settings):
         shading = shade(thing, lamp, settings, table=tables.table, squared=tables.squared, rows=rows)

@@ -167,7 +167,7 @@ def run_at_terminal(command: list[str], obey: Callable[[str], None], **options: 
     """
     master, slave = os.openpty()
     try:
-        program = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, **options)  # type: ignore[call-overload]
+        program = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, **options)
         os.close(slave)
         line = ""
         while True:

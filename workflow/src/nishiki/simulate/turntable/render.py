@@ -238,9 +238,12 @@ def see(scene: SimulatedScene, view: Viewpoint, settings: TurntableSettings) -> 
         mirror = mirrored(scene.surface, scene.around, radiosity, view.centre)
     shape = (settings.rows, settings.columns)
     light = Light(
-        *(np.zeros((*shape, 3), np.float32) for _ in range(2)),
-        *(np.zeros(shape, np.float32) for _ in range(2)),
-        *(np.zeros((*shape, 3), np.float32) for _ in range(2)),
+        np.zeros((*shape, 3), np.float32),
+        np.zeros((*shape, 3), np.float32),
+        np.zeros(shape, np.float32),
+        np.zeros(shape, np.float32),
+        np.zeros((*shape, 3), np.float32),
+        np.zeros((*shape, 3), np.float32),
         np.full(shape, 255, np.uint8),
     )
     band = max(_RAYS // (settings.columns * settings.samples**2), 1)

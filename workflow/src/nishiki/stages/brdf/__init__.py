@@ -5,9 +5,9 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, extreme
-from nishiki.stages.base import ARRAYS, Asked, Cost, Measurements, SceneFacts, Stage
+from nishiki.stages.base import ARRAYS, Asked, Cost, Measurements, SceneFacts, SceneSettings, Stage
 
 PAINTING_LIMITS = (
     Limit("samples", "samples of the gloss, least region", extreme("samples", min)),
@@ -161,7 +161,7 @@ EVERY_OBLIQUE = {"bard_scaled"}
 """Models that use every oblique measurement, whatever the setting `oblique` says."""
 
 
-def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -> tuple[str, ...]:
+def _looks_at(facts: SceneFacts, settings: SceneSettings, asked: Asked) -> tuple[str, ...]:
     cloth = settings["cloth_brdf"]
     return ("oblique",) if cloth.oblique or not EVERY_OBLIQUE.isdisjoint((cloth.model, *cloth.compare)) else ()
 

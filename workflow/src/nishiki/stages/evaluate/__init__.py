@@ -1,10 +1,10 @@
 """Declare the stages that compare paintings, objects and cloths with truth and with unseen photographs."""
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.closed import Guarded
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, SceneFacts, Stage, photographs_or_states
 
 
@@ -19,7 +19,7 @@ class EvaluateSettings(Guarded, stage="evaluate", version=1):
     truth_sha256: str = Field("", description="digest of the truth; filled in by the plan")
 
 
-def _nothing_to_compare(facts: SceneFacts, settings: Closed) -> str | None:
+def _nothing_to_compare(facts: SceneFacts, settings: EvaluateSettings) -> str | None:
     if facts.truth_sha256 or facts.check_lights or settings.hold_out:
         return None
     return "there is no truth, the capture has no check lights and no light is held out (set hold_out)"
@@ -84,7 +84,7 @@ class ClothEvaluateSettings(Guarded, stage="cloth_evaluate", version=1):
     regions: tuple[str, ...] = Field((), description="regions to judge; none named: all")
 
 
-def _seen_from_one_light_only(facts: SceneFacts, settings: Closed) -> str | None:
+def _seen_from_one_light_only(facts: SceneFacts, settings: Any) -> str | None:
     if facts.measurements > facts.frontal or facts.truth_sha256:
         return None
     return "the light stood at the normal of the cloth in every measurement: none is left to compare with"

@@ -114,11 +114,11 @@ def read_truth(context: Context, frames: Observations) -> Truth:
 
 def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
     """Errors of the maps themselves; None where there is no truth or no map of the kind."""
-    result = {"normals": None, "height": None, "reflectance": None}
+    result: dict[str, dict | None] = {"normals": None, "height": None, "reflectance": None}
     if truth.normals is not None:
-        errors = normal_errors(scene.normals, truth.normals, flags=scene.flags, mask=scene.frames.mask)
-        out.write("angular_error", errors.map_deg, unit="degrees", nan="outside what truth and estimate share")
-        result["normals"] = errors.as_dict()
+        angles = normal_errors(scene.normals, truth.normals, flags=scene.flags, mask=scene.frames.mask)
+        out.write("angular_error", angles.map_deg, unit="degrees", nan="outside what truth and estimate share")
+        result["normals"] = angles.as_dict()
     has_height = truth.height_mm is not None and scene.height is not None and scene.height_unit == "mm"
     if has_height:
         inside = scene.frames.mask & scene.known

@@ -65,7 +65,7 @@ def errors(cloth: ExportedCloth, material: Brdf) -> dict:
         camera = framed(
             points, elevation=elevation, azimuth=azimuth, rows=SIDE, columns=SIDE, distance=cloth.shown.view.distance
         )
-        lamps = [Lighting(*np.radians(place), (1.0, 1.0, 1.0), 0.0).lamp(azimuth) for place in LAMPS]
+        lamps = [Lighting(above, turn, (1.0, 1.0, 1.0), 0.0).lamp(azimuth) for above, turn in np.radians(LAMPS)]
         takes = [
             RenderVariant((brdf,), tuple(np.eye(len(lamps))[k]))
             for k in range(len(lamps))
@@ -95,7 +95,7 @@ def colour_differences(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return delta_e_2000(*labs)
 
 
-ALONG_TANGENT = np.uint8([[[255, 128, 255]]])
+ALONG_TANGENT = np.array([[[255, 128, 255]]], np.uint8)
 """The texel of KHR_materials_anisotropy that says: along the tangent, with the whole strength."""
 
 

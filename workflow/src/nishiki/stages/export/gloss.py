@@ -263,8 +263,8 @@ def region_materials(context: Context, scene: ExportedScene) -> tuple[GltfMateri
         counts += np.bincount(numbers[known], minlength=len(beta))
     means = np.where(counts > 0, totals / np.maximum(counts, 1), 0.5)
     materials = [
-        best_material(coded_errors(*lobes, float(index[0]), mean), float(index[0]))
-        for *lobes, mean in zip(beta, gamma, means, strict=True)
+        best_material(coded_errors(strength, width, float(index[0]), mean), float(index[0]))
+        for strength, width, mean in zip(beta, gamma, means, strict=True)
     ]
     factor = max(1.0, *(float(material.strength) for material in materials))
     return tuple(replace(material, least_factor=factor) for material in materials)

@@ -100,7 +100,9 @@ class PaintingSurface(ExportedSurface):
         places, texture, triangles = (
             np.concatenate([getattr(band, name) for band in bands]) for name in ("places", "texture", "triangles")
         )
-        return TexturedMesh(places * METRES, np.broadcast_to(np.float32([0, 0, 1]), places.shape), texture, triangles)
+        return TexturedMesh(
+            places * METRES, np.broadcast_to(np.array([0, 0, 1], np.float32), places.shape), texture, triangles
+        )
 
     @property
     def unit(self) -> str:
@@ -154,8 +156,8 @@ def textures(scene: ExportedScene, most: int, *, slopes: bool) -> TexelMaps:
             labels.append(most_frequent(regions, known[..., 0], step))
         if slopes:
             variance.append(scene.slope_variance(band, step).astype(np.float32))
-    joined = (np.concatenate(each) if each else None for each in (labels, variance))
-    return TexelMaps(np.concatenate(albedo), np.concatenate(normals), *joined, step)
+    numbers, slopes_variance = (np.concatenate(each) if each else None for each in (labels, variance))
+    return TexelMaps(np.concatenate(albedo), np.concatenate(normals), numbers, slopes_variance, step)
 
 
 def most_frequent(labels: np.ndarray, known: np.ndarray, step: int) -> np.ndarray:
@@ -205,7 +207,7 @@ def write_gltf(context: Context, surface: PaintingSurface) -> dict:
     """Write `painting.glb`; return the error of its material against photographs."""
     mesh, look = surface.mesh, surface.look
     glb = Glb(extensions={"KHR_materials_ior", "KHR_materials_specular"})
-    tangents = np.broadcast_to(np.float32([1, 0, 0, 1]), (len(mesh.positions), 4))
+    tangents = np.broadcast_to(np.array([1, 0, 0, 1], np.float32), (len(mesh.positions), 4))
     attributes = {
         "POSITION": glb.vertices(mesh.positions, bounds=True),
         "NORMAL": glb.vertices(mesh.normals),

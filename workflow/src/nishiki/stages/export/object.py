@@ -65,8 +65,8 @@ def write_iiif(context: Context, _surface: ObjectSurface) -> dict:
         canvases.append({**made, "label": {"en": [f"View {decoded.views[place]}"]}})
         found, views = errors["check" if place in left_out else "fitted"]
         linear, valid = photographs.read(place, 0)
-        coded = [encode(three_channels(each)[shown.covered], decoded.encoding) for each in (shown.linear, linear)]
-        found.add(views.index(place), *coded, valid[shown.covered])
+        drawn, seen = (encode(three_channels(each)[shown.covered], decoded.encoding) for each in (shown.linear, linear))
+        found.add(views.index(place), drawn, seen, valid[shown.covered])
     content = manifest_of(context, address, canvases)
     write_manifest(folder, {**content, "behavior": [BEHAVIOR], "viewingDirection": "left-to-right"})
     paths = sorted(path.relative_to(context.output.folder).as_posix() for path in folder.rglob("*") if path.is_file())

@@ -62,7 +62,7 @@ def write_folder(
     header = {f"nishiki.{name}": text for name, text in stamp.items()}
     for name, values in parameters.items():
         channels = "RGB" if values.shape[2] == 3 else "Y"
-        with ExrWriter(folder / f"{name}.exr", channels, *values.shape[:2], header) as exr:
+        with ExrWriter(folder / f"{name}.exr", channels, values.shape[0], values.shape[1], header) as exr:
             exr.write(values)
     (folder / "colour.png").write_bytes(png_bytes(look.surface().pictures()["colour"]))
     facts, apart = scene_facts(decoded, mesh.positions, unit)

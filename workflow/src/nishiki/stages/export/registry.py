@@ -1,9 +1,11 @@
 """The formats that a scene is exported to: how each is written, and the two that paintings and objects share."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from nishiki.artifacts.stage import Context
+from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.formats.usd import write_materialx, write_usdz
 
 
@@ -29,15 +31,28 @@ def software(context: Context) -> str:
     return f"Nishiki {context.stamp['version']}"
 
 
-class ExportedSurface:
-    """Mesh, look and errors, each made when the first format asks for it.
-
-    A kind of surface has the attributes stem (name of its files), mesh (`TexturedMesh`, in metres where its unit is
-    known) and unit (what a length of 1 in a file means), and the methods look_of(format), which returns the
-    `SurfaceLook` that a format can hold, and losses(format), what the diagnostics say of it besides its files.
-    """
+class ExportedSurface(ABC):
+    """Mesh, look and errors, each made when the first format asks for it; stem: name of the files."""
 
     stem: str
+
+    @property
+    @abstractmethod
+    def mesh(self) -> TexturedMesh:
+        """Return the mesh, in metres where its unit is known."""
+
+    @property
+    @abstractmethod
+    def unit(self) -> str:
+        """Return what a length of 1 in a file means."""
+
+    @abstractmethod
+    def look_of(self, name: str) -> SurfaceLook:
+        """Return the look that a format can hold."""
+
+    @abstractmethod
+    def losses(self, name: str) -> dict:
+        """Return the diagnostics of a format besides its files."""
 
     def __init__(self, context: Context):
         self.context = context

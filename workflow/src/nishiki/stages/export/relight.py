@@ -69,8 +69,8 @@ def write(context: Context, scene: ExportedScene) -> dict:
         if kind == "ptm" and settings.single_file:
             exact = StoredModel(model, np.full(model.planes, 255.0), np.zeros(model.planes))
             coefficients = read_ptm(folder / PTM)
-            stored = ((band, coefficients(band)) for band in frames.bands())
-            rows = ((band, values.reshape(*values.shape[:2], -1).transpose(2, 0, 1)) for band, values in stored)
+            written = ((band, coefficients(band)) for band in frames.bands())
+            rows = ((band, values.reshape(*values.shape[:2], -1).transpose(2, 0, 1)) for band, values in written)
             errors |= exact.errors(rows, photographs, hold_out, {"ptm file": model})
         for name, psnr_db in errors.items():
             kinds[name] = {"planes": model.planes, "psnr_db": psnr_db}

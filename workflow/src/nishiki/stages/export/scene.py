@@ -166,7 +166,7 @@ class ExportedScene:
         """Return (r, columns, 3) terms a, b, d of the body shading, (1, 0, 0) for Lambert's law."""
         if "shading" in self._maps:
             return self._maps.read("shading", rows)[..., :3]
-        return np.broadcast_to(np.float32([1, 0, 0]), (*self.known(rows).shape, 3))
+        return np.broadcast_to(np.array([1, 0, 0], np.float32), (*self.known(rows).shape, 3))
 
     @property
     def has_directional_shading(self) -> bool:

@@ -5,9 +5,9 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, extreme, share
-from nishiki.stages.base import ARRAYS, OPENCV, Asked, Cost, SceneFacts, Stage
+from nishiki.stages.base import ARRAYS, OPENCV, Asked, Cost, SceneFacts, SceneSettings, Stage
 
 
 def _albedo(diagnostics: Mapping[str, Any]) -> float | None:
@@ -100,7 +100,7 @@ class GoniometerSamplesSettings(Guarded, stage="goniometer_samples", version=1, 
     )
 
 
-def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -> tuple[str, ...]:
+def _looks_at(facts: SceneFacts, settings: SceneSettings, asked: Asked) -> tuple[str, ...]:
     # Asked for by name the reflectances themselves are wanted, all of them. A light within normal_deg counts as along
     # the normal, where ingest would take it for oblique.
     return ("oblique",) if "goniometer_samples" in asked or settings["goniometer_samples"].normal_deg > 1 else ()

@@ -185,7 +185,9 @@ def without_hollows(
     coarse, _ = without_small_parts(coarse, smallest=context.settings.smallest_part)
     coarse = smoothed(coarse, cameras, most_px=max(1.0, context.settings.smooth))
     pictures = (linear_picture(views, views.views[place]) for place in used)
-    photographed = Photographed.of(pictures, [masks[place] for place in used], [cameras[place] for place in used])
+    photographed = Photographed.of(
+        pictures, [mask for mask in masks if mask is not None], [cameras[place] for place in used]
+    )
     return sink_hollows(mesh, coarse, photographed)
 
 

@@ -100,7 +100,7 @@ def choose_finishes(
     step = max(1, sum(piece.valid.shape[2] for piece in pieces) // RELIGHTING_PIXELS)
     few = [piece.only(np.s_[::step]) for piece in pieces] if told else []
 
-    one = np.zeros(1 + max((int(piece.cells.max()) for piece in pieces), default=0), int)
+    one = np.zeros(1 + max((int(piece.cells.max()) for piece in pieces), default=0), np.int64)
     found: list[tuple] = [([None], one, True)]
     if pieces and looked_for:
         from nishiki.photometric.gloss_scene import find_finishes, fit_glosses
@@ -279,10 +279,10 @@ def strided_pieces(
             row += strip.start
             chosen = (row % STRIDE == 0) & (column % STRIDE == 0) & frames.mask[row, column]
             if chosen.any():
-                picked = (
+                values, lit, known = (
                     np.ascontiguousarray(array[area][:, chosen][:, None]) for array in (observations, usable, valid)
                 )
-                yield Sampled(*picked, parcel), (row[chosen], column[chosen])
+                yield Sampled(values, lit, known, parcel), (row[chosen], column[chosen])
 
 
 def sampled_pixels(frames: Observations, selection: Maps | None, lights: np.ndarray, pixels: int) -> list[Sampled]:
@@ -314,7 +314,7 @@ def gloss_tiles(pieces: Sequence[Sampled], settings: NormalsSettings) -> list[Gl
     tiles = []
     for piece in pieces:
         maps = solve(piece.observations, piece.usable, piece.valid, piece.parcel, settings, None)
-        start = (maps[name] for name in ("normals", "flags", "sigma", "reflectance"))
+        start = {name: maps[name] for name in ("normals", "flags", "sigma", "reflectance")}
         observed = scaled(piece.observations, piece.parcel)
-        tiles.append(GlossTile(observed, piece.valid, piece.parcel.directions, *start, piece.cells))
+        tiles.append(GlossTile(observed, piece.valid, piece.parcel.directions, cells=piece.cells, **start))
     return tiles

@@ -50,12 +50,13 @@ def run(context: Context) -> dict:
         grazing_deg=settings.grazing_deg,
         stamp=context.stamp,
     )
-    facts = {"visible": 0, "texels": 0, "pixels": 0, "silhouette": 0, "uncovered": 0, "per_pixel": []}
+    facts = dict.fromkeys(("visible", "texels", "pixels", "silhouette", "uncovered"), 0)
+    shares: list[np.ndarray] = []
     for index in context.progress.over(range(len(cameras)), "view"):
         silhouette = None if silhouettes is None else silhouettes[index] != 0
         view = writer.view(index, silhouette)
         facts["pixels"] += len(view.places.row)
-        facts["per_pixel"].append(texels_per_pixel(mesh, atlas, cameras[index], view.raster.triangle[view.shown]))
+        shares.append(texels_per_pixel(mesh, atlas, cameras[index], view.raster.triangle[view.shown]))
         if silhouette is not None:
             facts["silhouette"] += int(silhouette.sum())
             facts["uncovered"] += int((silhouette & (view.raster.triangle < 0)).sum())
@@ -66,7 +67,7 @@ def run(context: Context) -> dict:
                 facts["visible"] += count["visible"]
                 facts["texels"] += count["inside"]
     write_preview(context.output.path("preview.png"), atlas, writer.finish(), views.encoding)
-    return described(mesh, charts, atlas, writer, facts)
+    return described(mesh, charts, atlas, writer, {**facts, "per_pixel": shares})
 
 
 def check(views: Views, cameras: list[Camera]) -> None:

@@ -170,7 +170,7 @@ def material_arrays(brdf: Brdf) -> dict[str, dict[str, np.ndarray]]:
     through = {
         "albedo": dye.gloss_albedo.astype(np.float32),
         "albedo_of_views": dye.gloss_albedo_at(around.grid_views()).astype(np.float32),
-        "mean_albedo": np.float32([dye.mean_albedo]),
+        "mean_albedo": np.array([dye.mean_albedo], np.float32),
     }
     measured = table_arrays(brdf) | {"shares": around.shares(brdf).astype(np.float32)}
     return {"measured": measured, "gloss": table_arrays(gloss_alone(brdf)) | through}
@@ -181,4 +181,4 @@ def table_arrays(brdf: Brdf) -> dict[str, np.ndarray]:
     table = BrdfTable.of(brdf)
     codes = np.moveaxis(table.codes, 2, 0)
     changes = differences(codes.reshape(len(codes), -1))
-    return {"codes": changes.reshape(codes.shape), "largest": np.float32([table.largest])}
+    return {"codes": changes.reshape(codes.shape), "largest": np.array([table.largest], np.float32)}

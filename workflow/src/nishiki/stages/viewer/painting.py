@@ -158,10 +158,9 @@ def _mean_difference(maps: Maps, lights: int) -> np.ndarray | None:
     names = [name for name in (f"de00_{light:03d}" for light in range(lights)) if name in maps]
     if not names:
         return None
-    total, count = 0, 0
-    for name in names:
-        values = _reduced(maps, name)
-        total, count = total + np.nan_to_num(values), count + np.isfinite(values)
+    parts = [_reduced(maps, name) for name in names]
+    total = sum((np.nan_to_num(values) for values in parts), np.zeros_like(parts[0]))
+    count = sum((np.isfinite(values) for values in parts), np.zeros(total.shape, int))
     return np.divide(total, count, out=np.full(total.shape, np.nan, np.float32), where=count > 0)
 
 

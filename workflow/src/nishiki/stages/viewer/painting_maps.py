@@ -151,7 +151,7 @@ class PaintingCode:
         content = filled(values[..., 1:-1], values[..., 0] > 0)
         normals = content[..., :3]
         length = np.sqrt((normals**2).sum(axis=-1, keepdims=True))
-        normals = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), np.float32([0, 0, 1]))
+        normals = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), np.array([0, 0, 1], np.float32))
         planes = self.normal.encode(normals) + self.colour.encode(content[..., 3 : 3 + self.channels])
         planes += self.shading.encode(content[..., 3 + self.channels :]) if self.shading else []
         return [*planes, np.where(known, values[..., -1], UNKNOWN_REGION).astype(np.uint8)]

@@ -1,0 +1,9 @@
+from collections.abc import Callable
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+F = TypeVar("F", bound=Callable[..., Any])
+
+def intrinsic(function: Callable[Concatenate[Any, P], Any]) -> Callable[P, Any]: ...
+def overload(function: Callable[..., Any], **options: Any) -> Callable[[F], F]: ...
+def __getattr__(name: str) -> Any: ...
