@@ -178,7 +178,7 @@ def _prepared(
 
 
 def _judged(arrays, strengths, reports, low, high) -> PointFits:
-    """Flags and standard deviations from the solver's reports; what is not supported is set to 'no highlight'."""
+    """Derive flags and standard deviations from the solver's reports; set what is not supported to 'no highlight'."""
     _, amplitude, _, diffuse, weights = arrays
     channels = amplitude.shape[2]
     has_diffuse = np.any(diffuse != 0, axis=1)
@@ -216,8 +216,10 @@ def _judged(arrays, strengths, reports, low, high) -> PointFits:
 
 
 def _lambert_alone(amplitude, diffuse, weights):
-    """K_d of points without a lobe: weighted least squares on the diffuse column, 0 where it is not defined or beyond
-    the float type."""
+    """Fit K_d of points without a lobe by weighted least squares on the diffuse column.
+
+    0 where it is not defined or beyond the float type.
+    """
     good = np.isfinite(amplitude).all(axis=2) & np.isfinite(diffuse) & np.isfinite(weights)
     with np.errstate(over="ignore", invalid="ignore"):
         q = np.multiply(np.where(good, weights, 0), np.where(good, diffuse, 0), dtype=np.float64)

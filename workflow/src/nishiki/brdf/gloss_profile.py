@@ -150,8 +150,9 @@ class SpecularHistogram:
 
 
 def unit_of(reflectances: Sequence[np.ndarray]) -> float:
-    """`value_unit` of a scene: 1, the white reference, where the median of its reflectances is of that order; else (no
-    white board) a power of ten, so that the unit of the observations does not matter.
+    """Choose the `value_unit` of a scene, so that the unit of the observations does not matter.
+
+    1, the white reference, where the median of its reflectances is of that order; else (no white board) a power of ten.
 
     reflectances: arrays of any shape, relative to the white reference if there is one; values <= 0 do not count.
     """
@@ -330,8 +331,11 @@ class GlossProfile:
         return replace(self, beta=beta)
 
     def table(self) -> np.ndarray:
-        """(4, NODES) as the kernel reads them, on equal steps: value and slope of z over the chord 2 sin(phi / 2), and
-        the body's transmittance, less what `transmission` does not take, with its slope over the cosine."""
+        """Tabulate (4, NODES) for the kernel, on equal steps.
+
+        Value and slope of z over the chord 2 sin(phi / 2), and the body's transmittance, less what `transmission` does
+        not take, with its slope over the cosine.
+        """
         return self._table
 
     @cached_property
@@ -424,7 +428,7 @@ def predicted_radiance(directions, normals, reflectance, gloss, *, shading=None)
 def fit_gloss(
     histogram: SpecularHistogram, *, transmission: float = 1.0, ladder: np.ndarray = LADDER, region: int = 0
 ) -> GlossProfile:
-    """The profile that explains a region's specular samples; all beta 0 where nothing positive is left."""
+    """Fit the profile that explains a region's specular samples; all beta 0 where nothing positive is left."""
     from scipy.optimize import nnls
 
     profile = histogram.profile(region=region)

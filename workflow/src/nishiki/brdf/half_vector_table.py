@@ -45,7 +45,9 @@ ITERATIONS = 8
 
 @dataclass(frozen=True)
 class HalfVectorTable:
-    """theta (a,), phi (b,): of the light, radians; facets, area (around, polar): D and sigma; visible (b, a, around,
+    """A BRDF as a table over the half vector.
+
+    theta (a,), phi (b,): of the light, radians; facets, area (around, polar): D and sigma; visible (b, a, around,
     polar): v, of integral 1 over the square; values (b, a, channels, side, side): q, 0 for an eye below the horizon.
     """
 
@@ -63,7 +65,7 @@ class HalfVectorTable:
 
     @classmethod
     def of(cls, evaluate: Evaluate) -> "HalfVectorTable":
-        """The table of a BRDF."""
+        """Tabulate a BRDF."""
         theta = np.linspace(0, LOWEST, INCIDENT)
         phi = np.linspace(-np.pi, np.pi, AZIMUTHS)
         facets, area = facets_of(evaluate)
@@ -110,7 +112,7 @@ class HalfVectorTable:
         return out
 
     def arrays(self, description: str) -> dict[str, np.ndarray]:
-        """What a file `.bsdf` of three channels, linear sRGB, holds; luminance: by which directions are drawn."""
+        """Return the content of a `.bsdf` of three channels, linear sRGB; luminance: by which directions are drawn."""
         return {
             "description": np.frombuffer(description.encode(), np.uint8),
             "phi_i": self.phi,
@@ -204,7 +206,7 @@ def linear_root(first: np.ndarray, second: np.ndarray, area: np.ndarray) -> np.n
 
 
 def between(nodes: np.ndarray, values: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The numbers of the nodes before and after values (n,), with their weights; beyond the last, its value."""
+    """Return the nodes before and after values (n,) by number, with their weights; beyond the last, its value."""
     before = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, len(nodes) - 2)
     share = np.clip((values - nodes[before]) / (nodes[before + 1] - nodes[before]), 0, 1)
     return [(before, 1 - share), (before + 1, share)]
@@ -228,7 +230,7 @@ def interpolated(table: np.ndarray, x: np.ndarray, y: np.ndarray, at: tuple = ()
 
 
 def grid_directions() -> np.ndarray:
-    """Unit vectors (around, polar, 3) of the nodes of D and sigma."""
+    """Compute unit vectors (around, polar, 3) of the nodes of D and sigma."""
     theta, phi = np.pi / 2 * np.linspace(0, 1, POLAR) ** 2, np.linspace(-np.pi, np.pi, AROUND)[:, None]
     return unit(theta, phi)
 

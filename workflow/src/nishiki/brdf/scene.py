@@ -50,7 +50,7 @@ def brightest_light_samples(
 
 
 def thin(phi, *, bins=60, per_bin=50, seed=0):
-    """Indices of at most `per_bin` samples in each of `bins` equal intervals of phi: a constant density over phi."""
+    """Choose at most `per_bin` samples in each of `bins` equal intervals of phi: a constant density over phi."""
     order = np.random.default_rng(seed).permutation(phi.size)
     top = phi.max(initial=0.0)
     index = np.minimum((phi[order] * (bins / top)).astype(int), bins - 1) if top > 0 else np.zeros(phi.size, int)
@@ -97,7 +97,7 @@ def described_ladder(
 
 
 def without_gloss(refractive_index: float, samples: int) -> dict:
-    """A region that is Lambert alone: a lobe of strength 0, nothing fitted; samples: that were looked at."""
+    """Describe a region that is Lambert alone: a lobe of strength 0, nothing fitted; samples: that were looked at."""
     return {
         "beta": [0.0],
         "gamma": [GAMMA_BOUNDS[1]],
@@ -112,7 +112,7 @@ def without_gloss(refractive_index: float, samples: int) -> dict:
 
 
 def of_equal_lobes(regions: list[dict]) -> list[dict]:
-    """The regions with lobes of strength 0 added, so that all have as many."""
+    """Add lobes of strength 0 to the regions, so that all have as many."""
     most = max(len(region["beta"]) for region in regions)
     return [
         {
@@ -158,8 +158,10 @@ def parameters_at_bounds(regions: list[dict]) -> list[str]:
 
 
 def is_facets(parameters: dict) -> bool:
-    """Whether the lobes are those of the facets alone, so that the slopes inside a pixel widen them; the published fit
-    sees both as one."""
+    """Return whether the lobes are of the facets alone, so that slopes inside a pixel widen them.
+
+    The published fit sees both as one.
+    """
     return parameters["method"] != "paper"
 
 

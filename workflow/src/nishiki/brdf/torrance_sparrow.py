@@ -138,8 +138,10 @@ def fresnel(cos_theta, refractive_index) -> np.ndarray:
 
 
 def masking(cos_phi, cos_i, cos_r, cos_q) -> np.ndarray:
-    """G = min(1, 2 cos phi cos_r / cos_q, 2 cos phi cos_i / cos_q), 0 .. 1 (Tominaga and Tanaka 2004, eq. 13); 0 with
-    light or view behind."""
+    """Compute G = min(1, 2 cos phi cos_r / cos_q, 2 cos phi cos_i / cos_q), 0 .. 1; 0 with light or view behind.
+
+    Tominaga and Tanaka 2004, eq. 13.
+    """
     lit = (np.asarray(cos_i) > 0) & (np.asarray(cos_r) > 0) & (np.asarray(cos_q) > 0)
     groove = 2 * np.asarray(cos_phi) * np.minimum(cos_i, cos_r) / np.where(lit, cos_q, 1)
     return np.where(lit, np.clip(groove, 0, 1), 0)
@@ -162,8 +164,7 @@ def masking_over_cos_r(cos_phi, cos_i, cos_r, cos_q) -> np.ndarray:
 
 
 def attenuation(geometry: HalfVectorGeometry, refractive_index) -> np.ndarray:
-    """F G / cos_r: all of the specular term but beta D, which is what a fit divides out (Tominaga and Tanaka 2004, eq.
-    10)."""
+    """Compute F G / cos_r: the specular term without beta D, as fits need it (Tominaga and Tanaka 2004, eq. 10)."""
     g = geometry
     return fresnel(g.cos_q, refractive_index) * masking_over_cos_r(g.cos_phi, g.cos_i, g.cos_r, g.cos_q)
 

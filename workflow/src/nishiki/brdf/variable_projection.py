@@ -49,7 +49,7 @@ def dot_rows(_context, matrix, i, j):
 
 
 def _in_halves(builder, vector):
-    """The sum of a vector's elements: its upper half added to its lower, until one is left."""
+    """Sum a vector's elements: its upper half added to its lower, until one is left."""
     count = LANES
     while count > 1:
         count //= 2
@@ -318,7 +318,7 @@ def _deflate(w, row, d, v):
 
 @njit(cache=True, error_model="numpy")
 def _summarise(w, channels, gamma, report):
-    """What the diffuse term alone leaves, the observation nearest to the mirror direction, and how many are lit."""
+    """Summarise the residual of the diffuse term, the observation nearest to the mirror direction, and the lit ones."""
     report[RSS_DIFFUSE] = 0
     for c in range(channels):
         report[RSS_DIFFUSE] += dot_rows(w, _ROWS + c, _ROWS + c)

@@ -96,7 +96,7 @@ def colmap_folder(source: Path, options: ConvertOptions) -> Path | None:
 
 
 def read_colmap(folder: Path, pictures: Pictures | None = None) -> Registration:
-    """The registered photographs.
+    """Read the registered photographs.
 
     Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
     numbers.
@@ -218,7 +218,7 @@ def _binary_images(content: bytes) -> list[_Image]:
 
 
 def _count(content: bytes) -> int:
-    """The number of entries that a file begins with, which a broken one may state as any number."""
+    """Return the number of entries that a file begins with, which a broken one may state as any number."""
     (count,) = struct.unpack_from("<Q", content)
     if count > bound("views"):
         raise ValueError(f"{count} entries, more than the {bound('views')} views that are read")
@@ -242,7 +242,7 @@ def transforms_file(source: Path, options: ConvertOptions) -> Path | None:
 
 
 def read_transforms(path: Path, pictures: Pictures) -> Registration:
-    """The photographs of all frames, of all parts of a set in parts.
+    """Read the photographs of all frames, of all parts of a set in parts.
 
     Raises CaptureError: cameras-unreadable, cameras-many, photograph-missing; cameras-distorted where a lens cannot be
     said by Brown's five numbers; camera-values where the focal length or the principal point is not of the photograph.

@@ -61,13 +61,13 @@ class Capture(Photographed):
         return self.lights.directions[[self.lights.index(f.light) for f in self.observed]]
 
     def white_of(self, light: str) -> Frame | None:
-        """The white board's frame under this light."""
+        """Return the white board's frame under this light."""
         place = self.lights.index(light)
         return next((f for f in self.frames_of("white") if self.lights.index(f.light) == place), None)
 
 
 def payload_of(root: Path) -> Path:
-    """The folder that holds capture.yaml: root, or root/data.
+    """Find the folder that holds capture.yaml: root, or root/data.
 
     Raises CaptureError: folder-missing, folder-empty, capture-missing, outside-folder, seal-interrupted.
     """
@@ -134,7 +134,7 @@ def load_capture(root: Path | str) -> Capture | TurntableCapture | GoniometerCap
 
 
 def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture | None, list[Problem]]:
-    """The capture (None where its tables cannot be read) and everything found wrong in its tables."""
+    """Read the capture (None where its tables cannot be read) and list everything wrong in its tables."""
     problems: list[Problem] = []
 
     def attempt(read: Callable[[], T]) -> T | None:
@@ -193,7 +193,7 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture 
 
 
 def _illuminant(settings: Session, named: Callable, attempt: Callable) -> Curves | str | None:
-    """The name of a CIE illuminant, or a curve from the file."""
+    """Read the name of a CIE illuminant, or a curve from the file."""
     value = settings.illuminant
     if value is None or value in NAMED_ILLUMINANTS:
         return value

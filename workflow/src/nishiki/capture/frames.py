@@ -161,7 +161,7 @@ def _join_bands(frames: list[Frame], file: str, problems: list[Problem]) -> list
 
 
 def dialect_of(table: Path) -> str:
-    """The geometry that a frames.csv looks as if it were of, where capture.yaml does not tell: plane or goniometer."""
+    """Guess the geometry of a frames.csv, plane or goniometer, where capture.yaml does not state it."""
     try:
         with reading(table.name, "frames"):
             _, heading = next(table_rows(table, table.name), (0, []))
@@ -227,7 +227,7 @@ def _frame(
 
 
 def _round_about(frame: Frame, row: dict[str, str], payload: Path, where: str, problems: list[Problem]) -> Frame:
-    """The frame with what only a turntable's table tells: polariser state and silhouette."""
+    """Add to the frame what only a turntable's table states: polariser state and silhouette."""
     state, outline, path = "", row.get("silhouette", ""), None
     try:
         state = parse_state(row.get("polariser", ""), where).name
@@ -322,8 +322,11 @@ class SourcePhotographs:
 
 @dataclass(frozen=True)
 class Photographed:
-    """root: the folder; payload: where capture.yaml lies (root, or root/data of a sealed one); frames: every
-    photograph, in the order of frames.csv."""
+    """The folder and the photographs of a capture of any geometry.
+
+    root: the folder; payload: where capture.yaml lies (root, or root/data of a sealed one); frames: in the order of
+    frames.csv.
+    """
 
     root: Path
     payload: Path

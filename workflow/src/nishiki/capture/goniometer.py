@@ -156,7 +156,7 @@ def _angle_problems(frame: Frame) -> list[Problem]:
 
 
 def _spread_problems(samples: list[Frame], whites: list[Frame]) -> list[Problem]:
-    """What the later stages will miss, although the capture can be read."""
+    """List what the later stages will miss, although the capture can be read."""
     problems = []
     normal = [f for f in samples if f.angles_deg[0] < NORMAL_DEG]
     if len(normal) < FEWEST_NORMAL:
@@ -188,8 +188,11 @@ def nearest(directions: list[tuple[float, float]], others: list[tuple[float, flo
 
 @dataclass(frozen=True)
 class GoniometerCapture(Photographed):
-    """frames: none where there is a table; table: the reflectances given instead, or None; regions: label picture of
-    the cloth, or None; warnings: what was tolerated."""
+    """A cloth under a goniometer.
+
+    frames: none where there is a table; table: the reflectances given instead, or None; regions: label picture of the
+    cloth, or None; warnings: what was tolerated.
+    """
 
     settings: GoniometerFile
     table: ReflectanceTable | None
@@ -225,7 +228,7 @@ def examine_goniometer(
     spectra: tuple[Curves | None, Curves | str | None],
     attempt: Callable,
 ) -> tuple[GoniometerCapture | None, list[Problem]]:
-    """The capture (None where its tables cannot be read) and what is wrong with how its tables fit together.
+    """Read the capture (None where its tables cannot be read) and list how its tables contradict each other.
 
     frames: of frames.csv, None where it cannot be read; spectra: sensitivities and illuminant; attempt: runs a reader,
     collecting the problems that it raises.

@@ -47,8 +47,11 @@ LEAST_SPREAD = 0.1  # greatest theta, in whatever unit, below which angles tell 
 
 @dataclass(frozen=True)
 class ReflectanceTable:
-    """incident_deg, outgoing_deg (n, 2) float64: theta and phi; values (n, channels) float64, sr^-1; channels: names;
-    warnings: what was tolerated."""
+    """A table of measured reflectances.
+
+    incident_deg, outgoing_deg (n, 2) float64: theta and phi; values (n, channels) float64, sr^-1; channels: names;
+    warnings: what was tolerated.
+    """
 
     incident_deg: np.ndarray
     outgoing_deg: np.ndarray
@@ -76,7 +79,7 @@ def read_table(path: Path, name: str, *, values: str = "brdf", azimuths: str = "
 
 
 def _as_brdf(table: ReflectanceTable, values: str, azimuths: str) -> ReflectanceTable:
-    """The table with the BRDF in place of `values`, and azimuths of the view from the weft."""
+    """Convert a table of `values` to the BRDF, and azimuths of the view to those from the weft."""
     cos_i, cos_r = (np.cos(np.radians(each[:, :1])) for each in (table.incident_deg, table.outgoing_deg))
     weight = {
         "brdf": 1.0,
@@ -112,8 +115,10 @@ def is_table(path: Path, *, named: bool = False) -> bool:
 
 
 def angle_column(column: str) -> tuple[str, str]:
-    """Which of ANGLES a column holds, and in which unit: deg, rad, or '' where its name does not tell; else the column
-    itself."""
+    """Return which of ANGLES a column holds, and its unit; else the column itself.
+
+    Unit: deg, rad, or '' where the name does not tell.
+    """
     match = ANGLE.fullmatch(column.strip().casefold())
     if match is None:
         return column, ""
@@ -173,7 +178,7 @@ def _to_degrees(rows: np.ndarray, units: dict[str, str], name: str) -> list[Prob
 
 
 def quantity_of(column: str) -> str:
-    """What a column holds, as far as its name tells: a key of QUANTITIES, or UNSAID."""
+    """Return what a column holds, as far as its name tells: a key of QUANTITIES, or UNSAID."""
     folded = column.casefold()
     for quantity, pattern in QUANTITIES.items():
         match = pattern.search(folded.replace("_", " ").replace("-", " "))
@@ -183,8 +188,7 @@ def quantity_of(column: str) -> str:
 
 
 def _expect_reflectances(channels: tuple[str, ...], name: str, values: str) -> None:
-    """CaptureError (table-quantities) unless all columns hold the same quantity, that of `values` as far as their names
-    tell."""
+    """Raise CaptureError (table-quantities) unless all columns hold the quantity `values`, as far as names tell."""
     held: dict[str, list[str]] = {}
     for channel in channels:
         held.setdefault(quantity_of(channel), []).append(channel)
@@ -202,7 +206,7 @@ def _expect_reflectances(channels: tuple[str, ...], name: str, values: str) -> N
 
 
 def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array, list[Problem]]:
-    """The number of wavelengths, the wavelengths in nm, then rows of four angles in radians and the values."""
+    """Parse the number of wavelengths, the wavelengths in nm, then rows of four angles in radians and the values."""
     numbers, places = array("d"), array("q")
     try:
         for number, line in lines:
@@ -228,7 +232,7 @@ def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], arra
 
 
 def _utia(path: Path, name: str) -> ReflectanceTable:
-    """A table of the UTIA database."""
+    """Read a table of the UTIA database."""
     with reading(name, "table"):
         rows = read_utia(path, name)
     table = _checked(rows, COLOURS, array("q", range(1, len(rows) + 1)), [], name)
@@ -238,7 +242,7 @@ def _utia(path: Path, name: str) -> ReflectanceTable:
 
 
 def _merl(path: Path, name: str) -> ReflectanceTable:
-    """An isotropic table of the MERL database, read at MERL_LIGHTS and MERL_VIEWS."""
+    """Read an isotropic table of the MERL database, read at MERL_LIGHTS and MERL_VIEWS."""
     with reading(name, "table"):
         stored = read_merl(path, name)
     angles = np.array([(*light, *view) for light in MERL_LIGHTS for view in MERL_VIEWS])
@@ -252,7 +256,7 @@ def _merl(path: Path, name: str) -> ReflectanceTable:
 def _checked(
     rows: np.ndarray, channels: tuple[str, ...], lines: array, notes: list[Problem], name: str
 ) -> ReflectanceTable:
-    """The table, if it has rows of possible angles and finite values."""
+    """Return the table if it has rows of possible angles and finite values."""
     if not len(rows):
         refuse("table-empty", name, "no reflectances in it", remedy="Add a row for each measurement")
     theta, phi, values = rows[:, [0, 2]], rows[:, [1, 3]], rows[:, 4:]
@@ -277,8 +281,10 @@ def _checked(
 
 
 def in_radians(angles: np.ndarray) -> bool:
-    """Whether angles (n, 4) theta_i, phi_i, theta_r, phi_r of some measurements are radians: none is above pi / 2 for
-    theta and 2 pi for phi, which in degrees would all be views along the normal."""
+    """Return whether the angles (n, 4) of some measurements are radians.
+
+    Then no theta is above pi / 2 and no phi above 2 pi; in degrees all of them would be views along the normal.
+    """
     theta, phi = np.abs(angles[:, [0, 2]]), np.abs(angles[:, [1, 3]])
     within = (theta <= np.pi / 2 + 1e-3).all() and (phi <= 2 * np.pi + 1e-3).all()
     return bool(within and len(angles) >= FEWEST_ANGLES and theta.max() > LEAST_SPREAD)

@@ -151,7 +151,7 @@ def _take_bands(folder: Path, layout: Layout, held: set[int | None], options: Co
 
 
 def _sorted_bands(folder: Path, bands: tuple[str, ...]) -> dict[str, dict[str, Path]] | None:
-    """The pictures of a folder by name and band; None where they do not have these bands."""
+    """Sort the pictures of a folder by name and band; None where they do not have these bands."""
     return next(
         (found.files for found in sort_bands(folder, photographs_in) if set(found.channels) == set(bands)), None
     )
@@ -240,8 +240,11 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
 
 
 def _match_silhouettes(layout: RoundLayout, folder: Path) -> tuple[dict[Path, Path], tuple[Problem, ...]]:
-    """Silhouette of each photograph, see `pair_by_name`; of one view in many states, the only picture; where the folder
-    has folders like those of the photographs, that of the same path, as COLMAP's `cam0/0000.png.png`."""
+    """Match a silhouette to each photograph, see `pair_by_name`.
+
+    One view in many states has one picture. Where the folder has folders like those of the photographs, the silhouette
+    has the same path, as COLMAP's `cam0/0000.png.png`.
+    """
     present = sorted(files_with(folder, MASK_SUFFIXES), key=natural_key)
     below = Pictures(folder)
     nested = [] if present else [below.find(f"{p}.png") or below.find(str(p)) for p in layout.photographs]
@@ -256,8 +259,10 @@ def _match_silhouettes(layout: RoundLayout, folder: Path) -> tuple[dict[Path, Pa
 
 
 def _states_of(boards: list[Path], layout: RoundLayout, folder: str) -> list[tuple[Path, str]]:
-    """White boards with their polariser states: told by the whole name, by its end (`board_off`), or by the part of
-    the names that varies. One whose name tells none is the board without polarisers.
+    """Assign white boards to polariser states.
+
+    The state is the whole name, its end (`board_off`), or the part of the names that varies. A board whose name states
+    none is the one without polarisers.
 
     CaptureError (white-unnamed) unless there is a board for every state, and at most one without.
     """
@@ -288,7 +293,7 @@ def _state(name: str) -> str | None:
 
 
 def _ending(stem: str, known: set[str]) -> str:
-    """The longest end of a name, after a separator, that is a known state."""
+    """Find the longest end of a name, after a separator, that is a known state."""
     places = [0, *(match.end() for match in re.finditer(r"[^0-9A-Za-z.]+|(?<=[A-Za-z])(?=[0-9])", stem))]
     return next((stem[at:] for at in places if _state(stem[at:]) in known), stem)
 

@@ -154,7 +154,7 @@ def state_lights(source: Path, file: Path, options: ConvertOptions) -> StatedLig
 
 
 def _settled(layout: Layout, stated: StatedLights, file: Path, options: ConvertOptions) -> Layout:
-    """The layout with what the file states beside its lamps, and what the photographs decide."""
+    """Add to the layout what the file states beside its lamps, and what the photographs decide."""
     sample = cache(lambda: sample_photographs(layout.photographs, options.encoding))
     if len(layout.lights.names) != len(stated.lights.names):  # a line a band
         stated = replace(stated, intensities=None, rival=None, shifts=None)
@@ -253,7 +253,7 @@ def _with_lights(source: Path, stated: StatedLights, lights_file: Path, mask: Pa
 
 
 def _folder_named(source: Path, lights: Lights, file: Path) -> Path:
-    """The folder of a folder without photographs that the lights file names for all of them; else the folder itself."""
+    """Find the folder that the lights file names for all photographs, of a folder without any; else return itself."""
     named = {same_name(PurePath(*re.split(r"[\\/]", file or "")).parent.name) for file in lights.files}
     place = PurePath(*re.split(r"[\\/]", next((file for file in lights.files if file), ""))).parent
     if ".." in place.parts and (source / place).is_dir():

@@ -46,7 +46,7 @@ class Lights:
 
 
 def light_name(token: str) -> str:
-    """The name of a light from what stands in its place: folders of either kind and an image's suffix are dropped."""
+    """Derive the name of a light from a file name: folders of either kind and an image's suffix are dropped."""
     return IMAGE_SUFFIX.sub("", re.split(r"[\\/]", token.strip().strip("\"'"))[-1])
 
 
@@ -290,7 +290,7 @@ def _number(token: str) -> float | None:
 
 
 def _name_before(line: str, tokens: list[str], start: int) -> str | None:
-    """What stands before the numbers, which begin with the token `start`: a file name that may hold blanks."""
+    """Return the text before the numbers, which begin with the token `start`: a file name that may hold blanks."""
     if start == 0:
         return None
     end = len(line)

@@ -35,7 +35,7 @@ class Pairing:
 
 
 def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: str, folder: str) -> Pairing:
-    """The picture of `others` that belongs to each photograph, each used once.
+    """Find the picture of `others` that belongs to each photograph, each used once.
 
     what: how to call the others in messages ('white boards'); folder: where they are from. Names that are the same
     apart from the suffix come first, and others may then be left over; otherwise the counts must agree.
@@ -72,7 +72,7 @@ def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: s
 
 
 def names_apart(paths: Sequence[Path], folder: str) -> list[tuple[Token, ...]]:
-    """The varying part of each name, see `varying_parts`. CaptureError (pairing-ambiguous) where two are the same."""
+    """Return the parts of the names that vary (`varying_parts`). CaptureError (pairing-ambiguous) where two agree."""
     names = [tokens(p.stem) for p in paths]
     first: dict[tuple, Path] = {}
     for path, name in zip(paths, names, strict=True):
@@ -85,14 +85,14 @@ def names_apart(paths: Sequence[Path], folder: str) -> list[tuple[Token, ...]]:
 
 
 def tokens(stem: str) -> tuple[Token, ...]:
-    """A name as characters without capitals, and whole numbers: 'Lamp_07' is l a m p _ 7."""
+    """Split a name into characters without capitals and whole numbers: 'Lamp_07' is l a m p _ 7."""
     return tuple(
         int(part) if part.isdecimal() else part for part in re.findall(r"[0-9]{1,18}|.", stem.casefold(), re.S)
     )
 
 
 def varying_parts(names: Sequence[tuple[Token, ...]]) -> list[tuple[Token, ...]]:
-    """The names without what they all begin and end with. One name alone has no part that varies: ()."""
+    """Strip the names of what they all begin and end with. One name alone has no part that varies: ()."""
     shortest = min(map(len, names), default=0)
     start = next((i for i in range(shortest) if len({name[i] for name in names}) > 1), shortest)
     room = shortest - start
@@ -207,7 +207,7 @@ def find_bands(
 def complete_bands(
     channels: Sequence[str], files: dict[str, dict[str, Path]], folder: str
 ) -> tuple[tuple[Path, ...], ...]:
-    """The files (lamps, channels). CaptureError: band-missing for each lamp that lacks one, band-channels."""
+    """List the files (lamps, channels). CaptureError: band-missing for each lamp that lacks one, band-channels."""
     remedy = "Put the file there, or take the lamp out of the lights file"
     lacking = {lamp: [name for name in channels if name not in bands] for lamp, bands in files.items()}
     problems = [
@@ -233,7 +233,7 @@ def _all_pictures(source: Path, pictures: Callable[[Path], list[Path]]) -> list[
 
 
 def _split_name(name: str, pattern: str, place: int = -1) -> tuple[str, str]:
-    """The lamp's and the band's part of a name, told last or (place 0) first; the band is empty where there is none."""
+    """Split a name into the lamp's and the band's part, the band last or (place 0) first; '' where there is none."""
     found = list(re.finditer(pattern, name, re.IGNORECASE))
     if not found:
         return _tidied(name), ""
@@ -248,7 +248,7 @@ def _split_name(name: str, pattern: str, place: int = -1) -> tuple[str, str]:
 
 
 def _tidied(name: str) -> str:
-    """A name without the separators that a band leaves behind."""
+    """Strip a name of the separators that a band leaves behind."""
     parts = [part.strip("_-. ") for part in re.split(r"[/\\]", name)]
     return "_".join(part for part in parts if part)
 
@@ -260,7 +260,7 @@ def _band_key(band: str) -> tuple[int, int, str]:
 
 
 def _match_lamps(sorted_files: BandFiles, lights: Lights, kind: str) -> tuple[Lights, list[str]] | None:
-    """The lights, and the lamp of `sorted_files` of each; None where they do not belong together.
+    """Match each light to a lamp of `sorted_files`; None where they do not belong together.
 
     Lights that name each file of a lamp are one light, where their directions agree.
     """

@@ -69,7 +69,7 @@ def bundler_file(source: Path, options: ConvertOptions) -> Path | None:
 
 
 def read_bundler(path: Path, pictures: Pictures) -> Registration:
-    """The photographs that have a camera; notes name the others.
+    """Read the photographs that have a camera; notes name the others.
 
     Raises CaptureError: cameras-unreadable, cameras-many, photograph-missing; photographs-count where the list is not
     as long as the cameras; camera-values where points lie outside of their photographs, which are then of another size.
@@ -171,7 +171,7 @@ def meshroom_file(source: Path, options: ConvertOptions) -> Path | None:
 
 
 def read_meshroom(path: Path, pictures: Pictures | None = None) -> Registration:
-    """The photographs that have a pose.
+    """Read the photographs that have a pose.
 
     Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
     numbers.
@@ -264,7 +264,7 @@ def metashape_file(source: Path, options: ConvertOptions) -> Path | None:
 
 
 def read_metashape(path: Path, pictures: Pictures | None = None) -> Registration:
-    """The photographs that are enabled and aligned; notes name the others.
+    """Read the photographs that are enabled and aligned; notes name the others.
 
     Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
     numbers.

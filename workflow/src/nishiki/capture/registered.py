@@ -30,8 +30,9 @@ NEAR = 0.5  # root mean square distance of the lines of sight from one point, re
 
 @dataclass(frozen=True)
 class RegisteredView:
-    """Name of the photograph's file as the program knows it, size in pixels, projection matrix (3, 4) float64 without
-    distortion, lens.
+    """A photograph with its camera.
+
+    Name of the file as the program knows it, size in pixels, projection matrix (3, 4) float64 without distortion, lens.
 
     The matrix and the lens count pixels from the centre of the first one.
     """
@@ -70,7 +71,7 @@ class Pictures:
         return [(tuple(map(same_name, name.split("/"))), self.folder / name) for name in pictures]
 
     def find(self, name: str) -> Path | None:
-        """The picture whose path ends most like this one, `images` and the folder itself first; None without.
+        """Find the picture whose path ends most like this one, `images` and the folder itself first; None without.
 
         Both slashes separate folders, and the suffix may be missing. CaptureError (photograph-ambiguous) where several
         pictures fit equally.
@@ -97,7 +98,7 @@ class Pictures:
         return best[0] if best else None
 
     def paths(self, names: Sequence[str], file: str) -> list[Path]:
-        """The picture of each name. CaptureError (photograph-missing) with every one that is not there."""
+        """Find the picture of each name. CaptureError (photograph-missing) with every one that is not there."""
         found = [self.find(name) for name in names]
         remedy = f"Put it there, or take it out of {file}"
         missing = [name for name, path in zip(names, found, strict=True) if path is None]
@@ -127,8 +128,10 @@ def reading_cameras(name: str, program: str, remedy: str) -> Iterator[None]:
 
 
 def aims_at(poses: np.ndarray) -> float | None:
-    """Distance of the lines of sight from the point nearest to all of them, root mean square, over the cameras' median
-    distance from it; infinite unless the point is in front of nearly all cameras; None where nothing can be told.
+    """Measure how closely the lines of sight meet.
+
+    Distance from the point nearest to all of them, root mean square, over the cameras' median distance from it;
+    infinite unless the point is in front of nearly all cameras; None where nothing can be told.
 
     poses (n, 3, 4): from world to camera, looking along z. Photographs of an object look at it from around it.
     """
@@ -153,7 +156,7 @@ def aim_problems(poses: np.ndarray, file: str) -> list[Problem]:
 
 
 def rigid(rotation: np.ndarray) -> np.ndarray:
-    """A rotation (3, 3) freed of a scale. ValueError where it is none: sheared, mirrored, or not finite."""
+    """Return a rotation (3, 3) freed of its scale. ValueError where it is none: sheared, mirrored, or not finite."""
     scale = np.cbrt(np.linalg.det(rotation)) if np.isfinite(rotation).all() else 0.0
     turned = rotation / scale if scale > 0 else np.zeros((3, 3))
     if np.abs(turned @ turned.T - np.eye(3)).max() > 1e-3:
@@ -162,14 +165,14 @@ def rigid(rotation: np.ndarray) -> np.ndarray:
 
 
 def finite(value: object) -> float:
-    """A number, also written as text. ValueError unless it is finite."""
+    """Parse a number, also written as text. ValueError unless it is finite."""
     if isinstance(value, bool) or not isinstance(value, str | int | float) or not math.isfinite(float(value)):
         raise ValueError(f"'{str(value)[:40]}' where a number is expected")
     return float(value)
 
 
 def positive(value: object, name: str) -> float:
-    """A number above 0. ValueError where it is none."""
+    """Parse a number above 0. ValueError where it is none."""
     number = finite(value)
     if number <= 0:
         raise ValueError(f"{name} {number:g}, which must be above 0")
@@ -177,7 +180,7 @@ def positive(value: object, name: str) -> float:
 
 
 def whole(value: object) -> int:
-    """A whole number. ValueError where it is none."""
+    """Parse a whole number. ValueError where it is none."""
     number = finite(value)
     if number != int(number):
         raise ValueError(f"'{str(value)[:40]}' where a whole number is expected")

@@ -189,7 +189,7 @@ def list_archive(archive: Path) -> Iterator[ArchiveEntry]:
 
 
 def _entry_of(source: Path, archive: Path) -> ArchiveEntry:
-    """What one source is; the layout is '' where none is recognised and no picture lies there."""
+    """Describe one source; the layout is '' where none is recognised and no picture lies there."""
     name, layout = str(source.relative_to(archive)), ""
     try:
         found = recognise(source, NOTHING)

@@ -59,8 +59,9 @@ class Rendering:
 
 
 def recognise_relightable(source: Path, options: ConvertOptions | None = None) -> Path | None:
-    """Find the relightable image that the source is (file, or folder of relight), or the only one in this folder
-    without photographs; None without.
+    """Find the relightable image that the source is, or the only one in this folder without photographs.
+
+    A source is a file or a folder of relight; None without.
 
     Raises CaptureError (layout-unknown) where a folder holds several.
     """
@@ -88,7 +89,7 @@ def read_relightable(source: Path, file: Path, options: ConvertOptions) -> Rende
 
 
 def open_relightable(path: Path) -> RelightableImage:
-    """The image in a file, or in a folder of relight or webRTIViewer.
+    """Open the image in a file, or in a folder of relight or webRTIViewer.
 
     CaptureError (relightable-unreadable) where it is none that is read.
     """
@@ -104,7 +105,7 @@ def open_relightable(path: Path) -> RelightableImage:
 
 
 def lamps_for(lights_file: Path | None, options: ConvertOptions | None = None) -> Lights:
-    """The lamps of a file, or those of RINGS, named by polar angle and azimuth in degrees."""
+    """Read the lamps of a file, or return those of RINGS, named by polar angle and azimuth in degrees."""
     if lights_file is not None:
         return state_lights(lights_file.parent, lights_file, options or ConvertOptions()).lights
     names, vectors = [], []

@@ -257,7 +257,7 @@ def _vector(values: list, file: str) -> list[float]:
 
 
 def _positive(content: dict, key: str) -> float:
-    """A number above 0; 0 where there is none."""
+    """Parse a number above 0; 0 where there is none."""
     value: Any = content.get(key)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < 1e9 else 0.0
 
@@ -281,7 +281,7 @@ class RtiProject:
 
     @classmethod
     def of(cls, source: Path) -> "RtiProject | None":
-        """The project in a folder, known by `assembly-files` or `jpeg-exports`; None where there is neither.
+        """Open the project in a folder, known by `assembly-files` or `jpeg-exports`; None where there is neither.
 
         None, too, where only the folder itself holds pictures: those of the project may be lost, or never were.
         """
@@ -294,7 +294,7 @@ class RtiProject:
         return cls(source, folders) if filled or not _stems_in(source) else None
 
     def lights_file(self) -> Path:
-        """The only `.lp` in `assembly-files`, or in the project's own folder. CaptureError (layout-unknown)."""
+        """Find the only `.lp` in `assembly-files`, or in the project's own folder. CaptureError (layout-unknown)."""
         places = [self.folders[ASSEMBLY]] if ASSEMBLY in self.folders else []
         for place in (*places, self.root):
             files = files_with(place, (".lp",))
@@ -307,7 +307,7 @@ class RtiProject:
         refuse("layout-unknown", str(self.root), what, expected=f"one in {ASSEMBLY}", remedy=remedy)
 
     def photographs(self, lights: Lights) -> Path:
-        """The folder that the lights file names, if it holds these photographs; else the first that does.
+        """Find the folder that the lights file names, if it holds these photographs; else the first that does.
 
         CaptureError (photograph-missing) where none does.
         """
@@ -324,7 +324,7 @@ class RtiProject:
         refuse("photograph-missing", str(self.root), what, expected=expected, found=found, remedy=remedy)
 
     def note(self, lights_file: Path, lights: Lights, chosen: Path) -> Problem:
-        """What was taken to belong together, and what else there is."""
+        """Describe what was taken to belong together, and what else there is."""
         others = [
             name
             for name in reversed(PHOTOGRAPHS)

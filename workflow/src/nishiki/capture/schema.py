@@ -59,7 +59,7 @@ def read_capture_file(path: Path) -> CaptureFile | TurntableFile | GoniometerFil
 
 
 def geometry_named(path: Path) -> str | None:
-    """The geometry that a capture.yaml names, even where the rest of it cannot be used; None where it names none."""
+    """Read the geometry that a capture.yaml names, even where the rest is unusable; None where it names none."""
     try:
         return read_mapping(path).get("geometry")
     except CaptureError:

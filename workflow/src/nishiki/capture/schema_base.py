@@ -155,7 +155,7 @@ Model = TypeVar("Model", bound=Closed)
 
 
 def validate(model: type[Model], parsed: dict, file: str) -> Model:
-    """The mapping as this closed model. CaptureError: unknown-key, missing-key, wrong-value."""
+    """Parse the mapping as this closed model. CaptureError: unknown-key, missing-key, wrong-value."""
     try:
         return model.model_validate(parsed)
     except ValidationError as e:

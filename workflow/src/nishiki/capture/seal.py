@@ -254,7 +254,7 @@ def _write_tags(bag: Path, payload: Path, progress: Callable[[str], None] | None
 
 
 def _refuse_links(root: Path) -> None:
-    """A bag holds files: a link, even one inside the folder, may break when the bag is copied."""
+    """Refuse links: even one inside the folder may break when the bag is copied."""
     links = [name for name, entry in walk(root) if entry.is_symlink()]
     if links:
         remedy = "Replace each link by a copy of its file"

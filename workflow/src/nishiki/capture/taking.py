@@ -29,8 +29,10 @@ FOLDERS = ("frames", "white", "dark", "ambient", "silhouettes")
 
 
 def channel_names(header: ImageHeader) -> tuple[str, ...]:
-    """Names for the channels of a photograph, alpha apart. CaptureError (layers-several) where an EXR has several
-    layers, none of which is the whole light."""
+    """Name the channels of a photograph, alpha apart.
+
+    CaptureError (layers-several) where an EXR has several layers, none of which is the whole light.
+    """
     if several_layers(header.names):
         what, found = "several layers, none of them called Combined or Beauty", ", ".join(header.names)[:200]
         remedy = "Write an EXR of one layer, or list the channels of one under camera.channels of a capture.yaml"
@@ -62,7 +64,7 @@ def usual_header(photographs: Sequence[Path]) -> ImageHeader:
 def choose_encoding(
     header: ImageHeader, given: str | None, source: str, *, display: bool = False
 ) -> tuple[str, list[Problem]]:
-    """The value of camera.encoding for photographs like this one, and what the user should know of it.
+    """Choose camera.encoding for photographs like this one, and list what the user should know of it.
 
     given: by the user, or None; display: 8-bit pictures that state nothing are coded for display, not linear. A curve
     that the file states is used; a linear one needs no statement.
@@ -168,8 +170,10 @@ def lights_text(lights: Lights) -> str:
 
 
 def read_channels(path: Path) -> np.ndarray:
-    """Codes (rows, columns, channels) float32, an alpha channel apart: as stored, or linear where the file states a
-    curve."""
+    """Read codes (rows, columns, channels) float32, an alpha channel apart.
+
+    They are as stored, or linear where the file states a curve.
+    """
     header = read_header(path)
     codes = read_codes(path, channel_names(header), header=header).astype(np.float32)
     if header.coding is None or header.coding.linear:

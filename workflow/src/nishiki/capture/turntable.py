@@ -56,7 +56,7 @@ class TurntableCapture(Photographed):
         return self.distortions.get(view, shared)
 
     def silhouette_of(self, view: str) -> Frame | None:
-        """The frame whose row names the silhouette of this view."""
+        """Find the frame whose row names the silhouette of this view."""
         return next((f for f in self.frames if f.view == view and f.silhouette_path), None)
 
 
@@ -68,7 +68,7 @@ def examine_turntable(
     spectra: tuple[Curves | None, Curves | str | None],
     attempt: Callable,
 ) -> tuple[TurntableCapture | None, list[Problem]]:
-    """The capture (None where its tables cannot be read) and what is wrong with how its tables fit together.
+    """Read the capture (None where its tables cannot be read) and list how its tables contradict each other.
 
     spectra: sensitivities and illuminant; attempt: runs a reader, collecting the problems that it raises.
     """

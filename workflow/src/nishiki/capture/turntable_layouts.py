@@ -33,8 +33,11 @@ LEAST_TURN = 20.0  # degrees between the outermost angles of a polariser that is
 
 @dataclass(frozen=True)
 class RoundLayout(SourcePhotographs):
-    """photographs[i] shows views[i] in the polariser state states[i] ('' for none); matrices (views, 3, 4) or None;
-    calibration: the instrument's own file, or None; distortions (views, 5): k1, k2, p1, p2, k3, or None."""
+    """Photographs of an object from many sides, with their cameras.
+
+    photographs[i] shows views[i] in the polariser state states[i] ('' for none); matrices (views, 3, 4) or None;
+    calibration: the instrument's own file, or None; distortions (views, 5): k1, k2, p1, p2, k3, or None.
+    """
 
     name: str
     photographs: tuple[Path, ...]
@@ -57,8 +60,10 @@ class RoundLayout(SourcePhotographs):
 
 
 def cameras_of(program: str, read: Callable[[Path, Pictures], Registration]) -> Callable[..., RoundLayout]:
-    """Make the reader of a folder whose cameras a program found; `read` gets the file or folder of the cameras, and
-    the pictures of the source."""
+    """Make the reader of a folder whose cameras a program found.
+
+    `read` gets the file or folder of the cameras, and the pictures of the source.
+    """
 
     def read_registered(source: Path, cameras: Path, options: ConvertOptions) -> RoundLayout:
         pictures = Pictures(source)
@@ -137,8 +142,10 @@ def _matrices_in(path: Path) -> np.ndarray | None:
 
 
 def read_numbered(source: Path, stored: tuple[Path, np.ndarray], options: ConvertOptions) -> RoundLayout:
-    """Give the photographs, in the natural order of their names, a matrix each; leave out a last one that repeats the
-    first."""
+    """Give the photographs, in the natural order of their names, a matrix each.
+
+    A last photograph that repeats the first is left out.
+    """
     (path, matrices), photographs = stored, photographs_in(source)
     notes = []
     repeated = len(photographs) > 2 and sha256_of(photographs[0]) == sha256_of(photographs[-1])
@@ -160,7 +167,7 @@ def read_numbered(source: Path, stored: tuple[Path, np.ndarray], options: Conver
 
 
 def _is_camera_list(path: Path) -> bool:
-    """A count, then as many lines of a picture's name and 21 numbers."""
+    """Return whether a file is a count, then as many lines of a picture's name and 21 numbers."""
     try:
         lines = _camera_lines(path)
     except CaptureError:
@@ -248,7 +255,7 @@ def _turntable(
     notes: list[Problem],
     distortions: np.ndarray | None = None,
 ) -> RoundLayout:
-    """A layout with its cameras checked, in the order of the turn, and whether they go once round."""
+    """Make a layout with its cameras checked, in the order of the turn; find whether they go once round."""
     raise_errors(
         [p for path, m in zip(photographs, matrices, strict=True) for p in camera_problems(path.stem, m, file)]
     )

@@ -61,7 +61,7 @@ class EnviWriter:
             raise ValueError(f"expected {self._shape[0]} rows, found {self._row}")
 
     def write(self, rows: np.ndarray) -> None:
-        """The next rows (r, columns, bands)."""
+        """Write the next rows (r, columns, bands)."""
         self._file.write(np.ascontiguousarray(rows.transpose(0, 2, 1), "<f4").tobytes())
         self._row += len(rows)
 
@@ -69,7 +69,7 @@ class EnviWriter:
 def envi_header(
     shape: tuple[int, int, int], wavelengths_nm: Sequence[float] | np.ndarray, description: str, pitch_mm: float | None
 ) -> str:
-    """The text of a header."""
+    """Compose the text of a header."""
     rows, columns, bands = shape
     lines = [
         "ENVI",
@@ -221,7 +221,7 @@ class ExrWriter:
                 self._finish()
 
     def write(self, band: np.ndarray) -> None:
-        """The next rows (r, columns, channels)."""
+        """Write the next rows (r, columns, channels)."""
         values = np.concatenate([self._waiting, np.asarray(band, np.float32)])
         blocks = len(values) // BLOCK_ROWS
         for number in range(blocks):
@@ -246,7 +246,7 @@ class ExrWriter:
 
 
 def read_blocks(path: Path) -> Iterator[np.ndarray] | None:
-    """The blocks (rows, channels, columns) of a file that `ExrWriter` wrote; None where the file is of another kind."""
+    """Read the blocks (rows, channels, columns) of a file that `ExrWriter` wrote; None for files of another kind."""
     with open(path, "rb") as file:
         magic, version = struct.unpack("<ii", file.read(8))
         if magic != MAGIC or version & ~LONG_NAMES != VERSION:
@@ -316,7 +316,7 @@ def _differenced(raw: bytes) -> bytes:
 
 
 def _summed(packed: bytes) -> bytes:
-    """The inverse of `_differenced`."""
+    """Invert `_differenced`."""
     split = np.frombuffer(packed, np.uint8).copy()
     split[1:] -= np.uint8(128)
     split = np.add.accumulate(split, dtype=np.uint8)

@@ -35,7 +35,7 @@ ROMM = RgbSpace("ROMM RGB (ProPhoto)", ((0.7347, 0.2653), (0.1596, 0.8404), (0.0
 
 
 def icc_profile(space: RgbSpace) -> bytes:
-    """The profile's bytes; the same space gives the same bytes."""
+    """Encode the profile; the same space gives the same bytes."""
     curve = b"para" + bytes(4) + struct.pack(">HH", 0, 0) + _fixed(space.gamma)
     matrix = space.to_xyz()
     texts = {b"desc": space.name, b"cprt": "No copyright, use freely"}
@@ -148,7 +148,7 @@ class Coding:
 
 
 def coding_used(kind: str, stated: Coding | None, encoding: str) -> Coding:
-    """The coding by which a picture is decoded.
+    """Choose the coding by which a picture is decoded.
 
     kind: of the file; stated: what the file states; encoding: `file`, or `linear` or `srgb` in place of its curve.
     Without a statement JPEG is sRGB and all else linear. What the reader has applied already stays applied.
@@ -201,14 +201,14 @@ _TRANSFERS = {
 
 
 def exif_coding(colour_space: str) -> Coding | None:
-    """The coding that a camera names in its Exif block: 'srgb' or 'adobe' (DCF 2.0)."""
+    """Return the coding that a camera names in its Exif block: 'srgb' or 'adobe' (DCF 2.0)."""
     if colour_space == "adobe":
         return Coding("Adobe RGB (Exif)", Curve((563 / 256, *LINEAR.formula[1:])), primaries_xyz(ADOBE_XY))
     return Coding("sRGB (Exif)", SRGB, SRGB_XYZ) if colour_space == "srgb" else None
 
 
 def png_coding(chunks: dict[bytes, bytes], exif: Coding | None) -> Coding | None:
-    """The coding of a PNG from the content of its chunks before the pixels (PNG, third edition, 4.3)."""
+    """Read the coding of a PNG from the content of its chunks before the pixels (PNG, third edition, 4.3)."""
     if len(code := chunks.get(b"cICP", b"")) == 4:
         primaries, transfer = code[0], code[1]
         name = f"{_SPACES.get(primaries, f'primaries {primaries}')}, cICP"
@@ -250,7 +250,7 @@ def _perceptual_quantizer() -> tuple[float, ...]:
 
 
 def transfer_function(values: tuple[int, ...], bits: int) -> Coding | None:
-    """The coding of a TIFF by its TransferFunction, one table of 2^bits values or one for each of three channels."""
+    """Read the coding of a TIFF from its TransferFunction: one table of 2^bits values, or one a channel of three."""
     table = np.array(values, float) / 65535
     if len(table) == 3 << bits:
         table = table.reshape(3, -1)
@@ -266,7 +266,7 @@ def _resampled(table: np.ndarray) -> tuple[float, ...]:
 
 
 def icc_coding(profile: bytes) -> Coding:
-    """The coding that an ICC profile describes: a matrix with curves, a grey curve, or tables (`developed`)."""
+    """Read the coding that an ICC profile describes: a matrix with curves, a grey curve, or tables (`developed`)."""
     try:
         return _icc_coding(profile)
     except (struct.error, IndexError, ValueError, OverflowError) as error:
@@ -292,7 +292,7 @@ def _icc_coding(profile: bytes) -> Coding:
 
 
 def icc_tags(profile: bytes) -> tuple[dict[bytes, bytes], bytes]:
-    """The tagged elements of an ICC profile and the signature of its colour space. ValueError where it is none."""
+    """Read the tagged elements of an ICC profile and the signature of its colour space. ValueError where it is none."""
     if profile[36:40] != b"acsp":
         raise ValueError("no ICC signature")
     (count,) = struct.unpack(">I", profile[128:132])

@@ -65,7 +65,7 @@ def exif_of(file: BinaryIO) -> Exif:
 
 
 def exif_of_page(page: Any) -> Exif:
-    """The facts in the directory of a TIFF page of tifffile, and in its Exif directory."""
+    """Read the facts in the directory of a TIFF page of tifffile, and in its Exif directory."""
     tags = {tag.name: tag.value for tag in page.tags if tag.code in _FACTS}
     inner = tags.get("ExifTag")
     values = {**tags, **inner} if isinstance(inner, dict) else tags
@@ -94,7 +94,7 @@ def quiet_tifffile() -> None:
 
 
 def _number(value: Any) -> float | None:
-    """A positive finite number from a whole number, a rational (numerator, denominator) or a list of one."""
+    """Read a positive finite number from a whole number, a rational (numerator, denominator) or a list of one."""
     if isinstance(value, tuple) and len(value) == 2 and value[1]:
         value = value[0] / value[1]
     elif isinstance(value, tuple) and value:
@@ -103,7 +103,7 @@ def _number(value: Any) -> float | None:
 
 
 def _exif_block(file: BinaryIO) -> BinaryIO | None:
-    """The TIFF stream that holds the facts: the file itself, or the block inside a JPEG or PNG."""
+    """Open the TIFF stream that holds the facts: the file itself, or the block inside a JPEG or PNG."""
     file.seek(0)
     start = file.read(12)
     if start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):

@@ -33,7 +33,7 @@ class _Channel:
 
 
 def open_exr(file: BinaryIO, name: str) -> Picture:
-    """The picture of an EXR: of the layer that holds all light, else of the only one, else every layer's channels.
+    """Open the picture of an EXR: of the layer that holds all light, else of the only one, else every layer's channels.
 
     Channels of several layers, none of them the whole light, have the names of their layers; `match_channels` takes
     those that are wanted. ValueError or RuntimeError where the file is damaged.
@@ -107,7 +107,7 @@ def several_layers(names: tuple[str, ...]) -> bool:
 
 
 def _channels(header: dict[str, Any], part: int) -> list[_Channel]:
-    """The channels of a part in full resolution, its own name before those of its layers where it has one."""
+    """List a part's channels of full resolution, its own name before those of its layers where it has one."""
     found = []
     for channel in header["channels"]:
         layer, _, base = channel.name.rpartition(".")

@@ -66,7 +66,7 @@ BOUNDS = MappingProxyType(
 
 
 def bound(name: str) -> int:
-    """The largest that is read of this kind. UserError where NISHIKI_BOUNDS is not as it should be."""
+    """Return the bound of this kind. UserError where NISHIKI_BOUNDS is not as it should be."""
     value = _raised(os.environ.get(VARIABLE, "")).get(name, BOUNDS[name].value)
     return value or machine_memory() * 3 // 4
 
@@ -98,7 +98,7 @@ def _raised(text: str) -> dict[str, int]:
 
 
 def remedy(name: str) -> str:
-    """What to do where something trustworthy is larger than a bound."""
+    """Say what to do where something trustworthy is larger than a bound."""
     return f"If it is as it should be, raise the bound: {VARIABLE}={name}=..., now {bound(name)} {BOUNDS[name].unit}"
 
 
@@ -153,7 +153,7 @@ def read_bytes(path: Path | str, limit: str, *, name: str | None = None) -> byte
 
 
 def open_regular(path: Path | str, file: str) -> int:
-    """A handle for reading a regular file. FileNotFoundError; Refused where it is none or may not be read."""
+    """Open a regular file. FileNotFoundError; Refused where it is none or may not be read."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe would wait for a writer
     except (FileNotFoundError, NotADirectoryError) as error:
@@ -173,7 +173,7 @@ def read_text(path: Path | str, limit: str, *, name: str | None = None, errors: 
 
 
 def read_json(path: Path | str) -> dict[str, Any]:
-    """A JSON object from a file of at most the bound json_bytes. UserError where it is missing or none."""
+    """Read a JSON object of at most the bound json_bytes. UserError where the file is missing or holds none."""
     try:
         return json_object(read_bytes(path, "json_bytes", name=str(path)))
     except FileNotFoundError:
@@ -183,7 +183,7 @@ def read_json(path: Path | str) -> dict[str, Any]:
 
 
 def json_object(text: str | bytes) -> dict[str, Any]:
-    """A JSON object from its text. ValueError says briefly where it is none."""
+    """Parse a JSON object. ValueError says briefly where the text is none."""
     try:
         value = json.loads(text)
     except RecursionError:
@@ -196,8 +196,10 @@ def json_object(text: str | bytes) -> dict[str, Any]:
 
 
 def name_fault(name: str) -> str:
-    """Why a relative file name is refused, or ''. Absolute names, '..', back slashes, drives, control characters and
-    parts of more than 200 bytes are."""
+    """Say why a relative file name is refused, or ''.
+
+    Absolute names, '..', back slashes, drives, control characters and parts of more than 200 bytes are.
+    """
     parts = PurePosixPath(name).parts
     if not name or name.startswith("/") or ".." in parts or "\\" in name or name[1:2] == ":":
         return "file name"
@@ -231,7 +233,7 @@ def files_with(folder: Path, suffixes: Collection[str]) -> list[Path]:
 
 
 def same_name(name: str) -> str:
-    """A file name for comparison: without capitals, letters with accents composed, which macOS takes apart."""
+    """Normalise a file name for comparison: no capitals, and accents composed, which macOS takes apart."""
     return unicodedata.normalize("NFC", name).casefold()
 
 

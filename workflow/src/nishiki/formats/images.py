@@ -17,8 +17,9 @@ from nishiki.formats.text_tables import refusal
 
 
 def read_header(path: Path, *, name: str | None = None) -> ImageHeader:
-    """Header of a photograph; CaptureError (image-missing, image-unreadable, image-truncated, image-unsupported,
-    image-absurd) if none.
+    """Read the header of a photograph.
+
+    CaptureError: image-missing, image-unreadable, image-truncated, image-unsupported, image-absurd.
 
     Files that are cut off are found without decoding them: by the end marker of JPEG, the last chunk of PNG and the
     places of the strips of TIFF. name: how to call the file in messages (default: its own name).
@@ -36,7 +37,7 @@ def read_header(path: Path, *, name: str | None = None) -> ImageHeader:
 
 
 def open_picture_file(path: Path, name: str) -> int:
-    """A handle for reading a picture. CaptureError (image-missing, image-unreadable) where there is no regular file."""
+    """Open a picture. CaptureError (image-missing, image-unreadable) where there is no regular file."""
     try:
         return open_regular(path, name)
     except FileNotFoundError as e:
@@ -46,7 +47,7 @@ def open_picture_file(path: Path, name: str) -> int:
 
 
 def absurd_claim(header: ImageHeader, bytes_on_disk: int, name: str) -> Problem | None:
-    """What is wrong with the size that a header claims, or None."""
+    """Return the problem of the size that a header claims, or None."""
     size = f"{header.rows} x {header.columns} x {header.channels}"
     if min(header.rows, header.columns, header.channels) < 1:
         return error("image-absurd", name, "image without pixels", found=size)
@@ -81,7 +82,7 @@ def read_codes(
     name: str | None = None,
     alpha: bool = False,
 ) -> np.ndarray:
-    """Stored codes (rows, columns, channels) uint8, uint16 or float32, channels in the order of their names.
+    """Read codes (rows, columns, channels) uint8, uint16 or float32, channels in the order of their names.
 
     luma: for a JPEG decode its luma plane only, (rows, columns, 1); half the time of colour. An alpha channel is
     dropped, or follows the others where alpha is asked for. Raises CaptureError (image-missing, image-unreadable,

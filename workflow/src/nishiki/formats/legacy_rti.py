@@ -59,7 +59,7 @@ class TextHeading:
         self.place = 0
 
     def word(self) -> str:
-        """The next word, of at most 80 characters."""
+        """Read the next word, of at most 80 characters."""
         match = WORD.match(self.start, self.place)
         if match is None:
             raise Refused(self.name, "the heading ends early", remedy=REMEDY)
@@ -67,11 +67,11 @@ class TextHeading:
         return match[1][:80].decode("latin-1")
 
     def integers(self, count: int) -> list[int]:
-        """The next whole numbers, below a thousand million."""
+        """Read the next whole numbers, below a thousand million."""
         return [int(each) for each in self._numbers(count, r"-?[0-9]{1,9}", "whole numbers")]
 
     def floats(self, count: int) -> list[float]:
-        """The next numbers, none beyond LARGEST."""
+        """Read the next numbers, none beyond LARGEST."""
         number = r"[-+]?([0-9]{1,30}\.?[0-9]{0,30}|\.[0-9]{1,30})([eE][-+]?[0-9]{1,3})?"
         values = [float(each) for each in self._numbers(count, number, "numbers")]
         self.expect_sound(values)
@@ -205,7 +205,7 @@ def write_ptm(path: Path, planes: Sequence[np.ndarray], scale: np.ndarray, bias:
 
 
 def read_ptm(path: Path) -> Callable[[slice], np.ndarray]:
-    """A function from some rows to their coefficients (rows, columns, 6, 3) of 1, u, v, u^2, u v, v^2.
+    """Make a function from rows to their coefficients (rows, columns, 6, 3) of 1, u, v, u^2, u v, v^2.
 
     They are for values 0 to 1. Of PTM_FORMAT_RGB; Refused by `open_ptm`, ValueError for another layout.
     """
@@ -282,7 +282,7 @@ class PtmStreams:
 
 
 def _decoded(stream: np.ndarray, rows: int, columns: int, name: str) -> np.ndarray:
-    """The samples of one JPEG stream."""
+    """Decode the samples of one JPEG stream."""
     try:
         samples = read_jpeg_bytes(stream.tobytes(), name)
     except CaptureError as e:

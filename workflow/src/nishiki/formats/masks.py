@@ -168,7 +168,7 @@ def _read_with_alpha(path: Path, name: str) -> tuple[np.ndarray, int]:
 
 
 def _select_values(colours: np.ndarray, alpha: np.ndarray, name: str) -> tuple[np.ndarray, list[Problem]]:
-    """The values (rows, columns) that hold the shape: the alpha channel where only that one varies, or the colours."""
+    """Select the values (rows, columns) that hold the shape: alpha where only that channel varies, or the colours."""
     values, problems = _grey_values(colours, name)
     if not alpha.shape[2] or alpha.min() == alpha.max():
         return values, problems
@@ -210,7 +210,7 @@ def _grey_values(colours: np.ndarray, name: str) -> tuple[np.ndarray, list[Probl
 
 
 def _distinct_colours(colours: np.ndarray) -> np.ndarray | None:
-    """The colours of a picture (colours, channels), in order; None where they are more than flat areas would have."""
+    """List the colours of a picture (colours, channels), in order; None where flat areas would have fewer."""
     if colours.dtype.kind == "f":
         return None
     step = max(1, max(colours.shape[:2]) // THUMBNAIL)
@@ -225,7 +225,7 @@ def _distinct_colours(colours: np.ndarray) -> np.ndarray | None:
 
 
 def _distinct_values(values: np.ndarray) -> list[float]:
-    """The values that occur in a picture, in order."""
+    """List the values that occur in a picture, in order."""
     import cv2
 
     if values.dtype.kind == "f":

@@ -71,7 +71,7 @@ def merl_values(table: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.nd
 
 
 def merl_directions() -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors (90, 90, 180, 3) to light and view in the middles of the table's cells; the normal is z."""
+    """Compute unit vectors (90, 90, 180, 3) to light and view in the middles of the cells; the normal is z."""
     half_index, difference, turn = (np.arange(count) + 0.5 for count in MERL_SHAPE)
     half = np.radians(half_index**2 / 90)[:, None, None]
     difference, turn = np.radians(difference)[:, None], np.radians(turn)
@@ -85,7 +85,7 @@ def merl_directions() -> tuple[np.ndarray, np.ndarray]:
 
 
 def merl_bytes(brdf: np.ndarray) -> bytes:
-    """A file that holds BRDF values (90, 90, 180, 3) in 1/sr, at `merl_directions`."""
+    """Encode BRDF values (90, 90, 180, 3) in 1/sr, at `merl_directions`."""
     scaled = np.where(brdf >= 0, brdf / MERL_SCALE, brdf)
     return np.array(MERL_SHAPE, "<i4").tobytes() + np.ascontiguousarray(np.moveaxis(scaled, -1, 0), "<f8").tobytes()
 
@@ -95,7 +95,7 @@ HEADING = b"tensor_file\0" + bytes([1, 0])
 
 
 def bsdf_bytes(arrays: dict[str, np.ndarray]) -> bytes:
-    """A file of arrays of uint8 or float32."""
+    """Encode arrays of uint8 or float32."""
     headings = [
         (
             name.encode(),

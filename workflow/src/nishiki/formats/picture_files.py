@@ -1,5 +1,6 @@
-"""Decoding of picture files, in the child process of `nishiki.formats.picture_process`: PNG and JPEG here, by
-imagecodecs; TIFF, EXR and camera raw in modules of their own.
+"""Decoding of picture files, in the child process of `nishiki.formats.picture_process`.
+
+PNG and JPEG are decoded here, by imagecodecs; TIFF, EXR and camera raw in modules of their own.
 
 Files are read from an open handle and never by name. A damaged one may raise anything: the process reports it. Pixels
 stay as the sensor wrote them: the orientation is told and not applied.
@@ -53,7 +54,7 @@ class ImageHeader:
     exif: Exif = NO_EXIF  # facts of the camera
 
     def coding_used(self, encoding: str) -> Coding:
-        """The coding by which its codes become light; see `nishiki.formats.coding.coding_used`."""
+        """Choose the coding by which its codes become light; see `nishiki.formats.coding.coding_used`."""
         return coding_used(self.kind, self.coding, encoding)
 
     @property
@@ -96,7 +97,7 @@ class Picture:
     profile: bytes = b""
 
     def coded(self, coding: Coding | None = None) -> "Picture":
-        """This picture with the coding of its profile, else the given one, else that of its Exif block."""
+        """Return this picture with the coding of its profile, else the given one, else that of its Exif block."""
         coding = icc_coding(self.profile) if self.profile else coding or exif_coding(self.header.exif.colour_space)
         if coding is None or not coding.developed:
             return replace(self, header=replace(self.header, coding=coding))
@@ -108,7 +109,7 @@ class Picture:
 
 
 def unsupported(name: str, found: str, remedy: str = AS_RGB) -> CaptureError:
-    """The error for a picture that is sound, but of a kind that is not read."""
+    """Make the error for a picture that is sound, but of a kind that is not read."""
     what = "a kind of picture that is not read"
     return CaptureError(error("image-unsupported", name, what, found=found, remedy=remedy))
 
@@ -140,7 +141,7 @@ def open_picture(file: BinaryIO, suffix: str, name: str) -> Picture:
 
 
 def open_png(file: BinaryIO) -> Picture:
-    """A PNG: libpng proves the checksums of its chunks when it is decoded; the last one is looked for here."""
+    """Open a PNG: libpng proves the checksums of its chunks when it is decoded; the last one is looked for here."""
     chunks: dict[bytes, bytes] = {}
     for kind, place, length in png_chunks(file):
         if length <= MOST_PROFILE:
@@ -169,7 +170,7 @@ def open_png(file: BinaryIO) -> Picture:
 
 
 def open_jpeg(file: BinaryIO, name: str) -> Picture:
-    """A JPEG of 8 bits, grey or colour; its profile may lie in several segments."""
+    """Open a JPEG of 8 bits, grey or colour; its profile may lie in several segments."""
     size, end = (0, 0, 0, 0), 0
     parts: dict[int, bytes] = {}
     for marker, place, length in jpeg_segments(file):
@@ -212,9 +213,11 @@ def open_jpeg(file: BinaryIO, name: str) -> Picture:
 
 
 def expect_end(file: BinaryIO, start: int, mark: bytes, form: str) -> None:
-    """EOFError unless a mark stands between `start` and the end of the file, nearly always in its last bytes: some
-    programs append data of their own. Nothing but the end of the picture may have the bytes of the mark: within the
-    coded scan of a JPEG 0xFF is never followed by 0xD9."""
+    """Raise EOFError unless a mark stands between `start` and the end of the file.
+
+    It is nearly always in the last bytes: some programs append data of their own. Nothing but the end of the picture
+    may have the bytes of the mark: within the coded scan of a JPEG 0xFF is never followed by 0xD9.
+    """
     end = file.seek(0, 2)
     for place in (max(start, end - TAIL), *range(start, end, BLOCK)):
         file.seek(place)

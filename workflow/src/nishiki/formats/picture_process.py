@@ -75,7 +75,7 @@ def request_codes(handle: int, header: ImageHeader, suffix: str, name: str, want
 
 
 def hold(content: bytes) -> int:
-    """A handle of anonymous memory that holds a file's content."""
+    """Hold a file's content in anonymous memory, and return its handle."""
     handle = _anonymous()
     rest = memoryview(content)
     while rest:
@@ -115,7 +115,7 @@ os.register_at_fork(after_in_child=_idle.clear)  # the children belong to the pa
 
 
 def _ask(request: dict[str, Any], handle: int, size: int) -> tuple[dict[str, Any], int | None]:
-    """The answer to a request about an open file, and a handle of memory where it has pixels."""
+    """Request something of an open file; return the answer, and a handle of memory where it has pixels."""
     with _lock:
         child = _idle.pop() if _idle else None
     child = child or _Child()
@@ -151,7 +151,7 @@ def _send(connection: socket.socket, message: dict[str, Any], handle: int | None
 
 
 def _receive(connection: socket.socket) -> tuple[dict[str, Any], int | None]:
-    """A message and the handle that came with it. EOFError where the other side has ended."""
+    """Receive a message and the handle that came with it. EOFError where the other side has ended."""
     content, handles, _, _ = socket.recv_fds(connection, MESSAGE, 1)
     length = 4 + struct.unpack("=I", content[:4])[0] if len(content) >= 4 else MESSAGE
     while len(content) < length and (more := connection.recv(length - len(content))):
@@ -236,7 +236,7 @@ def _answer(file: BinaryIO, request: dict[str, Any]) -> tuple[dict[str, Any], in
 
 
 def _anonymous() -> int:
-    """A handle of memory without a name; of a nameless file where the system has no such memory."""
+    """Open memory without a name, or a nameless file where the system has no such memory."""
     if hasattr(os, "memfd_create"):
         return os.memfd_create("picture", os.MFD_CLOEXEC)
     with tempfile.TemporaryFile() as file:
@@ -249,7 +249,7 @@ class _Memory:
     handle: int | None = None
 
     def make(self, shape: tuple[int, ...], dtype: str) -> np.ndarray:
-        """An array of zeros in it."""
+        """Make an array of zeros in it."""
         count = int(np.prod(shape))
         self.handle = _anonymous()
         size = max(count * np.dtype(dtype).itemsize, 1)

@@ -18,7 +18,7 @@ Samples = np.ndarray  # (rows, columns, 3) uint8, R, G, B; may lie on the disk
 
 
 def picture_on_disk(path: Path, rows: int, columns: int) -> Samples:
-    """An empty picture in a file, written and read by bands."""
+    """Make an empty picture in a file, written and read by bands."""
     return np.memmap(path, np.uint8, "w+", shape=(rows, columns, 3))
 
 
@@ -28,7 +28,7 @@ def write_jpeg(path: Path, picture: Samples, quality: int) -> None:
 
 
 def jpeg_bytes(picture: Samples, quality: int) -> bytes:
-    """A JPEG picture with full resolution of all three channels, which may be no colours; Huffman codes of its own."""
+    """Encode a JPEG with full resolution of all three channels, which may be no colours; Huffman codes of its own."""
     import cv2
 
     options = [
@@ -40,7 +40,7 @@ def jpeg_bytes(picture: Samples, quality: int) -> bytes:
 
 
 def png_bytes(picture: Samples) -> bytes:
-    """A PNG picture of 8 bits: red, green, blue, and alpha where there is a fourth sample."""
+    """Encode a PNG of 8 bits: red, green, blue, and alpha where there is a fourth sample."""
     import cv2
 
     order = [2, 1, 0, 3][: picture.shape[2]]
@@ -48,7 +48,7 @@ def png_bytes(picture: Samples) -> bytes:
 
 
 def read_jpeg(path: Path) -> Samples:
-    """The samples of a JPEG file."""
+    """Read the samples of a JPEG file."""
     import cv2
 
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)

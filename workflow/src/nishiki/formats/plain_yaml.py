@@ -19,7 +19,7 @@ class NotPlain(yaml.MarkedYAMLError):
 
 
 def load(text: str, loader: type = SafeLoader) -> Any:
-    """The content of a YAML text. yaml.YAMLError where it is not plain YAML: `problem` says why, `problem_mark` where.
+    """Parse a YAML text. yaml.YAMLError where it is not plain YAML: `problem` says why, `problem_mark` where.
 
     loader: a safe loader of the YAML library, or one derived from it.
     """

@@ -47,12 +47,12 @@ class CaptureError(UserError):
 
 
 def error(kind: str, file: str, what: str, *, expected: str = "", found: str = "", remedy: str = "") -> Problem:
-    """A finding with which the capture cannot be used."""
+    """Make a finding with which the capture cannot be used."""
     return Problem("error", kind, file, what, expected, found, remedy)
 
 
 def warning(kind: str, file: str, what: str, *, expected: str = "", found: str = "", remedy: str = "") -> Problem:
-    """A finding that the user should know of; the capture remains usable."""
+    """Make a finding that the user should know of; the capture remains usable."""
     return Problem("warning", kind, file, what, expected, found, remedy)
 
 
@@ -69,7 +69,7 @@ def raise_errors(problems: Iterable[Problem]) -> None:
 
 
 def name_some(names: Iterable[object]) -> str:
-    """The first names, and the number of the others."""
+    """List the first names, and the number of the others."""
     texts = [str(name) for name in names]
     more = f" and {len(texts) - MOST_NAMED} more" if len(texts) > MOST_NAMED else ""
     return ", ".join(texts[:MOST_NAMED]) + more
@@ -87,7 +87,7 @@ def left_out(names: Sequence[object], file: str, what: str) -> list[Problem]:
 
 
 def expect_one(files: Sequence[Path], place: Path, what: str, remedy: str) -> Path | None:
-    """The only one of some files; None without. CaptureError (layout-unknown) where there are several."""
+    """Return the only file; None without. CaptureError (layout-unknown) where there are several."""
     if len(files) > 1:
         refuse("layout-unknown", str(place), what, found=name_some(path.name for path in files), remedy=remedy)
     return files[0] if files else None
@@ -112,7 +112,7 @@ def group_problems(problems: Iterable[Problem]) -> list[Problem]:
 
 
 def _join_problems(group: list[Problem]) -> Problem:
-    """The first of several problems, with their number and what sets the others apart: their files, or their facts."""
+    """Join several problems into one, with their number and what sets them apart: their files, or their facts."""
     places = [p.file for p in group]
     if len(set(places)) < len(places):
         places = [p.what for p in group] if len({p.what for p in group}) == len(group) else [p.found for p in group]

@@ -13,7 +13,7 @@ from nishiki.packages import install_command
 
 
 def open_raw(file: BinaryIO, name: str) -> Picture:
-    """A camera's raw file: three channels, or one of a sensor without colour filters."""
+    """Open a camera's raw file: three channels, or one of a sensor without colour filters."""
     try:
         import rawpy
     except ImportError as e:

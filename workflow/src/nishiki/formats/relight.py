@@ -176,7 +176,7 @@ def _triples(info: dict[str, Any], name: str) -> tuple[int, int]:
 
 
 def _basis(folder: Path, info: dict[str, Any], shape: tuple[int, ...], name: str) -> tuple[np.ndarray, list[str]]:
-    """The codes of mean and components, and the name of the file if they lie in one of their own."""
+    """Read the codes of mean and components, and the name of the file if they lie in one of their own."""
     if "basis" in info or not (folder / BASIS).is_file():
         return _numbers(info, "basis", math.prod(shape), name).reshape(shape), []
     content = read_bytes(within(folder, BASIS), "table_bytes", name=f"{folder.name}/{BASIS}")
@@ -258,7 +258,7 @@ def spherical_harmonics(lights: np.ndarray) -> np.ndarray:
 
 
 def terms_of(kind: str, count: int) -> Callable[[np.ndarray], np.ndarray] | None:
-    """The function of ptm, hsh or sh with this many terms, of unit vectors (n, 3); None where there is none."""
+    """Return the function of ptm, hsh or sh with this many terms, of unit vectors (n, 3); None where there is none."""
     if kind == "hsh" and count in [order**2 for order in range(1, LARGEST_ORDER + 1)]:
         return lambda lights: hemispherical_harmonics(lights, math.isqrt(count))
     if kind == "ptm" and count in (3, 6):

@@ -1,5 +1,6 @@
-"""Planes of a relightable image in a folder: `plane_N.jpg`, a deep zoom, or its tiles in one file (OpenLIME's tarzoom),
-and the tiles of webRTIViewer.
+"""Planes of a relightable image in a folder.
+
+They are `plane_N.jpg`, a deep zoom, its tiles in one file (OpenLIME's tarzoom), or the tiles of webRTIViewer.
 
 A `.tzi` is JSON: size, side of the tiles, levels, and where each tile begins in the `.tzb` of the same name. Tiles
 follow each other by level, the smallest first, and row by row; `planes.tzi` (itarzoom) has the tiles of all planes of
@@ -40,7 +41,7 @@ def has_planes(folder: Path) -> bool:
 
 
 def within(folder: Path, name: str) -> Path:
-    """The path of a file of the folder. Refused where it is a link elsewhere."""
+    """Return the path of a file of the folder. Refused where it is a link elsewhere."""
     if leads_out(folder / name, folder):
         raise Refused(f"{folder.name}/{name}", "a link that leads out of the folder", remedy="Copy the file into it")
     return folder / name
@@ -140,7 +141,7 @@ def _opened(path: Path, name: str) -> int:
 
 
 def _decoded(content: np.ndarray, most: int, name: str) -> np.ndarray:
-    """The samples (rows, columns, 3) of a JPEG picture in memory, of at most that many rows and columns."""
+    """Decode a JPEG in memory (rows, columns, 3), of at most that many rows and columns."""
     try:
         samples = read_jpeg_bytes(content.tobytes(), name)
     except CaptureError as e:
@@ -252,7 +253,7 @@ def open_web_rti(folder: Path) -> WebRtiFolder:
 
 
 def _image(kind: str, codes: np.ndarray, scale: np.ndarray, bias: np.ndarray) -> PtmFile | HshFile:
-    """The image of its layers (rows, columns, 3 a layer)."""
+    """Make the image of its layers (rows, columns, 3 a layer)."""
     if kind == "LRGB_PTM":
         return PtmFile(kind, codes[None, ::-1, :, :PTM_TERMS], codes[::-1, :, PTM_TERMS:], scale, bias)
     terms = np.moveaxis(codes.reshape(*codes.shape[:2], len(scale), 3), 3, 2)

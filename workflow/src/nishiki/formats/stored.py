@@ -32,7 +32,7 @@ _BUFFER = 512  # bytes read about a header: many small blocks cost no call each,
 
 
 def open_group(path: Path | str) -> Any:
-    """A Zarr group for reading. UserError where it is none or not as this project writes them; see `expect_store`."""
+    """Open a Zarr group for reading. UserError where it is none, or not as this project writes it (`expect_store`)."""
     import zarr
 
     expect_store(Path(path))
@@ -40,7 +40,7 @@ def open_group(path: Path | str) -> Any:
 
 
 def open_bands(path: Path | str) -> BandedGroup:
-    """A group of arrays in bands of rows for reading, without the array library; otherwise as `open_group`."""
+    """Open a group of arrays in bands of rows for reading, without the array library; otherwise as `open_group`."""
     expect_store(Path(path), library=False)
     return _opened(lambda folder, **_: BandedGroup(folder), path)
 
@@ -61,7 +61,7 @@ def open_made_by(stage: str, path: Path, what: str, version: int, opening: Calla
 
 
 def open_array(path: Path | str) -> Any:
-    """A Zarr array for reading, as `open_group`."""
+    """Open a Zarr array for reading, as `open_group`."""
     import zarr
 
     expect_store(Path(path))
@@ -76,8 +76,10 @@ def _opened(opening: Callable[..., Any], path: Path | str) -> Any:
 
 
 def expect_store(path: Path, *, library: bool = True) -> None:
-    """UserError unless every node of a Zarr store is one that may be opened: its size, type and codecs, no links, and
-    no chunk that unpacks to more than its array says. FileNotFoundError where there is no store.
+    """Raise UserError unless every node of a Zarr store is one that may be opened.
+
+    Checked are its size, type and codecs, that it has no links, and no chunk that unpacks to more than its array says.
+    FileNotFoundError where there is no store.
 
     library: the array library has to be able to open every array, too.
     """
@@ -188,7 +190,7 @@ def _content_size(file: BinaryIO, end: int) -> int | None:
 
 
 def _piece(file: BinaryIO, place: int, end: int) -> bytes:
-    """What begins at `place`: as many bytes as the longest header has, fewer where `end` comes first."""
+    """Read from `place`: as many bytes as the longest header has, fewer where `end` comes first."""
     if place >= end:
         return b""
     file.seek(place)
@@ -196,8 +198,10 @@ def _piece(file: BinaryIO, place: int, end: int) -> bytes:
 
 
 def _zstd_frame(file: BinaryIO, place: int, end: int, head: bytes) -> tuple[int, int] | None:
-    """Content size of the frame at `place`, whose first bytes are `head`, and where the next one begins; None where it
-    does not tell its size, or ends before its last block begins."""
+    """Return the content size of the frame at `place`, whose first bytes are `head`, and where the next one begins.
+
+    None where it does not tell its size, or ends before its last block begins.
+    """
     flags = head[4]
     single, size_bytes = flags >> 5 & 1, (0, 2, 4, 8)[flags >> 6]
     if not size_bytes:
@@ -221,8 +225,10 @@ def _zstd_frame(file: BinaryIO, place: int, end: int, head: bytes) -> tuple[int,
 
 
 def load_arrays(path: Path | str | BytesIO, *, name: str | None = None) -> dict[str, np.ndarray]:
-    """All arrays of an .npz file. UserError where it is missing, damaged, holds pickled objects, or unpacks to more
-    than is read; name: how to call it in messages."""
+    """Load all arrays of an .npz file; name: how messages call it.
+
+    UserError where it is missing, damaged, holds pickled objects, or unpacks to more than is read.
+    """
     file = name or str(path)
     try:
         stream = path if isinstance(path, BytesIO) else os.fdopen(open_regular(path, file), "rb")

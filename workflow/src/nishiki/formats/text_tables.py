@@ -37,7 +37,7 @@ def reading(name: str, kind: str) -> Iterator[None]:
 
 
 def refusal(e: Refused, kind: str) -> Problem:
-    """A file that is not read, as a problem."""
+    """Report a file that is not read as a problem."""
     return error(kind, e.file, e.what, expected=e.expected, found=e.found, remedy=e.remedy)
 
 

@@ -70,7 +70,7 @@ class SurfaceLook:
         return self.index if self.weight is None else index_of(self.reflectance * float(self.weight.mean()) / 255)
 
     def pictures(self) -> dict[str, np.ndarray]:
-        """The textures that there are, (rows, columns, 3), by the name of their file without suffix.
+        """Return the textures that there are, (rows, columns, 3), by the name of their file without suffix.
 
         Single values are repeated in three channels: programs read pictures of one channel differently.
         """
@@ -108,14 +108,14 @@ class Glb:
         return len(entries) - 1
 
     def view(self, data: bytes, target: int | None = None) -> int:
-        """A buffer view of these bytes, aligned to four."""
+        """Add a buffer view of these bytes, aligned to four."""
         self.binary += bytes(-len(self.binary) % 4)
         number = self.add("bufferViews", buffer=0, byteOffset=len(self.binary), byteLength=len(data), target=target)
         self.binary += data
         return number
 
     def vertices(self, values: np.ndarray, *, bounds: bool = False) -> int:
-        """An accessor of float32 values (n, k) at vertices; bounds: with least and largest, as positions need."""
+        """Add an accessor of float32 values (n, k) at vertices; bounds: with least and largest, as positions need."""
         values = np.ascontiguousarray(values, "<f4")
         limits = {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()} if bounds else {}
         return self.add(
@@ -128,7 +128,7 @@ class Glb:
         )
 
     def corners(self, triangles: np.ndarray) -> int:
-        """An accessor of the triangles' corners (t, 3)."""
+        """Add an accessor of the triangles' corners (t, 3)."""
         flat = np.ascontiguousarray(triangles, "<u4").ravel()
         view = self.view(flat.tobytes(), ELEMENTS)
         return self.add("accessors", bufferView=view, componentType=UNSIGNED_INT, count=len(flat), type="SCALAR")
@@ -139,11 +139,11 @@ class Glb:
         self.add("nodes", mesh=self.add("meshes", primitives=[primitive]), name=name)
 
     def texture(self, picture: bytes, *, mime: str) -> int:
-        """A texture of an encoded picture, not repeated at its edges."""
+        """Add a texture of an encoded picture, not repeated at its edges."""
         return self._texture(bufferView=self.view(picture), mimeType=mime)
 
     def texture_beside(self, uri: str) -> int:
-        """A texture of a picture that is a file beside this one."""
+        """Add a texture of a picture that is a file beside this one."""
         return self._texture(uri=uri)
 
     def _texture(self, **image: Any) -> int:
@@ -177,7 +177,7 @@ FACE = np.dtype([("count", "u1"), ("corner", "<i4", 3)])
 
 
 def heading(count: int, triangles: int) -> bytes:
-    """The text before the values; count: vertices."""
+    """Encode the text before the values; count: vertices."""
     lines = [
         *("ply", "format binary_little_endian 1.0", f"element vertex {count}"),
         *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz", "u", "v")),

@@ -26,7 +26,7 @@ _PIXEL_FIELDS = {*range(254, 260), 262, 266, 273, 277, 278, 279, 284, 317, 320, 
 
 
 def open_tiff(file: BinaryIO, name: str) -> Picture:
-    """The picture of a TIFF: its one page, or pages of one channel and equal size as channels.
+    """Open the picture of a TIFF: its one page, or pages of one channel and equal size as channels.
 
     Previews are passed over: pages that say so, and pages smaller than half of the largest one.
     """
@@ -178,6 +178,6 @@ def _divide_by_alpha(codes: np.ndarray) -> None:
 
 
 def _transfer(page: tifffile.TiffPage) -> Coding | None:
-    """The coding that TransferFunction and PrimaryChromaticities state."""
+    """Read the coding that TransferFunction and PrimaryChromaticities state."""
     values, bits = page.tags.valueof(301), page.bitspersample
     return transfer_function(tuple(values), bits) if isinstance(values, (tuple, np.ndarray)) and bits <= 16 else None

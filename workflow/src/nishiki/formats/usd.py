@@ -71,7 +71,7 @@ def write_materialx(path: Path, look: SurfaceLook, *, facts: Mapping[str, Any]) 
 
 
 def _connect(graph: Any, surface: Any, texture: str) -> None:
-    """An image that feeds an input of the surface."""
+    """Connect an image to an input of the surface."""
     name, kind = INPUTS[texture]
     image = graph.addNode("image", texture, kind)
     file = image.addInput("file", "filename")
@@ -190,7 +190,7 @@ def _define_material(stage: Any, look: SurfaceLook) -> Any:
 
 
 def _texture(stage: Any, name: str, scale: tuple[float, float]) -> Any:
-    """The output of a texture's node; scale: factor and summand of its values."""
+    """Define a texture's node and return its output; scale: factor and summand of its values."""
     from pxr import Gf, Sdf, UsdShade
 
     types = Sdf.ValueTypeNames

@@ -126,7 +126,7 @@ class BandedArray:
 
     @classmethod
     def of(cls, folder: Path) -> "BandedArray":
-        """The array in a folder, from its metadata."""
+        """Open the array in a folder, from its metadata."""
         node = read_json(folder / METADATA)
         codecs = [codec["name"] for codec in node["codecs"]]
         return cls(
@@ -149,7 +149,7 @@ class BandedArray:
         return self.folder.joinpath("c", str(band), *["0"] * (self.ndim - 1))
 
     def __getitem__(self, rows: slice | Any) -> np.ndarray:
-        """Some rows (a slice of step 1), or all (...)."""
+        """Read some rows (a slice of step 1), or all (...)."""
         if self.chunks[1:] != self.shape[1:]:
             raise ValueError(f"{self.folder}: chunks of {self.chunks} are no bands of whole rows in {self.shape}")
         start, stop = self._range(rows)
@@ -194,7 +194,7 @@ class BandedGroup:
 
     @classmethod
     def create(cls, folder: Path | str, attributes: dict[str, Any] | None = None) -> "BandedGroup":
-        """A new group; FileExistsError where there is something."""
+        """Create a group; FileExistsError where there is something."""
         Path(folder).mkdir(parents=True)
         _write_group(Path(folder), attributes or {})
         return cls(folder)
@@ -208,7 +208,7 @@ class BandedGroup:
         return (self.folder / name / METADATA).is_file()
 
     def __getitem__(self, name: str) -> BandedArray:
-        """An array; KeyError where there is none."""
+        """Open an array; KeyError where there is none."""
         if name not in self:
             raise KeyError(name)
         return BandedArray.of(self.folder / name)
@@ -223,7 +223,7 @@ class BandedGroup:
         compression: str = "none",
         attributes: dict[str, Any] | None = None,
     ) -> BandedArray:
-        """A new array, whose chunks end with their CRC-32C. compression: 'none' | 'zstd'."""
+        """Create an array whose chunks end with their CRC-32C. compression: 'none' | 'zstd'."""
         kind = np.dtype(dtype)
         packers = [{"name": "zstd", "configuration": {"level": ZSTD_LEVEL, "checksum": False}}]
         node = {

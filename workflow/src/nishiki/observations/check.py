@@ -265,7 +265,7 @@ def _mask_problems(capture: Capture, size: tuple[int, int]) -> list[Problem]:
 def _content_problems(
     capture: Capture, judged: Callable[[Judgement], None], tick: Callable[[str], None]
 ) -> list[Problem]:
-    """What only decoding shows."""
+    """Find what only decoding shows."""
     try:
         reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
     except CaptureError as e:
@@ -293,7 +293,7 @@ def _content_problems(
 
 
 def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tuple[DarkField, list[Problem]]:
-    """The dark level, or a black level of 0 and the reason where dark frames cannot be read."""
+    """Measure the dark level; 0 and the reason where dark frames cannot be read."""
     try:
         darks = measure_darks(reader, edges, tick)
         return darks, list(darks.problems)

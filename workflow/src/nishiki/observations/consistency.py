@@ -168,7 +168,7 @@ class ReducedPhotographs:
         return values
 
     def _spread(self, gain: np.ndarray) -> np.ndarray:
-        """A gain (r, c, channels) at each pixel of the reduced picture, or the one of all."""
+        """Spread a gain (r, c, channels) to the pixels of the reduced picture, or return the one of all."""
         import cv2
 
         if gain.shape[:2] == (1, 1):
@@ -229,7 +229,7 @@ class ReducedPhotographs:
         return Window(pictures, self.inside, corner, np.full(2, float(self.step)))
 
     def _divided(self, values: np.ndarray, places: tuple[int, ...]) -> np.ndarray:
-        """The values divided by their boards or by the strengths of the lamps, unless their gains did that."""
+        """Divide the values by their boards or by the strengths of the lamps, unless their gains did that."""
         capture = self.reader.capture
         if self.gain is not None:
             return values
@@ -243,7 +243,7 @@ class ReducedPhotographs:
         return values / strengths[:, None, None, :].astype(np.float32)
 
     def _levels_of_boards(self, places: tuple[int, ...]) -> np.ndarray:
-        """The boards (lights, rows, columns) at equal exposure; from the gains where these were made of them."""
+        """Return the boards (lights, rows, columns) at equal exposure; from the gains where these were made of them."""
         if self.gain is None:
             return np.stack([self.boards[i].mean(axis=2) for i in places])
         boards = []
@@ -296,7 +296,7 @@ def _supported(before: Consistency | None, after: Consistency | None) -> bool:
 
 
 def movement_problems(judgement: Judgement, registers: bool | None = None) -> list[Problem]:
-    """The warning that the camera moved; none where it did not.
+    """Warn that the camera moved; no problem where it did not.
 
     registers: whether the photographs are moved back; None where that is left to ingest.
     """
@@ -320,7 +320,7 @@ def movement_problems(judgement: Judgement, registers: bool | None = None) -> li
 
 
 def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Problem]:
-    """What a user should know of a judgement; errors where the lamps do not belong to their photographs."""
+    """List what a user should know of a judgement; errors where the lamps do not belong to their photographs."""
     if judgement is None:
         return []
     problems = movement_problems(judgement) + pair_problems(judgement, capture)

@@ -236,7 +236,7 @@ def _choose_ambient(
 
 
 def _measured(frames: tuple[Frame, ...], movement: Movement, found: Consistency | None) -> dict[str, dict[str, Any]]:
-    """What each photograph showed before anything was put right, by light, in plain numbers."""
+    """List what each photograph showed before anything was put right, by light, in plain numbers."""
     table: dict[str, dict[str, Any]] = {}
     for j, frame in enumerate(frames):
         row = {

@@ -30,7 +30,7 @@ NEAR_TOP = 31 / 32
 
 
 def unusable_coding(coding: Coding, file: str) -> Problem:
-    """The error where what a file states about its codes cannot be used."""
+    """Make the error for a stated coding that cannot be used."""
     what = f"the coding that the file states ({coding.name}) cannot be used"
     remedy = "Save the photographs with an sRGB or Adobe RGB profile, or state camera.encoding: linear or srgb"
     return error("coding-unusable", file, what, found=coding.fault, remedy=remedy)
@@ -239,7 +239,7 @@ class FrameReader(Generic[AnyCapture]):
             refuse("bits-exceeded", frame.file, "code", expected=expected, found=found, remedy=remedy)
 
     def warnings(self) -> list[Problem]:
-        """What the user should know about these files as measurements, once the frames have been seen."""
+        """List what the user should know about these files as measurements, once the frames have been seen."""
         kinds = {frame.path.suffix.lower() for frame in self.capture.frames}
         warnings = self._unsaid_bits()
         if not self.coding.linear:
@@ -261,7 +261,7 @@ class FrameReader(Generic[AnyCapture]):
         return warnings
 
     def _unsaid_bits(self) -> list[Problem]:
-        """A warning where the largest code of all frames lies near the top of fewer bits than the files have room for.
+        """Warn where the largest code of all frames lies near the top of fewer bits than the files have room for.
 
         Full scale is then too large: saturated samples look like any others.
         """

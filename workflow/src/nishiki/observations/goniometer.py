@@ -16,9 +16,12 @@ from nishiki.observations.goniometer_store import FORMAT, NAMES, STORE, TABLE
 
 @dataclass(frozen=True)
 class Photograph:
-    """linear (rows, columns, channels) float32: light as a fraction of full scale, divided by the exposure time where
-    it is given; saturated (rows, columns) bool: in any channel; usable (rows, columns) bool: finite and no defect,
-    whether saturated or not."""
+    """A photograph of the cloth or of a board.
+
+    linear (rows, columns, channels) float32: light as a fraction of full scale, divided by the exposure time where it
+    is given; saturated (rows, columns) bool: in any channel; usable (rows, columns) bool: finite and no defect, whether
+    saturated or not.
+    """
 
     linear: np.ndarray
     saturated: np.ndarray
@@ -27,8 +30,7 @@ class Photograph:
 
 @dataclass(frozen=True)
 class Shot:
-    """file; angles_deg: theta_i, phi_i, theta_r, phi_r, None where not given; exposure_s or None; place: its number
-    in the store."""
+    """A frame: theta_i, phi_i, theta_r, phi_r, None where not given; exposure_s or None; place: number in the store."""
 
     file: str
     angles_deg: tuple[float | None, ...]

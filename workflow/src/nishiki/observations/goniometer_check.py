@@ -22,7 +22,7 @@ DARK_WHITE = 0.005  # of full scale: below it the board's quantisation alone is 
 
 
 def windowed(reader: FrameReader[GoniometerCapture], capture: GoniometerCapture) -> FrameReader[GoniometerCapture]:
-    """The reader of the central window of crop_px, or of whole photographs where there are regions."""
+    """Restrict the reader to the central window of crop_px; where there are regions it reads whole photographs."""
     side = max(reader.rows, reader.columns) if capture.regions else capture.settings.goniometer.crop_px
     return replace(reader, region=central((reader.rows, reader.columns), side))
 
@@ -56,7 +56,7 @@ def region_labels(capture: GoniometerCapture, size: tuple[int, int]) -> np.ndarr
 
 
 def code_problems(frame: Frame, codes: np.ndarray, reader: FrameReader) -> list[Problem]:
-    """What the codes of one frame say by themselves. CaptureError: bits-exceeded, not-finite in the whole window."""
+    """List the problems of one frame's codes. CaptureError: bits-exceeded, not-finite in the whole window."""
     if reader.dtype.kind == "u":
         reader.see(frame, float(codes.max()))
         return []
@@ -127,7 +127,7 @@ def look_at_windows(capture: GoniometerCapture, size: tuple[int, int], contents:
 
 
 def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
-    """What only decoding shows; every photograph is decoded once."""
+    """Find what only decoding shows; every photograph is decoded once."""
     try:
         reader = windowed(FrameReader.of(capture, "all", prove=False), capture)  # the whole seal is verified apart
         edges = tuple(block_edges(n, CHECK_BLOCK) for n in reader.region[2:])

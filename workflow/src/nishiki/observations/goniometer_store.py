@@ -27,9 +27,12 @@ CHUNK_BYTES = 4 << 20
 
 @dataclass(frozen=True)
 class GoniometerDiagnostics:
-    """What ingest found. kind: photographs or table; measurements, whites: how many; rows, columns: kept of each
-    photograph; saturated, dark: photographs of the cloth with a saturated pixel, or without light, in the window kept;
-    white_level: mean of the boards as a fraction of full scale, least and greatest; defects: hot pixels."""
+    """What ingest found.
+
+    kind: photographs or table; measurements, whites: how many; rows, columns: kept of each photograph; saturated, dark:
+    photographs of the cloth with a saturated pixel, or without light, in the window kept; white_level: mean of the
+    boards as a fraction of full scale, least and greatest; defects: hot pixels.
+    """
 
     kind: str
     channels: tuple[str, ...]
@@ -153,7 +156,7 @@ def _write_names(
     darks: DarkField,
     white_block: int,
 ) -> None:
-    """The frames table, and how to read the codes."""
+    """Write the frames table, and how to read the codes."""
     block, finite = capture.settings.goniometer, np.isfinite(reader.saturated)
     places = [next(i for i, level in enumerate(darks.levels) if level is darks.at(f.exposure_s)) for f in frames]
     rows = [
@@ -193,7 +196,7 @@ def write_names(folder: Path, capture: GoniometerCapture, more: dict) -> None:
 
 
 def _write_table(capture: GoniometerCapture, folder: Path) -> GoniometerDiagnostics:
-    """The table as it was given; every file of a sealed capture is proven first."""
+    """Write the table as it was given; every file of a sealed capture is proven first."""
     digests, table = sealed_digests(capture.root), capture.table
     for name in sorted(digests):
         expect_sealed(inside(capture.payload, name, "manifest-sha256.txt"), name, digests)

@@ -60,8 +60,7 @@ class Linearity:
 
 
 def check_linearity(values: np.ndarray, reflectances: np.ndarray) -> Linearity:
-    """Fit patch values (patches,) against their known reflectances (patches,), both linear (Tominaga and Tanaka
-    2004, section 2).
+    """Fit patch values (patches,) to their known reflectances, both linear (Tominaga and Tanaka 2004, section 2).
 
     Ordinary least squares. ValueError for fewer than 3 patches, values that are not finite, or equal reflectances.
     """

@@ -85,7 +85,7 @@ class Piece:
     valid: np.ndarray
 
     def of(self, of_band: np.ndarray) -> np.ndarray:
-        """The sampled pixels of an array (rows of the band, columns, ...), as (1, pixels, ...)."""
+        """Select the sampled pixels of an array (rows of the band, columns, ...), as (1, pixels, ...)."""
         area = of_band[self.parcel.rows, self.parcel.columns]
         return area.reshape(-1, *area.shape[2:])[self.places][None]
 

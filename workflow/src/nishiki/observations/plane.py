@@ -129,7 +129,7 @@ class Observations:
     def strips(
         self, band: slice, *, lights: np.ndarray, channel: Literal["mean"] | None = None
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """A band in strips of rows (slices counted from the picture's top), with what `read` gives of each.
+        """Read a band in strips of rows (slices counted from the picture's top), each as by `read`.
 
         The codes of the band are read once. Values of a strip fit the processor's cache, where those of a band fill
         the memory: a band of 8-bit codes becomes five times as large when it is decoded. Lamps at a position have one
@@ -172,7 +172,7 @@ class Observations:
     def codes(
         self, band: slice, *, lights: np.ndarray | None = None, columns: slice | None = None
     ) -> tuple[np.ndarray, int]:
-        """The stored codes (lights, rows, columns, channels) of some rows, and the first row's number."""
+        """Read the codes (lights, rows, columns, channels) of some rows, and return the first row's number."""
         chosen = np.arange(len(self.lights)) if lights is None else np.asarray(lights, np.int64)
         start, stop, step = band.indices(self.shape[0])
         left, right, stride = (columns or slice(None)).indices(self.shape[1])

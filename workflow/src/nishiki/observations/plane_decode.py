@@ -81,7 +81,7 @@ def _always_finite_of(code):
 
 @njit(cache=True, error_model="numpy")
 def _mark_valid(codes, usable, saturated, clip, first, last, valid):
-    """Validity of one row by its codes (m, channels)."""
+    """Mark the validity of one row by its codes (m, channels)."""
     m, channels = codes.shape
     if channels == 1:
         for x in range(m):

@@ -114,7 +114,7 @@ def write_observations(
 
 
 def cropped(reader: FrameReader, mask: np.ndarray, white_block: int) -> tuple[FrameReader, np.ndarray]:
-    """The reader and the mask (rows, columns) of the bounding box of the mask, with a rim."""
+    """Crop the reader and the mask (rows, columns) to the bounding box of the mask, with a rim."""
     region = region_around(mask, reader.region, white_block)
     window = window_of(reader.region, region)
     return replace(reader, region=region), np.ascontiguousarray(mask[window])
@@ -153,7 +153,7 @@ def _write_frames(
 
 
 def frame_problems(frame: Frame, counts: np.ndarray, highest: float, reader: FrameReader) -> list[Problem]:
-    """What the sample values of one frame say; CaptureError (bits-exceeded, all-saturated, all-dark) if unusable."""
+    """List the problems of one frame's values; CaptureError (bits-exceeded, all-saturated, all-dark) if unusable."""
     saturated, dark, broken, inside = (int(v) for v in counts)
     reader.see(frame, highest)
     limit = ALL_SATURATED * inside

@@ -63,7 +63,7 @@ class PolariserLevels:
         return self._darker_parallel() + self._other_orders()
 
     def _other_orders(self) -> list[Problem]:
-        """An error for each order of angles that explains the photographs of some views, unlike the stated one."""
+        """Make an error for each order of angles that explains the photographs of some views, unlike the stated one."""
         found: list[tuple[tuple[str, str, str], SeriesOrder]] = []
         for key, pictures in self.pictures.items():
             angles = np.array([angles for state in pictures if (angles := parse_state(state).angles_deg)])
@@ -88,7 +88,7 @@ class PolariserLevels:
     def _order_problem(
         self, states: tuple[str, ...], commonest: tuple[int, ...], views: list[tuple[tuple[str, str, str], SeriesOrder]]
     ) -> Problem:
-        """The error of views whose photographs are explained by one other order."""
+        """Make the error of views whose photographs are explained by one other order."""
         key, order = max(views, key=lambda each: each[1].unexplained)
         files = self.files[key]
         moved = [f"{files[states[k]]}: {states[i]}" for i, k in enumerate(commonest) if i != k]
@@ -174,7 +174,7 @@ def silhouette_problems(capture: TurntableCapture, size: tuple[int, int]) -> lis
 
 
 def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Problem]:
-    """What only decoding shows; every photograph is decoded once."""
+    """Find what only decoding shows; every photograph is decoded once."""
     try:
         reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
     except CaptureError as e:

@@ -120,7 +120,7 @@ class DarkField:
     problems: tuple[Problem, ...]
 
     def at(self, exposure_s: float | None) -> np.ndarray:
-        """The level whose exposure is nearest (in ratio); the only one where exposures are not given."""
+        """Return the level whose exposure is nearest (in ratio); the only one where exposures are not given."""
         if exposure_s is None or self.exposures_s[0] is None:
             return self.levels[0]
         ratios = [abs(np.log(level_exposure / exposure_s)) for level_exposure in self.exposures_s]
@@ -271,7 +271,7 @@ def measure_gains(
 def board_field(
     reader: FrameReader, frame: Frame, codes: np.ndarray, darks: DarkField, edges: Edges, mask: np.ndarray
 ) -> WhiteField:
-    """The gain that one white frame gives over the mask (rows, columns). CaptureError where it cannot be used."""
+    """Measure the gain of one white frame over the mask (rows, columns). CaptureError where it cannot be used."""
     counts = np.add.reduceat(np.add.reduceat(mask, edges[0][:-1], axis=0, dtype=np.int64), edges[1][:-1], axis=1)
     return white_field(
         codes,

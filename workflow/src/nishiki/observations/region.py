@@ -22,7 +22,7 @@ MARGIN = 8
 
 
 def region_of(capture: Capture, rows: int, columns: int) -> Region:
-    """The region of interest, the whole picture if none; CaptureError (region-outside) if it leaves the picture."""
+    """Return the region of interest, the whole picture if none; CaptureError (region-outside) if it leaves that."""
     region = capture.settings.region_of_interest or (0, 0, rows, columns)
     row, column, height, width = region
     if height < 1 or width < 1 or row + height > rows or column + width > columns:
@@ -53,7 +53,7 @@ def object_mask(capture: Capture, size: tuple[int, int], region: Region) -> Mask
 def region_numbers(
     capture: Capture, size: tuple[int, int], region: Region
 ) -> tuple[np.ndarray | None, tuple[Problem, ...]]:
-    """Number of the region of each pixel (rows, columns) uint8, from 0 in the order of the labels, and warnings.
+    """Return each pixel's region (rows, columns) uint8, from 0 in the order of the labels, and warnings.
 
     None without a label picture. CaptureError: regions-size, regions-many, those of `read_labels`.
     """
@@ -72,7 +72,7 @@ def region_numbers(
 
 
 def region_around(mask: np.ndarray, region: Region, block: int) -> Region:
-    """The part of a region that holds its mask (rows, columns), with a rim of MARGIN pixels and a block."""
+    """Bound the part of a region that holds its mask (rows, columns), with a rim of MARGIN pixels and a block."""
     (top, bottom), (left, right) = (blocks_around(mask.any(axis=axis), block, MARGIN) for axis in (1, 0))
     return region[0] + top, region[1] + left, bottom - top, right - left
 
@@ -108,7 +108,7 @@ class Choice:
 
 
 def chosen(capture: AnyCapture, without: Collection[str] = ()) -> Choice:
-    """The capture without these parts, and without what was photographed for their sake alone.
+    """Leave these parts out of the capture, and what was photographed for their sake alone.
 
     without: names of parts (see `nishiki.engine.plan`), or 'light NAME'. White boards and dark frames that
     belong to no photograph that is left are left out with them.
@@ -180,7 +180,7 @@ def _angles(frames: Iterable[Frame]) -> np.ndarray:
 
 
 def _reduced(capture: AnyCapture, dropped: dict[str, set[Frame]]) -> Choice:
-    """The capture without the dropped frames, and without the dark frames of exposure times that nothing has then."""
+    """Leave out the dropped frames, and the dark frames of exposure times that nothing has then."""
     gone = set().union(*dropped.values()) if dropped else set()
     if any(f.role in ("sample", "check", "white") for f in gone):
         left = [f for f in capture.frames if f not in gone]
@@ -230,9 +230,12 @@ class Files:
 
 @dataclass(frozen=True)
 class CaptureUsage:
-    """files: by kind, only kinds that the capture has; channels, tiles: (read, of); tiles: bands of rows times lights
-    of a plane, None elsewhere. Bytes are sizes of files: each photograph is read once to be proven against the seal and
-    once to be decoded."""
+    """The files that ingest reads.
+
+    files: by kind, only kinds that the capture has; channels, tiles: (read, of); tiles: bands of rows times lights of a
+    plane, None elsewhere. Bytes are sizes of files: each photograph is read once to be proven against the seal and once
+    to be decoded.
+    """
 
     files: tuple[Files, ...]
     channels: tuple[int, int]
@@ -252,7 +255,7 @@ class CaptureUsage:
 def usage_of(
     capture: AnyCapture, *, without: Collection[str], channels: str, tile_mib: int, white_block: int = 16
 ) -> CaptureUsage:
-    """What ingest reads with these settings (see `stages/ingest/__init__.py`); no file is decoded but a mask."""
+    """List what ingest reads with these settings (see `stages/ingest/__init__.py`); no file is decoded but a mask."""
     unopened = chosen(capture, without).files
     stored = len(capture.settings.camera.channels)
     if getattr(capture, "table", None) is not None:

@@ -106,7 +106,7 @@ class Window:
         return self.corner + self.step * middle
 
     def part(self, rows: slice, columns: slice) -> "Window":
-        """A part of it, with pictures that are views."""
+        """Return a part of it, with pictures that are views."""
         corner = self.corner + self.step * (columns.start, rows.start)
         pictures = [picture[rows, columns] for picture in self.pictures]
         return Window(pictures, self.inside[rows, columns], corner, self.step)
@@ -289,7 +289,7 @@ def _compare(window: Window, pairs: np.ndarray, movement: Movement) -> tuple[np.
 
 
 def align_window(window: Window, movement: Movement, *, replicate: bool = True) -> tuple[list[np.ndarray], np.ndarray]:
-    """The pictures brought to the first one by a movement, and where they show the object, without the margin.
+    """Move the pictures to the first one, and return where they show the object, without the margin.
 
     replicate: pixels beyond the border are those at it; otherwise NaN.
     """

@@ -28,7 +28,7 @@ REACH = 4  # pixels, of the kernel of Lanczos
 
 
 def region_behind(matrix: np.ndarray, region: Region, rows: int, columns: int) -> Region:
-    """The part of a photograph of these rows and columns that a region needs after it is moved by matrix (2, 3)."""
+    """Find the part of a photograph of these rows and columns that a region needs once moved by matrix (2, 3)."""
     row, column, height, width = region
     corners = matrix[:, :2] @ np.array([[0, width, 0, width], [0, 0, height, height]]) + matrix[:, 2:]
     reach = REACH + 1  # and of the mark around saturated pixels, which is interpolated

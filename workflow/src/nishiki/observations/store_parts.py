@@ -67,12 +67,12 @@ def sample_warnings(frame: Frame, broken: int, saturated: int, inside: int, *, s
 
 
 def as_errors(problems: Iterable[Problem], kind: str = "not-finite") -> list[Problem]:
-    """The problems with warnings of this kind as errors: what a stage tolerates may make a capture unusable."""
+    """Turn warnings of this kind into errors: what a stage tolerates may make a capture unusable."""
     return [replace(p, severity="error") if p.kind == kind else p for p in problems]
 
 
 def attempt(work: Callable[[], Iterable[Problem]]) -> list[Problem]:
-    """The problems that some work finds, or those that end it."""
+    """List the problems that some work finds, or those that end it."""
     try:
         return list(work())
     except CaptureError as e:
@@ -101,7 +101,7 @@ class RepeatedFiles:
 def write_small_arrays(
     group: BandedGroup, reader: FrameReader, defect: np.ndarray, arrays: dict[str, np.ndarray]
 ) -> None:
-    """These arrays, the linearisation `lut` of integer codes, and `defect` where a pixel has one."""
+    """Write these arrays, the linearisation `lut` of integer codes, and `defect` where a pixel has one."""
     if reader.dtype.kind == "u":
         arrays = {**arrays, "lut": reader.table}
     if defect.any():

@@ -69,7 +69,7 @@ def mesh_problems(
 
 
 def _remedy(block: Turntable, found: "Placement", world: np.ndarray) -> str:
-    """The keys that bring the mesh there, on top of those that are given already; world: factors on its axes."""
+    """Name the keys that bring the mesh there, on top of those given already; world: factors on its axes."""
     scale, order, signs = block.mesh_placement
     old = list(found.order)
     signs = np.array(signs)[old] * found.signs * world * world[old]
@@ -160,7 +160,7 @@ def capture_problems(
 
 
 def describe_coherence(found: "Coherence", cameras: list[Camera], files: dict[str, str]) -> list[Problem]:
-    """What a coherence says, as at most one problem; files: given silhouette of each view, empty where found."""
+    """Describe a coherence as at most one problem; files: given silhouette of each view, empty where found."""
     names = [camera.name for camera in cameras]
     facts = f"{100 * found.contradiction:.1f} % of the outlines miss the hull of the other views"
     expected = "silhouettes and cameras that agree"

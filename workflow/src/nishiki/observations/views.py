@@ -55,7 +55,7 @@ class Views:
             self.matrices = None if matrices is None else {view: np.array(m) for view, m in matrices.items()}
 
     def index(self, view: str | int, *, state: str | None = None, light: str | None = None) -> int:
-        """Number of a stored frame; state, light: None for the first. UserError where there is none of that name."""
+        """Return the number of a stored frame; state, light: None for the first. UserError where none has that name."""
         place = self._place(self.lights, light, "light") * len(self.views)
         place = (place + self._view(view)) * len(self.states)
         return place + self._place(self.states, state, "polariser state")
@@ -82,7 +82,7 @@ class Views:
         return out, valid
 
     def codes(self, view: str | int, *, state: str | None = None, light: str | None = None) -> np.ndarray:
-        """Stored codes (rows, columns, channels) of one photograph, in the camera's own type."""
+        """Read stored codes (rows, columns, channels) of one photograph, in the camera's own type."""
         return self._chunk("codes", self.index(view, state=state, light=light), len(self.channels), self.dtype)
 
     def board(self, state: str, *, light: str | None = None) -> np.ndarray | None:
@@ -100,8 +100,7 @@ class Views:
 
     @property
     def calibration(self) -> Sequence[dict]:
-        """Pictures of the calibration board: {"name", "view" or None, "image" uint8 grey (rows, columns)}, read on
-        access."""
+        """Read the board's pictures on access: {"name", "view" or None, "image" uint8 grey (rows, columns)}."""
         return _Calibration(self)
 
     def _chunk(self, array: str, place: int, channels: int, dtype) -> np.ndarray:

@@ -46,7 +46,7 @@ def view_values(
 
 @njit(cache=True, error_model="numpy")
 def _mark_unsaturated(codes, usable, saturated, valid):
-    """Validity of one row by its codes (m, channels)."""
+    """Mark the validity of one row by its codes (m, channels)."""
     m, channels = codes.shape
     if channels == 3:
         for x in range(m):

@@ -111,8 +111,10 @@ ALL_SATURATED = 0.99
 
 @dataclass(frozen=True)
 class ViewsDiagnostics:
-    """What ingest found. Shares are of the pixels inside the silhouette where one is given, else of the picture, one a
-    frame (by light, view, polariser state): saturated in any channel; at the lowest code in all; not_finite: counts.
+    """What ingest found.
+
+    Shares are of the pixels inside the silhouette where one is given, else of the picture, one a frame (by light, view,
+    polariser state): saturated in any channel; at the lowest code in all; not_finite: counts.
 
     white_level: median of the board as a fraction of full scale, by light, empty without a normalising board; defects:
     hot or dead pixels.
@@ -226,7 +228,7 @@ def _write_codes(
 def view_problems(
     frame: Frame, counts: np.ndarray, highest: float, reader: FrameReader, *, outlined: bool
 ) -> list[Problem]:
-    """What the sample values of one frame say; CaptureError (bits-exceeded, all-saturated, all-dark) if unusable.
+    """List the problems of one frame's values; CaptureError (bits-exceeded, all-saturated, all-dark) if unusable.
 
     A bright or black background is no fault, and a crossed polariser may leave little: without a silhouette only a
     picture without any usable sample is refused.

@@ -19,9 +19,11 @@ Tick = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Whites:
-    """gain (lights, r, c, channels) float32 at the exposure of the board's light, NaN where the board cannot be used;
-    ones (lights, 1, 1, channels) where none normalises. scale: factor of each observed frame for its exposure time;
-    longest: `Frame.exposure` to which all are brought, or None; levels: of the boards, worst channel, by light.
+    """Gains of the white boards.
+
+    gain (lights, r, c, channels) float32 at the exposure of the board's light, NaN where the board cannot be used; ones
+    (lights, 1, 1, channels) where none normalises. scale: factor of each observed frame for its exposure time; longest:
+    `Frame.exposure` to which all are brought, or None; levels: of the boards, worst channel, by light.
 
     defect (rows, columns) bool: dead pixels.
     """

@@ -118,9 +118,12 @@ class _Tiles:
 
 @dataclass(frozen=True)
 class _Trial:
-    """An order with its fit, the misfit (lights, tiles) relative to the albedo, the energies (tiles, 4) of the
-    derivatives that AXES names, (4,) how far the normals then point outwards, and the turns about the line of sight,
-    with and without mirroring y, after which the curl is least, as matrices (2, 3, 3)."""
+    """An order with its fit.
+
+    misfit (lights, tiles) relative to the albedo, energies (tiles, 4) of the derivatives that AXES names, (4,) how far
+    the normals then point outwards, and the turns about the line of sight, with and without mirroring y, after which
+    the curl is least, as matrices (2, 3, 3).
+    """
 
     order: np.ndarray
     fit: Fit
@@ -334,8 +337,7 @@ def _robust_normals(values: np.ndarray, lamps: np.ndarray, fit: Fit) -> np.ndarr
 
 
 def _slopes(normals: np.ndarray, middles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Energies (tiles, 4) of the derivatives of slopes that AXES names, the outward tilt (4,), and the turns
-    (2, 3, 3) that leave the least curl."""
+    """Return energies (tiles, 4) of the derivatives in AXES, outward tilt (4,), and turns of least curl (2, 3, 3)."""
     size = np.linalg.norm(normals, axis=-1)
     steep = np.maximum(normals[..., 2], STEEPEST * size)
     p, q = -normals[..., 0] / steep, -normals[..., 1] / steep
@@ -367,7 +369,7 @@ def _curl(trial: _Trial, axes: int) -> float:
 
 
 def _compare(first: tuple[_Trial, int], other: tuple[_Trial, int]) -> tuple[float, float, float]:
-    """Standard errors by which residual and curl of another trial with its axes are below those of the first.
+    """Return the standard errors by which residual and curl of another trial with its axes are below the first's.
 
     The residual is that of the photographs whose lamps differ; third, the part of it that is left.
     """

@@ -31,7 +31,7 @@ def sort_block(values, comparators):
 
 @njit(cache=True, error_model="numpy")
 def add_up(values, weights, products, sums):
-    """Normal equations of each pixel into sums (TERMS * BLOCK): six products, three right-hand sides, the weight."""
+    """Add each pixel's normal equations to sums (TERMS * BLOCK): six products, three right-hand sides, the weight."""
     for p in range(0, BLOCK, LANES):
         xx = xy = xz = yy = yz = zz = x = y = z = total = splat(np.float32(0.0))
         for j in range(values.shape[0]):

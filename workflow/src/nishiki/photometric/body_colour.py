@@ -153,7 +153,7 @@ def _leave_out_shadow(mean, lit):
 
 @njit(cache=True, error_model="numpy")
 def _body_colour(samples, mean, lit, colour):
-    """Unit direction (channels, LANES) of the sum of the samples' differences from grey; 0 where it is not known.
+    """Estimate the unit direction (channels, LANES) of the samples' differences from grey; 0 where it is not known.
 
     Returns the sum of their squares.
     """

@@ -18,7 +18,7 @@ TERMS = 11  # six products of (c, c^2, c x^8), three right-hand sides, the sum o
 
 @njit(cache=True, error_model="numpy")
 def load_block(intensity, mean, usable, known, start, values, may, use, change):
-    """Samples of the mean of a block, and the change of its samples by the weights of the channels, relative."""
+    """Load the samples of the mean of a block, and their relative change by the weights of the channels."""
     zero, one = np.float32(0.0), np.float32(1.0)
     for p in range(0, BLOCK, LANES):
         difference = total = splat(zero)
@@ -47,7 +47,7 @@ def cosine_and_lobe(vectors, j, normals, p):
 
 @njit(cache=True, error_model="numpy")
 def add_up_terms(values, weights, vectors, normals, sums):
-    """Normal equations of the terms into sums (TERMS * BLOCK) float64; normals (3 * BLOCK) float32."""
+    """Add normal equations of the terms to sums (TERMS * BLOCK) float64; normals (3 * BLOCK) float32."""
     zero = np.float32(0.0)
     for p in range(0, BLOCK, LANES):
         s00 = s01 = s02 = s11 = s12 = s22 = r0 = r1 = r2 = squares = total = splat(0.0)

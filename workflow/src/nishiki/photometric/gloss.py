@@ -56,8 +56,7 @@ def refine_normals(
     second_start: float = SECOND_START,
     threads: int | None = None,
 ) -> RefinedNormals:
-    """Fit I'_jk = rho_k b(n . l_j) + s_j(n) at every pixel from the given normals; see
-    `nishiki.photometric.gloss_kernel`.
+    """Fit I'_jk = rho_k b(n . l_j) + s_j(n) at every pixel from the given normals (see `gloss_kernel`).
 
     observations (lights, rows, columns, channels), relative to white; directions (lights, 3) unit; valid (lights, rows,
     columns) bool, None for all; normals (rows, columns, 3) unit, of any solver, to start from; flags (rows, columns)
@@ -106,7 +105,7 @@ def refine_normals(
 
 
 def empty_fields(pixels, channels, normals, reflectance, flags):
-    """Outputs of the kernel, filled with what is known before."""
+    """Make the outputs of the kernel, filled with what is known before."""
     scalars = np.zeros((4, pixels), np.float32)
     scalars[1] = 0.5 * np.pi
     start = np.zeros((pixels, channels)) if reflectance is None else reflectance.reshape(pixels, channels)

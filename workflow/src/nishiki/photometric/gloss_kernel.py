@@ -154,7 +154,7 @@ def gauss_newton(y, rows, rho, out):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def moved(n, t, s, r, out):
-    """The unit normal at the tangential step (s, r), of limited length and never grazing; returns the step's length."""
+    """Move the unit normal by the tangential step (s, r), limited and never grazing; return the step's length."""
     length = np.sqrt(s * s + r * r)
     part = LARGEST_STEP / length if length > LARGEST_STEP else 1.0
     s, r = part * s, part * r

@@ -56,7 +56,7 @@ def tangents(n, t):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def transmitted(cosine, table):
-    """The body's transmittance at this cosine (0 to 1), relative to frontal, and its slope, from the table."""
+    """Look up the body's transmittance at this cosine (0 to 1), relative to frontal, and its slope."""
     place = max(min(cosine, 1.0), 0.0) * NODES_PER_UNIT
     node = min(int(place), NODES_PER_UNIT - 1)
     part = place - node

@@ -59,9 +59,12 @@ class GlossTile:
 
 @dataclass(frozen=True)
 class SceneGloss:
-    """profile, without gloss where none is significant; found: whether or not; gain: robust cost a value (light and
+    """The gloss of a scene.
+
+    profile, without gloss where none is significant; found: whether or not; gain: robust cost a value (light and
     channel) that the profile takes off the fit without gloss; significant: whether that is WORTHWHILE; pixels of the
-    sample."""
+    sample.
+    """
 
     profile: GlossProfile
     found: GlossProfile
@@ -207,7 +210,7 @@ def measure_transmission(tiles: Sequence[GlossTile], profile: GlossProfile, **se
 def add_tile(
     histogram, tile: GlossTile, fit: RefinedNormals | None, profile: GlossProfile, where: np.ndarray | bool = True
 ) -> SpecularHistogram:
-    """The histogram with a tile's specular samples, by the last round's fit or by what the tile came with.
+    """Add a tile's specular samples to the histogram, by the last round's fit or by what the tile came with.
 
     where: (rows, columns) bool, pixels that count.
     """
@@ -221,7 +224,7 @@ def add_tile(
 
 
 def refined(tile: GlossTile, profile: GlossProfile, **settings) -> RefinedNormals:
-    """The joint fit of one tile."""
+    """Fit one tile jointly."""
     return refine_normals(
         tile.observations,
         tile.directions,

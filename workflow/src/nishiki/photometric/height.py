@@ -51,7 +51,7 @@ def divergence(differences, weights):
 
 
 def laplacian(height, weights):
-    """The matrix of the normal equations times a height field: the weighted graph Laplacian of the grid."""
+    """Multiply a height field by the normal equations: the weighted graph Laplacian of the grid."""
     return divergence((np.diff(height, axis=1), np.diff(height, axis=0)), weights)
 
 
@@ -222,7 +222,7 @@ def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", to
 
 
 def checked_normals(normals, valid, pixel_pitch):
-    """Normals and mask of matching shape, or a UserError; normals that are not of unit length are not valid."""
+    """Check normals and mask: UserError where shapes differ; normals that are not of unit length are not valid."""
     normals = np.asarray(normals)
     if normals.ndim != 3 or normals.shape[2] != 3:
         raise UserError(f"height: expected normals of shape (rows, columns, 3), found {normals.shape}")
@@ -367,7 +367,7 @@ def smooth_normals(normals, valid):
 
 
 def block_means(normals, valid):
-    """Unit mean normals (n, 3) of squares of pixels, those with valid ones, and their places y and x from -1 to 1."""
+    """Average normals over squares of pixels: unit means (n, 3) where some are valid, and places y and x, -1 to 1."""
     side = -(-max(valid.shape) // MOST_BLOCKS)
     starts = [np.arange(0, length, side) for length in valid.shape]
     total = np.add.reduceat(np.where(valid[..., None], normals, 0), starts[0], axis=0, dtype=np.float64)

@@ -56,7 +56,7 @@ def _spread(builder, number, kind):
 
 
 def _define(operation, build, kind, result):
-    """An operator of lanes of one kind, or of such lanes and one number."""
+    """Define an operator of lanes of one kind, or of such lanes and one number."""
 
     @infer_global(operation)
     class _Typing(AbstractTemplate):
@@ -159,7 +159,7 @@ def store(typing, array, place, value):
 
 @intrinsic
 def load_three(typing, array, row, start):
-    """The three channels of LANES pixels from `start` on of a row of a float32 array (rows, pixels, 3)."""
+    """Load three channels of LANES pixels from `start` on of a row of a float32 array (rows, pixels, 3)."""
     if not (
         isinstance(array, types.Array) and array.layout == "C" and array.ndim == 3 and array.dtype == types.float32
     ):
@@ -194,7 +194,7 @@ def splat(typing, number):
 
 @intrinsic
 def widen(typing, value):
-    """The same numbers as float64."""
+    """Convert the numbers to float64."""
     if value is not NUMBERS:
         return None
     return WIDE(NUMBERS), lambda context, builder, sig, args: builder.fpext(args[0], VECTORS[WIDE])
@@ -260,7 +260,7 @@ def larger(typing, left, right):
 
 @njit(cache=True)
 def planes(count, width):
-    """New float32 array (count, width) of zeros that begins where a register's worth of memory does.
+    """Make a float32 array (count, width) of zeros that begins where a register's worth of memory does.
 
     Otherwise every second access would touch two lines of the processor's cache, which takes twice as long. The width
     is to be a multiple of LANES.
@@ -271,5 +271,5 @@ def planes(count, width):
 
 
 def repeated(array, pixels):
-    """An array (lights, fewer pixels, ...) with its pixels repeated: kernels take whole blocks of them."""
+    """Repeat the pixels of an array (lights, fewer pixels, ...): kernels take whole blocks of them."""
     return np.take(array, np.arange(pixels) % array.shape[1], axis=1)

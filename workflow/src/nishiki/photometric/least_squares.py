@@ -69,7 +69,7 @@ def smaller_root(a, b, c, d, e, f, largest):
 
 @njit(cache=True, error_model="numpy")
 def inverse(a, b, c, d, e, f):
-    """The six different elements of the inverse of a symmetric positive 3 x 3 matrix, by L D L^T.
+    """Compute the six elements of the inverse of a symmetric positive 3 x 3 matrix, by L D L^T.
 
     Sums of squares over the pivots: its error grows with the condition, that of cofactors with the condition squared.
     """
@@ -177,7 +177,7 @@ def write_block(solved, condition, count, max_condition, start, width, normals, 
 
 @njit(cache=True, error_model="numpy")
 def block_work():
-    """New sums (4, BLOCK), solutions, matrices and inverses (6, BLOCK), conditions and counts (BLOCK,)."""
+    """Make sums (4, BLOCK), solutions, matrices and inverses (6, BLOCK), conditions and counts (BLOCK,)."""
     memory = np.zeros((24, BLOCK))
     return memory[:4], memory[4:10], memory[10:16], memory[16:22], memory[22], memory[23]
 
@@ -245,7 +245,7 @@ def add_masked(values, mask, products, start, sums):
 
 @njit(cache=True, error_model="numpy")
 def add_matrices(mask, products, start, matrices, count):
-    """Normal matrices (6, BLOCK) of the lights that the mask selects, and their number."""
+    """Add up normal matrices (6, BLOCK) of the lights that the mask selects, and their number."""
     for p in range(0, BLOCK, LANES):
         a = b = c = d = e = f = number = splat(0.0)
         for j in range(mask.shape[0]):
@@ -268,7 +268,7 @@ def add_matrices(mask, products, start, matrices, count):
 
 @njit(cache=True, error_model="numpy")
 def copy_block(values, mask, start, width, spare, spare_mask):
-    """A block that is not full, with nothing behind it."""
+    """Copy a block that is not full, with nothing behind it."""
     for j in range(values.shape[0]):
         for p in range(BLOCK):
             spare_mask[j, p] = mask[j, start + p] if p < width else 0

@@ -163,7 +163,7 @@ def rank_limits(stack, known, low, high, at_least):
 
 @lru_cache(maxsize=64)
 def sorting_network(size, smallest=None):
-    """Comparators (n, 2) int32 of Batcher's odd-even merge sort for any number of values.
+    """List the comparators (n, 2) int32 of Batcher's odd-even merge sort for any number of values.
 
     smallest: number of values, counted from the smallest, that have to be in their places; default all. Comparators
     that reach none of them are left out.
@@ -192,7 +192,7 @@ def sorting_network(size, smallest=None):
 
 
 def half_vectors(directions):
-    """Unit vectors (lights, 3) halfway between light and view."""
+    """Compute unit vectors (lights, 3) halfway between light and view."""
     halves = directions + np.array([0.0, 0.0, 1.0])
     return halves / np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
 
@@ -239,7 +239,7 @@ def refit(stack, known, directions, starts, noise, min_lights, usable, highlight
 
 
 def checked_stack(observations, directions):
-    """The observations as (lights, pixels) float32 and the directions as (lights, 3) float64, or a UserError."""
+    """Check observations, as (lights, pixels) float32, and directions, as (lights, 3) float64; UserError else."""
     stack = np.asarray(observations, dtype=np.float32)
     if stack.ndim != 3:
         raise UserError(
@@ -269,7 +269,7 @@ def all_finite(stack):
 
 
 def checked_valid(stack, valid, shape):
-    """The mask of valid samples as (lights, pixels), or (lights, 1) where all are valid."""
+    """Check the mask of valid samples: (lights, pixels), or (lights, 1) where all are valid."""
     finite = all_finite(stack)
     if valid is None and finite:
         return np.ones((stack.shape[0], 1), dtype=np.bool_)
@@ -283,7 +283,7 @@ def checked_valid(stack, valid, shape):
 
 
 def pack_lights(chosen: np.ndarray) -> np.ndarray:
-    """Samples (lights, rows, columns) bool as bits (rows, columns, bytes): bit j of byte i is light 8 i + j.
+    """Pack samples (lights, rows, columns) bool as bits (rows, columns, bytes): bit j of byte i is light 8 i + j.
 
     A light at a time, all pixels at once: packing along the axis of the lights takes twenty times as long.
     """
@@ -294,7 +294,7 @@ def pack_lights(chosen: np.ndarray) -> np.ndarray:
 
 
 def unpack_lights(packed: np.ndarray, lights: int) -> np.ndarray:
-    """Samples (lights, rows, columns) bool of the bits of `pack_lights`."""
+    """Unpack samples (lights, rows, columns) bool from the bits of `pack_lights`."""
     planes = np.ascontiguousarray(np.moveaxis(packed, -1, 0))
     chosen = np.empty((lights, *packed.shape[:-1]), np.uint8)
     for j in range(lights):

@@ -53,7 +53,7 @@ def add_up(values, weights, vectors, surface, slopes, sums):
 
 @njit(cache=True, inline="always")
 def differentiate(values, weights, vectors, surface, p, slopes):
-    """Derivatives of every sample by the five unknowns, its residual and its weight."""
+    """Differentiate every sample by the five unknowns; compute its residual and its weight."""
     zero, least, slope = np.float32(0.0), np.float32(1e-3), np.float32(EXPONENT)
     n0, n1, n2 = load(surface, p), load(surface, p + BLOCK), load(surface, p + 2 * BLOCK)
     s0, s1, s2 = load(surface, p + 3 * BLOCK), load(surface, p + 4 * BLOCK), load(surface, p + 5 * BLOCK)
@@ -190,7 +190,7 @@ def substitute(factors, inverses, r0, r1, r2, r3, r4):
 
 @njit(cache=True, error_model="numpy")
 def set_surface(fit, surface):
-    """Unit normals and terms of a fit, as float32, with two tangents each.
+    """Set unit normals and terms of a fit, as float32, with two tangents each.
 
     Tangents by T. Duff et al., Building an orthonormal basis, revisited, JCGT 6 (1), 2017. The normals of the fit
     become unit vectors.
@@ -218,7 +218,7 @@ def set_surface(fit, surface):
 
 @njit(cache=True, error_model="numpy")
 def propose(fit, surface, sums, damping, prior, moved, turn, active):
-    """The fits after one damped Gauss-Newton step, and by how much it turns each normal, radians.
+    """Propose the fits after one damped Gauss-Newton step, and the angle that it turns each normal, radians.
 
     A pixel whose equations are singular is no longer active and stays where it is.
     """
@@ -281,7 +281,7 @@ def take(chosen, source, target):
 
 @njit(cache=True, error_model="numpy")
 def take_lanes(chosen, source, target):
-    """The same of float32 numbers."""
+    """Take lanes of float32 numbers."""
     for p in range(0, BLOCK, LANES):
         here = load(chosen, p) > np.float32(0.0)
         for start in range(p, target.size, BLOCK):

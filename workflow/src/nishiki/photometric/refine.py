@@ -26,7 +26,7 @@ FIRST_ROUNDS, ROUNDS = 4, 3  # Gauss-Newton steps for the samples first chosen, 
 
 @njit(cache=True, error_model="numpy")
 def load_block(observations, usable, known, index, width, scalars, normals, values, may, use, start):
-    """A block of pixels, `index` (BLOCK,) of which the first `width` are real: samples relative to the albedo.
+    """Load a block of pixels, `index` (BLOCK,) of which the first `width` are real: samples relative to the albedo.
 
     start (FIT * BLOCK): Lambert's fits. Samples of what is no real pixel are unknown.
     """
@@ -224,7 +224,7 @@ def store_fits(index, width, best, variance, condition, max_condition, normals, 
 
 @njit(cache=True, error_model="numpy")
 def store_shading(index, width, best, stored, shading):
-    """(a, b, d) of the stored pixels, scaled so that the body factor is 1 on average over the samples, weighted c^2."""
+    """Store (a, b, d), scaled so that the body factor is 1 on average over the samples, weighted c^2."""
     fit, _, sums, _, _ = best
     for i in range(width):
         if stored[0, i] > np.float32(0.0):

@@ -103,7 +103,7 @@ def judge(distance, weights, scaled, count, coverage, at_least, floor, quality):
 
 @njit(cache=True, error_model="numpy")
 def spread(values, directions, weights, scaled, floor, scale):
-    """Standard deviation of the kept residuals, with the noise floor (relative to the albedo) added."""
+    """Estimate the deviation of the kept residuals, with the noise floor (relative to the albedo) added."""
     zero, one, unknowns = np.float32(0.0), np.float32(1.0), np.float32(3.0)
     for p in range(0, BLOCK, LANES):
         nx, ny, nz = load(scaled, p), load(scaled, p + BLOCK), load(scaled, p + 2 * BLOCK)
@@ -203,7 +203,7 @@ def far_unless(known, values, out):
 
 @njit(cache=True, error_model="numpy")
 def write_block(values, known, directions, scaled, weights, at_least, start, usable, highlights, shadows):
-    """Samples kept and the reasons for the others; a pixel without a trustworthy fit keeps every known sample."""
+    """Write the samples kept and the reasons for the others; a pixel without a trustworthy fit keeps all known ones."""
     zero, one = np.float32(0.0), np.float32(1.0)
     rejected = planes(np.int64(2), np.int64(BLOCK))
     for p in range(0, BLOCK, LANES):

@@ -91,7 +91,7 @@ def _mean(begin, end, observations, out):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _accumulate(begin, end, observations, directions, normals, usable, shading, mean, reflectance, used):
-    """Sums a light at a time over BLOCK neighbouring pixels, in the order of the lights."""
+    """Sum a light at a time over BLOCK neighbouring pixels, in the order of the lights."""
     lights, pixels, channels = observations.shape
     shaded = shading.shape[0] > 0
     for block in range(begin, end):

@@ -185,7 +185,7 @@ def _least_squares(level, weight, basis, first, held, matrix, terms):
 
 @numba.njit(cache=True, error_model="numpy")
 def _robust_fit(level, allowed, basis, first, held, rounds, work, terms, weight):
-    """The same, reweighted."""
+    """Fit again with robust weights."""
     matrix, residual, scratch = work
     for _ in range(rounds):
         if not _least_squares(level, weight, basis, first, held, matrix, terms):

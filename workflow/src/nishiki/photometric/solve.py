@@ -75,7 +75,7 @@ def estimate_normals(
     max_condition=1e4,
     noise=0.003,
 ):
-    """Normals and albedo of every pixel from its observations under known lights.
+    """Estimate normals and albedo of every pixel from its observations under known lights.
 
     Without gloss the observations are albedo * max(n . l, 0), with the normal n and the direction l to the light.
 
@@ -171,8 +171,10 @@ def estimate_normals(
 
 
 def _near_field(observations, directions, samples, options):
-    """The estimate under directions (lights, rows, columns, 3), block by block; samples: arguments with an axis each
-    for lights, rows and columns, or for lights only, or None."""
+    """Estimate under directions (lights, rows, columns, 3), block by block.
+
+    samples: arguments with an axis each for lights, rows and columns, or for lights only, or None.
+    """
     if directions.shape != (*observations.shape, 3):
         expected = f"({', '.join(map(str, observations.shape))}, 3)"
         raise UserError(f"light directions: expected shape {expected}, found {directions.shape}")
@@ -194,7 +196,7 @@ def _near_field(observations, directions, samples, options):
 
 
 def without_distrusted(stack, directions, usable, known, outputs, max_condition):
-    """Samples to start from: all valid ones where `nishiki.photometric.distrust` does not follow the selected ones.
+    """Choose samples to start from: all valid ones where `nishiki.photometric.distrust` rejects the selected ones.
 
     The Lambertian estimates of those pixels in the outputs are made anew, in place.
     """
@@ -320,7 +322,7 @@ def empty_outputs(pixels) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarra
 
 
 def as_field(normals, scalars, used, flags, shape, solver):
-    """The kernels' flat outputs as a NormalField of the image's shape."""
+    """Shape the kernels' flat outputs as a NormalField of the image."""
     albedo, sigma, condition, residual = scalars.reshape(4, *shape)
     return NormalField(
         normals=normals.reshape(*shape, 3),
@@ -341,7 +343,7 @@ def direction_products(directions):
 
 
 def both(usable, valid):
-    """Samples that are chosen and valid; None stands for all."""
+    """Combine samples that are chosen and valid; None stands for all."""
     if usable is None or valid is None or usable is valid or np.shape(usable) != np.shape(valid):
         return valid if usable is None else usable  # shapes that differ are an error found later
     return np.asarray(usable, dtype=np.bool_) & np.asarray(valid, dtype=np.bool_)

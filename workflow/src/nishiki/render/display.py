@@ -77,8 +77,10 @@ def developed(
 
 
 def exposure_for(parts: list[tuple[np.ndarray, float]]) -> float:
-    """Return one factor at which no part of several pictures becomes too bright: linear sRGB (n, 3) of each, and the
-    level of the display's white that its 98th percentile may reach. 1 where all is black."""
+    """Choose one factor at which no part of several pictures becomes too bright; 1 where all is black.
+
+    parts: linear sRGB (n, 3), and the level of the display's white that its 98th percentile may reach.
+    """
     tops = [np.percentile(linear @ _LUMINANCE, ADAPTED_PERCENTILE) / level for linear, level in parts if len(linear)]
     top = float(max(tops, default=0.0))
     return 1 / top if top > 0 else 1.0

@@ -157,8 +157,7 @@ def write_video(
 def write_animated_png(
     path: Path, frames: Iterable[np.ndarray], *, frames_per_second: int = 25, stamp: Mapping[str, str]
 ) -> int:
-    """Frames (rows, columns, 3) uint8 sRGB as an animated PNG that repeats for ever; the number of frames, all of which
-    are held at once."""
+    """Write frames (rows, columns, 3) uint8 sRGB, all held at once, as an endless animated PNG; return their number."""
     import cv2
 
     pictures: list[np.ndarray] = []

@@ -37,7 +37,7 @@ def moved_lights(light: Light, directions: Iterable) -> Iterator[list[Light]]:
 
 
 def orbit(view: View, count: int, *, sweep: float) -> Iterator[View]:
-    """Views of an eye that swings about the vertical axis through its target, `sweep` radians to each side and back.
+    """Swing the eye about the vertical axis through its target, `sweep` radians to each side and back.
 
     The eye follows a cosine, so that it slows down where it turns; the first view is the one furthest to the right.
     """

@@ -149,7 +149,7 @@ def prediction_error(
 
 
 def incidences(incident: np.ndarray, *, within_deg: float = 0.5) -> list[tuple[float, float, np.ndarray]]:
-    """The distinct incident directions of measurements (n, 3): (theta, phi) in radians and the rows of each.
+    """List the distinct incident directions of measurements (n, 3): (theta, phi) in radians and the rows of each.
 
     Directions closer than `within_deg` are one; at the normal phi is 0.  Sorted by theta, then phi.
     """
@@ -214,7 +214,7 @@ WITHIN = ("diffuse", "body", "lambert")  # fields that hold the light from withi
 
 
 def gloss_of(brdf):
-    """The model without its light from within: a black cloth of the same yarns; itself where it has none."""
+    """Return the model without its light from within: a black cloth of the same yarns; itself where it has none."""
     inner = {field.name: getattr(brdf, field.name) for field in fields(brdf) if field.name in WITHIN}
     return replace(brdf, **{name: np.zeros_like(value) for name, value in inner.items()}) if inner else brdf
 
@@ -231,7 +231,7 @@ class Dyed:
 
     @classmethod
     def of(cls, gloss, albedo) -> "Dyed":
-        """A dye of albedo (channels,) under a gloss, which keeps any light from within of its own: give a black one."""
+        """Make a dye of albedo (channels,) under a gloss, whose own light from within it keeps: give a black one."""
         albedo = np.atleast_1d(np.asarray(albedo, float))
         theta = (np.arange(THETAS) + 0.5) * (np.pi / 2 / THETAS)
         phi = np.arange(PHIS) * (2 * np.pi / PHIS)
@@ -269,14 +269,14 @@ class Dyed:
         return self.gloss.evaluate(incident, outgoing) + only_above(g.above, through[..., None] * (self.albedo / np.pi))
 
     def as_arrays(self) -> dict[str, np.ndarray]:
-        """The dye's numbers, and the gloss' under the prefix `gloss_of_`."""
+        """Return the dye's numbers, and the gloss' under the prefix `gloss_of_`."""
         albedos = {n: np.asarray(getattr(self, n)) for n in ("albedo", "gloss_albedo", "mean_albedo")}
         inner = {f"gloss_of_{name}": value for name, value in self.gloss.as_arrays().items()}
         return {**albedos, **inner, "gloss_of": np.array(self.gloss.KIND)}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "Dyed":
-        """The model of `as_arrays`."""
+        """Restore the model of `as_arrays`."""
         from nishiki.brdf.cloth.store import class_of  # the store knows the kinds; this kind is one of them
 
         prefix = "gloss_of_"

@@ -84,8 +84,9 @@ def great_circle_view(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
 
 
 def linear_view(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-    """V0 (..., 3) by Takeda et al., eq. 8-9: theta0 = pi/2 - (beta0 / beta)(pi/2 - theta_r), phi0 = (beta0 / beta)
-    phi_r from R_xy.
+    """Compute V0 (..., 3) by Takeda et al., eq. 8-9.
+
+    theta0 = pi/2 - (beta0 / beta)(pi/2 - theta_r), phi0 = (beta0 / beta) phi_r from R_xy.
 
     Exact in the plane of incidence on the mirror's side, where theta0 < 0 means beyond the normal; elsewhere it leaves
     the great circle.  beta -> 0 is R_xy itself.

@@ -69,7 +69,7 @@ class TableBrdf(ArrayFields):
 
     @classmethod
     def sample(cls, brdf, *, thetas_h: int = 28, phis_h: int = 48, thetas_d: int = 19, phis_d: int = 24) -> "TableBrdf":
-        """A table of any BRDF; nodes whose light or view is below the horizon take the value on the horizon.
+        """Sample any BRDF; nodes whose light or view is below the horizon take the value on the horizon.
 
         Default: 613 000 nodes, 2.5 MB a channel.
         """
@@ -107,20 +107,20 @@ class TableBrdf(ArrayFields):
 
 
 def _raised(directions: np.ndarray) -> np.ndarray:
-    """The same directions, those below the horizon lifted straight up to it."""
+    """Lift the directions below the horizon straight up to it."""
     low = np.stack([directions[..., 0], directions[..., 1], np.maximum(directions[..., 2], _NEAREST_HORIZON)], axis=-1)
     return low / np.linalg.norm(low, axis=-1, keepdims=True)
 
 
 def _between(place: np.ndarray, count: int):
-    """Indices and weights of the two nodes beside a place 0 .. count - 1."""
+    """Return indices and weights of the two nodes beside a place 0 .. count - 1."""
     first = np.clip(place.astype(int), 0, count - 2)
     share = np.clip(place - first, 0, 1)
     return (first, first + 1), (1 - share, share)
 
 
 def _around(place: np.ndarray, count: int):
-    """The same on a circle of `count` nodes."""
+    """Return indices and weights of the two nodes beside a place on a circle of `count` nodes."""
     first = np.floor(place).astype(int)
     share = place - first
     return (first % count, (first + 1) % count), (1 - share, share)
@@ -141,8 +141,7 @@ def goniometer_rows(brdf, *, incident_deg, outgoing_deg) -> np.ndarray:
 
 
 def utia_planes(brdf) -> np.ndarray:
-    """The anisotropic table of the UTIA BRDF database, (3, 6, 48, 6, 48) float64: channel, theta_i, phi_i, theta_r,
-    phi_r.
+    """Sample the table of the UTIA BRDF database, (3, 6, 48, 6, 48) float64: channel, theta_i, phi_i, theta_r, phi_r.
 
     theta 0 .. 75 degrees by 15, phi by 7.5; written as little-endian doubles in this order it is a `.bin` file that
     readers of that database open (ALTA among them).  One channel is written three times.  Values are 1 / sr.
@@ -168,7 +167,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every member: a file's bytes do not depend 
 
 
 def class_of(kind: str) -> Any:
-    """The dataclass of a kind of BRDF."""
+    """Import the dataclass of a kind of BRDF."""
     if kind not in KINDS:
         raise UserError(f"kind of BRDF: expected one of {', '.join(sorted(KINDS))}, found {kind!r}")
     module, name = KINDS[kind].split(":")

@@ -74,9 +74,10 @@ def _share(margin, softness):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def facet_reflection(a, i, o, half, ci, co, along, across):
-    """D G / 2 of anisotropic GGX facets at a point of a yarn (Walter et al. 2007), so that the point's share of the
-    cloth's reflectance is F / 2 times it: n.i n.o / (i_z o_z) F D G / (4 n.i n.o), where the facets' own cosines cancel
-    those of the yarn's surface.
+    """Compute D G / 2 of anisotropic GGX facets at a point of a yarn (Walter et al. 2007).
+
+    The point's share of the cloth's reflectance is F / 2 times it: n.i n.o / (i_z o_z) F D G / (4 n.i n.o), where the
+    facets' own cosines cancel those of the yarn's surface.
 
     a: columns normal, along and across the fibres; i, o, half: directions of light, view and between them; ci, co:
     cosines of i and o with the normal; along, across: roughness.
@@ -342,14 +343,14 @@ class YarnFacets:
         return flat.reshape(incident.shape[:-1])
 
     def as_arrays(self) -> dict[str, np.ndarray]:
-        """The shape's numbers under their names, then the rest."""
+        """Return the shape's numbers under their names, then the rest."""
         names = ("body", "lambert", "correction", "images", "image_weights", "quarter")
         arrays = {name: np.asarray(getattr(self, name)) for name in names}
         return {**{name: np.asarray(value) for name, value in vars(self.shape).items()}, **arrays}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "YarnFacets":
-        """The model of `as_arrays`."""
+        """Restore the model of `as_arrays`."""
         of_shape: dict[str, Any] = {n: arrays[n] for n in YarnShape.__dataclass_fields__}
         shape = YarnShape(**{n: value if np.ndim(value) else float(value) for n, value in of_shape.items()})
         names = ("body", "lambert", "correction", "images", "image_weights")
@@ -375,7 +376,7 @@ def shape_parts(shape: YarnShape, incident: np.ndarray, outgoing: np.ndarray, *,
 
 
 def corrected(correction: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """The factor at half vectors (..., 3): bilinear in theta_h and phi_h, constant beyond 45 degrees."""
+    """Interpolate the factor at half vectors (..., 3): bilinear in theta_h and phi_h, constant beyond 45 degrees."""
     nt, around = correction.shape
     theta = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
     down = np.minimum(theta / (np.pi / 4), 1) * (nt - 1)
@@ -389,7 +390,7 @@ def corrected(correction: np.ndarray, h: np.ndarray) -> np.ndarray:
 
 
 def uncorrected(shape: YarnShape, body, lambert) -> YarnFacets:
-    """The BRDF whose facets are the shape's alone."""
+    """Make the BRDF whose facets are the shape's alone."""
     return YarnFacets(shape, np.atleast_1d(body), np.atleast_1d(lambert), np.ones((2, 8)))
 
 
@@ -416,7 +417,7 @@ SPREAD = np.concatenate([
 
 
 def shape_of(x: np.ndarray) -> YarnShape:
-    """The shape of a vector of parameters in the order of NAMES."""
+    """Make the shape of a vector of parameters in the order of NAMES."""
     e = np.exp(x)
     return YarnShape(
         slope=e[0:4].reshape(2, 2),

@@ -144,7 +144,7 @@ class Measured:
         return cls(measured.incident, measured.outgoing, values, measured.normal_incidence, quarter)
 
     def take(self, rows: np.ndarray) -> "Measured":
-        """Some of them."""
+        """Select some of them."""
         names = ("incident", "outgoing", "values", "normal")
         return replace(self, **{name: np.ascontiguousarray(getattr(self, name)[rows]) for name in names})
 
@@ -175,7 +175,7 @@ class YarnFit:
 
 
 def parts_of(incident: np.ndarray, outgoing: np.ndarray):
-    """The parts that `fit_shape` asks for: mirror reflection, then columns of body and Lambert term."""
+    """Compute the parts that `fit_shape` asks for: mirror reflection, then columns of body and Lambert term."""
     lambert = np.full(len(incident), 1 / np.pi)
 
     def parts(x):
@@ -202,7 +202,7 @@ def levels(brdf, incident: np.ndarray) -> np.ndarray:
 
 
 def fit_normal(measured: Measured, *, evaluations: int = 20) -> ShapeFit:
-    """The shape from normal incidence alone; every row has to be of it. UserError where all are black."""
+    """Fit the shape to normal incidence alone; every row has to be of it. UserError where all are black."""
     refuse_black(measured)
     weight = normal_weights(measured)
     limits = np.array([np.inf, LAMBERT])
@@ -215,7 +215,7 @@ def fit_normal(measured: Measured, *, evaluations: int = 20) -> ShapeFit:
 def fit_yarn_facets(
     measured: Measured, rows: np.ndarray, *, basic=None, first: ShapeFit | None = None, evaluations: int = 20
 ) -> YarnFit:
-    """The BRDF from the rows given, of normal incidence and oblique.
+    """Fit the BRDF to the rows given, of normal incidence and oblique.
 
     basic: function of views (..., 3) giving the measured reflectance at normal incidence (..., channels), for the
     correction (default: none); first: what `fit_normal` found, to start from (default: it is called).
@@ -262,7 +262,7 @@ def fit_yarn_facets(
 
 
 def brdf_of(fit: ShapeFit) -> YarnFacets:
-    """The BRDF of a fit, without a correction."""
+    """Make the BRDF of a fit, without a correction."""
     return uncorrected(shape_of(fit.x), fit.coefficients[:, 0], fit.coefficients[:, 1])
 
 
@@ -293,7 +293,7 @@ SLOPE_STEP = 0.02
 
 
 def choose_oblique(fit: ShapeFit, incident: np.ndarray, outgoing: np.ndarray, count: int) -> np.ndarray:
-    """Indices (up to count,) into the candidates (n, 3), (n, 3), the most telling first."""
+    """Choose up to `count` of the candidates (n, 3), (n, 3) by index, the most telling first."""
     allowed = np.flatnonzero((polar(outgoing) <= STEEPEST) & (polar(incident) <= STEEPEST))
     if count == 0 or allowed.size == 0:
         return np.empty(0, int)
@@ -324,8 +324,11 @@ def choose_oblique(fit: ShapeFit, incident: np.ndarray, outgoing: np.ndarray, co
 
 
 def likeness(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-    """(n, n) correlation of a model's errors at pairs of directions (n, 3): Wendland's function of their distance, the
-    least over mirror images in the planes of weft and warp and over the exchange of light and view."""
+    """Correlate a model's errors at pairs of directions (n, 3): (n, n).
+
+    Wendland's function of their distance, the least over mirror images in the planes of weft and warp and over the
+    exchange of light and view.
+    """
     pairs = np.concatenate([incident, outgoing], axis=1)
     nearest = np.full((len(pairs), len(pairs)), np.inf)
     for x in (1.0, -1.0):

@@ -29,8 +29,11 @@ FEWEST = 20  # texels seen three times or more, below which nothing is fitted
 
 @dataclass(frozen=True)
 class EnvironmentFit:
-    """coefficients of E; the share of the squared deviation from a constant colour that E explains (of what the robust
-    weights leave); rounds and texels that it took."""
+    """A fitted irradiance E.
+
+    coefficients of E; the share of the squared deviation from a constant colour that E explains (of what the robust
+    weights leave); rounds and texels that it took.
+    """
 
     coefficients: tuple[float, ...]
     explained: float
@@ -120,7 +123,7 @@ def residuals(values: np.ndarray, normals: np.ndarray, weights: np.ndarray, coef
 
 
 def _positive(e: np.ndarray, basis: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The nearest E (in least squares over the normals seen) that is nowhere negative among a sample of them."""
+    """Find the nearest E (in least squares over the normals seen) that is nowhere negative among a sample of them."""
     rows = basis[weights > 0]
     rows = rows[:: max(len(rows) // 2000, 1)]
     constraint = np.zeros(len(rows))
@@ -144,15 +147,14 @@ NOWHERE = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Highlight:
-    """direction (3,), 0 0 0 where none is supported; gain: share of the left-out squared residual that it
-    explains beyond what most other directions do."""
+    """direction (3,), 0 0 0 where none is supported; gain: further share of the left-out squared residual explained."""
 
     direction: tuple[float, float, float]
     gain: float
 
 
 def fit_highlight(residuals: np.ndarray, normals: np.ndarray, to_camera: np.ndarray, weights: np.ndarray) -> Highlight:
-    """The direction whose lobe, fitted to every other observation of each texel, best explains the rest.
+    """Find the direction whose lobe, fitted to every other observation of each texel, best explains the rest.
 
     residuals (n, M): what the diffuse term leaves, mean of the channels; normals, to_camera (n, M, 3): unit, in the
     lamp frame of each view; weights (n, M) >= 0.  Every texel has its own K_s >= 0; the direction and one of SIGMAS are
@@ -242,7 +244,7 @@ def settle(
     falloff: str,
     encoding: str = "linear",
 ) -> tuple[Lighting, dict]:
-    """The lighting to fit with, and a report of how it was found.
+    """Choose the lighting to fit with, and report how it was found.
 
     cameras: one an observation; light_of (M,): index of its light.  falloff: "auto", "none" or "inverse_square".
     encoding: in which errors count.
@@ -263,7 +265,7 @@ def settle(
 def _fitted(
     sample: Sample, cameras: list[Camera], light_of: np.ndarray, lights: int, encoding: str
 ) -> tuple[Lighting, dict]:
-    """An irradiance and, if the views confirm it, a direction of highlights for each light."""
+    """Fit an irradiance and, if the views confirm it, a direction of highlights for each light."""
     harmonics, vectors, reports = [], [], []
     turned = [TO_LAMP_FRAME @ camera.rotation for camera in cameras]
     for light in range(lights):

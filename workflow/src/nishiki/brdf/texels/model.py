@@ -94,7 +94,7 @@ class Lighting(PlainFields):
         return cls("position", _rows(vectors / UNITS_IN_MM[unit]))
 
     def lamp(self, camera: Camera, light_index: int = 0) -> Lamp:
-        """The lamp `light_index` as it stands when the object is seen from `camera`.
+        """Return the lamp `light_index` as it stands when the object is seen from `camera`.
 
         Raises UserError for unknown lighting (it has to be fitted first) and for a light that is not there.
         """
@@ -173,7 +173,7 @@ def predict(
 def factors(
     positions: np.ndarray, normals: np.ndarray, camera_centre: np.ndarray, lamp: Lamp, channels: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What `predict` multiplies, for a fit: (irradiance (..., channels), angles (..., 3)), float32.
+    """Compute the factors of `predict` for a fit: (irradiance (..., channels), angles (..., 3)), float32.
 
     irradiance: what multiplies K_d.  angles: the distance factor max(0, cos(theta_i) / cos(theta_i)) of the lobe (1, or
     the inverse square of a near lamp; 0: lamp behind), cos(theta_r), and alpha^2.
@@ -188,7 +188,7 @@ def factors(
 def _view(
     camera_centre: np.ndarray, lamp: Lamp, channels: int
 ) -> tuple[np.ndarray, int, np.ndarray, np.ndarray, np.ndarray, np.float32]:
-    """The arguments that the compiled loops share: one row of harmonics serves every channel."""
+    """Return the arguments that the compiled loops share: one row of harmonics serves every channel."""
     harmonics = lamp.harmonics
     if harmonics.shape[1] != channels:
         harmonics = np.repeat(harmonics.mean(axis=1, keepdims=True), channels, axis=1)

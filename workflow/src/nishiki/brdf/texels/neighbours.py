@@ -21,8 +21,11 @@ _MIDDLE = 1 << (_BITS - 1)
 
 @dataclass(frozen=True)
 class Lattice:
-    """edge: of the finest lattice's cells, in the object's unit; origin (3,): a place near the object, from which nodes
-    are counted, up to 2^20 each way (farther ones are held at that)."""
+    """Cells in space.
+
+    edge: of the finest lattice's cells, in the object's unit; origin (3,): a place near the object, from which nodes
+    are counted, up to 2^20 each way (farther ones are held at that).
+    """
 
     edge: float
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -46,8 +49,10 @@ class Neighbourhood:
         return total[1:] / total[0] if total[0] > 0 else np.asarray(default, float)
 
     def field(self, coarse: float, default: np.ndarray) -> "Field":
-        """The smooth field; coarse: precision with which the next coarser lattice counts; default (size,): value where
-        no texel of the whole object says anything."""
+        """Smooth the field.
+
+        coarse: precision with which the next coarser lattice counts; default (size,): where no texel says anything.
+        """
         mean = self.mean(default)
         if not any(len(keys) for keys, _ in self.parts):
             return Field(self.lattice, np.zeros(1, np.int64), mean[None].copy(), mean)
@@ -64,7 +69,7 @@ class Neighbourhood:
 
 
 def spread(positions: np.ndarray, values: np.ndarray, precision: np.ndarray, lattice: Lattice) -> tuple:
-    """A part of a Neighbourhood: texels at positions (n, 3) with values (n, size) and precision (n,) >= 0.
+    """Sum texels at positions (n, 3) with values (n, size) and precision (n,) >= 0 into a part of a Neighbourhood.
 
     Texels of precision 0 only say where there is surface.
     """
@@ -88,7 +93,7 @@ class Field:
 
 
 def _shared(places: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sums (n, s) at places (n, 3), in cells, shared among the nodes around by tent weights; merged by node."""
+    """Share sums (n, s) at places (n, 3), in cells, among the nodes around by tent weights; merge them by node."""
     low = np.floor(places).astype(np.int64)
     share = places - low
     keys, parts = [], []

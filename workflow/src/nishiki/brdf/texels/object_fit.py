@@ -93,8 +93,10 @@ def fit_object(
 
 
 def lattice_of(tiles: list[Tile]) -> Lattice:
-    """Cells of `CELL` texels, counted from the world's origin, or, far from it, from a multiple of FAR cells near the
-    first texel of these tiles."""
+    """Make cells of `CELL` texels, counted from the world's origin.
+
+    Far from it they are counted from a multiple of FAR cells near the first texel of these tiles.
+    """
     edge = CELL * spacing(tiles)
     first = np.concatenate([tile.positions[tile.inside][:1] for tile in tiles] or [np.empty((0, 3))])[:1]
     origin = FAR * edge * np.rint(first.astype(float).sum(axis=0) / (FAR * edge))
@@ -296,7 +298,7 @@ def _described(first: list[_First], widths: _Widths, gloss: _Gloss, finished: li
 
 
 def _scatter(apart: np.ndarray, information: np.ndarray, guess: float) -> float:
-    """Standard deviation of true values about the neighbourhood: apart (n,) less its own variance 1 / information."""
+    """Estimate the deviation of true values about the neighbourhood: apart (n,), less its variance 1 / information."""
     apart, information = apart.astype(np.float64), information.astype(np.float64)
     informed = information * guess**2 > 1
     if informed.sum() < 30:
@@ -315,8 +317,7 @@ def fit_lambert(
     *,
     threads: int = 1,
 ) -> ObjectFit:
-    """Fit all tiles, as `object_fit.fit_object` does: K_d by weighted least squares (Miyazaki et al. 2007, section
-    3.1), K_s = 0, one sigma.
+    """Fit K_d of all tiles by weighted least squares (Miyazaki et al. 2007, section 3.1); K_s = 0, one sigma.
 
     Of tiles with components the total is fitted: without gloss it is the diffuse one.
     """

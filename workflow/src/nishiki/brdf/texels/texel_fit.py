@@ -129,7 +129,7 @@ def _pick(stack, texel, view, out):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _look(places, facing, texel, view, centres, form, vectors, rotations, harmonics, references,
           diffuse, attenuation, alpha, weights):  # fmt: skip
-    """What `model.factors` gives, for every slot."""
+    """Compute `model.factors` for every slot."""
     zero, grazing = np.float32(0), np.float32(GRAZING)
     for p in range(texel.size):
         px, py, pz = places[texel[p], 0], places[texel[p], 1], places[texel[p], 2]
@@ -154,8 +154,11 @@ def _look(places, facing, texel, view, centres, form, vectors, rotations, harmon
 
 @dataclass(frozen=True)
 class Tile:
-    """What a tile's texels show: values (M, T, T, channels) linear of the total radiance or, with `specular` given, of
-    the diffuse component; visible (M, T, T); positions, normals (T, T, 3); inside (T, T)."""
+    """A tile's texels.
+
+    values (M, T, T, channels) linear of the total radiance or, with `specular` given, of the diffuse component; visible
+    (M, T, T); positions, normals (T, T, 3); inside (T, T).
+    """
 
     values: np.ndarray
     visible: np.ndarray
@@ -186,7 +189,7 @@ class Capture:
     encoding: str = "linear"
 
     def observe(self, tile: Tile) -> tuple[Observed, Observed | None]:
-        """The tile's observations, and those of its specular component where it has one."""
+        """Gather the tile's observations, and those of its specular component where it has one."""
         area = tile.visible & tile.inside[None]
         arguments = (area, tile.positions, tile.normals, self.centres, self.lamps)
         if tile.specular is None:
@@ -198,8 +201,7 @@ class Capture:
         return first, second
 
     def squares(self, parameters: Parameters, tile: Tile) -> tuple[float, int]:
-        """Sum of the squared errors of the model alone in the capture's encoding, and how many samples these are, of
-        those that are finite."""
+        """Sum the squared errors of the model alone, in the capture's encoding, and count the finite samples."""
         total, count = 0.0, 0
         joined = tile.joined.values
         for o in np.flatnonzero(tile.visible.reshape(len(tile.visible), -1).any(axis=1)):
@@ -212,8 +214,7 @@ class Capture:
         return total, count
 
     def predicted(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
-        """Total radiance (..., channels) that the model gives for one observation of a tile, or of some of its texels
-        (an index into (T, T))."""
+        """Predict total radiance (..., channels) of one observation of a tile, or of texels (an index into (T, T))."""
         of_texels = (parameters.kd, parameters.ks, parameters.sigma, tile.positions, tile.normals)
         kd, ks, sigma, places, facing = (array[texels] for array in of_texels)
         diffuse, specular = predict(kd, ks, sigma, places, facing, self.centres[observation], self.lamps[observation])
@@ -242,8 +243,10 @@ class FirstFit:
 
 
 def first_fit(total: Observed, specular: Observed | None = None, *, threads: int = 1) -> FirstFit:
-    """Fit each texel alone.  total: observations of Lambert + lobe; where `specular` (the same slots) is given, `total`
-    holds the diffuse component, and the two terms are fitted apart (Miyazaki et al. 2007, sections 3.1, 3.2).
+    """Fit each texel alone.
+
+    total: observations of Lambert + lobe; where `specular` (the same slots) is given, `total` holds the diffuse
+    component, and the two terms are fitted apart (Miyazaki et al. 2007, sections 3.1, 3.2).
     """
     data, basis = (total, total.diffuse) if specular is None else (specular, None)
     low, high = (bound * WIDTH_OF_SIGMA for bound in SIGMA_BOUNDS)
@@ -264,8 +267,7 @@ def first_fit(total: Observed, specular: Observed | None = None, *, threads: int
 
 
 def lambert(data: Observed) -> np.ndarray:
-    """K_d (points, channels) float32 of the Lambert term alone: least squares weighted by cos(theta_r), Miyazaki et al.
-    (2007), section 3.1."""
+    """Fit K_d (points, channels) float32 alone: least squares weighted by cos(theta_r), Miyazaki et al. (2007), 3.1."""
     weighted = data.weights * data.diffuse
     top = np.einsum("ps,psc->pc", weighted, data.values)
     below = np.einsum("ps,ps->p", weighted, data.diffuse)[:, None]
@@ -274,8 +276,11 @@ def lambert(data: Observed) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Strengths:
-    """K_d and K_s (points, channels) at given sigma; information (points,): what the data alone say of K_s; residual
-    (points,): root mean square of the weighted residuals of the observations that K_s follows from."""
+    """K_d and K_s (points, channels) at given sigma.
+
+    information (points,): what the data alone say of K_s; residual (points,): root mean square of the weighted
+    residuals of the observations that K_s follows from.
+    """
 
     kd: np.ndarray
     ks: np.ndarray
@@ -362,6 +367,6 @@ def _pair(a, b, d, u, v):
 
 
 def noise_of(residuals: np.ndarray) -> float:
-    """The scene's noise (of the weighted observations): the median of the texels' root mean square residuals."""
+    """Estimate the scene's noise (of weighted observations): median of the texels' root mean square residuals."""
     good = residuals[np.isfinite(residuals) & (residuals > 0)]
     return float(np.median(good)) if good.size else 1.0

@@ -87,7 +87,7 @@ class LampFit:
             return self.directions / self.inverse_distance[:, None]
 
     def widened(self, sigma: np.ndarray) -> "LampFit":
-        """The same with a further uncertainty of the directions (lamps,) in radians, of which the fit knows nothing."""
+        """Add a further uncertainty of the directions (lamps,) in radians, of which the fit knows nothing."""
         wider = np.hypot(self.direction_sigma, sigma)
         with np.errstate(divide="ignore", invalid="ignore"):
             positions = np.hypot(self.position_sigma, sigma / self.inverse_distance)

@@ -48,7 +48,7 @@ class SphereCamera:
         return cls(rows, columns, focal_px, centre or ((columns - 1) / 2, (rows - 1) / 2))
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
-        """Unit directions (n, 3) away from a perspective camera through pixels (n, 2), column first."""
+        """Compute unit directions (n, 3) away from a perspective camera through pixels (n, 2), column first."""
         x, y = (pixels - self.centre).T
         rays = np.column_stack([x, -y, np.full(len(pixels), -self.focal_px)])
         return rays / np.linalg.norm(rays, axis=1)[:, None]

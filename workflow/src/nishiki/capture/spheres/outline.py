@@ -49,7 +49,7 @@ class Outline:
         return circle_of(self.parameters, camera)
 
     def under(self, camera: SphereCamera) -> "Outline":
-        """The outline that another camera sees along the same edge points."""
+        """Fit the outline that another camera sees along the same edge points."""
         parameters = solve_outline(self.points, camera)
         covariance = _jackknife(self.points, circle_of(parameters, camera), camera) + _shifted(parameters, camera)
         rms = float(np.sqrt((_distances(self.points, parameters, camera) ** 2).mean()))

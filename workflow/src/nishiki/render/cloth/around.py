@@ -16,8 +16,11 @@ THETAS, PHIS, LIGHTS = 10, 16, (14, 28)
 
 @dataclass(frozen=True)
 class Surroundings:
-    """open (v, 2), from_above (v, 2): cosine-weighted share of unblocked directions at each vertex, front and back, and
-    how far up those point, 0 to 1; corners (f, 3): of the triangles."""
+    """What surrounds the vertices.
+
+    open (v, 2), from_above (v, 2): cosine-weighted share of unblocked directions at each vertex, front and back, and
+    how far up those point, 0 to 1; corners (f, 3): of the triangles.
+    """
 
     light: AmbientLight
     open: np.ndarray

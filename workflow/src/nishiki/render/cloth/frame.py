@@ -26,8 +26,7 @@ LEAST_COSINE = 0.05
 
 @dataclass(frozen=True)
 class RenderVariant:
-    """One way to show a scene from one camera: the BRDF of each material, a factor for each lamp, and one for the light
-    from around."""
+    """One way to show a scene: the BRDF of each material, a factor for each lamp, and one for the light around."""
 
     materials: tuple[Brdf, ...]
     lamps: tuple[float, ...]
@@ -36,11 +35,13 @@ class RenderVariant:
 
 @dataclass(frozen=True)
 class ClothPicture:
-    """linear (rows, columns, 3) float32: radiance relative to a white that faces a lamp of colour 1, mean over the
-    whole pixel (0 where nothing is); coverage (rows, columns) float32: part of the pixel that shows a surface,
-    cloth: that shows material 0; samples: points shaded; evaluated: places of the BRDF computed for all takes;
-    bent: share of them whose normal was turned towards the eye; shadowed: share of the lamps' light on them that
-    other surfaces took away."""
+    """A picture of a cloth.
+
+    linear (rows, columns, 3) float32: radiance relative to a white that faces a lamp of colour 1, mean over the whole
+    pixel (0 where nothing is); coverage (rows, columns) float32: part of the pixel that shows a surface, cloth: that
+    shows material 0; samples: points shaded; evaluated: places of the BRDF computed for all takes; bent: share of them
+    whose normal was turned towards the eye; shadowed: share of the lamps' light on them that other surfaces took away.
+    """
 
     linear: np.ndarray
     coverage: np.ndarray
@@ -71,8 +72,7 @@ def render(
     shadows: bool = True,
     within: float = WITHIN,
 ) -> list[ClothPicture]:
-    """Return the scene from a camera, once for every take; what they share (visibility, shadows, BRDF values) is
-    computed once.
+    """Draw the scene from a camera for every take; visibility, shadows and BRDF values are computed once.
 
     L = sum over lamps of pi f(i, o) cos theta_i E V, so that white paper that faces a lamp of colour 1 is 1; V: the
     lamp's visibility, one point of its disc for each sample. supersampling squared samples a pixel, even mean.

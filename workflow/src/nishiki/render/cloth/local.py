@@ -18,12 +18,14 @@ LIFT = 2e-4
 
 @dataclass(frozen=True)
 class Samples:
-    """n points that a picture shows, in the order of the picture: pixel (n,) int64 in the band; number (n,) int64:
-    that of the pixel in the picture times a_pixel, the samples a pixel has, plus that of the sample in its pixel;
-    triangle (n,) int32, weights (n, 2) float32 of its corners 0 and 1; material (n,); back (n,) bool: seen from
-    behind; place (n, 3) float64; frame (n, 3, 3): weft, warp, normal, turned to the eye; outgoing (n, 3): the eye
-    in this frame; stands (n,): the sample whose BRDF value serves for this one, itself included;
-    bent: how many normals were turned."""
+    """Points that a picture shows, in the order of the picture.
+
+    pixel (n,) int64 in the band; number (n,) int64: that of the pixel in the picture times a_pixel, the samples a pixel
+    has, plus that of the sample in its pixel; triangle (n,) int32, weights (n, 2) float32 of its corners 0 and 1;
+    material (n,); back (n,) bool: seen from behind; place (n, 3) float64; frame (n, 3, 3): weft, warp, normal, turned
+    to the eye; outgoing (n, 3): the eye in this frame; stands (n,): the sample whose BRDF value serves for this one,
+    itself included; bent: how many normals were turned.
+    """
 
     pixel: np.ndarray
     number: np.ndarray
@@ -39,7 +41,7 @@ class Samples:
     a_pixel: int
 
     def take(self, rows: np.ndarray) -> "Samples":
-        """Some of them."""
+        """Select some of them."""
         names = ("pixel", "number", "triangle", "weights", "material", "back", "place", "frame", "outgoing")
         return Samples(
             **{name: getattr(self, name)[rows] for name in names},
@@ -51,8 +53,11 @@ class Samples:
 
 @dataclass(frozen=True)
 class Light:
-    """A lamp at n points: incident (n, 3) in the cloth's frame; strength (n,): cosine times fall-off times visibility;
-    before (n,): the same without shadows."""
+    """A lamp at n points.
+
+    incident (n, 3) in the cloth's frame; strength (n,): cosine times fall-off times visibility; before (n,): the same
+    without shadows.
+    """
 
     incident: np.ndarray
     strength: np.ndarray
@@ -60,7 +65,7 @@ class Light:
 
 
 def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int, *, within: float = 0.0) -> Samples:
-    """The points behind a band of a picture's samples and their frames.
+    """Gather the points behind a band of a picture's samples and their frames.
 
     within: radians; samples of a pixel, of one material and side, share a BRDF value with one whose normal and weft are
     this near. 0: each has its own.
@@ -120,7 +125,7 @@ def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int
 
 
 def lit(scene: ClothScene, samples: Samples, lamp: Lamp, shadows: bool) -> Light:
-    """What reaches the samples from a lamp."""
+    """Compute what reaches the samples from a lamp."""
     count = len(samples.pixel)
     incident, strength, before = np.empty((count, 3)), np.empty(count), np.empty(count)
     near = lamp.place is not None
@@ -202,8 +207,10 @@ def _frames(vertices, normals, wefts, corners, triangle, weights, eye, first, la
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _share(order, groups, frame, cosine, stands):
-    """Let a sample be stood for by the first one of its group, of those that stand for themselves, whose normal and
-    weft are within the cosine; where there is none, it stands for itself. Middle samples come first."""
+    """Let the first sample of a group that stands for itself stand for those alike.
+
+    Alike are normals and weft within the cosine; any other sample stands for itself. Middle samples come first.
+    """
     first = 0
     while first < len(order):
         last = first + 1
@@ -232,8 +239,11 @@ def _share(order, groups, frame, cosine, stands):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def disc_point(pixel, index, count):
-    """Point of the unit disc for sample `index` of the `count` of a pixel: a spiral of equal areas, turned at
-    random from pixel to pixel by a hash of its number, so that the samples of each pixel cover the disc evenly."""
+    """Return the point of the unit disc for sample `index` of the `count` of a pixel.
+
+    A spiral of equal areas, turned at random from pixel to pixel by a hash of its number, so that the samples of each
+    pixel cover the disc evenly.
+    """
     h = np.uint64(pixel + 1) * np.uint64(0x9E3779B97F4A7C15)
     h ^= h >> np.uint64(32)
     h *= np.uint64(0xD6E8FEB86659FD93)

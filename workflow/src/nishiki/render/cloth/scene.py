@@ -54,8 +54,10 @@ class Matte:
 
 @dataclass(frozen=True)
 class Surface:
-    """mesh; weft (v, 3): unit tangents at the vertices; material: its number in the scene. Both sides are cloth; on the
-    back the warp runs the same way and the weft the other way."""
+    """A surface of cloth on both sides; on the back the warp runs the same way and the weft the other way.
+
+    mesh; weft (v, 3): unit tangents at the vertices; material: its number in the scene.
+    """
 
     mesh: Mesh
     weft: np.ndarray
@@ -64,9 +66,11 @@ class Surface:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A distant lamp towards `direction`, or a near one at `place` (one of the two); colour (3,): of white paper
-    that faces it (at `distance` from a near one); radius: its angular radius, radians, or that of a near lamp at
-    `distance`."""
+    """A distant lamp towards `direction`, or a near one at `place` (one of the two).
+
+    colour (3,): of white paper that faces it (at `distance` from a near one); radius: its angular radius, radians, or
+    that of a near lamp at `distance`.
+    """
 
     direction: tuple[float, float, float] | None = None
     place: tuple[float, float, float] | None = None
@@ -86,8 +90,11 @@ class Lamp:
 
 @dataclass(frozen=True)
 class AmbientLight:
-    """Even light from all around: radiance (channels of the display) above and below, relative to a white that faces a
-    lamp; rays: tested at each vertex for what stands in the way; reach: farther things do not."""
+    """Even light from all around.
+
+    Radiance (channels of the display) above and below, relative to a white that faces a lamp; rays: tested at each
+    vertex for what stands in the way; reach: farther things do not.
+    """
 
     above: tuple[float, float, float] = (0.12, 0.12, 0.12)
     below: tuple[float, float, float] = (0.03, 0.03, 0.03)
@@ -217,7 +224,7 @@ def directions(u: np.ndarray, v: np.ndarray, ring: np.ndarray, turn: np.ndarray)
 
 
 def axes_about(h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The axes x and y (n, 3) after the shortest turn that carries z to unit vectors (n, 3) above the horizon."""
+    """Return axes x and y (n, 3) after the shortest turn that carries z to unit vectors (n, 3) above the horizon."""
     p = -1 / (1 + h[:, 2])
     xy = h[:, 0] * h[:, 1] * p
     x = np.stack([1 + h[:, 0] ** 2 * p, xy, -h[:, 0]], axis=1)

@@ -16,7 +16,7 @@ from nishiki.render.cloth.surfaces import cylinder, paper
 
 
 def around(target, *, elevation: float, azimuth: float, distance: float) -> np.ndarray:
-    """A place (3,) about a target: azimuth from z (to the viewer) towards x (right), elevation above the floor."""
+    """Place (3,) about a target: azimuth from z (to the viewer) towards x (right), elevation above the floor."""
     level = np.cos(elevation)
     towards = np.array([level * np.sin(azimuth), np.sin(elevation), level * np.cos(azimuth)])
     return np.asarray(target, np.float64) + distance * towards
@@ -36,7 +36,7 @@ def framed(
     distance: float,
     margin: float = 1.12,
 ) -> Camera:
-    """A camera that holds all points (n, 3) in its picture, centred; distance: from their middle, in their extents."""
+    """Aim a camera at all points (n, 3), centred; distance: from their middle, in their extents."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle, extent = (low + high) / 2, float(np.linalg.norm(high - low))
     eye = around(middle, elevation=elevation, azimuth=azimuth, distance=distance * extent)
@@ -70,8 +70,11 @@ class Lighting:
 
 @dataclass(frozen=True)
 class Studio:
-    """scene: the cloth (material 0) and the paper (material 1, where there is one); camera at this azimuth about
-    `middle`; lights, and as lamps in the scene; light from around."""
+    """A cloth with lamps and camera.
+
+    scene: the cloth (material 0) and the paper (material 1, where there is one); camera at this azimuth about `middle`;
+    lights, and as lamps in the scene; light from around.
+    """
 
     scene: ClothScene
     camera: Camera

@@ -71,7 +71,7 @@ def _frames(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _flattest(normals: np.ndarray) -> np.ndarray:
-    """Unit tangents (n, 3): the coordinate axis furthest from the normal, projected."""
+    """Compute unit tangents (n, 3): the coordinate axis furthest from the normal, projected."""
     axis = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     across = axis - np.sum(axis * normals, axis=1, keepdims=True) * normals
     return across / np.linalg.norm(across, axis=1, keepdims=True)
@@ -109,8 +109,11 @@ coordinates of a triangle count as degenerate."""
 
 @dataclass(frozen=True)
 class TangentField:
-    """weft (v, 3) float64: unit vectors across the normals; filled (v,) bool: transported from the neighbours, since
-    nothing was known there; arbitrary: vertices in parts of the surface where nothing was known at all."""
+    """Tangents of the weft.
+
+    weft (v, 3) float64: unit vectors across the normals; filled (v,) bool: transported from the neighbours, since
+    nothing was known there; arbitrary: vertices in parts of the surface where nothing was known at all.
+    """
 
     weft: np.ndarray
     filled: np.ndarray
@@ -222,8 +225,9 @@ def grid_triangles(rows: int, columns: int) -> np.ndarray:
 
 
 def sheet(points: np.ndarray, *, side: int | None = None) -> tuple[Surface, np.ndarray]:
-    """Return a grid of points (n, n, 3), [i, j] at weft i and warp j, as surface: the bicubic spline through them, at
-    `side` points a side; and its texture coordinates (v, 2), 0 to 1.
+    """Make a surface of a grid of points (n, n, 3), [i, j] at weft i and warp j.
+
+    The bicubic spline through them, at `side` points a side; and its texture coordinates (v, 2), 0 to 1.
 
     Normals are the spline's own, so that highlights run smoothly over the triangles; the weft halves the angle by which
     the yarns depart from a right one.
@@ -297,7 +301,7 @@ class FileSurface:
 
 
 def read_surface(path: Path, *, sha256: str = "", smooth: bool = True) -> FileSurface:
-    """A PLY or OBJ file. smooth: normals averaged over the triangles of a vertex; otherwise each triangle its own.
+    """Read a PLY or OBJ file. smooth: normals averaged over the triangles of a vertex; otherwise each triangle its own.
 
     UserError where it is no surface (see `geometry.mesh_files.read_triangles`) or not the file with this digest.
     """

@@ -63,7 +63,7 @@ class DecodedObject:
         )
 
     def renderer(self, *, mesh: Mesh | None = None, **options) -> ObjectRenderer:
-        """A renderer of the object; `mesh`: the same triangles at other places; options as of `ObjectRenderer`."""
+        """Make a renderer of the object; `mesh`: the same triangles at other places; options as of `ObjectRenderer`."""
         mesh = mesh or self.mesh
 
         def geometry(tile: int):

@@ -27,7 +27,7 @@ def by_tile(tile, slots):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def asked_for(s, t, order, size):
-    """The texels that some pixels look up, in a tile of size x size.
+    """List the texels that some pixels look up, in a tile of size x size.
 
     s, t (n,): rows and columns of all pixels, order: those of this tile.  Returns chosen (m,) int64, flat numbers of
     the texels, and place (size * size,) int32: where each stands in `chosen`, -1 where it is not asked for.
@@ -132,7 +132,7 @@ def _border(known, first, last):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _fill(values, known, border, reached):
-    """Fills the pixels of a border from known ones beside them; they are known as `reached` + 1."""
+    """Fill the pixels of a border from known ones beside them; they are known as `reached` + 1."""
     rows, columns, channels = values.shape
     sums = np.zeros(channels, np.float64)
     for number in border:
@@ -159,8 +159,9 @@ def _fill(values, known, border, reached):
 
 
 def extend(values: np.ndarray, covered: np.ndarray, *, rings: int) -> np.ndarray:
-    """Carry values (rows, columns, channels) float32 on beyond the covered pixels by `rings` pixels (at most 200), in
-    place; reached (rows, columns) bool: covered or filled.
+    """Carry values (rows, columns, channels) float32 on beyond the covered pixels by `rings` pixels (at most 200).
+
+    In place; reached (rows, columns) bool: covered or filled.
 
     A pixel at the silhouette's edge whose centre just misses the surface shows some of it all the same; left empty, it
     would be a dark rim.

@@ -1,5 +1,4 @@
-"""Pictures of a decoded object: captured views, views between them, sums of captured lights (Miyazaki et al. 2007, eq.
-12 to 16).
+"""Pictures of a decoded object: captured views, views between them, sums of lights (Miyazaki et al. 2007, eq. 12-16).
 
 The value of a pixel is a bilinear look-up, at the surface point behind its centre, among texels of
 
@@ -92,7 +91,7 @@ class ObjectRenderer:
         self._held, self._dropped, self._lock = 0, False, threading.Lock()
 
     def captured(self, index: int, *, camera: Camera | None = None, light: int = 0) -> Shot:
-        """The picture of a captured view from its own slot of the residual; `camera`: the same, at another size."""
+        """Make the picture of a captured view from its own slot of the residual; `camera`: the same at another size."""
         slot = Neighbours(np.array([index]), np.ones(1))
         return Shot(camera or self.cameras[index], slot, slot, ((light, 1.0),))
 
@@ -101,7 +100,7 @@ class ObjectRenderer:
         return self._shot(self.cameras[index], float(self.turn.position[index]), light, self.without | {index})
 
     def between(self, index: int, fraction: float, *, scale: Callable | None = None) -> Shot:
-        """A picture `fraction` of the way from captured view `index` to the next; scale(camera): another size."""
+        """Make a picture `fraction` of the way from captured view `index` to the next; scale(camera): another size."""
         camera = camera_between(self.cameras, self.turn, index, fraction)
         position = self.turn.locate(index, fraction)
         return self._shot(scale(camera) if scale else camera, position, 0, self.without)
@@ -241,8 +240,7 @@ class ObjectRenderer:
         return ObjectPicture(linear, covered, reached, raster.triangle, raster.barycentric, raster.depth)
 
     def normals(self, picture: ObjectPicture, camera: Camera) -> np.ndarray:
-        """Return (rows, columns, 3) float32 unit normals as the camera sees them (x right, y up, z to the camera), 0
-        where nothing is covered."""
+        """Return unit normals (rows, columns, 3) float32 as the camera sees them (x right, y up, z to it), else 0."""
         turned = self.mesh.normals @ (np.diag([1.0, -1.0, -1.0]) @ camera.rotation).T
         interpolated = interpolate(turned, self.mesh.triangles, picture.triangle, picture.barycentric)
         length = np.linalg.norm(interpolated, axis=2, keepdims=True)
@@ -250,8 +248,10 @@ class ObjectRenderer:
 
 
 def coded_parts(residual, encoding: str) -> tuple[str, ...]:
-    """Return what has to be looked up and decoded to linear light by itself: the total, or diffuse and specular where
-    their residuals were coded apart in an encoding in which sums are not sums of light."""
+    """Return what has to be decoded to linear light by itself: the total, or diffuse and specular.
+
+    The latter where their residuals were coded apart in an encoding in which sums are not sums of light.
+    """
     components = getattr(getattr(residual, "design", None), "components", ("total",))
     return tuple(components) if encoding != "linear" and len(components) > 1 else ("total",)
 

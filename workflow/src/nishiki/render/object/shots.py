@@ -90,8 +90,10 @@ def lagrange(places: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Shot:
-    """One picture to make: from `camera`, with the residual of captured views (and for pixels that not all of them
-    see, `fallback`), under lights with weights L_j / L."""
+    """A picture to make from `camera`, under lights with weights L_j / L, with the residual of captured views.
+
+    Pixels that not all of these see take `fallback`.
+    """
 
     camera: Camera
     views: Neighbours
@@ -101,9 +103,12 @@ class Shot:
 
 @dataclass(frozen=True)
 class ObjectPicture:
-    """linear (rows, columns, channels) float32, 0 where nothing is shown; covered (rows, columns) bool: pixel centres
-    on the surface; reached: covered, or carried on beyond the edge by `rim` pixels; triangle, barycentric: what the
-    pixels show (see `nishiki.geometry.visibility.Raster`); depth (rows, columns) float32, +inf where not covered."""
+    """A picture of an object.
+
+    linear (rows, columns, channels) float32, 0 where nothing is shown; covered (rows, columns) bool: pixel centres on
+    the surface; reached: covered, or carried on beyond the edge by `rim` pixels; triangle, barycentric: what the pixels
+    show (see `nishiki.geometry.visibility.Raster`); depth (rows, columns) float32, +inf where not covered.
+    """
 
     linear: np.ndarray
     covered: np.ndarray
@@ -146,8 +151,10 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Tile:
-    """A tile as the renderer reads it, its texels in one row: kd, ks (T * T, channels) and sigma (T * T,); positions,
-    normals (T * T, 3); residual: of each part, or None."""
+    """A tile as the renderer reads it, its texels in one row.
+
+    kd, ks (T * T, channels) and sigma (T * T,); positions, normals (T * T, 3); residual: of each part, or None.
+    """
 
     parameters: tuple[np.ndarray, np.ndarray, np.ndarray]
     positions: np.ndarray
@@ -188,8 +195,7 @@ class FreeLamp:
 
 @dataclass(frozen=True)
 class FreeLighting:
-    """lamps; around: even light from all around; shadows: cast ones; rays: to points of each lamp's disc, 1 for one
-    without a disc."""
+    """Lamps of one's own; around: even light; shadows: cast ones; rays: to points of each lamp's disc, 1 if none."""
 
     lamps: tuple[FreeLamp, ...]
     around: float = 0.0
@@ -245,8 +251,7 @@ class LampsInView:
     eye: np.ndarray
 
     def predict(self, kd, ks, sigma, positions, normals) -> tuple[np.ndarray, np.ndarray]:
-        """Return diffuse and specular radiance (n, channels) float32 of points; arguments as of
-        `nishiki.brdf.texels.model.predict`, in one row."""
+        """Predict diffuse and specular radiance (n, channels) float32, as `nishiki.brdf.texels.model.predict`."""
         lighting = self.lit.lighting
         diffuse, specular = np.zeros(kd.shape, np.float32), np.zeros(kd.shape, np.float32)
         for lamp in lighting.lamps:
@@ -278,8 +283,7 @@ class LampsInView:
         return out
 
     def _disc(self, lamp: FreeLamp, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return a lamp's middle (3,) and points of its disc (count, 3), in the object's frame: places, or unit
-        directions of a distant one."""
+        """Return middle (3,) and points (count, 3) of a lamp's disc, in the object's frame, or unit directions."""
         towards = self.rotation.T @ lamp.towards
         first = np.cross((1.0, 0, 0) if abs(towards[0]) < 0.6 else (0, 1.0, 0), towards)
         first /= np.linalg.norm(first)

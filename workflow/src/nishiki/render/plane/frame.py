@@ -130,7 +130,7 @@ class _Painter:
             height = max(1, height // 2)
 
     def paint(self, first: int, last: int, columns: int, across: int, down: int):
-        """Maps and shading at across x down samples a pixel of the screen rows first .. last - 1."""
+        """Draw maps and shading at across x down samples a pixel of the screen rows first .. last - 1."""
         to_screen = np.array([[1 / across, 0, 0.5 / across - 0.5], [0, 1 / down, first + 0.5 / down - 0.5], [0, 0, 1]])
         shape = ((last - first) * down, columns * across)
         samples = camera.sample_maps(self.maps, self.visibility, self.to_map @ to_screen, shape, self.extent)
@@ -151,7 +151,7 @@ class _Painter:
 
 
 def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
-    """The maps averaged over blocks of factor x factor pixels (labels: of the block's middle), and the visibility."""
+    """Average the maps over blocks of factor x factor pixels (labels: of the block's middle), and the visibility."""
     if factor == 1:
         return scene, visibility
     known = np.abs(np.sum(np.square(scene.normals, dtype=np.float64), axis=2) - 1) < 0.02

@@ -68,7 +68,7 @@ def exp2_negative(e):
 
 @njit(cache=True, error_model="numpy")
 def _load_normals(buf, normals, flags, n):
-    """Normals of a block into their lanes; a bad one (zero, NaN, not unit) becomes (0, 0, 1) and a flag."""
+    """Load normals of a block into their lanes; a bad one (zero, NaN, not unit) becomes (0, 0, 1) and a flag."""
     for i in range(n):
         buf[_NX + i] = normals[i, 0]
         buf[_NY + i] = normals[i, 1]
@@ -127,7 +127,7 @@ def _load_gloss(buf, labels, gloss, index, transmission, entering, n):
 
 @njit(cache=True, error_model="numpy")
 def _load_shading(buf, shading, n):
-    """(a, b, d) or (a, b, d, e_x, e_y) of the body shading of a block into their lanes; the last two stay 0 else."""
+    """Load (a, b, d) or (a, b, d, e_x, e_y) of a block's body shading into their lanes; the last two stay 0 else."""
     for i in range(n):
         buf[_SA + i] = shading[i, 0]
         buf[_SB + i] = shading[i, 1]
@@ -152,7 +152,7 @@ def _load_positions(buf, plane, row, column, n):
 
 @njit(cache=True, error_model="numpy")
 def _directions(buf, source, n):
-    """Unit vectors to `source` (homogeneous, 4) from the block's positions into the lanes of the light."""
+    """Compute unit vectors to `source` (homogeneous, 4) from the block's positions into the lanes of the light."""
     sx, sy, sz, w = source[0], source[1], source[2], source[3]
     if w == 0.0:
         for i in range(n):
@@ -261,8 +261,7 @@ def _diffuse_cosines(buf, n):
 
 @njit(cache=True, error_model="numpy")
 def _body_shading(buf, n):
-    """c max(a + b c + d x^8 + e . l, 0) in the place of c, x = n . h of light and view; see
-    `nishiki.brdf.torrance_sparrow`."""
+    """Put c max(a + b c + d x^8 + e . l, 0) in the place of c, x = n . h (see `nishiki.brdf.torrance_sparrow`)."""
     for i in range(n):
         nx, ny, nz = buf[_NX + i], buf[_NY + i], buf[_NZ + i]
         sx, sy, sz = buf[_LX + i] + buf[_VX + i], buf[_LY + i] + buf[_VY + i], buf[_LZ + i] + buf[_VZ + i]
@@ -288,7 +287,7 @@ def _passed(c, contrast):
 
 @njit(cache=True, error_model="numpy")
 def _leaving(buf, n):
-    """What the surface lets out towards the eye, relative to frontal (`torrance_sparrow.transmittance`)."""
+    """Compute what the surface lets out towards the eye, relative to frontal (`torrance_sparrow.transmittance`)."""
     for i in range(n):
         c, contrast = buf[_COSR + i], buf[_CONTRAST + i]
         c = c if c > 1e-6 else 1e-6
@@ -298,7 +297,7 @@ def _leaving(buf, n):
 
 @njit(cache=True, error_model="numpy")
 def _transmit(buf, n):
-    """The shading of the body times what the surface lets in and out; the cosine is formed anew from n and l."""
+    """Multiply the shading of the body by what the surface lets in and out; the cosine is formed anew from n and l."""
     for i in range(n):
         c = buf[_NX + i] * buf[_LX + i] + buf[_NY + i] * buf[_LY + i] + buf[_NZ + i] * buf[_LZ + i]
         contrast = buf[_CONTRAST + i]
@@ -333,8 +332,10 @@ def _slope_offsets(buf, n):
 
 @njit(cache=True, error_model="numpy")
 def _add_blurred_lobe(buf, lobe, n):
-    """`_add_lobe` averaged over Gaussian slopes: with s^2 = gamma^2 / 2 ln 2 and the covariance C, D becomes
-    s^2 / sqrt(det(s^2 + C)) exp(-d (s^2 + C)^-1 d / 2)."""
+    """Add `_add_lobe` averaged over Gaussian slopes.
+
+    With s^2 = gamma^2 / 2 ln 2 and the covariance C, D becomes s^2 / sqrt(det(s^2 + C)) exp(-d (s^2 + C)^-1 d / 2).
+    """
     source = (_LOBES + 2 * lobe) * BLOCK
     for i in range(n):
         buf[_BETA + i] = buf[source + i]

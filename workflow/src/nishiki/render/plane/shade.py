@@ -43,8 +43,7 @@ class Shading:
 
 
 def colour_groups(scene: PlaneScene, lights: list[Light], ambient: Ambient) -> ColourGroups:
-    """Return 3 x K colour matrices of the distinct spectra of the lights and the ambient term (Tominaga and Tanaka
-    2004, eq. 19), to XYZ.
+    """Return 3 x K matrices, to XYZ, of the distinct spectra of lights and ambient (Tominaga and Tanaka 2004, eq. 19).
 
     Without a spectral basis, channels go to XYZ by `scene.channels_to_xyz` (white point D65), then by Bradford's
     adaptation to the white of the lamp, a stand-in for spectra that are not known: an adapted eye sees no change.
@@ -78,8 +77,7 @@ def shade_xyz(
     visibility: np.ndarray | None = None,
     eye: np.ndarray = FRONTAL_EYE,
 ) -> Shading:
-    """Return linear XYZ (rows, columns, 3) of the scene's maps: Tominaga and Tanaka (2004), eq. 10 and 19, self-shadow
-    where n . l <= 0.
+    """Shade the maps: linear XYZ (rows, columns, 3), Tominaga and Tanaka (2004), eq. 10, 19; 0 where n . l <= 0.
 
     visibility: (lights, rows, columns) float32, 1 lit .. 0 in cast shadow, or None; eye: homogeneous (4,), direction
     and 0 or position and 1.
@@ -116,7 +114,7 @@ def shade_channels(
     eye: np.ndarray = FRONTAL_EYE,
     ambient_level: float = 0.0,
 ) -> Shading:
-    """The same for any output channels: `groups` says how coefficients become values.  Arrays as in `PlaneScene`."""
+    """Shade any output channels: `groups` says how coefficients become values.  Arrays as in `PlaneScene`."""
     if not lights and ambient_level == 0:
         raise UserError("lights: expected at least one light or an ambient level above 0, found neither; add a light")
     expected = (len(lights), *normals.shape[:2])

@@ -60,7 +60,7 @@ def cast_shadows(height: np.ndarray, lights: list[Light], *, pitch: float, metho
 
 
 def separate_pieces(known: np.ndarray) -> tuple[np.ndarray, int]:
-    """Connected pieces of known heights (rows, columns) bool, by the neighbours that the integration ties together.
+    """Find connected pieces of known heights (rows, columns) bool, by the neighbours that the integration joins.
 
     Returns int32 (rows, columns) with the piece of each pixel, 0 where unknown, and the number of labels; (0, 0) and 1
     where all is one piece.

@@ -64,7 +64,7 @@ def run(context: Context) -> dict:
 
 
 def used_measurements(context: Context) -> tuple[ReflectanceSet, Decision | None]:
-    """The reflectances with the views of normal incidence that fits may use, the hemisphere completed from those."""
+    """Return the reflectances with the views of normal incidence that fits may use, and the hemisphere from those."""
     artifact = context.inputs["goniometer_samples"]
     measured = Reflectances(artifact.folder)
     setting = context.settings.measurements

@@ -105,8 +105,7 @@ def body_transmission(finish: dict) -> float:
 
 
 def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> list[dict]:
-    """Return the published fit (Tominaga and Tanaka 2004, eq. 14-18) of each region: the brightest light of each pixel,
-    thinned samples, one lobe."""
+    """Fit each region as published (Tominaga and Tanaka 2004, eq. 14-18): brightest lights, one lobe."""
     settings = context.settings
     lights = frames.fit_lights(settings.hold_out)
     count = 1 if labels is None else int(labels.max()) + 1

@@ -79,7 +79,7 @@ def points_of(folder: Path, views: Views) -> dict[str, np.ndarray] | None:
 
 
 def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Camera], list[float | None], dict, tuple]:
-    """The given matrices with the distortion of a given lens, and their error where correspondences can tell it."""
+    """Return the given matrices with the distortion of a given lens, and their error where correspondences tell it."""
     rows, columns = views.shape
     missing = [name for name in views.views if name not in views.matrices]
     if missing:

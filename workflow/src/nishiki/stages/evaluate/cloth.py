@@ -88,8 +88,10 @@ def judged(measured: Reflectances, number: int, predicted: np.ndarray, rows: np.
 
 
 def curves(measured, number: int, predicted: dict, valid: np.ndarray, held_out: np.ndarray, count: int) -> list[dict]:
-    """Measured and predicted values in the plane of the light, at incidences spread evenly; the warp and the weft
-    plane at normal incidence first. Channels are averaged; sr^-1."""
+    """List measured and predicted values in the plane of the light, mean of the channels, sr^-1.
+
+    Incidences are spread evenly; the warp and the weft plane at normal incidence come first.
+    """
     groups = [(theta, phi, valid[rows]) for theta, phi, rows in incidences(measured.incident[valid])]
     planes = []
     for theta, phi, rows in groups:
@@ -113,7 +115,7 @@ def curves(measured, number: int, predicted: dict, valid: np.ndarray, held_out: 
 
 
 def headlines(evaluated: dict) -> dict:
-    """What stands in the artifact's diagnostics: the mean over the planes of rms_rel, by polar angle and model."""
+    """Summarise for the artifact's diagnostics: the mean over the planes of rms_rel, by polar angle and model."""
     return {
         "valid": evaluated["valid"],
         "held_out": evaluated["held_out"],

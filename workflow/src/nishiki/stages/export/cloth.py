@@ -56,8 +56,10 @@ SIDE = 128
 
 
 def errors(cloth: ExportedCloth, material: Brdf) -> dict:
-    """Return pictures of the cloth with the material against pictures with the model, under one lamp each, without
-    shadows: PSNR of the sRGB codes, dB, peak 1, of all and of the worst; CIEDE2000, mean and 95th percentile."""
+    """Compare pictures of the cloth with the material and with the model, under one lamp each, without shadows.
+
+    PSNR of the sRGB codes, dB, peak 1, of all and of the worst; CIEDE2000, mean and 95th percentile.
+    """
     scene = ClothScene.of([cloth.draped.surface])
     squares, differences = [], []
     for elevation, azimuth in np.radians(VIEWS):
@@ -177,8 +179,7 @@ def camera_of(cloth: ExportedCloth) -> Camera:
 
 
 def camera_facts(camera: Camera, middle: np.ndarray) -> dict:
-    """Return place, target, up, vertical field of view, degrees, and size of the picture, whose middle is the camera's
-    axis; distance: from the cloth's middle (3,)."""
+    """Return place, target, up, vertical field of view, degrees, size, and distance from the cloth's middle (3,)."""
     distance = float(np.linalg.norm(camera.centre - middle))
     focal = camera.intrinsics[1, 1]
     return {

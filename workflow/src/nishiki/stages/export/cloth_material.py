@@ -149,7 +149,7 @@ def pairs(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fitted_cloth(brdf: Brdf, *, count: int = PAIRS) -> GltfCloth:
-    """The material whose coded brightness over all lights and views is nearest to that of a BRDF, in the mean square.
+    """Fit the material whose coded brightness over all lights and views is nearest to a BRDF's, in the mean square.
 
     count: pairs of light and view. Sheen is left out where it brings less than `WORTH`.
     """

@@ -198,8 +198,7 @@ def shown_by(look: ObjectLook, basis: LobeBasis, *, viewer: bool) -> Shown:
 
 
 def distribution(tables: np.ndarray, weights: np.ndarray, cos_phi: np.ndarray) -> np.ndarray:
-    """Return (n, 3) D of tables (k, 3, samples) and weights (n, k). Beyond 60 degrees the viewer's shader reads outside
-    of its texture; 0 stands for that."""
+    """Return (n, 3) D of tables (k, 3, samples) and weights (n, k); 0 beyond 60 degrees, as in the viewer's shader."""
     last = tables.shape[-1] - 1
     place = np.sqrt(3 * np.arccos(np.clip(cos_phi, 0, 1)) / np.pi) * last
     before = np.minimum(place.astype(np.int64), last + 1)
@@ -216,7 +215,7 @@ def builder_gloss(found: np.ndarray, roughness: np.ndarray, cosines: tuple[np.nd
 
 
 def viewer_gloss(found: np.ndarray, roughness: np.ndarray, cosines: tuple[np.ndarray, ...]) -> np.ndarray:
-    """The same by the viewer's shader: Fresnel's rise from 0.04 to 1, and one root over both terms of the masking.
+    """Shade by the viewer's shader: Fresnel's rise from 0.04 to 1, and one root over both terms of the masking.
 
     G = 0.5 / max(0.05, n.v sqrt(S(l)^2 + n.l S(v))) is, on a smooth surface, by sqrt(2 n.l / (n.l + n.v)) too strong:
     1.41 with the lamp at the camera.

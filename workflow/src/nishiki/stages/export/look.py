@@ -127,8 +127,11 @@ class PaintingSurface(ExportedSurface):
 
 
 class TexelMaps(NamedTuple):
-    """Means over texels: linear sRGB albedo and unit normals (rows, columns, 3); regions and variance of the slopes
-    inside a texel (rows, columns), or None; pixels along a texel."""
+    """Means over texels of `step` pixels.
+
+    Linear sRGB albedo and unit normals (rows, columns, 3); regions and variance of the slopes inside a texel (rows,
+    columns), or None.
+    """
 
     albedo: np.ndarray
     normals: np.ndarray

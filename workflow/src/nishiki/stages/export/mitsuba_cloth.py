@@ -120,7 +120,7 @@ def define():
 
 
 def disc(lamp, count):
-    """Unit vectors towards `count` points of a lamp's disc, evenly spread; its middle where count is 1."""
+    """Compute unit vectors towards `count` points of a lamp's disc, evenly spread; its middle where count is 1."""
     ahead = np.asarray(lamp["direction"])
     right = np.cross(ahead, (0, 1, 0) if abs(ahead[1]) < 0.9 else (1, 0, 0))
     right /= np.linalg.norm(right)
@@ -133,7 +133,7 @@ def disc(lamp, count):
 
 
 def description(*, columns=None, samples=64, points=1, room=False, max_depth=2, folder=None):
-    """The scene as Mitsuba's dictionary.
+    """Describe the scene as Mitsuba's dictionary.
 
     columns: width of the picture; points: distant lamps that stand for the disc of each, more give softer shadows;
     room: even light from all around; max_depth: 2 for direct light, more for light from fold to fold.
@@ -186,7 +186,7 @@ def description(*, columns=None, samples=64, points=1, room=False, max_depth=2, 
 
 
 def load(**changes):
-    """The scene in the variant that is set; see `description`."""
+    """Load the scene in the variant that is set; see `description`."""
     import mitsuba as mi
 
     define()

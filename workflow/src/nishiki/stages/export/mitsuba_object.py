@@ -115,7 +115,7 @@ def define():
 
 
 def facts_of(folder=None):
-    """What scene.json says: views with their cameras and lamps, strength of the colours."""
+    """Read scene.json: views with their cameras and lamps, strength of the colours."""
     return json.loads((Path(folder or Path(__file__).parent) / "scene.json").read_text())
 
 
@@ -133,7 +133,7 @@ def lamp_of(lamp):
 
 
 def description(*, view=None, light=None, body="colour", columns=None, samples=16, max_depth=2, folder=None):
-    """The scene as Mitsuba's dictionary.
+    """Describe the scene as Mitsuba's dictionary.
 
     view, light: names in scene.json, by default the first; body: colour, what all photographs show of the albedo, or
     model, the smooth K_d of the fit; columns: width of the picture; max_depth: 2 for direct light, more for light from
@@ -180,7 +180,7 @@ def description(*, view=None, light=None, body="colour", columns=None, samples=1
 
 
 def load(**changes):
-    """The scene in the variant that is set; see `description`."""
+    """Load the scene in the variant that is set; see `description`."""
     import mitsuba as mi
 
     define()

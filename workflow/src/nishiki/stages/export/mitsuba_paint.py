@@ -41,8 +41,10 @@ def define():
         raise RuntimeError(f"{NAME} has colours in RGB, not {mi.variant()}. Remedy: scalar_rgb or llvm_ad_rgb")
 
     class Paint(mi.BSDF):
-        """The model. gloss: regions and losses of scene.json, as text; textures, raw, by their names in `TEXTURES`,
-        some of which a painting may lack; normals in world coordinates."""
+        """Set up the model from regions and losses of scene.json, as text, and raw textures by name.
+
+        Some `TEXTURES` may lack; normals are in world coordinates.
+        """
 
         def __init__(self, props):
             mi.BSDF.__init__(self, props)
@@ -55,7 +57,7 @@ def define():
             return self.textures[name].eval_3(si, active) if name in self.textures else mi.Color3f(0)
 
         def of_region(self, region, values):
-            """The value of a texel's region."""
+            """Return the value of a texel's region."""
             chosen = mi.Float(values[0])
             for number, value in enumerate(values[1:], 1):
                 chosen = dr.select(region > number - 0.5, value, chosen)
@@ -141,7 +143,7 @@ def define():
 
 
 def description(lights, *, relief=None, columns=None, samples=16, folder=None):
-    """The scene as Mitsuba's dictionary.
+    """Describe the scene as Mitsuba's dictionary.
 
     lights: unit vectors towards distant lamps of strength 1; relief: the height is geometry and casts shadows, else the
     picture is flat, by default where the directional terms of the body already hold the shadows; columns: width of the
@@ -189,7 +191,7 @@ def description(lights, *, relief=None, columns=None, samples=16, folder=None):
 
 
 def load(lights, **changes):
-    """The scene in the variant that is set; see `description`."""
+    """Load the scene in the variant that is set; see `description`."""
     import mitsuba as mi
 
     define()

@@ -221,8 +221,9 @@ def body_colour(
     parameters: tuple[np.ndarray, np.ndarray, np.ndarray],
     surface: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Return (T, T, channels) albedo of a tile by least squares from all views that see a texel: from the diffuse light
-    where polarisers separated it, else from all light less the model's gloss.
+    """Fit (T, T, channels) albedo of a tile by least squares from all views that see a texel.
+
+    From the diffuse light where polarisers separated it, else from all light less the model's gloss.
 
     The model's own K_d is smooth where the residual holds the detail. It stands where no view sees a texel, and weighs
     as much as a view that is lit to a fifth. parameters: kd, ks, sigma; surface: positions and normals.

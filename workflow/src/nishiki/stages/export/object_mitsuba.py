@@ -1,6 +1,4 @@
-"""An object as a scene of Mitsuba 3: mesh, textures of the fitted model, captured views and lamps, and our reflection
-model in Python.
-"""
+"""An object as a scene of Mitsuba 3: mesh, textures, captured views and lamps, and our reflection model in Python."""
 
 import json
 from collections.abc import Mapping
@@ -89,8 +87,11 @@ def model_textures(decoded: DecodedObject, layout: TextureAtlas) -> dict[str, np
 
 
 def scene_facts(decoded: DecodedObject, positions: np.ndarray, unit: float) -> tuple[dict, float]:
-    """Return cameras and lamps of every captured view, lengths times `unit`; the largest distance in pixels between
-    what the pinholes with square pixels show of `positions` and what the capture's cameras do."""
+    """Describe cameras and lamps of every captured view, lengths times `unit`.
+
+    Also the largest distance in pixels between what the pinholes with square pixels show of `positions` and what the
+    capture's cameras do.
+    """
     middle, views, apart = positions.mean(axis=0), {}, 0.0
     points = positions / unit
     for name, camera in zip(decoded.views, decoded.cameras, strict=True):
@@ -105,8 +106,9 @@ def scene_facts(decoded: DecodedObject, positions: np.ndarray, unit: float) -> t
 
 
 def nearest_pinhole(camera: Camera, points: np.ndarray) -> Camera:
-    """Return the pinhole with square pixels at the camera's place that shows world points (n, 3) nearest to where the
-    camera has them (least squares of the distances in pixels); the camera itself where it is one.
+    """Fit the pinhole with square pixels at the camera's place, by least squares of the distances in pixels.
+
+    It shows world points (n, 3) nearest to where the camera has them; the camera itself where it is one.
 
     Matrices without metric calibration, such as projective ones, have oblong pixels and an axis far off the picture.
     """
@@ -141,8 +143,10 @@ def nearest_pinhole(camera: Camera, points: np.ndarray) -> Camera:
 
 
 def camera_facts(camera: Camera, positions: np.ndarray, unit: float) -> dict:
-    """Return a pinhole as Mitsuba says it: camera to world with x to the left, y up and z ahead; `principal_offset`: of
-    the picture's middle from the optical axis, as shares of its width and height."""
+    """Describe a pinhole as Mitsuba does: camera to world with x to the left, y up and z ahead.
+
+    `principal_offset`: of the picture's middle from the optical axis, as shares of its width and height.
+    """
     k, centre = camera.intrinsics, camera.centre * unit
     to_world = np.eye(4)
     to_world[:3] = np.column_stack([-camera.rotation[0], -camera.rotation[1], camera.rotation[2], centre])
@@ -159,9 +163,12 @@ def camera_facts(camera: Camera, positions: np.ndarray, unit: float) -> dict:
 
 
 def lamp_facts(lamp: Lamp, middle: np.ndarray, unit: float) -> dict:
-    """Return a lamp as scene.json says it. `distance` of a near one: at which a white that faces it shows 1; where it
-    shows that at any distance (`falloff` false), that of the object's middle (3,), metres. Surroundings of unknown
-    lamps are even light of their mean strength."""
+    """Describe a lamp for scene.json.
+
+    `distance` of a near one: at which a white that faces it shows 1; where it shows that at any distance (`falloff`
+    false), that of the object's middle (3,), metres. Surroundings of unknown lamps are even light of their mean
+    strength.
+    """
     if lamp.form == POINT:
         position, known = np.asarray(lamp.vector, np.float64) * unit, lamp.reference > 0
         distance = lamp.reference * unit if known else float(np.linalg.norm(position - middle))

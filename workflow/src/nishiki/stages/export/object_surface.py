@@ -86,7 +86,7 @@ def errors(context: Context, look: ObjectLook, formats: Sequence[str]) -> dict[s
 
 
 def shown_in(look: ObjectLook, name: str) -> Shown:
-    """What a viewer shows of one of the formats `gltf`, `usd` and `materialx`, light and view without cast shadows."""
+    """Compute what a viewer shows of `gltf`, `usd` or `materialx`, light and view without cast shadows."""
     said = look.of_one_strength() if name == "usd" else look
     alpha, strength = (said.roughness / 255) ** 2, said.specular / 255
     stored = np.concatenate([decode(look.colour / 255, "srgb"), alpha[..., None], strength[..., None]], axis=-1)
@@ -101,8 +101,10 @@ def shown_in(look: ObjectLook, name: str) -> Shown:
 def against_photographs(
     context: Context, look: ObjectLook, asked: Mapping[str, Shown]
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Return PSNR of linear values that several programs show of seen points, in the capture's encoding: of left-out
-    views (`check`) and some others (`fitted`). Photographs are read once for all."""
+    """Compare linear values that several programs show of seen points with photographs: PSNR in the capture's encoding.
+
+    Of left-out views (`check`) and some others (`fitted`). Photographs are read once for all.
+    """
     decoded, settings, count = look.decoded, context.settings, len(look.decoded.views)
     left_out = decoded.numbers(settings.hold_out)
     seen = [view for view in range(count) if view not in left_out]

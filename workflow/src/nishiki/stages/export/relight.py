@@ -83,7 +83,7 @@ def write(context: Context, scene: ExportedScene) -> dict:
 
 
 def model_of(kind: str, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, *, planes: int) -> LightModel:
-    """The model of one kind for these lights, with what it takes from sample pixels (of bilinear: `GridPictures`)."""
+    """Fit the model of one kind for these lights to sample pixels (of bilinear: `GridPictures`)."""
     if kind == "bilinear":
         return GridModel.of(lights, values, valid, planes)
     if kind == "rbf":

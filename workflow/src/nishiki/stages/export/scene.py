@@ -230,7 +230,7 @@ class Relief:
 
 
 def reliefs(scene: ExportedScene, most: int, *, colours: np.ndarray | None) -> Iterator[Relief]:
-    """The mesh from top to bottom, at most `most` vertices, each the mean over a square of pixels that have a height.
+    """Yield the mesh from top to bottom, at most `most` vertices, each the mean over a square of pixels with height.
 
     Vertices stand in the middles of their squares. So that the mesh is as large as the picture, there is one more row
     or column of them on each of its edges, with the heights of their neighbours. At the edge of an object inside the

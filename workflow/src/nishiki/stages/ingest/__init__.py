@@ -68,7 +68,7 @@ class IngestSettings(Guarded, stage="ingest", version=3, limits=LIMITS):
 
 
 def _ingest_cost(facts: SceneFacts) -> Cost:
-    """Decoding: JPEG is quick; a flat object has a white and a dark photograph to most of its lights."""
+    """Estimate decoding: JPEG is quick; a flat object has a white and a dark photograph to most of its lights."""
     if set(facts.suffixes) & {".jpg", ".jpeg"}:
         return Cost(mib=400, seconds=2.2, us_per_sample=0.05)
     each = {"plane": 0.65, "turntable": 2.0, "goniometer": 0.42}[facts.geometry]

@@ -44,8 +44,7 @@ LIMITS = (
 
 
 class NormalsSettings(Guarded, stage="normals", version=4, limits=LIMITS):
-    """Photometric stereo on the selected lights (Tominaga and Tanaka 2004, section 3.3); reflectance of each
-    channel."""
+    """Settings of photometric stereo (Tominaga and Tanaka 2004, section 3.3) and of the reflectance of each channel."""
 
     solver: Literal["default", "lobe", "least_squares"] = Field(
         "default",

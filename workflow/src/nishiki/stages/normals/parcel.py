@@ -57,7 +57,7 @@ def solve(
     settings: NormalsSettings,
     gloss: GlossProfile | None,
 ) -> dict:
-    """Maps of one parcel by name: from the selected lights, then, with a gloss, fitted together with it."""
+    """Solve the maps of one parcel by name: from the selected lights, then, with a gloss, fitted together with it."""
     observations = scaled(observations, parcel)
     if observations.shape[-1] == 1:
         intensity = observations[..., 0]
@@ -137,7 +137,7 @@ def fit_finishes(
 
 
 def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable, valid, settings):
-    """The field with the body shading of the channels' mean where the intensity that made the normals is another.
+    """Replace the body shading by that of the channels' mean where the normals' intensity is another.
 
     There gloss was weighted down for the normals; light is predicted with all of it.
     """
@@ -151,7 +151,7 @@ def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable,
 def relit(
     observations: np.ndarray, valid: np.ndarray, parcel: Parcel, maps: dict, model: str, kept: np.ndarray | bool = False
 ) -> dict:
-    """The maps that predict lamps, fitted again to the samples of a parcel; with many lights `plain` keeps its own.
+    """Fit the maps that predict lamps again to the samples of a parcel; with many lights `plain` keeps its own.
 
     kept : (rows, columns) bool, pixels that keep their maps.
     """

@@ -91,7 +91,7 @@ def merge(context: Context, tallies: list[dict]) -> dict:
 def fit_lights(
     frames: Observations, selection: Maps | None, settings: NormalsSettings
 ) -> tuple[np.ndarray, Decision | None]:
-    """Indices of the lights of the fit: those that separate chose; chosen here where separate was left out."""
+    """Return the indices of the lights of the fit: those that separate chose; chosen here where it was left out."""
     if selection is not None:
         return np.array([frames.lights.index(name) for name in selection.group.attrs["lights"]], np.int64), None
     lights = frames.fit_lights(settings.hold_out)
@@ -100,8 +100,7 @@ def fit_lights(
 
 
 def create_maps(context: Context, frames: Observations, *, terms: int, relight: bool, several: bool) -> dict:
-    """Return the arrays of the artifact; terms: of the map `shading`, relight: with `shading_normals`, several: with
-    `finish`."""
+    """Create the artifact's arrays; terms: of `shading`; relight: with `shading_normals`; several: with `finish`."""
     rows, columns = frames.shape
     maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
     unbalanced = not frames.white_board and str(frames.attributes.get("coding")).startswith("linear")

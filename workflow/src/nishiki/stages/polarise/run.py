@@ -220,8 +220,7 @@ def totals(statistics: list[SeparationStatistics]) -> dict:
 
 
 def picture(context: Context, name: str, place: int, view: SeparatedView, exposure: float) -> str:
-    """Pictures of the whole, the diffuse and the specular part, all at one exposure; negative values show as black.
-    Returns the file that shows all three side by side."""
+    """Draw whole, diffuse and specular part at one exposure, negative values black; return the file of all three."""
     parts = {"whole": view.diffuse + view.specular, "diffuse": view.diffuse, "specular": view.specular}
     codes = {key: display(values * np.float32(exposure)) for key, values in parts.items()}
     codes["side_by_side"] = np.concatenate(list(codes.values()), axis=1)

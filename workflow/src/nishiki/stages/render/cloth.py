@@ -58,8 +58,10 @@ def run(context: Context) -> dict:
 
 
 def exposed(settings: ClothRenderSettings, pictures: list[ClothPicture]) -> float:
-    """Return the factor of the PNG pictures: a white sheet that faces the brightest lamp is white, so that a black
-    cloth stays black; less where the bright parts of the cloth would then exceed the display's white."""
+    """Return the factor of the PNG pictures, at which a white sheet that faces the brightest lamp is white.
+
+    A black cloth stays black; less where the bright parts of the cloth would then exceed the display's white.
+    """
     if settings.exposure != "auto":
         return settings.exposure
     sheet = max((lamp.intensity for lamp in settings.lights.values()), default=0.0) + settings.around
@@ -103,7 +105,7 @@ def save(context: Context, name: str, picture: ClothPicture, exposure: float) ->
 
 
 def film(context: Context, surface: Surface, brdf: Brdf) -> tuple[dict, list[str]]:
-    """The video: what was written, and notes."""
+    """Film the cloth; return what was written, and notes."""
     block = context.settings.film
     if block is None:
         return {}, []

@@ -19,8 +19,7 @@ AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 @dataclass(frozen=True)
 class DrapedCloth:
-    """surface; uv (v, 2): texture coordinates, u along the weft, None where there are none; about: what is to be said
-    of it."""
+    """A draped surface; uv (v, 2): texture coordinates, u along the weft, or None; about: what is to be said of it."""
 
     surface: Surface
     uv: np.ndarray | None

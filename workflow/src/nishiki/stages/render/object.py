@@ -126,7 +126,7 @@ def save(context: Context, renderer: ObjectRenderer, name: str, shot: Shot, pict
 
 
 def film(context: Context, renderer: ObjectRenderer, lights: tuple[tuple[int, float], ...]) -> tuple[dict, list[str]]:
-    """The video of the object turning: what was written, and notes."""
+    """Film the object turning; return what was written, and notes."""
     settings = context.settings
     if settings.film is None:
         return {}, []

@@ -135,7 +135,7 @@ def seen(made: Rendering) -> np.ndarray:
 def film(
     context: Context, scene: PlaneScene, sequence: SequenceSettings, spectra: dict[str, np.ndarray]
 ) -> tuple[VideoWritten, float]:
-    """A moving light or a moving view as video, and its exposure."""
+    """Film a moving light or a moving view; return its exposure."""
     view = film_view(sequence, scene)
     lamp = LightSettings(elevation_deg=sequence.elevation_deg)
     light = distant_lamp(lamp, spectra[sequence.illuminant])

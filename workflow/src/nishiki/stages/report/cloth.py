@@ -61,7 +61,7 @@ def run(context: Context) -> dict:
 
 
 def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any] | None, region: str) -> list[Tile]:
-    """The figures that matter most. samples : diagnostics of goniometer_samples; evaluation : evaluation.json."""
+    """List the figures that matter most. samples : diagnostics of goniometer_samples; evaluation : evaluation.json."""
     tiles = []
     if samples.get("directions") is not None:
         tiles.append(Tile(samples["directions"], "", "pairs of directions measured"))

@@ -293,7 +293,7 @@ class Line:
 
 
 def lines_of(models: list[str], default: str) -> dict[str, Line]:
-    """A line for each model, no two alike: the default one is solid in the first colour, the others are dashed."""
+    """Give each model a line, no two alike: the default one is solid in the first colour, the others are dashed."""
     ordered = [default] * (default in models) + [model for model in models if model != default]
     first = int(default in models)
     colours = len(PALETTE)

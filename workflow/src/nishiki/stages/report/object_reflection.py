@@ -72,8 +72,7 @@ def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest:
 
 
 def parameter_figures(parameters: np.ndarray) -> list[Figure]:
-    """Return pictures of K_d, K_s and sigma, the latter two where there is any gloss; parameters : sheet (rows,
-    columns, 2 channels + 1) of all three."""
+    """Draw K_d, and K_s and sigma where there is any gloss; parameters: sheet (rows, columns, 2 channels + 1)."""
     channels = (parameters.shape[-1] - 1) // 2
     kd, ks = three(parameters[..., :channels]), three(parameters[..., channels : 2 * channels])
     glossy = bool((ks > 0).any())
@@ -120,8 +119,10 @@ def sheet(read: Callable[[int], np.ndarray], atlas: Atlas, widest: int) -> tuple
 
 
 def _pieces(read: Callable[[int], np.ndarray], atlas: Atlas, side: int) -> tuple[list[np.ndarray], LeftOut]:
-    """Return connected pieces of all charts, (rows, columns, n) with NaN outside, tiles averaged to `side` pixels a
-    side; those with less than `SPECK` of the known pixels are left out, but not the largest."""
+    """List connected pieces of all charts, (rows, columns, n) with NaN outside, tiles averaged to `side` pixels a side.
+
+    Those with less than `SPECK` of the known pixels are left out, but not the largest.
+    """
     import cv2
 
     pieces, sizes = [], []
@@ -156,8 +157,10 @@ def _chart_picture(read: Callable[[int], np.ndarray], atlas: Atlas, chart: int, 
 
 
 def packed(boxes: list[tuple[int, int]]) -> tuple[list[Place], int, int]:
-    """Return places (top, left) of boxes (rows, columns) on shelves, tallest first, with a gap; height and width of the
-    sheet, which is a little wider than high."""
+    """Place boxes (rows, columns) on shelves, tallest first, with a gap.
+
+    Returns places (top, left), and height and width of the sheet, which is a little wider than high.
+    """
     area = sum((rows + GAP) * (columns + GAP) for rows, columns in boxes)
     wide = max([int(np.ceil(np.sqrt(1.3 * area))), *(columns for _, columns in boxes)] or [1])
     places: list[Place] = [(0, 0)] * len(boxes)
@@ -255,8 +258,10 @@ def bytes_bars(parts: dict[str, int]) -> str:
 
 
 def rate_curve(residual: dict[str, Any]) -> str:
-    """PSNR against bytes, from none on: the model alone, and the settings that the allocation tried. Empty without
-    figures of the model or of any setting: settings alone lie too close together to tell anything."""
+    """Draw PSNR against bytes: the model alone, and the settings that the allocation tried.
+
+    Empty without figures of the model or of any setting: settings alone lie too close together to tell anything.
+    """
     tried = sorted(
         (point["bytes"] / 1000, point["psnr_db"])
         for point in residual.get("curve") or []

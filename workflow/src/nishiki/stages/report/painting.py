@@ -315,7 +315,7 @@ def at_a_glance(
     height: dict[str, Any] | None = None,
     spectra: dict[str, Any] | None = None,
 ) -> list[Tile]:
-    """The figures that matter most.
+    """List the figures that matter most.
 
     normals, height, spectra : diagnostics of those stages, None where one is left out; evaluation : evaluation.json or
     None.

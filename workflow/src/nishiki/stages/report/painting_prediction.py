@@ -134,7 +134,7 @@ def _mean_and_p90(part: dict[str, float | None]) -> list[Cell]:
 
 
 def _against_truth(lights: list[dict[str, Any]]) -> list[Block]:
-    """The table of the prediction against noise-free truth, where there is one."""
+    """Tabulate the prediction against noise-free truth, where there is one."""
     cases = sorted({case for light in lights for case in (light.get("truth") or {})}, key=lambda case: case != "lamp")
     if not cases:
         return []

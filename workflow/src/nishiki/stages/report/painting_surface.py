@@ -273,7 +273,7 @@ def _tables(expected_de00: dict[str, float], truth: dict[str, Any]) -> list[Bloc
 
 
 def spread_out(points: np.ndarray, count: int, first: int) -> list[int]:
-    """Indices of at most `count` points (n, k) far from one another: from `first` on, always the farthest next."""
+    """Choose at most `count` points (n, k) far from one another: from `first` on, always the farthest next."""
     chosen = [first]
     distance = np.linalg.norm(points - points[first], axis=1)
     while len(chosen) < min(count, len(points)):

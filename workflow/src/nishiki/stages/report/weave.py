@@ -81,7 +81,7 @@ def weave_section(weave: Artifact | None, widest: int) -> Section | None:
 
 
 def tile_picture(data: bytes, widest: int) -> PagePicture:
-    """The upper part of a PNG of a repeating surface, about as high as wide: a long repeat would fill the page."""
+    """Crop a PNG of a repeating surface to about as high as wide: a long repeat would fill the page."""
     import cv2
 
     codes = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)

@@ -222,7 +222,7 @@ def measured(point: Point, target: str) -> float:
 
 
 def first_step(run_pass, piloted: Pilot, settings: ResidualSettings, goal: float) -> tuple[float, float]:
-    """The step for the first pass over all tiles, and the slope of the target there: what a few of the tiles need."""
+    """Choose the step for the first pass over all tiles, and the slope of the target there, from a few of the tiles."""
     seen = sum(refined is not None for refined in piloted.refined)
     if settings.target == "step":
         return settings.amount, SLOPE
@@ -243,7 +243,7 @@ def first_step(run_pass, piloted: Pilot, settings: ResidualSettings, goal: float
 
 
 def search(run_pass, settings: ResidualSettings, goal: float, start: float, slope: float) -> EncodedObject:
-    """The pass that meets the target; a given step is solved for twice, the second time from the first solution."""
+    """Search the pass that meets the target; a given step is solved for twice, from the first solution."""
     if settings.target == "step":
         passes = [run_pass(start)]
         if settings.passes > 1:

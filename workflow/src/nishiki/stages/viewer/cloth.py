@@ -39,8 +39,10 @@ def write_cloth(
     mesh: MeshSettings | None = None,
     progress: Progress,
 ) -> dict:
-    """Blocks and page of a cloth; sizes in bytes. about: title and stamp; dyes: sRGB colours (#rrggbb) by name; mesh: a
-    further surface, which the page opens with."""
+    """Write blocks and page of a cloth; return sizes in bytes.
+
+    about: title and stamp; dyes: sRGB colours (#rrggbb) by name; mesh: a further surface, which the page opens with.
+    """
     shapes = {}
     for name, make in surfaces(mesh).items():
         shape = shape_of(make())
@@ -122,8 +124,10 @@ class Shape:
 
 
 def shape_of(scene: Studio) -> Shape:
-    """Return a studio's surfaces: vertices as whole steps, unit vectors in 1/32767, openness in 1/255; differences of
-    consecutive rows, which deflate well, all but the openness."""
+    """Encode a studio's surfaces: vertices as whole steps, unit vectors in 1/32767, openness in 1/255.
+
+    All but the openness are differences of consecutive rows, which deflate well.
+    """
     mesh, weft, camera = scene.scene.mesh, scene.scene.weft, scene.camera
     cloth = np.zeros(len(mesh.vertices), bool)
     cloth[mesh.triangles[scene.scene.material == 0]] = True
@@ -164,8 +168,10 @@ def unit_steps(vectors: np.ndarray) -> np.ndarray:
 
 
 def material_arrays(brdf: Brdf) -> dict[str, dict[str, np.ndarray]]:
-    """Blocks of a model: `measured`, its table and its share of even light; `gloss`, the table of its gloss alone, and
-    the directional albedo that a dye below it needs."""
+    """Return the blocks of a model: its table and its share of even light, and its gloss alone.
+
+    The gloss has the directional albedo that a dye below it needs.
+    """
     dye = dyed(brdf, {"white": (1.0, 1.0, 1.0)})["white"]
     through = {
         "albedo": dye.gloss_albedo.astype(np.float32),

@@ -175,7 +175,7 @@ class PaintingCode:
 
 
 def gloss_of(maps: PaintingMaps) -> dict[str, Any]:
-    """The gloss of every region, for the manifest. entering: what the surface lets in of light from all sides."""
+    """Describe every region's gloss for the manifest. entering: what the surface lets in of light from all sides."""
     if maps.parameters is None:
         return {"beta": [[]], "gamma": [[]], "refractive_index": [1.0], "transmission": [0.0], "entering": [1.0],
                 "blurred": False}  # fmt: skip
