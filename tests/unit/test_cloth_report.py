@@ -63,7 +63,7 @@ def measured():
     views = np.concatenate([[[0, 0, 1.0]], unit(theta.ravel(), phi.ravel())])
     incident = np.tile([0, 0, 1.0], (len(views), 1))
     found = ReflectanceSet.of(incident, views, WARD.evaluate(incident, views))
-    return complete(found, grid_deg=10, method="spline")[0]
+    return complete(found, grid_deg=10)[0]
 
 
 def reflectance_of(writer):

@@ -260,7 +260,7 @@ def cloth(sharp, count=200, noise=0.0):
 
 
 def test_views_follow_how_fast_the_reflectance_changes():
-    made = {"grid_deg": 6.0, "method": "spline"}
+    made = {"grid_deg": 6.0}
     smooth, sharp = (choose_views(cloth(width), **made) for width in (0.6, 0.08))
     assert smooth[1].measured <= smooth[1].limit
     assert len(smooth[0]) < 150

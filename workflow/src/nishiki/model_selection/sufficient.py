@@ -231,18 +231,18 @@ def static_choice(measured: ReflectanceSet, setting: str | int) -> tuple[np.ndar
 
 
 def measured_choice(
-    measured: ReflectanceSet, *, grid_deg: float, method: str, limit: float = VIEWS_LIMIT, fewest: int = FEWEST
+    measured: ReflectanceSet, *, grid_deg: float, limit: float = VIEWS_LIMIT, fewest: int = FEWEST
 ) -> tuple[np.ndarray | None, Decision | None]:
     """As `static_choice`, with the number found: the fewest views from which the others are told within the limit.
 
-    Numbers grow by GROWTH from `fewest`; of each the hemisphere is completed from the views used by `method` on a grid
+    Numbers grow by GROWTH from `fewest`; of each the hemisphere is completed from the views used on a grid
     of `grid_deg` degrees (`hemisphere.complete`) and compared with the measured values of the others (`unseen_error`).
     None decided where there are not more than `fewest` views.
     """
     order = normal_order(measured)
     error, number = np.inf, min(fewest, len(order))
     while number < len(order):
-        error = unseen_error(measured, order, number, grid_deg=grid_deg, method=method)
+        error = unseen_error(measured, order, number, grid_deg=grid_deg)
         if error <= limit:
             break
         number = min(len(order), int(np.ceil(GROWTH * number)))
@@ -258,14 +258,14 @@ def measured_choice(
     return np.sort(order[:number]) if saved else None, decision
 
 
-def unseen_error(measured: ReflectanceSet, order: np.ndarray, number: int, *, grid_deg: float, method: str) -> float:
+def unseen_error(measured: ReflectanceSet, order: np.ndarray, number: int, *, grid_deg: float) -> float:
     """Cosine-weighted relative root mean square of the views order[number:], told from order[:number]; worst region.
 
     order: rows of the views at normal incidence. Infinite where the views used do not span the hemisphere.
     """
     used, rest = order[:number], order[number:]
     try:
-        basic = complete(with_normal_rows(measured, np.sort(used)), grid_deg=grid_deg, method=method)[0].basic
+        basic = complete(with_normal_rows(measured, np.sort(used)), grid_deg=grid_deg)[0].basic
     except UserError:
         return float("inf")
     cosine, errors = measured.outgoing[rest, 2][:, None], []

@@ -68,9 +68,9 @@ def used_measurements(context: Context) -> tuple[ReflectanceSet, Decision | None
     artifact = context.inputs["goniometer_samples"]
     measured = Reflectances(artifact.folder)
     setting = context.settings.measurements
-    made = {"grid_deg": artifact.settings["grid_deg"], "method": artifact.settings["interpolation"]}
+    grid_deg = artifact.settings["grid_deg"]
     if setting == "auto":
-        rows, decision = measured_choice(measured, **made) if measured.basic is not None else (None, None)
+        rows, decision = measured_choice(measured, grid_deg=grid_deg) if measured.basic is not None else (None, None)
     else:
         rows, decision = static_choice(measured, setting)
     if decision:
@@ -79,7 +79,7 @@ def used_measurements(context: Context) -> tuple[ReflectanceSet, Decision | None
         return measured, decision
     fewer = with_normal_rows(measured, rows)
     if measured.basic is not None:
-        fewer = complete(fewer, **made)[0]
+        fewer = complete(fewer, grid_deg=grid_deg)[0]
     return fewer, decision
 
 
