@@ -110,13 +110,14 @@ def overlapping(
         coarser = max(1.0, np.sqrt(size.prod() / 6.4e7))
         size = np.ceil(size / coarser).astype(np.int64) + 1
         grid = np.zeros(tuple(size), np.bool_)
-        grow(plane, members, chart, neighbours, low, 1 / (spacing * coarser), grid, reached, overlaps)
+        grow(plane, members, chart, neighbours, (low, 1 / (spacing * coarser)), grid, reached, overlaps)
     return overlaps
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def grow(plane, members, chart, neighbours, low, scale, grid, reached, overlaps):
-    """One chart of `overlapping`: fills `overlaps`; `reached` is a note of who has been looked at."""
+def grow(plane, members, chart, neighbours, frame, grid, reached, overlaps):
+    """Fill `overlaps` of one chart of `overlapping`; frame: its corner, cells a unit; reached: triangles looked at."""
+    low, scale = frame
     queue = np.empty(len(members), np.int32)
     points = np.empty((3, 2))
     for seed in members:

@@ -209,18 +209,18 @@ def point_kernel(triangle, places, flat, corners, vertices, vertex_normals, posi
                     normals[tile, i, j, k] /= np.sqrt(length)
                 if square > 0:
                     continue_past_border(
-                        flat[f], vertices[a], vertices[b], vertices[c], row, column, u, v, positions[tile, i, j]
+                        flat[f], (vertices[a], vertices[b], vertices[c]), row, column, u, v, positions[tile, i, j]
                     )
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def continue_past_border(flat, a, b, c, row, column, u, v, position):
+def continue_past_border(flat, corners, row, column, u, v, position):
     """Add what leads from the nearest point of a triangle to the texel, in the plane of the triangle.
 
     No further in space than REACH times the distance in the chart times the triangle's larger stretch: slivers would
     otherwise throw the point far away.
     """
-    w = 1 - u - v
+    (a, b, c), w = corners, 1 - u - v
     dr = row - (u * flat[0, 0] + v * flat[1, 0] + w * flat[2, 0])
     dc = column - (u * flat[0, 1] + v * flat[1, 1] + w * flat[2, 1])
     br, bc = np.float64(flat[1, 0]) - flat[0, 0], np.float64(flat[1, 1]) - flat[0, 1]
@@ -323,9 +323,9 @@ def sample_view(
     index = turned_to(positions.reshape(-1, 3), towards, inside.reshape(-1), camera.centre, least)
     points, towards = positions.reshape(-1, 3)[index], towards[index]
     pixels, depths = camera.project(points)
-    rotation, inverse = np.ascontiguousarray(camera.rotation), np.linalg.inv(camera.intrinsics)
+    pose = camera.centre, np.ascontiguousarray(camera.rotation), np.linalg.inv(camera.intrinsics)
     seen = np.empty(len(points), np.bool_)
-    see(points, camera.centre, towards, pixels, depths, rotation, inverse, depth, usable, tolerance, seen)
+    see(points, towards, pixels, depths, pose, (depth, usable), tolerance, seen)
     visible = np.zeros(inside.size, np.bool_)
     visible[index] = seen
     sampled = []
@@ -356,8 +356,12 @@ def turned_to(points, normals, inside, centre, least):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def see(points, centre, normals, pixels, depths, rotation, inverse, depth, usable, tolerance, seen):
-    """See `sample_view`: fills seen (n,) for texels at points (n, 3)."""
+def see(points, normals, pixels, depths, camera, shown, tolerance, seen):
+    """Fill seen (n,) for texels at points (n, 3), as `sample_view` says.
+
+    camera: centre, rotation, inverse intrinsics; shown: depths and usable pixels (rows, columns).
+    """
+    (centre, rotation, inverse), (depth, usable) = camera, shown
     rows, columns = depth.shape
     footprint = np.sqrt(abs(inverse[0, 0] * inverse[1, 1]))
     for i in range(len(points)):

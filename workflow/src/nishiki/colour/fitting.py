@@ -184,5 +184,5 @@ def correction_table(
     single = np.float32
     centres = np.ascontiguousarray(correction.centres.T, single)
     weights, variance = correction.weights.astype(single), correction.variance.astype(single)
-    kernels.fill_table(x, y, z, centres, weights, correction.radius, variance, correction.far_variance, table)
+    kernels.fill_table((x, y, z), centres, weights, correction.radius, variance, correction.far_variance, table)
     return table, origin, extent / cells

@@ -149,16 +149,16 @@ def _kernel_sums(z, centres, weights, radius, variance, far_variance, apart, out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fill_table(axis0, axis1, axis2, centres, weights, radius, variance, far_variance, table):
+def fill_table(axes, centres, weights, radius, variance, far_variance, table):
     """Fill a (n0, n1, n2, K + 2) float32 table with `_kernel_sums` at the nodes of three axes."""
-    for i in range(axis0.size):
+    for i in range(axes[0].size):
         z = np.empty(3, np.float64)
         apart = np.empty(centres.shape[1], np.float32)
-        z[0] = axis0[i]
-        for j in range(axis1.size):
-            z[1] = axis1[j]
-            for k in range(axis2.size):
-                z[2] = axis2[k]
+        z[0] = axes[0][i]
+        for j in range(axes[1].size):
+            z[1] = axes[1][j]
+            for k in range(axes[2].size):
+                z[2] = axes[2][k]
                 _kernel_sums(z, centres, weights, radius, variance, far_variance, apart, table[i, j, k])
 
 

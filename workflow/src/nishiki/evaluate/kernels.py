@@ -77,13 +77,13 @@ def delta_e(a, b):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def compare_rows(first, last, predicted, observed, classes, matrix, white, de00, sums):
+def compare_rows(first, last, predicted, observed, classes, display, de00, sums):
     """Rows first to last - 1: colour difference into de00 and sums of errors by class into sums (rows, classes, SUMS).
 
-    predicted, observed (rows, columns, C) float32, matrix (3, C) from channels to XYZ; classes (rows, columns) uint8, 0
-    is left alone; de00 (rows, columns) float32.
+    predicted, observed (rows, columns, C) float32; display: matrix (3, C) to XYZ, and white (3,); classes (rows,
+    columns) uint8, 0 is left alone; de00 (rows, columns) float32.
     """
-    lab1, lab2 = np.empty(3), np.empty(3)
+    (matrix, white), lab1, lab2 = display, np.empty(3), np.empty(3)
     for row in range(first, last):
         for column in range(classes.shape[1]):
             label = classes[row, column]

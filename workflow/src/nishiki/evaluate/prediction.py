@@ -7,7 +7,7 @@ import numpy as np
 from nishiki.colour.colour import white_xyz, xyz_matrix
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.render.plane.scene import Gloss, Light
-from nishiki.render.plane.shade import predict_observations
+from nishiki.render.plane.shade import Maps, predict_observations
 
 
 @dataclass(frozen=True)
@@ -54,22 +54,12 @@ def predict_light(
     white board has divided it out. height : (rows, columns) in the unit of `pitch`, for cast shadows; None: none are
     cast.
     """
-    (seen,) = predict_observations(
-        model.normals,
-        model.reflectance,
-        [light],
-        shading=model.shading,
-        slopes=model.slopes,
-        gloss=model.gloss,
-        labels=model.labels,
-        height=height,
-        pitch=pitch,
-    )
+    maps = Maps(model.normals, model.reflectance, model.gloss, model.shading, model.slopes, model.labels)
+    (seen,) = predict_observations(maps, [light], height=height, pitch=pitch)
     white = np.ones((*model.normals.shape[:2], 1), np.float32)
     body_only = replace(model.gloss, beta=np.zeros_like(model.gloss.beta))
-    (matte,) = predict_observations(
-        model.normals, white, [light], shading=model.shading, gloss=body_only, labels=model.labels, pitch=pitch
-    )
+    matte_maps = maps._replace(coefficients=white, gloss=body_only, slopes=None)
+    (matte,) = predict_observations(matte_maps, [light], pitch=pitch)
     body = matte.observations[..., 0]
     lit = (body > 0).astype(np.float32)
     if seen.visibility is not None:

@@ -149,7 +149,7 @@ def difference_of(
     white = np.ascontiguousarray(white, np.float64)
 
     def rows(start: int, stop: int) -> None:
-        kernels.compare_rows(start, stop, first, second, classes, matrix, white, de00, sums)
+        kernels.compare_rows(start, stop, first, second, classes, (matrix, white), de00, sums)
 
     over_rows(rows, len(classes))
     return sums.sum(axis=0)

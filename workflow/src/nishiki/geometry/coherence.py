@@ -158,8 +158,8 @@ class Outlines:
         spans = np.column_stack([np.maximum(nearest - radius, 0.0), nearest + radius])
         reach = max(TOLERANCE_PX, TOLERANCE * self.size) * float(np.median(nearest) / np.median(geometry[1][:, 10]))
         deepest = np.empty(len(views))
-        trace_rays(*geometry, self.fields.frames[order[used]], self.fields.buffer, views, origins, directions,
-                   spans, max(reach, 1e-6 * radius), deepest)  # fmt: skip
+        field = *geometry, self.fields.frames[order[used]], self.fields.buffer
+        trace_rays(field, views, origins, directions, spans, max(reach, 1e-6 * radius), deepest)
         counts = np.bincount(views, minlength=len(used))
         out = np.zeros(len(cameras))
         out[used] = np.bincount(views, deepest < -reach, minlength=len(used)) / np.maximum(counts, 1)

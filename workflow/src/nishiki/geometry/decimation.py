@@ -102,8 +102,9 @@ def _gather(vertex, head, following, faces, alive, marks, stamp, ring):
 
 
 @njit(**JIT)
-def _turns(vertex, other, place, vertices, head, following, faces, alive, old, new, spot):
-    """Whether moving `vertex` to place turns over, or flattens, a triangle that does not vanish with `other`."""
+def _turns(vertex, other, place, surface, scratch):
+    """Return whether moving `vertex` to place turns over, or flattens, a triangle that does not vanish with `other`."""
+    (vertices, head, following, faces, alive), (old, new, spot) = surface, scratch
     node = head[vertex]
     while node >= 0:
         face = node // 3
@@ -240,7 +241,7 @@ def collapse(vertices, faces, target):
     alive = np.ones(faces.shape[0], np.bool_)
     version, marks = np.zeros(count, np.int64), np.full(count, -1)
     ring, ring2 = np.empty(1024, np.int64), np.empty(1024, np.int64)
-    place, old, new, spot = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
+    place, scratch = np.empty(3), (np.empty(3), np.empty(3), np.empty((3, 3)))
     costs, items, size = np.empty(3 * faces.shape[0]), np.empty((3 * faces.shape[0], 4), np.int64), 0
     for face in range(faces.shape[0]):
         for k in range(3):
@@ -273,9 +274,9 @@ def collapse(vertices, faces, target):
         if shared != sides or sides == 0 or (sides == 2 and near_a <= 3 and near_b <= 3):
             continue
         _best(quadrics[a], quadrics[b], vertices[a], vertices[b], place)
-        if _turns(a, b, place, vertices, head, following, faces, alive, old, new, spot):
+        if _turns(a, b, place, (vertices, head, following, faces, alive), scratch):
             continue
-        if _turns(b, a, place, vertices, head, following, faces, alive, old, new, spot):
+        if _turns(b, a, place, (vertices, head, following, faces, alive), scratch):
             continue
         worst = max(worst, cost)
         for k in range(3):

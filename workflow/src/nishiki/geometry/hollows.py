@@ -105,8 +105,8 @@ class Photographed:
         distance = np.linalg.norm(centres - points.mean(axis=0), axis=1).mean()
         footprint = distance / np.sqrt(abs(np.linalg.det(self.cameras[0].intrinsics)))
         residuals_at(
-            np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64), pixels, away, depths,
-            self.pictures, centres, distance, 2.5 * footprint, out,
+            np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64), (pixels, away),
+            (depths, self.pictures, centres), distance, 2.5 * footprint, out,
         )  # fmt: skip
         return out
 
@@ -282,12 +282,13 @@ def mean_residual(mesh: Mesh, pixels: dict[int, np.ndarray], photographed: Photo
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def residuals_at(points, normals, pixels, away, depths, pictures, centres, distance, tolerance, out):
+def residuals_at(points, normals, seen, photographs, distance, tolerance, out):
     """Compute the residuals of `Photographed.residuals`.
 
-    pixels (views, n, 2) column and row of the points, away (views, n) their depths, depths (views, rows, columns) of
-    the mesh, tolerance: of the visibility.
+    seen: pixels (views, n, 2) column and row of the points, and their depths (views, n); photographs: depths of the
+    mesh (views, rows, columns), pictures and centres of the cameras; tolerance: of the visibility.
     """
+    (pixels, away), (depths, pictures, centres) = seen, photographs
     views, rows, columns, channels = pictures.shape
     values, towards = np.empty((views, channels)), np.empty((views, 3))
     variance, facing = np.empty(views), np.empty(views)

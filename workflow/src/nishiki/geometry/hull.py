@@ -285,7 +285,8 @@ def _pixels_of(cell: float, box: np.ndarray, cameras: list[Camera]) -> float:
 def _fill(field: Field, volume: np.ndarray, origin: np.ndarray, cell: float, misses: int) -> int:
     """Fill the grid, cubes of 8 x 8 x 8 points at once, in threads over slabs of x; the number of cubes asked."""
     starts = range(0, volume.shape[0], BLOCK)
-    one = partial(fill_slab, field.poses, field.lenses, field.frames, field.buffer, origin, cell, BLOCK, misses)
+    views = field.poses, field.lenses, field.frames, field.buffer
+    one = partial(fill_slab, views, (origin, cell), BLOCK, misses)
     return sum(in_threads(lambda s: one(BAND * cell, s, min(s + BLOCK, volume.shape[0]), volume), starts))
 
 

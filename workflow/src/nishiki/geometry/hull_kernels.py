@@ -55,8 +55,9 @@ def _distance(buffer, frame, column, row):
 
 
 @njit(**JIT)
-def _at_point(poses, lenses, frames, buffer, x, y, z, misses, enough, spot, worst):
+def _at_point(field, x, y, z, misses, enough, spot, worst):
     """Return the (misses + 1)-th smallest signed distance over the views, world units; may stop below -enough."""
+    poses, lenses, frames, buffer = field
     for m in range(misses + 1):
         worst[m] = FAR
     for view in range(poses.shape[0]):
@@ -77,21 +78,20 @@ def at_points(poses, lenses, frames, buffer, points, misses, out):
     """Signed distance of the hull at points (n, 3), world units, positive inside."""
     spot, worst = np.empty(3), np.empty(MOST_MISSES + 1)
     for n in range(points.shape[0]):
-        out[n] = _at_point(
-            poses, lenses, frames, buffer, points[n, 0], points[n, 1], points[n, 2], misses, FAR, spot, worst
-        )
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        out[n] = _at_point((poses, lenses, frames, buffer), x, y, z, misses, FAR, spot, worst)
 
 
 @njit(**JIT)
-def _block(poses, lenses, frames, buffer, lowest, side, margin, misses, spot):
-    """-1: the cube is outside for more than `misses` views; 1: inside for all; 0: some of its points must be asked.
+def _block(field, lowest, side, margin, misses, spot):
+    """Return -1: the cube is outside for more than `misses` views; 1: inside for all; 0: some of its points are asked.
 
     A cube before the camera lies within the convex hull of its projected corners, so within the circle around its
     projected centre that holds them; a distance map changes by no more than the way gone (a tenth and a pixel are
     allowed for lens distortion and for the smoothing of the map). Points nearer to the surface than margin (world's
     unit) are always asked: the surface is found between their values.
     """
-    outside, inside = 0, True
+    (poses, lenses, frames, buffer), outside, inside = field, 0, True
     half = 0.5 * side
     for view in range(poses.shape[0]):
         _project(poses[view], lenses[view], lowest[0] + half, lowest[1] + half, lowest[2] + half, spot)
@@ -132,11 +132,13 @@ def _block(poses, lenses, frames, buffer, lowest, side, margin, misses, spot):
 
 
 @njit(**JIT)
-def fill_slab(poses, lenses, frames, buffer, origin, cell, block, misses, band, first, last, volume):
-    """Clipped signed distance at the grid points first <= i < last of volume (i, j, k); counts cubes asked fully.
+def fill_slab(field, grid, block, misses, band, first, last, volume):
+    """Fill the clipped signed distance at the points first <= i < last of volume (i, j, k); count cubes asked fully.
 
-    volume (x, y, z) float32 of values within [-band, band]; grid point (i, j, k) lies at origin + cell (i, j, k).
+    field: poses, lenses, frames, buffer; grid: origin and cell, point (i, j, k) lies at origin + cell (i, j, k); volume
+    (x, y, z) float32 of values within [-band, band].
     """
+    origin, cell = grid
     spot, worst, lowest = np.empty(3), np.empty(MOST_MISSES + 1), np.empty(3)
     _, ny, nz = volume.shape
     asked = 0
@@ -146,7 +148,7 @@ def fill_slab(poses, lenses, frames, buffer, origin, cell, block, misses, band, 
                 lowest[0] = origin[0] + cell * i0
                 lowest[1] = origin[1] + cell * j0
                 lowest[2] = origin[2] + cell * k0
-                kind = _block(poses, lenses, frames, buffer, lowest, cell * (block - 1), 2.0 * cell, misses, spot)
+                kind = _block(field, lowest, cell * (block - 1), 2.0 * cell, misses, spot)
                 asked += kind == 0
                 for i in range(i0, min(i0 + block, last)):
                     for j in range(j0, min(j0 + block, ny)):
@@ -154,33 +156,22 @@ def fill_slab(poses, lenses, frames, buffer, origin, cell, block, misses, band, 
                             if kind != 0:
                                 volume[i, j, k] = band * kind
                                 continue
-                            value = _at_point(
-                                poses,
-                                lenses,
-                                frames,
-                                buffer,
-                                origin[0] + cell * i,
-                                origin[1] + cell * j,
-                                origin[2] + cell * k,
-                                misses,
-                                band,
-                                spot,
-                                worst,
-                            )
+                            x, y, z = origin[0] + cell * i, origin[1] + cell * j, origin[2] + cell * k
+                            value = _at_point(field, x, y, z, misses, band, spot, worst)
                             volume[i, j, k] = min(max(value, -band), band)
     return asked
 
 
 @njit(**JIT)
-def trace_rays(poses, lenses, frames, buffer, views, origins, directions, spans, reach, out):
-    """Largest signed distance of the hull along rays, world's unit, into out (n,); tracing ends above -reach.
+def trace_rays(field, views, origins, directions, spans, reach, out):
+    """Find the largest signed distance of the hull along rays, world's unit, out (n,); tracing ends above -reach.
 
     views (n,) int64: the view that a ray belongs to, whose own silhouette takes no part; origins (n, 3), directions
     (n, 3) unit vectors; spans (n, 2): first and last distance. A distance below 0 bounds the way to the hull, so that
     the ray may go on by it (J. C. Hart, Sphere tracing, The Visual Computer 12, 1996); by four fifths of it, because
     distances are measured across the line of sight.
     """
-    spot = np.empty(3)
+    (poses, lenses, frames, buffer), spot = field, np.empty(3)
     for n in range(out.shape[0]):
         t, best = spans[n, 0], -FAR
         while t <= spans[n, 1] and best < -reach:

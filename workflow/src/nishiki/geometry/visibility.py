@@ -225,15 +225,16 @@ def _halve(centres, order, leaves):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def meet(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far, any_hit):
+def meet(tree, origin, direction, far, any_hit):
     """Intersect a ray within (0, far): place among the leaves' triangles or -1, distance, weights of two corners.
 
     The distance is in multiples of the ray's direction; the weights are those of the second and third corner.
 
-    any_hit: return the first hit found, whichever it is. stack (64,) int32 is scratch. Triangles: T. Moeller, B.
-    Trumbore, Fast, minimum storage ray/triangle intersection, Journal of Graphics Tools 1997; a slack of 1e-9 keeps
-    rays from slipping through between neighbours.
+    tree: boxes, triangles and a stack (64,) int32, which is scratch. any_hit: return the first hit found, whichever it
+    is. Triangles: T. Moeller, B. Trumbore, Fast, minimum storage ray/triangle intersection, Journal of Graphics Tools
+    1997; a slack of 1e-9 keeps rays from slipping through between neighbours.
     """
+    (boxes, triangles, stack), (ox, oy, oz), (dx, dy, dz) = tree, origin, direction
     hit, best_u, best_v = -1, 0.0, 0.0
     ix = 1.0 / dx if abs(dx) > 1e-30 else 1e30
     iy = 1.0 / dy if abs(dy) > 1e-30 else 1e30
@@ -297,17 +298,18 @@ def meet(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far, any_hit):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def blocked(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far):
-    """Whether a ray meets a triangle at a distance within (0, far), in multiples of its direction."""
-    return meet(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far, True)[0] >= 0
+def blocked(tree, origin, direction, far):
+    """Return whether a ray meets a triangle at a distance within (0, far), in multiples of its direction."""
+    return meet(tree, origin, direction, far, True)[0] >= 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast(start, stop, boxes, triangles, order, origins, directions, far, any_hit, triangle, distance, weights):
+def _cast(start, stop, tree, order, rays, any_hit, hits):
+    (boxes, triangles), (origins, directions, far), (triangle, distance, weights) = tree, rays, hits
     stack = np.empty(64, np.int32)
     for ray in range(start, stop):
         o, d = origins[ray], directions[ray]
-        place, t, u, v = meet(boxes, triangles, stack, o[0], o[1], o[2], d[0], d[1], d[2], far[ray], any_hit)
+        place, t, u, v = meet((boxes, triangles, stack), (o[0], o[1], o[2]), (d[0], d[1], d[2]), far[ray], any_hit)
         triangle[ray] = order[place] if place >= 0 else -1
         distance[ray], weights[ray, 0], weights[ray, 1] = t, u, v
 
@@ -326,7 +328,7 @@ def cast(
     hits = Hits(np.empty(count, np.int32), np.empty(count), np.empty((count, 2)))
     if count:
         over_rows(
-            _cast, count, tree.boxes, tree.triangles, tree.order, origins, directions, far, any_hit,
-            hits.triangle, hits.distance, hits.weights,
+            _cast, count, (tree.boxes, tree.triangles), tree.order, (origins, directions, far), any_hit,
+            (hits.triangle, hits.distance, hits.weights),
         )  # fmt: skip
     return hits

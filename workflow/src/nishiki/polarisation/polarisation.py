@@ -104,7 +104,7 @@ def components(
     known = np.empty(valid.shape, bool)
 
     def band(first: int, last: int) -> None:
-        finish_band(planes, valid, field, to_diffuse, to_specular, kind, diffuse, specular, known, first, last)
+        finish_band(planes, valid, field, (to_diffuse, to_specular, kind), (diffuse, specular, known), first, last)
 
     over_rows(band, len(valid))
     return SeparatedView(diffuse, specular, known)
@@ -128,8 +128,12 @@ def _last_step(method: str, phase: float | None, sense: int) -> tuple[np.ndarray
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def finish_band(planes, valid, field, to_diffuse, to_specular, kind, diffuse, specular, known, first, last):
-    """Rows first .. last - 1 of `components`. field (1 or rows, 1 or columns, 1 or channels): beta, or the gain."""
+def finish_band(planes, valid, field, rule, out, first, last):
+    """Fill rows first .. last - 1 of `components`. field (1 or rows, 1 or columns, 1 or channels): beta, or the gain.
+
+    rule: weights of the planes for both parts, and the kind; out: diffuse and specular part, and where they are known.
+    """
+    (to_diffuse, to_specular, kind), (diffuse, specular, known) = rule, out
     down, across, deep = int(field.shape[0] > 1), int(field.shape[1] > 1), int(field.shape[2] > 1)
     count, channels = planes.shape[0], planes.shape[3]
     for y in range(first, last):

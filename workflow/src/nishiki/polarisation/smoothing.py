@@ -155,10 +155,8 @@ def smooth_differences(
         variance,
         usable,
         np.asarray(colour, np.float64),
-        COSINES,
         np.float32(2 * np.log(PATCH * PATCH * q.shape[2])),
-        np.array(down, np.int64),
-        np.array(_places(q.shape[1]), np.int64),
+        (np.array(down, np.int64), np.array(_places(q.shape[1]), np.int64)),
         sums,
         weights,
     )
@@ -185,11 +183,12 @@ COSINES = _cosines()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def smooth_squares(q, variance, usable, colour, cosines, limit, down, across, sums, weights):
-    """Add the smoothed squares at rows `down` and columns `across` to sums (rows, columns, n) with their weights.
+def smooth_squares(q, variance, usable, colour, limit, corners, sums, weights):
+    """Add the smoothed squares at these rows and columns to sums (rows, columns, n) with their weights.
 
     limit: square of the threshold, in variances.
     """
+    (down, across), cosines = corners, COSINES
     n = q.shape[2]
     square, half = np.empty((n, PATCH, PATCH), np.float32), np.empty((PATCH, PATCH), np.float32)
     mirror, sizes, means, kept = np.empty(n, np.float32), np.empty(n), np.empty(n), np.empty(n, np.int64)

@@ -110,16 +110,15 @@ def openness(scene: ClothScene, rays: int, reach: float) -> tuple[np.ndarray, np
     count = len(scene.mesh.vertices)
     free, up = np.empty((count, 2)), np.empty((count, 2))
     normals = np.ascontiguousarray(scene.mesh.normals, np.float64)
-    tree, lift = scene.tree, 4 * LIFT * scene.scale
-    over_rows(
-        lambda a, b: _open(tree.boxes, tree.triangles, scene.mesh.vertices, normals, rays, reach, lift, a, b, free, up),
-        count,
-    )
+    tree, surface = (scene.tree.boxes, scene.tree.triangles), (scene.mesh.vertices, normals)
+    test = rays, reach, 4 * LIFT * scene.scale
+    over_rows(lambda a, b: _open(tree, surface, test, a, b, (free, up)), count)
     return free, up
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _open(boxes, triangles, vertices, normals, rays, reach, lift, first, last, free, up):
+def _open(tree, surface, test, first, last, out):
+    (boxes, triangles), (vertices, normals), (rays, reach, lift), (free, up) = tree, surface, test, out
     stack = np.empty(64, np.int32)
     for k in range(first, last):
         for side in range(2):
@@ -139,7 +138,7 @@ def _open(boxes, triangles, vertices, normals, rays, reach, lift, first, last, f
                 dx = z * nx + x * (1.0 + s * nx * nx * p) + y * q
                 dy = z * ny + x * s * q + y * (s + ny * ny * p)
                 dz = z * nz - x * s * nx - y * ny
-                if not blocked(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, reach):
+                if not blocked((boxes, triangles, stack), (ox, oy, oz), (dx, dy, dz), reach):
                     seen += 1
                     height += 0.5 * (1.0 + dy)
             free[k, side] = seen / rays

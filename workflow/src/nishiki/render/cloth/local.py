@@ -83,20 +83,12 @@ def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int
     if count:
         over_rows(
             lambda a, b: _frames(
-                mesh.vertices,
-                normals,
-                scene.weft,
-                corners,
-                triangle,
-                weights,
+                (mesh.vertices, normals, scene.weft, corners),
+                (triangle, weights),
                 eye,
                 a,
                 b,
-                place,
-                frame,
-                outgoing,
-                back,
-                bent,
+                (place, frame, outgoing, back, bent),
             ),
             count,
         )
@@ -135,8 +127,9 @@ def lit(scene: ClothScene, samples: Samples, lamp: Lamp, shadows: bool) -> Light
     if count:
         over_rows(
             lambda a, b: _lit(
-                tree.boxes, tree.triangles, samples.place, samples.frame, samples.number, source, near, lamp.distance,
-                np.tan(lamp.radius), 2 * scene.scale, lift, samples.a_pixel, shadows, a, b, incident, strength, before,
+                (tree.boxes, tree.triangles), (samples.place, samples.frame, samples.number, samples.a_pixel),
+                (source, near, lamp.distance, np.tan(lamp.radius)), (2 * scene.scale, lift, shadows), a, b,
+                (incident, strength, before),
             ),
             count,
         )  # fmt: skip
@@ -152,9 +145,10 @@ def _unit(v):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _frames(vertices, normals, wefts, corners, triangle, weights, eye, first, last, place, frame, outgoing, back, bent):
+def _frames(surface, points, eye, first, last, out):
     """See `gather`. The frame is turned to the eye: seen from behind, normal and weft change sign, not the warp."""
-    n, t, view = np.empty(3), np.empty(3), np.empty(3)
+    (vertices, normals, wefts, corners), (triangle, weights) = surface, points
+    (place, frame, outgoing, back, bent), n, t, view = out, np.empty(3), np.empty(3), np.empty(3)
     for k in range(first, last):
         a, b, c = corners[triangle[k], 0], corners[triangle[k], 1], corners[triangle[k], 2]
         u, v = np.float64(weights[k, 0]), np.float64(weights[k, 1])
@@ -256,11 +250,10 @@ def disc_point(pixel, index, count):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lit(
-    boxes, triangles, place, frame, number, source, near, distance, spread, far, lift, count, shadows, first, last,
-    incident, strength, before,
-):  # fmt: skip
-    """See `lit`. source: unit vector or place of the lamp; spread: tangent of its angular radius."""
+def _lit(tree, samples, lamp, rays, first, last, out):
+    """See `lit`. lamp: unit vector or place, near or not, distance, tangent of its angular radius."""
+    (boxes, triangles), (place, frame, number, count), (source, near, distance, spread) = tree, samples, lamp
+    (far, lift, shadows), (incident, strength, before) = rays, out
     stack = np.empty(64, np.int32)
     d = np.empty(3)
     for k in range(first, last):
@@ -288,5 +281,5 @@ def _lit(
         ox = place[k, 0] + lift * frame[k, 2, 0]
         oy = place[k, 1] + lift * frame[k, 2, 1]
         oz = place[k, 2] + lift * frame[k, 2, 2]
-        if blocked(boxes, triangles, stack, ox, oy, oz, rx, ry, rz, reach):
+        if blocked((boxes, triangles, stack), (ox, oy, oz), (rx, ry, rz), reach):
             strength[k] = 0.0

@@ -98,22 +98,15 @@ def sample_maps(
     labels = np.empty((height, width) if scene.labels is not None else (0, 0), np.uint8)
     visible = np.empty((lights, height, width), np.float32)
     inside = np.empty((height, width), np.bool_)
-    _sample(
+    maps = (
         np.ascontiguousarray(scene.normals, np.float32),
         np.ascontiguousarray(scene.coefficients, np.float32),
         np.zeros((0, 0, 0), np.float32) if scene.shading is None else np.ascontiguousarray(scene.shading, np.float32),
         np.zeros((0, 0), np.uint8) if scene.labels is None else np.ascontiguousarray(scene.labels),
         np.zeros((0, 0, 0), np.float32) if visibility is None else np.ascontiguousarray(visibility, np.float32),
-        to_map,
-        float(extent[0]),
-        float(extent[1]),
-        normals,
-        coefficients,
-        shading,
-        labels,
-        visible,
-        inside,
     )
+    out = normals, coefficients, shading, labels, visible, inside
+    _sample(maps, to_map, (float(extent[0]), float(extent[1])), out)
     return MapSamples(
         normals,
         coefficients,
@@ -125,9 +118,9 @@ def sample_maps(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sample(
-    maps_n, maps_c, maps_s, maps_l, maps_v, to_map, high, wide, normals, coefficients, shading, labels, visible, inside
-):
+def _sample(maps, to_map, extent, out):
+    (maps_n, maps_c, maps_s, maps_l, maps_v), (high, wide) = maps, extent
+    normals, coefficients, shading, labels, visible, inside = out
     rows, columns = maps_n.shape[:2]
     for i in range(inside.shape[0]):
         for j in range(inside.shape[1]):

@@ -10,7 +10,7 @@ from nishiki.errors import UserError
 from nishiki.render.plane import camera
 from nishiki.render.plane.flags import BACKGROUND, UNUSABLE
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
-from nishiki.render.plane.shade import colour_groups, shade_channels, shade_xyz
+from nishiki.render.plane.shade import ColourGroups, Maps, colour_groups, shade_channels, shade_xyz
 from nishiki.render.plane.shadow import cast_shadows
 from nishiki.threads import over_rows
 
@@ -91,8 +91,11 @@ def render(
     while first < rows:
         last, across, down = painter.band(first, xyz.shape, minimum_samples, maximum_samples)
         samples, shading = painter.paint(first, last, columns, across, down)
-        _resolve_band(shading, samples.inside, across, down, backdrop, xyz[first:last], flags[first:last],
-                      coverage[first:last])  # fmt: skip
+        arguments = (
+            (shading.values, shading.flags, samples.inside), (across, down), backdrop,
+            (xyz[first:last], flags[first:last], coverage[first:last]),
+        )  # fmt: skip
+        over_rows(_resolve, last - first, *arguments)
         most, first = max(most, across * down), last
     return Rendering(xyz, flags, coverage, white, shadowed, most, reduction)
 
@@ -108,7 +111,7 @@ class _Painter:
     maps: PlaneScene
     visibility: np.ndarray | None
     lights: list
-    groups: object
+    groups: ColourGroups
     ambient_level: float
     plane: np.ndarray
     to_map: np.ndarray
@@ -135,13 +138,9 @@ class _Painter:
         shape = ((last - first) * down, columns * across)
         samples = camera.sample_maps(self.maps, self.visibility, self.to_map @ to_screen, shape, self.extent)
         shading = shade_channels(
-            samples.normals,
-            samples.coefficients,
+            Maps(samples.normals, samples.coefficients, self.maps.gloss, samples.shading, None, samples.labels),
             self.lights,
             groups=self.groups,
-            shading=samples.shading,
-            gloss=self.maps.gloss,
-            labels=samples.labels,
             visibility=samples.visibility,
             plane=self.plane @ to_screen,
             eye=self.eye,
@@ -186,16 +185,10 @@ def _block_means(values, factor):
     return (sums / (sizes[0][:, None] * sizes[1])[..., None]).astype(np.float32)
 
 
-def _resolve_band(shading, inside, across, down, background, xyz, flags, coverage):
-    def some_rows(first, last):
-        _resolve(first, last, shading.values, shading.flags, inside, across, down, background, xyz, flags, coverage)
-
-    over_rows(some_rows, len(xyz))
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
-def _resolve(first, last, values, sample_flags, inside, across, down, background, xyz, flags, coverage):
-    """Means over the samples of each pixel; unusable samples (missing normal or colour, overflow) are left out."""
+def _resolve(first, last, samples, grid, background, out):
+    """Average the samples of each pixel; unusable samples (missing normal or colour, overflow) are left out."""
+    (values, sample_flags, inside), (across, down), (xyz, flags, coverage) = samples, grid, out
     for row in range(first, last):
         for column in range(xyz.shape[1]):
             x, y, z, usable, on, marks = 0.0, 0.0, 0.0, 0, 0, 0

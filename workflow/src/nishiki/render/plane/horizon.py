@@ -21,12 +21,13 @@ def _disc_share(elevation, horizon, radius):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sweep_line(line, start, surface, pieces, slope, step, tops, line_of, below, heights, out):
-    """Horizon along the line row = start + slope column into out (columns,); NaN off the map or where unknown.
+def _sweep_line(line, start, relief, slope, step, hull, out):
+    """Find the horizon along the line row = start + slope column, out (columns,); NaN off the map or where unknown.
 
     Each piece of the surface has an upper convex hull of its own, a linked list over the columns: tops (pieces,) is its
     nearest column, valid where line_of (pieces,) is `line`; below (columns,) the next column of a hull, -1 at its end.
     """
+    (surface, pieces), (tops, line_of, below, heights) = relief, hull
     rows, columns = surface.shape
     for column in range(columns - 1, -1, -1):
         out[column] = np.nan
@@ -59,21 +60,22 @@ def _sweep_line(line, start, surface, pieces, slope, step, tops, line_of, below,
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sweep(first, last, phase, surface, pieces, count, slope, step, elevation, radius, floor, out):
-    """Visibility of the pixels between the lines k - 1 and k, for k = first .. last - 1: exactly one a column.
+def sweep(first, last, lines, surface, pieces, count, lamp, out):
+    """Find the visibility of the pixels between the lines k - 1 and k, for k = first .. last - 1: one a column.
 
     Line k is row = k + phase + slope column.  A pixel's tangent is the mean of its two lines'; tangents below `floor`
     count as that: what lies further off than a tile's border reaches is then the same as nothing.  pieces: (rows,
     columns) int32 piece of each pixel, 0 .. count - 1, or (0, 0): all of piece 0.
+    lines: phase, slope and step; lamp: elevation, radius and floor.
     """
-    rows, columns = surface.shape
+    (phase, slope, step), (elevation, radius, floor), (rows, columns) = lines, lamp, surface.shape
     low, high = np.tan(max(elevation - radius, -1.5)), np.tan(min(elevation + radius, 1.5))
     tops, line_of = np.empty(count, np.int64), np.full(count, first - 2)
-    below, heights = np.empty(columns, np.int64), np.empty(columns)
+    hull, relief = (tops, line_of, np.empty(columns, np.int64), np.empty(columns)), (surface, pieces)
     before, here = np.empty(columns), np.empty(columns)
-    _sweep_line(first - 1, first - 1 + phase, surface, pieces, slope, step, tops, line_of, below, heights, before)
+    _sweep_line(first - 1, first - 1 + phase, relief, slope, step, hull, before)
     for k in range(first, last):
-        _sweep_line(k, k + phase, surface, pieces, slope, step, tops, line_of, below, heights, here)
+        _sweep_line(k, k + phase, relief, slope, step, hull, here)
         for column in range(columns):
             lower = k - 1 + phase + slope * column
             row = int(np.floor(lower)) + 1
@@ -96,12 +98,13 @@ def sweep(first, last, phase, surface, pieces, count, slope, step, elevation, ra
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _march_pixel(row, column, surface, pieces, pitch, to_column, to_row, lowest, highest, end):
-    """Tangent of the horizon of a pixel along the unit direction (to_column, to_row); -1e30 where nothing is there.
+def _march_pixel(row, column, surface, pieces, pitch, direction, limits):
+    """Find the tangent of a pixel's horizon along a unit direction (column, row); -1e30 where nothing is there.
 
     Only heights of the pixel's own piece count.
     Stops where a height of `highest` could no longer pass the horizon found, or `lowest`, and after `end` pixels.
     """
+    (to_column, to_row), (lowest, highest, end) = direction, limits
     rows, columns = surface.shape
     by_column = abs(to_column) >= abs(to_row)
     main = abs(to_column) if by_column else abs(to_row)
@@ -138,11 +141,12 @@ def _march_pixel(row, column, surface, pieces, pitch, to_column, to_row, lowest,
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def march(first, last, surface, pieces, pitch, light_column, light_row, light_z, w, highest, radius, out):
-    """Visibility of a lamp at (column, row, z) in pixels from each pixel, or in that direction where w is 0.
+def march(first, last, surface, pieces, pitch, lamp, highest, out):
+    """Find the visibility of a lamp from each pixel, at (column, row, z) in pixels or in that direction where w is 0.
 
-    pieces as in `sweep`.
+    pieces as in `sweep`; lamp: column, row, z, w, angular radius.
     """
+    light_column, light_row, light_z, w, radius = lamp
     for row in range(first, last):
         for column in range(surface.shape[1]):
             start = surface[row, column] / pitch
@@ -155,7 +159,6 @@ def march(first, last, surface, pieces, pitch, light_column, light_row, light_z,
             elevation = np.arctan2(rise, horizontal)
             lowest = np.tan(max(elevation - radius, -1.5))
             end = horizontal if w > 0.0 else 1e30
-            tangent = _march_pixel(
-                row, column, surface, pieces, pitch, dc / horizontal, dr / horizontal, lowest, highest, end
-            )
+            towards, limits = (dc / horizontal, dr / horizontal), (lowest, highest, end)
+            tangent = _march_pixel(row, column, surface, pieces, pitch, towards, limits)
             out[row, column] = _disc_share(elevation, np.arctan(tangent), radius)

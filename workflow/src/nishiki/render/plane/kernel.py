@@ -461,20 +461,22 @@ def _mark_bad(buf, flags, total, sigma, n):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shade(first, last, normals, coefficients, shading, slopes, labels, gloss, index, transmission, entering, lights,
-          group, matrices, offsets, whites, visibility, plane, eye, ambient, widest, out, flags):  # fmt: skip
-    """Rows first .. last - 1 of: sum over the lights of (A sigma + a0) E c f + white E beta D F G / cos_r.
+def shade(first, last, maps, finish, lamps, colours, view, pictures):
+    """Fill rows first .. last - 1 of: sum over the lights of (A sigma + a0) E c f + white E beta D F G / cos_r.
 
-    c = max(n.l, 0), f the factor of the body shading. normals (R, C, 3), coefficients (R, C, K), shading (R, C, 3
+    c = max(n.l, 0), f the factor of the body shading. maps: normals (R, C, 3), coefficients (R, C, K), shading (R, C, 3
     or 5) or (0, 0, 0): f = 1, and slopes (R, C, 3), covariance of the slopes in a pixel, or (0, 0, 0): none, float32;
-    labels (R, C) uint8 or (0, 0): all pixels row 0; gloss (regions, 2 lobes): beta, 1 / gamma^2 of each lobe; index
-    (regions,); transmission (regions,): share of the surface's loss that the body's light suffers, entering (regions,):
-    what is left of ambient light on its way in; lights (L, 6): x, y, z, w, intensity, squared reference distance;
-    group (L,) row of matrices (G, channels, K, padded with zeros to fours), offsets and whites (G, channels), in rising
-    order; visibility (L, R, C) float32 or (0, 0, 0): all 1; plane (3, 3) maps (column, row, 1) to the plane; eye (4,)
-    homogeneous; ambient: irradiance of group 0's uniform half space; widest: largest sin^2 phi at which a lobe counts,
-    negative for a matte scene; out (R, C, channels) float32, flags (R, C) uint8.
+    labels (R, C) uint8 or (0, 0): all pixels row 0; finish: gloss (regions, 2 lobes): beta, 1 / gamma^2 of each lobe;
+    index (regions,); transmission (regions,): share of the surface's loss that the body's light suffers, entering
+    (regions,): what is left of ambient light on its way in; lights (L, 6): x, y, z, w, intensity, squared reference
+    distance; group (L,) row of matrices (G, channels, K, padded with zeros to fours), offsets and whites (G, channels),
+    in rising order; visibility (L, R, C) float32 or (0, 0, 0): all 1; plane (3, 3) maps (column, row, 1) to the plane;
+    eye (4,) homogeneous; ambient: irradiance of group 0's uniform half space; widest: largest sin^2 phi at which a lobe
+    counts, negative for a matte scene; out (R, C, channels) float32, flags (R, C) uint8.
     """
+    normals, coefficients, shading, slopes, labels = maps
+    (gloss, index, transmission, entering, widest), (lights, group, visibility) = finish, lamps
+    (matrices, offsets, whites), (plane, eye, ambient), (out, flags) = colours, view, pictures
     columns = coefficients.shape[1]
     no_labels, no_visibility = np.empty(0, np.uint8), np.empty(0, np.float32)
     buf = np.zeros((_LOBES + gloss.shape[1]) * BLOCK)

@@ -7,6 +7,7 @@ no spectrum and no colour matrix stands between it and a photograph.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,15 +84,11 @@ def shade_xyz(
     and 0 or position and 1.
     """
     ambient = Ambient() if ambient is None else ambient
+    maps = Maps(scene.normals, scene.coefficients, scene.gloss, scene.shading, scene.slopes, scene.labels)
     return shade_channels(
-        scene.normals,
-        scene.coefficients,
+        maps,
         lights,
-        shading=scene.shading,
-        slopes=scene.slopes,
         groups=colour_groups(scene, lights, ambient),
-        gloss=scene.gloss,
-        labels=scene.labels,
         visibility=visibility,
         plane=pixel_to_plane(scene.pitch, scene.shape),
         eye=eye,
@@ -99,22 +96,29 @@ def shade_xyz(
     )
 
 
+class Maps(NamedTuple):
+    """Maps of a flat object in any channels, each as in `PlaneScene`."""
+
+    normals: np.ndarray
+    coefficients: np.ndarray
+    gloss: Gloss
+    shading: np.ndarray | None = None
+    slopes: np.ndarray | None = None
+    labels: np.ndarray | None = None
+
+
 def shade_channels(
-    normals: np.ndarray,
-    coefficients: np.ndarray,
+    maps: Maps,
     lights: list[Light],
     *,
     groups: ColourGroups,
-    shading: np.ndarray | None = None,
-    slopes: np.ndarray | None = None,
-    gloss: Gloss,
-    labels: np.ndarray | None,
     visibility: np.ndarray | None,
     plane: np.ndarray,
     eye: np.ndarray = FRONTAL_EYE,
     ambient_level: float = 0.0,
 ) -> Shading:
-    """Shade any output channels: `groups` says how coefficients become values.  Arrays as in `PlaneScene`."""
+    """Shade any output channels: `groups` says how coefficients become values."""
+    normals, coefficients, gloss, shading, slopes, labels = maps
     if not lights and ambient_level == 0:
         raise UserError("lights: expected at least one light or an ambient level above 0, found neither; add a light")
     expected = (len(lights), *normals.shape[:2])
@@ -133,30 +137,25 @@ def shade_channels(
     values = np.empty((*normals.shape[:2], groups.matrices.shape[1]), np.float32)
     flags = np.empty(normals.shape[:2], np.uint8)
     table, widest = _gloss_table(gloss)
-    arguments = (
+    arrays = (
         np.ascontiguousarray(normals, np.float32),
         np.ascontiguousarray(coefficients, np.float32),
         np.zeros((0, 0, 0), np.float32) if shading is None else np.ascontiguousarray(shading, np.float32),
         np.zeros((0, 0, 0), np.float32) if slopes is None else np.ascontiguousarray(slopes, np.float32),
         np.zeros((0, 0), np.uint8) if labels is None else np.ascontiguousarray(labels),
-        table,
-        gloss.refractive_index,
-        gloss.transmission,
-        _entering(gloss) if ambient_level else np.ones(len(gloss.refractive_index)),
-        lamps[sequence],
-        rank[sequence],
-        np.pad(groups.matrices[order], ((0, 0), (0, 0), (0, -groups.matrices.shape[2] % 4))),
-        groups.offsets[order],
-        groups.whites[order],
-        visible,
-        np.ascontiguousarray(plane, np.float64),
-        np.asarray(eye, np.float64),
-        float(ambient_level),
-        widest,
-        values,
-        flags,
     )
-    over_rows(lambda first, last: kernel.shade(first, last, *arguments), len(values))
+    entering = _entering(gloss) if ambient_level else np.ones(len(gloss.refractive_index))
+    matrices = np.pad(groups.matrices[order], ((0, 0), (0, 0), (0, -groups.matrices.shape[2] % 4)))
+    over_rows(
+        kernel.shade,
+        len(values),
+        arrays,
+        (table, gloss.refractive_index, gloss.transmission, entering, widest),
+        (lamps[sequence], rank[sequence], visible),
+        (matrices, groups.offsets[order], groups.whites[order]),
+        (np.ascontiguousarray(plane, np.float64), np.asarray(eye, np.float64), float(ambient_level)),
+        (values, flags),
+    )
     return Shading(values, flags)
 
 
@@ -207,23 +206,15 @@ class Prediction:
 
 
 def predict_observations(
-    normals: np.ndarray,
-    albedo: np.ndarray,
-    lights: list[Light],
-    *,
-    shading: np.ndarray | None = None,
-    slopes: np.ndarray | None = None,
-    gloss: Gloss | None = None,
-    labels: np.ndarray | None = None,
-    height: np.ndarray | None = None,
-    pitch: float = 1.0,
+    maps: Maps, lights: list[Light], *, height: np.ndarray | None = None, pitch: float = 1.0
 ) -> Iterator[Prediction]:
     """Yield one prediction a light, in order, so that a stack of them need not be held in memory.
 
-    normals: (rows, columns, 3); albedo: (rows, columns, channels), perfect white 1; shading, slopes, gloss, labels,
-    height, pitch as in `PlaneScene`.  The spectra of the lights are not used; a
-    white board at the same place has divided out intensity and fall-off, which should therefore stay 1 and False.
+    The coefficients of the maps are the albedo, perfect white 1; height, pitch as in `PlaneScene`.  The spectra of the
+    lights are not used; a white board at the same place has divided out intensity and fall-off, which should therefore
+    stay 1 and False.
     """
+    normals, albedo = maps.normals, maps.coefficients
     if albedo.ndim != 3 or albedo.shape[:2] != normals.shape[:2] or normals.shape[2:] != (3,):
         raise UserError(
             f"expected normals (rows, columns, 3) and albedo (rows, columns, channels), "
@@ -238,16 +229,5 @@ def predict_observations(
     )
     for light in lights:
         visibility = None if height is None else cast_shadows(height, [light], pitch=pitch).visibility
-        seen = shade_channels(
-            normals,
-            albedo,
-            [light],
-            groups=groups,
-            shading=shading,
-            slopes=slopes,
-            gloss=Gloss.none() if gloss is None else gloss,
-            labels=labels,
-            visibility=visibility,
-            plane=plane,
-        )
+        seen = shade_channels(maps, [light], groups=groups, visibility=visibility, plane=plane)
         yield Prediction(seen.values, seen.flags, None if visibility is None else visibility[0])

@@ -105,9 +105,8 @@ def _sweep_light(surface, pieces, count: int, light: Light, pitch: float) -> np.
 
     def lines(begin, end):
         begin, end = first + begin, first + end
-        horizon.sweep(
-            begin, end, phase, surface, pieces, count, slope, step, elevation, light.angular_radius, floor, out
-        )
+        lamp = elevation, light.angular_radius, floor
+        horizon.sweep(begin, end, (phase, slope, step), surface, pieces, count, lamp, out)
 
     over_rows(lines, last - first + 1)
     out = out[:, ::-1] if flip else out
@@ -123,5 +122,5 @@ def _march_light(surface, pieces, light, pitch, out) -> None:
     if source[3]:
         column, row = column + (columns - 1) / 2, row + (rows - 1) / 2
     highest = float(np.nanmax(surface)) / pitch if np.any(np.isfinite(surface)) else 0.0
-    arguments = (surface, pieces, pitch, column, row, scaled[2], source[3], highest, light.angular_radius, out)
-    over_rows(lambda first, last: horizon.march(first, last, *arguments), len(surface))
+    lamp = column, row, scaled[2], source[3], light.angular_radius
+    over_rows(horizon.march, len(surface), surface, pieces, pitch, lamp, highest, out)
