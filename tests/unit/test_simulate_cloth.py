@@ -178,7 +178,8 @@ def test_what_is_told_to_be_free_is_free(satin):
 )
 def test_facets_are_reciprocal_and_finite(angles, along, across):
     i, o = unit(*angles[:2]), unit(*angles[2:])
-    there, back = reflect_filament(*i, *o, along, across, 1.5), reflect_filament(*o, *i, along, across, 1.5)
+    cloth = along, across, 1.5
+    there, back = reflect_filament(tuple(i), tuple(o), cloth), reflect_filament(tuple(o), tuple(i), cloth)
     assert math.isfinite(there)
     assert there >= 0.0
     assert there == pytest.approx(back, rel=1e-9)
@@ -209,7 +210,7 @@ def test_facets_are_normally_distributed_slopes(angles):
 
     masked = 1.0 / (1.0 + smith(i) + smith(o))
     expected = fresnel(float(i @ h), index) * by_solid_angle * masked / (4.0 * i[2] * o[2])
-    assert reflect_filament(*i, *o, along, across, index) == pytest.approx(expected, rel=1e-6)
+    assert reflect_filament(tuple(i), tuple(o), (along, across, index)) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("theta", [0.0, 40.0, 75.0])
@@ -222,7 +223,7 @@ def test_filaments_reflect_no_more_than_they_get(theta):
         sine = math.sqrt(1.0 - cosine * cosine)
         for turn in phi[::4]:
             o = sine * math.cos(turn), sine * math.sin(turn), cosine
-            total += cosine * (reflect_filament(*i, *o, 0.12, 0.3, 1.57) + body(i[2], cosine, 1.57))
+            total += cosine * (reflect_filament(tuple(i), o, (0.12, 0.3, 1.57)) + body(i[2], cosine, 1.57))
     assert 0.3 < total * (2.0 * math.pi / (400 * 100)) <= 1.0
 
 
@@ -261,12 +262,12 @@ def _path_traced(i, o, paths, bounces, numbers, free, twist, surface, dye, size,
                 break
             lx, ly, lz = in_frame(i[0], i[1], i[2], f)
             if lz > 0.0 and escapes(x, y, z, i[0], i[1], i[2], numbers, free):
-                mirror = reflect_filament(lx, ly, lz, vx, vy, vz, surface[k, 0], surface[k, 1], surface[k, 2])
+                mirror = reflect_filament((lx, ly, lz), (vx, vy, vz), surface[k])
                 value += passed * lz / i[2] * (mirror + dye[k, 0] * body(lz, vz, surface[k, 2]))
             r, turn = math.sqrt(random.random()), 2.0 * math.pi * random.random()
             lx, ly = r * math.cos(turn), r * math.sin(turn)
             lz = math.sqrt(1.0 - r * r)
-            mirror = reflect_filament(lx, ly, lz, vx, vy, vz, surface[k, 0], surface[k, 1], surface[k, 2])
+            mirror = reflect_filament((lx, ly, lz), (vx, vy, vz), surface[k])
             passed *= math.pi * (mirror + dye[k, 0] * body(lz, vz, surface[k, 2]))
             bx, by, bz = f[1] * f[5] - f[2] * f[4], f[2] * f[3] - f[0] * f[5], f[0] * f[4] - f[1] * f[3]
             dx = lx * f[3] + ly * bx + lz * f[0]

@@ -52,7 +52,7 @@ def disc(direction, radius, count=24):
 
 def shadow_map(height, light, *, step_mm, angular_radius):
     """Share of the lamp that each sample sees past the relief."""
-    rest = (*light, step_mm, float(height.max()), angular_radius)
+    rest = (tuple(light), step_mm, float(height.max()), angular_radius)
     rows, columns = height.shape
     return np.array([[visible_share(height, i, j, *rest) for j in range(columns)] for i in range(rows)])
 

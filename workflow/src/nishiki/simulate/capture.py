@@ -96,7 +96,8 @@ def _lobe(w, peak, centre, below, above):
 
 
 @numba.njit(cache=True, nogil=True)
-def _expose(start, stop, signal, full_scale, black, electrons, read_noise, noisy, key, first, codes):
+def _expose(start, stop, signal, sensor, key, first, codes):
+    full_scale, black, electrons, read_noise, noisy = sensor
     columns, channels = signal.shape[1], signal.shape[2]
     for row in range(start, stop):
         for column in range(columns):
@@ -127,11 +128,7 @@ def expose(signal: np.ndarray, camera: CameraSettings, *, key: int, first_row: i
         _expose,
         len(codes),
         np.ascontiguousarray(signal, np.float32),
-        full,
-        float(camera.black_level),
-        camera.full_well,
-        camera.read_noise,
-        camera.noise,
+        (full, float(camera.black_level), camera.full_well, camera.read_noise, camera.noise),
         np.uint64(key),
         first_row,
         codes,

@@ -36,19 +36,21 @@ def ggx_gloss(n_l, n_v, n_h, v_h, alpha, index):
 
 
 @numba.njit(cache=True)
-def facets(n_l, n_v, h_t, h_b, h_n, l_t, l_b, v_t, v_b, alpha_t, alpha_b):
-    """π D G₂ / (4 n·v) of anisotropic GGX facets, without Fresnel's factor.
+def facets(half, light, view, alpha_t, alpha_b):
+    """Compute π D G₂ / (4 n·v) of anisotropic GGX facets, without Fresnel's factor.
 
     Heitz, Understanding the masking-shadowing function, JCGT 3(2), 2014: eq. 85 (distribution), 86 (slopes' variance
-    along a direction), 99 (height-correlated masking). Components: along the tangent, the bitangent, the normal.
+    along a direction), 99 (height-correlated masking). Components of half vector, light and view: along the tangent,
+    the bitangent, the normal.
     """
+    (h_t, h_b, h_n), (l_t, l_b, n_l), (v_t, v_b, n_v) = half, light, view
     if n_l <= 0.0 or n_v <= 0.0:
         return 0.0
     spread = (h_t / alpha_t) ** 2 + (h_b / alpha_b) ** 2 + h_n * h_n
     # Masking with both square roots over a common denominator: no division by n·l or n·v, finite at grazing angles.
-    light = math.sqrt(n_l * n_l + (alpha_t * l_t) ** 2 + (alpha_b * l_b) ** 2)
-    view = math.sqrt(n_v * n_v + (alpha_t * v_t) ** 2 + (alpha_b * v_b) ** 2)
-    return 0.5 * n_l / (alpha_t * alpha_b * spread * spread * (n_v * light + n_l * view))
+    lit = math.sqrt(n_l * n_l + (alpha_t * l_t) ** 2 + (alpha_b * l_b) ** 2)
+    seen = math.sqrt(n_v * n_v + (alpha_t * v_t) ** 2 + (alpha_b * v_b) ** 2)
+    return 0.5 * n_l / (alpha_t * alpha_b * spread * spread * (n_v * lit + n_l * seen))
 
 
 @numba.njit(cache=True)
@@ -103,13 +105,16 @@ SINGLE = 0.5
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def reflect_filament(ix, iy, iz, ox, oy, oz, along, across, index):
-    """Mirror reflection F D G / (4 cosθ_i cosθ_o) of reflect_filament, 1/sr; x along the filaments, z along the normal.
+def reflect_filament(i, o, surface):
+    """Compute the mirror reflection F D G / (4 cosθ_i cosθ_o), 1/sr; x along the filaments, z along the normal.
+
+    i, o: unit directions to light and view; surface: roughness along and across the filaments, refractive index.
 
     Normally distributed slopes (P. Beckmann and A. Spizzichino, 1963) of deviations along/√2 and across/√2, masking and
     shadowing by Smith's integral of that distribution, exact, correlated by height (E. Heitz, JCGT 3(2), 2014, eq. 65,
     99), exact Fresnel reflectance. 0 where either direction is below the surface; symmetric in the two directions.
     """
+    (ix, iy, iz), (ox, oy, oz), (along, across, index) = i, o, (surface[0], surface[1], surface[2])
     if iz <= 0.0 or oz <= 0.0:
         return 0.0
     hx, hy, hz = ix + ox, iy + oy, iz + oz

@@ -77,18 +77,18 @@ def on_sensor(cells: list[np.ndarray], cloths, angles_deg: np.ndarray, settings:
     sizes = np.array([[cloth.solids.weft.length, cloth.solids.warp.length] for cloth in cloths])
     out = np.empty((settings.rows, settings.columns, cells[0].shape[2]))
     key = np.uint64(subkey(settings.seed, "cloth pixels"))
-    args = (key, to_cloth, settings.pitch_mm, sizes, cells[0], cells[-1], len(cells) > 1, out)
-    over_rows(_project, settings.rows, *args)
+    of_cells = cells[0], cells[-1], len(cells) > 1
+    over_rows(_project, settings.rows, key, to_cloth, settings.pitch_mm, sizes, of_cells, out)
     return out
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _project(start, stop, key, to_cloth, pitch, sizes, ground, figure, two, out):
+def _project(start, stop, key, to_cloth, pitch, sizes, cells, out):
     """Average over a point sequence in each pixel, shifted at random from pixel to pixel.
 
     The period of the cloth and a regular grid of samples would beat against each other.
     """
-    rows, columns, channels = out.shape
+    (ground, figure, two), (rows, columns, channels) = cells, out.shape
     share = 1.0 / _SAMPLES
     for row in range(start, stop):
         for column in range(columns):

@@ -54,7 +54,8 @@ def make_points(solids: Solids, settings: ClothSettings, *, candidates: int) -> 
     lift = _LIFT * min(settings.warp.spacing_mm, settings.weft.spacing_mm)
     level = np.empty(len(place), np.uint8)
     over_rows(
-        _finish, len(place), place, which, solids.numbers, solids.free, twist, lift, probes(), _AZIMUTHS, frame, level
+        _finish, len(place), place, which, (solids.numbers, solids.free, twist, lift), (probes(), _AZIMUTHS), frame,
+        level,
     )  # fmt: skip
     kept = []
     for number, every in enumerate(_EVERY):
@@ -126,8 +127,9 @@ def turned_frame(x, y, z, which, numbers, twist, f):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _finish(start, stop, place, which, numbers, free, twist, lift, directions, azimuths, frame, level):
-    """Frames; points are lifted above the surface. level : the lowest ring that reaches the point, 255 = none."""
+def _finish(start, stop, place, which, solids, probes, frame, level):
+    """Compute frames and lift points above the surface. level : lowest ring that reaches the point, 255 = none."""
+    (numbers, free, twist, lift), (directions, azimuths) = solids, probes
     for p in range(start, stop):
         f = frame[p]
         turned_frame(place[p, 0], place[p, 1], place[p, 2], which[p], numbers, twist, f)
@@ -186,8 +188,8 @@ def make_chains(solids: Solids, points: SurfacePoints, settings: ClothSettings, 
     ends, toward = np.zeros((*shape, 9)), np.zeros((*shape, 6))
     kind, weight = np.full(shape, -1, np.int8), np.zeros((*shape, dye.shape[1]))
     over_rows(
-        _walk, count, np.uint64(subkey(settings.seed, "cloth walk")), points.place[chosen], points.frame[chosen],
-        solids.numbers, solids.free, twist, lift, dye, surface, ends, toward, kind, weight,
+        _walk, count, np.uint64(subkey(settings.seed, "cloth walk")), (points.place[chosen], points.frame[chosen]),
+        (solids.numbers, solids.free, twist, lift), (dye, surface), (ends, toward, kind, weight),
     )  # fmt: skip
     walk, step = np.nonzero(kind >= 0)
     start = chosen[walk]
@@ -199,7 +201,9 @@ def make_chains(solids: Solids, points: SurfacePoints, settings: ClothSettings, 
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _walk(start, stop, key, place, frame, numbers, free, twist, lift, dye, surface, ends, toward, kind, weight):
+def _walk(start, stop, key, points, solids, cloth, out):
+    (place, frame), (numbers, free, twist, lift), (dye, surface) = points, solids, cloth
+    ends, toward, kind, weight = out
     f = np.empty(6)
     passed = np.empty(dye.shape[1])
     for w in range(start, stop):
@@ -219,7 +223,7 @@ def _walk(start, stop, key, place, frame, numbers, free, twist, lift, dye, surfa
                 ox, oy, oz = dx, dy, dz
             else:
                 ix, iy, iz = in_frame(bx, by, bz, f)
-                mirror = reflect_filament(ix, iy, iz, lx, ly, c, surface[k, 0], surface[k, 1], surface[k, 2])
+                mirror = reflect_filament((ix, iy, iz), (lx, ly, c), surface[k])
                 white = body(iz, c, surface[k, 2])
                 for channel in range(passed.shape[0]):
                     passed[channel] *= math.pi * (mirror + dye[k, channel] * white)

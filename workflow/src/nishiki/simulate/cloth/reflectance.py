@@ -128,8 +128,8 @@ def seen_from(cloth: Cloth, directions: np.ndarray) -> Reach:
 def _enter(cloth: Cloth, directions: np.ndarray, lit: np.ndarray, ends: Ends) -> np.ndarray:
     out = np.empty((len(directions), cloth.dye.shape[1], len(ends.kind)), np.float32)
     over_rows(
-        _ends, len(directions), directions, lit, ends.point, ends.place, ends.frame, ends.kind, ends.toward,
-        cloth.solids.numbers, cloth.solids.free, cloth.surface, cloth.dye, out,
+        _ends, len(directions), (directions, lit), (ends.point, ends.place, ends.frame, ends.kind, ends.toward),
+        (cloth.solids.numbers, cloth.solids.free), (cloth.surface, cloth.dye), out,
     )  # fmt: skip
     return out
 
@@ -145,8 +145,8 @@ def cell_maps(cloth: Cloth, lamps, views, index: np.ndarray) -> np.ndarray:
     cell = np.array([solids.weft.length, solids.warp.length])
     maps = np.zeros((len(index), *shape, cloth.dye.shape[1]))
     over_rows(
-        _bin, len(index), index, lamps.directions, views.directions, lamps.lit, views.lit, points.place,
-        points.frame, points.area, points.kind, cloth.surface, cloth.dye, cell, maps,
+        _bin, len(index), index, (lamps.directions, views.directions, lamps.lit, views.lit),
+        (points.place, points.frame, points.area, points.kind), (cloth.surface, cloth.dye), cell, maps,
     )  # fmt: skip
     maps *= shape[0] * shape[1]
     maps += bounced(cloth, lamps, views, index)[:, None, None]
@@ -155,7 +155,8 @@ def cell_maps(cloth: Cloth, lamps, views, index: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _bin(start, stop, index, lamps, views, lit, seen, place, frame, area, kind, surface, dye, cell, maps):
+def _bin(start, stop, index, directions, points, cloth, cell, maps):
+    (lamps, views, lit, seen), (place, frame, area, kind), (surface, dye) = directions, points, cloth
     rows, columns, channels = maps.shape[1:]
     for n in range(start, stop):
         lamp, view = index[n, 0], index[n, 1]
@@ -167,7 +168,7 @@ def _bin(start, stop, index, lamps, views, lit, seen, place, frame, area, kind, 
                 f, k = frame[p], kind[p]
                 ix, iy, iz = in_frame(sx, sy, sz, f)
                 ox, oy, oz = in_frame(tx, ty, tz, f)
-                mirror = reflect_filament(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
+                mirror = reflect_filament((ix, iy, iz), (ox, oy, oz), surface[k])
                 white = body(iz, oz, surface[k, 2])
                 u = (place[p, 0] - place[p, 2] * tx / tz) / cell[0]
                 v = (place[p, 1] - place[p, 2] * ty / tz) / cell[1]
@@ -206,12 +207,14 @@ def _reach(start, stop, directions, place, frame, numbers, free, lit):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _ends(start, stop, directions, lit, point, place, frame, kind, toward, numbers, free, surface, dye, out):
+def _ends(start, stop, lamps, ends, solids, cloth, out):
     """Compute the light that enters each path from each direction.
 
     Where the end is a surface point its ray is reused. Weak other ends are drawn by lot and count for more in turn: the
     same ones in all directions, so that nothing flickers.
     """
+    (directions, lit), (point, place, frame, kind, toward) = lamps, ends
+    (numbers, free), (surface, dye) = solids, cloth
     for d in range(start, stop):
         dx, dy, dz = directions[d, 0], directions[d, 1], directions[d, 2]
         for p in range(place.shape[0]):
@@ -221,7 +224,7 @@ def _ends(start, stop, directions, lit, point, place, frame, kind, toward, numbe
             if iz <= 0.0 or (point[p] >= 0 and lit[d, point[p]] == 0.0):
                 continue
             ox, oy, oz = in_frame(toward[p, 0], toward[p, 1], toward[p, 2], f)
-            mirror = reflect_filament(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
+            mirror = reflect_filament((ix, iy, iz), (ox, oy, oz), surface[k])
             if point[p] < 0:
                 share = min(max(iz * mirror / _STRONG, 1.0 / _LOT), 1.0)
                 if p * _GOLDEN - math.floor(p * _GOLDEN) >= share:

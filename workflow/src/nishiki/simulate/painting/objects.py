@@ -108,13 +108,12 @@ def stroke_profile(along, across, length_to_width, ridge, key):
 
 
 @numba.njit(cache=True)
-def lay_strokes(
-    paint, label, group_map, x, y, angle, bend, length, width, thickness, ridge, paints, group, key, step, s
-):
+def lay_strokes(paint, label, group_map, strokes, step, s):
     """Lay strokes in order on `paint` (thickness, mm) and `label`, samples `step` mm apart; group_map is coarser by s.
 
     A stroke levels what lies below it by half and adds its own body: wet paint on paint that is not quite dry.
     """
+    x, y, angle, bend, length, width, thickness, ridge, paints, group, key = strokes
     rows, columns = paint.shape
     for index in range(x.size):
         c, sn = math.cos(angle[index]), math.sin(angle[index])
@@ -155,24 +154,9 @@ def lay_strokes(
 
 def apply_strokes(paint: np.ndarray, label: np.ndarray, plan: CanvasMap, strokes: Strokes, *, step_mm: float) -> None:
     """Lay the strokes, in order, on paint (rows·s, columns·s) float32 mm and label uint8, both changed in place."""
-    lay_strokes(
-        paint,
-        label,
-        plan.group,
-        strokes.x,
-        strokes.y,
-        strokes.angle,
-        strokes.bend,
-        strokes.length,
-        strokes.width,
-        strokes.thickness,
-        strokes.ridge,
-        strokes.label,
-        strokes.group,
-        strokes.key,
-        step_mm,
-        paint.shape[0] // plan.group.shape[0],
-    )
+    s = strokes
+    arrays = s.x, s.y, s.angle, s.bend, s.length, s.width, s.thickness, s.ridge, s.label, s.group, s.key
+    lay_strokes(paint, label, plan.group, arrays, step_mm, paint.shape[0] // plan.group.shape[0])
 
 
 PICTURE_HEIGHT_MM = 77.0  # the brushes were chosen for a picture of this height

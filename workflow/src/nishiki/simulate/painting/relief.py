@@ -138,8 +138,9 @@ def lit_share(elevation, horizon, radius):
 
 
 @numba.njit(cache=True)
-def visible_share(height, i, j, lx, ly, lz, step, ceiling, radius):
-    """Share of the lamp that sample (i, j) sees past the relief; (lx, ly, lz) is the unit direction to its centre."""
+def visible_share(height, i, j, towards, step, ceiling, radius):
+    """Compute the share of the lamp that sample (i, j) sees past the relief; towards: unit direction to its centre."""
+    lx, ly, lz = towards
     flat = math.sqrt(lx * lx + ly * ly)
     elevation = math.atan2(lz, flat)
     if flat < 1e-9 or elevation - radius >= 1.5:
@@ -168,7 +169,8 @@ def _neighbours(pitch: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _gather(start, stop, height, slope_x, slope_y, irradiance, pitch, offsets, sizes, out):
+def _gather(start, stop, surface, irradiance, pitch, rings, out):
+    (height, slope_x, slope_y), (offsets, sizes) = surface, rings
     rows, columns = height.shape
     for i in range(start, stop):
         for j in range(columns):
@@ -210,5 +212,5 @@ def bounced_irradiance(
     """
     out = np.empty(irradiance.shape, np.float32)
     offsets, sizes = _neighbours(pitch_mm)
-    over_rows(_gather, len(out), height_mm, slope_x, slope_y, irradiance, pitch_mm, offsets, sizes, out)
+    over_rows(_gather, len(out), (height_mm, slope_x, slope_y), irradiance, pitch_mm, (offsets, sizes), out)
     return out

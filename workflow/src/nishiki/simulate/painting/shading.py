@@ -26,14 +26,18 @@ class Shading:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _shade_sample(height, i, j, step, lx, ly, lz, half, radius, ceiling, index, sigma, alpha, wave):
-    """(lit share, irradiance, body, gloss) of one sample; `half` is the inverse length of light + view."""
+def _shade_sample(height, i, j, step, lamp, optics, alpha, wave):
+    """Compute (lit share, irradiance, body, gloss) of one sample.
+
+    lamp: unit direction, and the inverse length of light + view; optics as of `_shade_row`.
+    """
+    (lx, ly, lz, half), (radius, ceiling, index, sigma) = lamp, optics
     p, q = slopes_at(height, i, j, step)
     n_v = 1.0 / math.sqrt(1.0 + p * p + q * q)
     n_l = (lz - p * lx - q * ly) * n_v
     if n_l <= 0.0:
         return 0.0, 0.0, 0.0, 0.0
-    visible = visible_share(height, i, j, lx, ly, lz, step, ceiling, radius)
+    visible = visible_share(height, i, j, (lx, ly, lz), step, ceiling, radius)
     if visible <= 0.0:
         return 0.0, 0.0, 0.0, 0.0
     body = n_l * visible
@@ -51,8 +55,13 @@ def _shade_sample(height, i, j, step, lx, ly, lz, half, radius, ceiling, index, 
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _shade_row(row, r, height, label, wave, table, alpha, pitch, s, position, optics, body, gloss, direct, lit):
-    """One row of camera pixels; optics: lamp's angular radius, ceiling, refractive index, roughness of the body."""
+def _shade_row(row, r, maps, paints, grid, lamp, out):
+    """Shade a row of camera pixels.
+
+    lamp: its place, and optics: its angular radius, ceiling, refractive index, roughness of the body.
+    """
+    (height, label, wave), (table, alpha), (pitch, s), (position, optics) = maps, paints, grid, lamp
+    body, gloss, direct, lit = out
     columns, tables = body.shape[1], body.shape[2]
     step, share = pitch / s, 1.0 / (s * s)
     sums = np.empty(tables)
@@ -69,20 +78,7 @@ def _shade_row(row, r, height, label, wave, table, alpha, pitch, s, position, op
             for j in range(column * s, column * s + s):
                 paint = label[i, j]
                 visible, received, value, mirror = _shade_sample(
-                    height,
-                    i,
-                    j,
-                    step,
-                    lx,
-                    ly,
-                    lz,
-                    half,
-                    optics[0],
-                    optics[1],
-                    optics[2],
-                    optics[3],
-                    alpha[paint],
-                    wave[row, column],
+                    height, i, j, step, (lx, ly, lz, half), optics, alpha[paint], wave[row, column]
                 )
                 seen += visible
                 light += received
@@ -95,11 +91,9 @@ def _shade_row(row, r, height, label, wave, table, alpha, pitch, s, position, op
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _shade(start, stop, first, height, label, wave, table, alpha, pitch, s, position, optics, body, gloss, direct, lit):
+def _shade(start, stop, first, maps, paints, grid, lamp, out):
     for r in range(start, stop):
-        _shade_row(
-            first + r, r, height, label, wave, table, alpha, pitch, s, position, optics, body, gloss, direct, lit
-        )
+        _shade_row(first + r, r, maps, paints, grid, lamp, out)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -143,19 +137,11 @@ def shade(
         _shade,
         len(body),
         first,
-        thing.height_mm,
-        thing.label,
-        thing.waves,
-        np.ascontiguousarray(table, np.float64),
-        np.ascontiguousarray(thing.palette.roughness, np.float64),
-        settings.pitch_mm,
-        settings.supersampling,
-        lamp.position_mm,
-        optics,
-        body,
-        gloss,
-        direct,
-        lit,
+        (thing.height_mm, thing.label, thing.waves),
+        (np.ascontiguousarray(table, np.float64), np.ascontiguousarray(thing.palette.roughness, np.float64)),
+        (settings.pitch_mm, settings.supersampling),
+        (lamp.position_mm, optics),
+        (body, gloss, direct, lit),
     )
     if settings.bounce and thing.ceiling_mm > 0.0:
         band = slice(first, last)

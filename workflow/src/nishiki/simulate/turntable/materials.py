@@ -276,8 +276,9 @@ def _fruit(m, key, x, y, z):
 
 
 @numba.njit(cache=True)
-def _describe(parts, x, y, z, nx, ny, nz, key, m, slope):
-    """Write the material at (x, y, z) into m; parts (6,): distances from the parts; slope (2,) is scratch."""
+def _describe(parts, place, normal, key, m, slope):
+    """Write the material at a place (3,) into m; parts (6,): distances from the parts; slope (2,) is scratch."""
+    x, y, z = place[0], place[1], place[2]
     part, least = BODY, 1e300
     for k in range(parts.size):
         if parts[k] < least:
@@ -305,12 +306,13 @@ def _describe(parts, x, y, z, nx, ny, nz, key, m, slope):
         m[c] = min(m[c] * tone, 0.9)
     rough = 0.8 + 0.5 * solid_noise(key + np.uint64(21), x / 5.0, y / 5.0, z / 5.0)
     m[6], m[7] = m[6] * rough, m[7] * rough
-    _texture(m, key, x, y, z, nx, ny, nz, slope, part == HANDLES)
+    _texture(m, key, place, normal, slope, part == HANDLES)
 
 
 @numba.njit(cache=True)
-def _texture(m, key, x, y, z, nx, ny, nz, slope, ring):
-    """Bumped normal and tangent. The tangent runs around the axis; on the handles along their rings."""
+def _texture(m, key, place, normal, slope, ring):
+    """Write bumped normal and tangent. The tangent runs around the axis; on the handles along their rings."""
+    (x, y, z), (nx, ny, nz) = (place[0], place[1], place[2]), (normal[0], normal[1], normal[2])
     if ring:
         across, rise = x - math.copysign(74.0, x), y - 78.0
         tx, ty, tz = -rise, across, 0.0
@@ -346,8 +348,7 @@ def _texture(m, key, x, y, z, nx, ny, nz, slope, ring):
 def _describe_all(start, stop, parts, points, normals, key, out):
     slope = np.empty(2)
     for p in range(start, stop):
-        x, n = points[p], normals[p]
-        _describe(parts[p], x[0], x[1], x[2], n[0], n[1], n[2], key, out[p], slope)
+        _describe(parts[p], points[p], normals[p], key, out[p], slope)
 
 
 def describe(parts: np.ndarray, points: np.ndarray, normals: np.ndarray, *, key: int) -> np.ndarray:
@@ -363,8 +364,10 @@ def describe(parts: np.ndarray, points: np.ndarray, normals: np.ndarray, *, key:
 
 
 @numba.njit(cache=True)
-def _reflect(m, lx, ly, lz, vx, vy, vz, body, gloss):
-    """Body and mirror reflection (3,) each of the material m for unit directions to light and view."""
+def _reflect(m, to_light, to_view, body, gloss):
+    """Compute body and mirror reflection (3,) each of the material m for unit directions (3,) to light and view."""
+    lx, ly, lz = to_light[0], to_light[1], to_light[2]
+    vx, vy, vz = to_view[0], to_view[1], to_view[2]
     nx, ny, nz = m[9], m[10], m[11]
     n_l, n_v = nx * lx + ny * ly + nz * lz, nx * vx + ny * vy + nz * vz
     l_v = lx * vx + ly * vy + lz * vz
@@ -373,19 +376,10 @@ def _reflect(m, lx, ly, lz, vx, vy, vz, body, gloss):
     hx, hy, hz = (lx + vx) / length, (ly + vy) / length, (lz + vz) / length
     tx, ty, tz = m[12], m[13], m[14]
     bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-    shape = facets(
-        n_l,
-        n_v,
-        hx * tx + hy * ty + hz * tz,
-        hx * bx + hy * by + hz * bz,
-        hx * nx + hy * ny + hz * nz,
-        lx * tx + ly * ty + lz * tz,
-        lx * bx + ly * by + lz * bz,
-        vx * tx + vy * ty + vz * tz,
-        vx * bx + vy * by + vz * bz,
-        m[6],
-        m[7],
-    )
+    half = hx * tx + hy * ty + hz * tz, hx * bx + hy * by + hz * bz, hx * nx + hy * ny + hz * nz
+    lamp = lx * tx + ly * ty + lz * tz, lx * bx + ly * by + lz * bz, n_l
+    view = vx * tx + vy * ty + vz * tz, vx * bx + vy * by + vz * bz, n_v
+    shape = facets(half, lamp, view, m[6], m[7])
     cosine = min(max(hx * vx + hy * vy + hz * vz, 0.0), 1.0)
     glass, grazing = fresnel(cosine, INDEX), (1.0 - cosine) ** 5
     for c in range(3):
@@ -396,8 +390,7 @@ def _reflect(m, lx, ly, lz, vx, vy, vz, body, gloss):
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _reflect_all(start, stop, materials, lights, views, body, gloss):
     for p in range(start, stop):
-        s, v = lights[p], views[p]
-        _reflect(materials[p], s[0], s[1], s[2], v[0], v[1], v[2], body[p], gloss[p])
+        _reflect(materials[p], lights[p], views[p], body[p], gloss[p])
 
 
 def reflected(materials: np.ndarray, lights: np.ndarray, views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -136,8 +136,9 @@ def bounced(around: Surroundings, direct: np.ndarray, bounces: int) -> tuple[np.
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _mirror(start, stop, vertices, normals, seen, toward, spin, shine, radiosity, eye, smoothest, out):
-    """Mean radiosity of the surroundings as the facets of each vertex reflect it to the eye (GGX weights)."""
+def _mirror(start, stop, surface, around, radiosity, eye, smoothest, out):
+    """Average the surroundings' radiosity as the facets of each vertex reflect it to the eye (GGX weights)."""
+    (vertices, normals), (seen, toward, spin, shine) = surface, around
     for p in range(start, stop):
         n = normals[p]
         vx, vy, vz = eye[0] - vertices[p, 0], eye[1] - vertices[p, 1], eye[2] - vertices[p, 2]
@@ -170,7 +171,7 @@ def mirrored(surface: Surface, around: Surroundings, radiosity: np.ndarray, eye:
     """(v, 3): what facets that reflect all light would show at each vertex towards the eye, of the object itself."""
     out = np.empty(around.albedo.shape)
     over_rows(
-        _mirror, len(out), surface.vertices, surface.normals, around.seen, around.toward, around.spin, around.shine,
+        _mirror, len(out), (surface.vertices, surface.normals), (around.seen, around.toward, around.spin, around.shine),
         radiosity, np.asarray(eye, float), _SMOOTHEST, out,
     )  # fmt: skip
     return out

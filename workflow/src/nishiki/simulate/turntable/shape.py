@@ -27,8 +27,9 @@ def smooth_union(a, b, k):
 
 
 @numba.njit(cache=True)
-def _ball(x, y, z, cx, cy, cz, rx, ry, rz):
-    """Approximate distance from an ellipsoid."""
+def _ball(x, y, z, centre, radii):
+    """Approximate the distance from an ellipsoid."""
+    (cx, cy, cz), (rx, ry, rz) = centre, radii
     u, v, w = (x - cx) / rx, (y - cy) / ry, (z - cz) / rz
     k = math.sqrt(u * u + v * v + w * w)
     g = math.sqrt((u / rx) ** 2 + (v / ry) ** 2 + (w / rz) ** 2)
@@ -36,8 +37,9 @@ def _ball(x, y, z, cx, cy, cz, rx, ry, rz):
 
 
 @numba.njit(cache=True)
-def _limb(x, y, z, ax, ay, az, bx, by, bz, thick_a, thick_b):
-    """Distance from a rod with round ends whose thickness changes from a to b."""
+def _limb(x, y, z, a, b, thick_a, thick_b):
+    """Compute the distance from a rod with round ends whose thickness changes from a to b."""
+    (ax, ay, az), (bx, by, bz) = a, b
     dx, dy, dz = bx - ax, by - ay, bz - az
     t = ((x - ax) * dx + (y - ay) * dy + (z - az) * dz) / (dx * dx + dy * dy + dz * dz)
     t = min(max(t, 0.0), 1.0)
@@ -70,13 +72,13 @@ def _body(x, y, z, r, turn):
 @numba.njit(cache=True)
 def _animal(x, y, z):
     side = abs(x)
-    d = _ball(x, y, z, 0.0, 147.0, -3.0, 13.0, 12.0, 19.0)
-    d = smooth_union(d, _ball(side, y, z, 8.5, 142.0, -10.0, 7.0, 9.5, 10.0), 3.0)
-    d = smooth_union(d, _limb(side, y, z, 6.5, 148.0, 9.0, 7.0, 135.0, 14.0, 5.0, 3.8), 3.0)
-    d = smooth_union(d, _ball(x, y, z, 0.0, 160.0, 13.0, 9.5, 9.0, 10.5), 4.0)
-    d = smooth_union(d, _ball(x, y, z, 0.0, 156.5, 21.5, 5.0, 4.2, 4.5), 2.5)
-    d = smooth_union(d, _limb(side, y, z, 4.0, 165.0, 10.0, 7.0, 181.0, 1.0, 3.4, 2.2), 2.0)
-    return smooth_union(d, _ball(x, y, z, 0.0, 149.0, -22.0, 5.0, 5.0, 4.5), 2.0)
+    d = _ball(x, y, z, (0.0, 147.0, -3.0), (13.0, 12.0, 19.0))
+    d = smooth_union(d, _ball(side, y, z, (8.5, 142.0, -10.0), (7.0, 9.5, 10.0)), 3.0)
+    d = smooth_union(d, _limb(side, y, z, (6.5, 148.0, 9.0), (7.0, 135.0, 14.0), 5.0, 3.8), 3.0)
+    d = smooth_union(d, _ball(x, y, z, (0.0, 160.0, 13.0), (9.5, 9.0, 10.5)), 4.0)
+    d = smooth_union(d, _ball(x, y, z, (0.0, 156.5, 21.5), (5.0, 4.2, 4.5)), 2.5)
+    d = smooth_union(d, _limb(side, y, z, (4.0, 165.0, 10.0), (7.0, 181.0, 1.0), 3.4, 2.2), 2.0)
+    return smooth_union(d, _ball(x, y, z, (0.0, 149.0, -22.0), (5.0, 5.0, 4.5)), 2.0)
 
 
 @numba.njit(cache=True)
@@ -85,7 +87,7 @@ def part_distances(x, y, z, out):
     r = math.sqrt(x * x + z * z)
     turn = math.atan2(z, x)
     out[BODY] = _body(x, y, z, r, turn)
-    dome = _ball(x, y, z, 0.0, 118.0, 0.0, 35.0, 18.0, 35.0)
+    dome = _ball(x, y, z, (0.0, 118.0, 0.0), (35.0, 18.0, 35.0))
     step = max(r - 19.0, abs(y - 134.0) - 3.0)
     out[LID] = smooth_union(max(dome, 112.0 - y), step, 2.0)
     ring, lift = r - 45.0, y - 105.0
@@ -95,10 +97,10 @@ def part_distances(x, y, z, out):
     about = math.sqrt(across * across + rise * rise)
     thick = 5.4 + 0.7 * math.cos(4.0 * math.atan2(rise, across))
     out[HANDLES] = math.sqrt((about - 18.5) ** 2 + z * z) - thick
-    fruit = _ball(x, y, z, 0.0, 93.0, 60.0, 12.0, 11.0, 12.0)
-    fruit = min(fruit, _ball(x, y, z, 17.0, 84.0, 62.0, 10.0, 9.5, 10.0))
-    fruit = min(fruit, _ball(x, y, z, -15.5, 81.0, 64.0, 9.5, 9.0, 9.5))
-    out[FRUIT] = smooth_union(fruit, _limb(x, y, z, -24.0, 96.0, 52.0, 22.0, 100.0, 50.0, 2.6, 2.0), 2.0)
+    fruit = _ball(x, y, z, (0.0, 93.0, 60.0), (12.0, 11.0, 12.0))
+    fruit = min(fruit, _ball(x, y, z, (17.0, 84.0, 62.0), (10.0, 9.5, 10.0)))
+    fruit = min(fruit, _ball(x, y, z, (-15.5, 81.0, 64.0), (9.5, 9.0, 9.5)))
+    out[FRUIT] = smooth_union(fruit, _limb(x, y, z, (-24.0, 96.0, 52.0), (22.0, 100.0, 50.0), 2.6, 2.0), 2.0)
     out[ANIMAL] = _animal(x, y, z)
 
 
