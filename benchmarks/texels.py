@@ -31,7 +31,7 @@ from nishiki.atlas.atlas import build_atlas
 from nishiki.atlas.charts import make_charts, probe_spacing, turning
 from nishiki.atlas.quality import sampling_density, texels_per_unit
 from nishiki.atlas.store import Texels
-from nishiki.atlas.write import TexelsWriter
+from nishiki.atlas.write import Source, TexelsWriter
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 
@@ -91,8 +91,8 @@ def measure(folder: Path, mesh: Mesh, cameras: list[Camera], read, *, channels: 
     atlas = build_atlas(charts.plane, charts.chart, scale, size=64)
     found = {"triangles": len(mesh.triangles), "views": len(cameras), "pixels": cameras[0].rows * cameras[0].columns}
     found |= {"charts": len(charts.frames.direction), "tiles": atlas.tiles, "charts_s": lap()}
-    facts = dict(lights=("",), components=("total",), channels=channels, encoding="linear", full_turn=True, stamp={})
-    writer = TexelsWriter(folder, mesh, atlas, cameras, **facts)
+    source = Source(("",), ("total",), channels, "linear", True)
+    writer = TexelsWriter(folder, mesh, atlas, cameras, source, stamp={})
     found["geometry_s"] = lap()
     pixels, spent = 0, 0.0
     for index in range(len(cameras)):

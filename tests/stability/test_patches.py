@@ -205,18 +205,17 @@ def test_texels_at_the_edge_of_a_view():
     positions = np.concatenate([grid, np.zeros((rows, columns, 1))], axis=-1).astype(np.float32)
     normals = np.zeros_like(positions)
     normals[..., 2] = -1.0
-    depth = np.ones((rows, columns), np.float32)
     picture = np.random.default_rng(0).uniform(0, 1, (rows, columns, 2)).astype(np.float32)
     usable = np.ones((rows, columns), bool)
     usable[5, 7], usable[10:12, :] = False, False
     picture[~usable] = np.nan
+    depth = np.where(usable, np.float32(1), np.float32(np.inf))
     (found,) = sample_view(
         positions,
         normals,
         np.ones((rows, columns), bool),
         camera=camera,
         depth=depth,
-        usable=usable,
         pictures=[picture],
         grazing_deg=89.9,
     )
@@ -224,7 +223,7 @@ def test_texels_at_the_edge_of_a_view():
         return np.inf
     tilted = np.broadcast_to([1.0, 0.0, 1e-9], normals.shape).astype(np.float32)
     (edge_on,) = sample_view(
-        positions, tilted, np.ones((rows, columns), bool), camera=camera, depth=depth, usable=usable, pictures=[picture]
+        positions, tilted, np.ones((rows, columns), bool), camera=camera, depth=depth, pictures=[picture]
     )
     (nothing,) = sample_view(
         positions,
@@ -232,7 +231,6 @@ def test_texels_at_the_edge_of_a_view():
         np.zeros((rows, columns), bool),
         camera=camera,
         depth=depth,
-        usable=usable,
         pictures=[picture],
     )
     if not np.isfinite(edge_on.values).all() or nothing.visible.any() or found.visible.mean() < 0.8:

@@ -35,8 +35,8 @@ def decoded(codes, gain, dark, *, reduced=False, saturated=None):
     fields = (np.ascontiguousarray(np.broadcast_to(f, gain.shape), dtype=np.float32) for f in (gain, dark))
     decode(
         0, len(codes) * rows,
-        codes, table, straight_scale(table, codes.dtype), *fields, lower, weights, cells(edges[1], 0, columns), across,
-        np.ones((rows, columns), np.uint8), top, low, 0, channels, reduced, out, valid,
+        codes, (table, straight_scale(table, codes.dtype), top, low), (*fields, np.ones((rows, columns), np.uint8)),
+        (lower, weights, cells(edges[1], 0, columns), across), (0, channels, reduced), (out, valid),
     )  # fmt: skip
     return out, valid
 
@@ -86,8 +86,8 @@ def test_views_of_any_size():
         usable = np.ones((6, 8), np.uint8)
         with np.errstate(over="ignore"):
             view_values(
-                codes, table, np.float32(0), np.uint8(255), *fields, rows, weights, np.array([0, 8]), columns, usable,
-                out, valid,
+                codes, (table, np.float32(0), np.uint8(255)), tuple(fields), (rows, weights, np.array([0, 8]), columns),
+                usable, out, valid,
             )  # fmt: skip
         wrong += int((~np.isfinite(out)).sum()) + int(valid.any() != (gain == 2))
     return wrong

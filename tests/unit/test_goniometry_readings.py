@@ -190,8 +190,7 @@ def test_regions_have_values_of_their_own_and_boards_their_unevenness():
     found = read_all(
         lambda i: Photograph(fall * cloths, **shape),
         lambda i: Photograph(fall / np.pi, **shape),
-        samples,
-        np.array([(0.0, 0.0, 0.0, 0.0)]),
+        (samples, np.array([(0.0, 0.0, 0.0, 0.0)])),
         white_reflectance=np.array([1.0, 0.5]),
         window_px=4,
         regions=Regions(labels, (1, 2), "cloth", 1.0),
@@ -207,7 +206,7 @@ def test_saturated_and_dark_readings_are_not_valid():
     none = np.zeros((24, 30), bool)
     pictures = [photograph([0.2, 0.1]), photograph([0.2, 0.1], hot=True), photograph([0.2, -1e-6])]
     pictures.append(Photograph(np.ones((24, 30, 2), np.float32), none, none))
-    found = read_all(lambda i: pictures[i], lambda i: photograph([0.5, 0.5]), angles, np.array([(0, 0, NAN, NAN)]),
+    found = read_all(lambda i: pictures[i], lambda i: photograph([0.5, 0.5]), (angles, np.array([(0, 0, NAN, NAN)])),
                      white_reflectance=np.ones(2), window_px=8)  # fmt: skip
     assert found.valid[:, 0].tolist() == [True, False, False, False]
     assert found.pixels[:, 0].tolist() == [64, 64, 64, 0]

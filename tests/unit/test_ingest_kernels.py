@@ -101,8 +101,9 @@ def run_decode(codes, table, gain, dark, row_edges, column_edges, usable, satura
     rows, row_weights = positions(row_edges, 0, n)
     _, column_weights = positions(column_edges, 0, m)
     decode(
-        0, len(codes) * n, codes, table, np.float32(scale), gain, dark, rows, row_weights, cells(column_edges, 0, m),
-        column_weights, usable, kind(saturated), kind(clip), first, last, channel is not None, out, valid,
+        0, len(codes) * n, codes, (table, np.float32(scale), kind(saturated), kind(clip)), (gain, dark, usable),
+        (rows, row_weights, cells(column_edges, 0, m), column_weights), (first, last, channel is not None),
+        (out, valid),
     )  # fmt: skip
     return (out if channel is None else out[..., 0]), valid
 

@@ -310,7 +310,7 @@ def test_kernel_is_the_obvious_formula(dtype, nodes, encoding):
     places = grid_of(grid, shape, edges)
     scale = straight_scale(table, dtype)
     assert (scale > 0) == (encoding == "linear" or dtype == np.float32)
-    view_values(codes, table, scale, dtype(saturated), gain, dark, *places, usable, out, valid)
+    view_values(codes, (table, scale, dtype(saturated)), (gain, dark), places, usable, out, valid)
 
     def interpolated(field):
         if nodes == "one":

@@ -21,7 +21,7 @@ from nishiki.atlas.surface import (
     texel_triangles,
     touches,
 )
-from nishiki.atlas.write import TexelsWriter
+from nishiki.atlas.write import Source, TexelsWriter
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
@@ -178,8 +178,8 @@ def test_visible_texels_are_those_that_rays_reach(scene):
     usable = object_pixels(mesh, camera, raster, None)
     np.testing.assert_array_equal(usable, raster.triangle >= 0)
     positions, normals, inside = texel_points(mesh, atlas, texel_triangles(atlas), slice(0, None, 6))
-    settings = dict(camera=camera, depth=raster.depth, pictures=[pictures_of(mesh, camera, raster)])
-    (found,) = sample_view(positions, normals, inside, usable=usable, **settings)
+    settings = dict(camera=camera, pictures=[pictures_of(mesh, camera, raster)])
+    (found,) = sample_view(positions, normals, inside, depth=np.where(usable, raster.depth, np.inf), **settings)
     rng = np.random.default_rng(0)
     chosen = rng.permutation(np.argwhere(inside))[:200]
     points, facing = positions[tuple(chosen.T)].astype(float), normals[tuple(chosen.T)]
@@ -202,7 +202,7 @@ def test_visible_texels_are_those_that_rays_reach(scene):
     seen = found.visible
     assert np.abs(found.values[seen] - colour(positions[seen])).max() < 0.02
     assert (found.values[~seen] == 0).all()
-    (none,) = sample_view(positions, normals, inside, usable=np.zeros_like(usable), **settings)
+    (none,) = sample_view(positions, normals, inside, depth=np.full_like(raster.depth, np.inf), **settings)
     assert not none.visible.any()
 
 
@@ -213,12 +213,7 @@ def write(folder, scene, *, lights=("",), hold_out=()):
         mesh,
         atlas,
         cameras,
-        lights=lights,
-        components=("total",),
-        channels=3,
-        encoding="linear",
-        full_turn=True,
-        hold_out=hold_out,
+        Source(lights, ("total",), 3, "linear", True, hold_out),
         stamp={},
     )
     masks = []

@@ -79,7 +79,7 @@ def test_frontal_view_of_the_size_of_the_maps_samples_nothing():
     assert result.samples_per_pixel == 1
     assert 0 < result.shadowed[0] < 1
     # through the sampler, one sample a pixel, it is the same picture
-    pinned = render(scene, lights, View(rows=60, columns=80), minimum_samples=1)
+    pinned = render(scene, lights, View(rows=60, columns=80), samples=(1, 1024))
     np.testing.assert_array_equal(pinned.xyz, direct.values)
     sampled = camera.sample_maps(scene, visibility, np.eye(3), scene.shape, scene.shape)
     np.testing.assert_allclose(sampled.normals, scene.normals, atol=1e-7)
@@ -124,7 +124,7 @@ def test_far_view_of_fine_stripes_is_grey_not_moire():
     stripes = np.tile([0.0, 1.0], 600)[None].repeat(900, axis=0)
     scene = flat(900, 1200, stripes)
     for rows, columns, maximum in ((41, 53, 1024), (41, 53, 64), (7, 9, 256)):
-        result = render(scene, [FRONT], View(rows=rows, columns=columns), maximum_samples=maximum)
+        result = render(scene, [FRONT], View(rows=rows, columns=columns), samples=(2, maximum))
         inner = result.coverage > 0.999
         assert inner.any()
         assert np.abs(result.xyz[inner, 1] - 0.5).max() < 0.03
@@ -151,10 +151,10 @@ def test_mean_brightness_survives_any_reduction_and_any_view():
 
 def test_supersampling_is_the_mean_of_a_finer_picture():
     scene, lights = bumpy(), [Light(direction=(1, 1, 2)), Light(position_mm=(30, 10, 60), falloff=True)]
-    fine = render(scene, lights, View(rows=240, columns=320), minimum_samples=1)
-    coarse = render(scene, lights, View(rows=60, columns=80), minimum_samples=4)
+    fine = render(scene, lights, View(rows=240, columns=320), samples=(1, 1024))
+    coarse = render(scene, lights, View(rows=60, columns=80), samples=(4, 1024))
     assert render(scene, lights, View(rows=60, columns=80)).samples_per_pixel == 1  # native
-    coarse = render(scene, lights, View(rows=30, columns=40), minimum_samples=8)
+    coarse = render(scene, lights, View(rows=30, columns=40), samples=(8, 1024))
     blocks = fine.xyz.reshape(30, 8, 40, 8, 3).mean(axis=(1, 3), dtype=np.float64)
     np.testing.assert_allclose(coarse.xyz, blocks, rtol=2e-5)
 
@@ -175,7 +175,7 @@ def test_gloss_follows_the_eye():
 def test_background_edges_and_missing_normals():
     scene = flat(20, 20)
     scene.normals[5:15, 5:15] = 0
-    result = render(scene, [FRONT], View(rows=40, columns=80), background=0.2, minimum_samples=4)
+    result = render(scene, [FRONT], View(rows=40, columns=80), background=0.2, samples=(4, 1024))
     np.testing.assert_allclose(result.xyz[0, 0], 0.2 * result.white_xyz, rtol=1e-6)
     assert result.flags[0, 0] == BACKGROUND
     assert result.flags[20, 40] == NORMAL_MISSING
@@ -229,7 +229,7 @@ def test_reduction_averages_blocks_and_keeps_normals_unit():
         (lambda: View(eye_mm=(0, 5, 5), field_of_view=4.0, rows=3, columns=3), "180"),
         (lambda: render(flat(3, 3), [FRONT], background=-1.0), "background"),
         (lambda: render(flat(3, 3), [FRONT], shadows="perhaps"), "perhaps"),
-        (lambda: render(flat(3, 3), [FRONT], minimum_samples=5, maximum_samples=20), "minimum"),
+        (lambda: render(flat(3, 3), [FRONT], samples=(5, 20)), "minimum"),
     ],
 )
 def test_mistakes_are_named(make, words):

@@ -157,7 +157,7 @@ def test_a_legend_keeps_inside_the_drawing_and_apart_from_the_curves():
         assert left == 60 or row == next_row or left + 6 * len(label) < 400
         assert next_row > row or left + 6 * len(label) < right
     curves = [Curve(label, np.arange(3), np.arange(3.0)) for label in labels]
-    svg = chart(curves, x_label="x", y_label="y", title="t", width=412)
+    svg = chart(curves, x_label="x", y_label="y", title="t", size=(412, 300))
     texts = [t for t in ElementTree.fromstring(svg).iter("text") if t.text in labels]
     lowest = max(float(text.attrib["y"]) for text in texts)
     lines = [p.attrib["d"] for p in ElementTree.fromstring(svg).iter("path") if p.attrib["stroke-width"] == "1.8"]

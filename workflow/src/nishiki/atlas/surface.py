@@ -305,18 +305,17 @@ def sample_view(
     *,
     camera: Camera,
     depth: np.ndarray,
-    usable: np.ndarray,
     pictures: list[np.ndarray],
     tolerance: float = 1.0,
     grazing_deg: float = 80.0,
 ) -> list[Sampled]:
     """Sample texels in one view, for each of its pictures (rows, columns, channels) float32.
 
-    positions, normals (..., 3), inside (...): texels; depth (rows, columns): of the view's `Raster`; usable (rows,
-    columns) bool: pixels that show the object and hold a valid value. A texel is visible where it is inside, faces the
-    camera at less than `grazing_deg` from its normal, all four pixels around its image are usable, and the surface that
-    each of them shows lies no further in front of or behind the texel than the texel's own tangent plane comes or goes
-    within `tolerance` pixels, plus `tolerance` pixels of the surface's size (against ties of a surface with itself).
+    positions, normals (..., 3), inside (...): texels; depth (rows, columns): of the view's `Raster`, infinite in pixels
+    that do not show the object or hold no valid value. A texel is visible where it is inside, faces the camera at less
+    than `grazing_deg` from its normal, and the surface that each of the four pixels around its image shows lies no
+    further in front of or behind the texel than the texel's own tangent plane comes or goes within `tolerance` pixels,
+    plus `tolerance` pixels of the surface's size (against ties of a surface with itself).
     """
     least = np.cos(np.radians(grazing_deg))
     towards = normals.reshape(-1, 3)
@@ -325,7 +324,7 @@ def sample_view(
     pixels, depths = camera.project(points)
     pose = camera.centre, np.ascontiguousarray(camera.rotation), np.linalg.inv(camera.intrinsics)
     seen = np.empty(len(points), np.bool_)
-    see(points, towards, pixels, depths, pose, (depth, usable), tolerance, seen)
+    see(points, towards, pixels, depths, pose, depth, tolerance, seen)
     visible = np.zeros(inside.size, np.bool_)
     visible[index] = seen
     sampled = []
@@ -359,10 +358,9 @@ def turned_to(points, normals, inside, centre, least):
 def see(points, normals, pixels, depths, camera, shown, tolerance, seen):
     """Fill seen (n,) for texels at points (n, 3), as `sample_view` says.
 
-    camera: centre, rotation, inverse intrinsics; shown: depths and usable pixels (rows, columns).
+    camera: centre, rotation, inverse intrinsics; shown (rows, columns): depths, infinite where nothing usable is.
     """
-    (centre, rotation, inverse), (depth, usable) = camera, shown
-    rows, columns = depth.shape
+    (centre, rotation, inverse), (rows, columns) = camera, shown.shape
     footprint = np.sqrt(abs(inverse[0, 0] * inverse[1, 1]))
     for i in range(len(points)):
         seen[i] = False
@@ -387,7 +385,7 @@ def see(points, normals, pixels, depths, camera, shown, tolerance, seen):
                 if (right == 1 and x == column) or (down == 1 and y == row):
                     continue
                 r, c = row + down, column + right
-                if not usable[r, c] or not abs(depth[r, c] - z) <= slack:
+                if not abs(shown[r, c] - z) <= slack:
                     good = False
         seen[i] = good
 

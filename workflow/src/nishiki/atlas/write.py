@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import zarr
@@ -30,6 +31,17 @@ class ViewGeometry:
     start: int  # of the pixels in the store
 
 
+class Source(NamedTuple):
+    """What the photographs of an artifact are: names of lights and components, and views left out of fits."""
+
+    lights: tuple[str, ...]
+    components: tuple[str, ...]
+    channels: int
+    encoding: str
+    full_turn: bool
+    hold_out: tuple[str, ...] = ()
+
+
 class TexelsWriter:
     """Writes the texels of one artifact. First `view`, then `pictures` for each of its lights, view after view."""
 
@@ -39,18 +51,14 @@ class TexelsWriter:
         mesh: Mesh,
         atlas: Atlas,
         cameras: list[Camera],
+        source: Source,
         *,
-        lights: tuple[str, ...],
-        components: tuple[str, ...],
-        channels: int,
-        encoding: str,
-        full_turn: bool,
-        hold_out: tuple[str, ...] = (),
         tolerance: float = 1.0,
         grazing_deg: float = 80.0,
         stamp: dict[str, str],
     ):
         self.mesh, self.atlas, self.cameras = mesh, atlas, cameras
+        lights, components, channels, encoding, full_turn, hold_out = source
         self.lights, self.components, self.channels, self.hold_out = lights, components, channels, hold_out
         self.tolerance, self.grazing_deg = tolerance, grazing_deg
         self.views, self.observations = len(cameras), len(cameras) * len(lights)
@@ -161,8 +169,7 @@ class TexelsWriter:
                 self.normals[group],
                 self.inside[group],
                 camera=camera,
-                depth=view.raster.depth,
-                usable=usable,
+                depth=np.where(usable, view.raster.depth, np.float32(np.inf)),
                 pictures=[pictures[name] for name in self.components],
                 tolerance=self.tolerance,
                 grazing_deg=self.grazing_deg,

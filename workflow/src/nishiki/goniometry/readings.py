@@ -280,8 +280,7 @@ class Readings:
 def read_all(
     read_sample: Callable[[int], Photograph],
     read_white: Callable[[int], Photograph],
-    sample_deg: np.ndarray,
-    white_deg: np.ndarray,
+    angles_deg: tuple[np.ndarray, np.ndarray],
     *,
     white_reflectance: np.ndarray,
     window_px: int,
@@ -289,14 +288,14 @@ def read_all(
     regions: Regions | None = None,
     tick: Callable[[int], None] = lambda i: None,
 ) -> Readings:
-    """Reflectances of all samples; each photograph is read once, one is in memory beside a board's.
+    """Compute reflectances of all samples; each photograph is read once, one is in memory beside a board's.
 
-    sample_deg (n, 4), white_deg (m, 4): theta_i, phi_i, theta_r, phi_r, NaN for a board's view that is not given;
+    angles_deg (n, 4) of samples, (m, 4) of boards: theta_i, phi_i, theta_r, phi_r, NaN for a board's view not given;
     regions None: the central window. A reading is valid where pixels of it are in view, at most saturated_share of
     them saturated, and the mean is above 0 in every channel. A board of a sample's own directions is averaged over
     the sample's own pixels, any other over its central window.
     """
-    boards = assign_boards(sample_deg, white_deg)
+    boards = assign_boards(*angles_deg)
     middles = {i: _middle(read_white(i), window_px) for i in sorted({int(w) for b in boards for w in b.which})}
     names = ("cloth",) if regions is None else regions.numbers
     shape = (len(boards), len(names))
@@ -304,7 +303,7 @@ def read_all(
     valid, pixels, saturated = np.zeros(shape, bool), np.zeros(shape, np.int64), np.zeros(shape)
     for i, board in enumerate(boards):
         photograph = read_sample(i)
-        masks = _masks(photograph, sample_deg[i], window_px, regions)
+        masks = _masks(photograph, angles_deg[0][i], window_px, regions)
         boards_read = [read_white(int(w)) for w in board.which] if board.rule == "own" and regions is not None else None
         for k, mask in enumerate(masks):
             reading = read_window(photograph.linear, mask & photograph.usable, photograph.saturated)

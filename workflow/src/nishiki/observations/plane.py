@@ -147,9 +147,7 @@ class Observations:
         self, codes: np.ndarray, chosen: np.ndarray, start: int, left: int, channel: Literal["mean"] | int | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Values and validity of codes whose first row and column are these; see `read`."""
-        from nishiki.observations.plane_decode import (
-            decode,  # who asks for names and masks alone needs no compiled code
-        )
+        from nishiki.observations.plane_decode import decode  # names and masks alone need no compiled code
 
         first, last = self._channel_range(channel)
         rows, width = codes.shape[1:3]
@@ -164,8 +162,8 @@ class Observations:
         out = np.empty((*codes.shape[:3], last - first if channel is None else 1), np.float32)
         valid = np.empty(codes.shape[:3], bool)
         over_rows(
-            decode, len(codes) * rows, codes, self.table, self._scale, gain, dark, place_rows, row_weights, between,
-            column_weights, usable, *self.limits, first, last, channel is not None, out, valid,
+            decode, len(codes) * rows, codes, (self.table, self._scale, *self.limits), (gain, dark, usable),
+            (place_rows, row_weights, between, column_weights), (first, last, channel is not None), (out, valid),
         )  # fmt: skip
         return (out if channel is None else out[..., 0]), valid
 

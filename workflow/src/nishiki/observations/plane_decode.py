@@ -11,38 +11,21 @@ LARGEST_GAIN, LARGEST_DARK = np.float32(1e30), np.float32(1e6)  # of values that
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def decode(
-    start,
-    stop,
-    codes,
-    table,
-    scale,
-    gain,
-    dark,
-    rows,
-    row_weights,
-    cells,
-    column_weights,
-    usable,
-    saturated,
-    clip,
-    first,
-    last,
-    reduced,
-    out,
-    valid,
-):
+def decode(start, stop, codes, coding, fields, grid, channels, outputs):
     """Fill rows start .. stop - 1 of all lights together: `I' = (linear(code) - dark) * gain`, and their validity.
 
-    codes (lights, n, m, channels) uint8 | uint16 | float32; scale > 0: linear(code) = code * scale, otherwise by the
-    table; gain, dark (lights, r, c, channels) float32 on block centres, interpolated bilinearly; rows: lower node of
-    each row (n,) with row_weights of the next; cells (c or more,): first column of each cell between two block
-    centres, then m, with column_weights (m,) of its right node; usable (n, m) uint8: inside the mask, no defect;
-    saturated, clip: codes at or above, at or below which a sample is unusable, in the codes' own type.
-    out (lights, n, m, last - first), or, if reduced, (lights, n, m, 1) for the mean over the channels first..last;
-    valid (lights, n, m) bool: inside the mask, gain known, finite, saturated in none of *all* channels, above the clip
-    in at least one of the channels decoded. Samples that cannot be formed are 0 and not valid.
+    codes (lights, n, m, channels) uint8 | uint16 | float32; coding: table, scale (above 0: linear(code) = code * scale,
+    otherwise by the table), saturated, clip; fields: gain, dark (lights, r, c, channels) float32 on block centres,
+    interpolated bilinearly, and usable; grid: rows, the lower node of each row (n,) with row_weights of the next; cells
+    (c or more,): first column of each cell between two block centres, then m, with column_weights (m,) of its right
+    node; usable (n, m) uint8: inside the mask, no defect; saturated, clip: codes at or above, at or below which a
+    sample is unusable, in the codes' own type. channels: first, last, reduced. out (lights, n, m, last - first), or, if
+    reduced, (lights, n, m, 1) for the mean over the channels first..last; valid (lights, n, m) bool: inside the mask,
+    gain known, finite, saturated in none of *all* channels, above the clip in at least one of the channels decoded.
+    Samples that cannot be formed are 0 and not valid.
     """
+    (table, scale, saturated, clip), (gain, dark, usable) = coding, fields
+    (rows, row_weights, cells, column_weights), (first, last, reduced), (out, valid) = grid, channels, outputs
     _, n, m, _ = codes.shape
     share = np.float32(1.0 / (last - first)) if reduced else np.float32(1.0)
     for job in range(start, stop):

@@ -78,7 +78,7 @@ class Views:
         edges = picture_edges(self.shape, self.attributes["white_block"])
         grid = grid_of(fields[0].shape[:2], self.shape, edges)
         out, valid = np.empty(codes.shape, np.float32), np.empty(self.shape, bool)
-        view_values(codes, self._table, self._scale, self._saturated, *fields, *grid, self._usable, out, valid)
+        view_values(codes, (self._table, self._scale, self._saturated), fields, grid, self._usable, out, valid)
         return out, valid
 
     def codes(self, view: str | int, *, state: str | None = None, light: str | None = None) -> np.ndarray:

@@ -14,19 +14,19 @@ from nishiki.observations.plane_decode import (
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def view_values(
-    codes, table, scale, saturated, gain, dark, rows, row_weights, cells, column_weights, usable, out, valid
-):
+def view_values(codes, coding, fields, grid, usable, out, valid):
     """Fill linear values `(linear(code) - dark) * gain` and their validity.
 
-    codes (n, m, channels) uint8 | uint16 | float32; scale > 0: linear(code) = code * scale, otherwise by the table;
-    saturated: code from which a sample is unusable, in the codes' own type; gain, dark (r, c, channels) float32 on
-    block centres, interpolated bilinearly; rows: lower node of each row (n,) with row_weights of the next; cells (c or
-    more,): first column of each cell between two block centres, then m, with column_weights (m,) of its right node;
-    usable (n, m) uint8: no defect. out (n, m, channels) float32; valid (n, m) bool: usable, gain known, finite,
-    saturated in no channel. A saturated sample keeps its value; what cannot be formed is 0.
+    codes (n, m, channels) uint8 | uint16 | float32; coding: table, scale (above 0: linear(code) = code * scale,
+    otherwise by the table), saturated (code from which a sample is unusable, in the codes' own type); fields: gain,
+    dark (r, c, channels) float32 on block centres, interpolated bilinearly; grid: rows, the lower node of each row (n,)
+    with row_weights of the next; cells (c or more,): first column of each cell between two block centres, then m, with
+    column_weights (m,) of its right node; usable (n, m) uint8: no defect. out (n, m, channels) float32; valid (n, m)
+    bool: usable, gain known, finite, saturated in no channel. A saturated sample keeps its value; what cannot be formed
+    is 0.
     """
-    n, m, channels = codes.shape
+    (table, scale, saturated), (gain, dark), (n, m, channels) = coding, fields, codes.shape
+    rows, row_weights, cells, column_weights = grid
     gains, darks = np.empty(m, np.float32), np.empty(m, np.float32)
     even = gain.shape[0] == 1 and gain.shape[1] == 1
     for y in range(n):

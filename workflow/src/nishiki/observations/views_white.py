@@ -113,7 +113,7 @@ def mean_boards(
             scale = np.float32(whites.longest / frame.exposure if whites.longest else 1.0)
             fields = on_one_grid(gain * scale, darks.at(frame.exposure_s))
             grid = grid_of(fields[0].shape[:2], (rows, columns), edges)
-            view_values(codes, reader.table, one_code, reader.saturated, *fields, *grid, usable, part, valid)
+            view_values(codes, (reader.table, one_code, reader.saturated), fields, grid, usable, part, valid)
             total += part
             tick(frame.file)
         yield total / np.float32(len(frames))

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from markupsafe import Markup
 
@@ -43,25 +43,30 @@ class Declared(Protocol):
     limits: tuple[Limit, ...]
 
 
+class Head(NamedTuple):
+    """The head of a page: title of the capture, what the scene is, and more as of `Page`."""
+
+    title: str | None
+    about: str
+    facts: Sequence[tuple[str, str]]
+    tiles: Sequence[Tile]
+    verdict: Sequence[tuple[str, str]]
+    warnings: Sequence[str] = ()
+
+
 def write_scene_page(
     context: Context,
     stages: Mapping[str, Declared],
-    *,
-    title: str | None,
-    about: str,
-    facts: Sequence[tuple[str, str]],
-    tiles: Sequence[Tile],
+    head: Head,
     sections: Sequence[Section | None],
-    verdict: Sequence[tuple[str, str]] = (),
-    warnings: Sequence[str] = (),
+    *,
     more_left_out: Sequence[Block] = (),
     more_made: Sequence[Block] = (),
 ) -> dict[str, Any]:
     """Write `report.html`; what the stage reports of it.
 
-    stages : declarations in the order of the flow; title : of the capture; about : what the scene is; sections : of the
-    stages, None where one has nothing to show; verdict : see `Page`; more_left_out, more_made : blocks of this kind of
-    scene.
+    stages : declarations in the order of the flow; sections : of the stages, None where one has nothing to show;
+    more_left_out, more_made : blocks of this kind of scene.
 
     Beside it stands a thumbnail of the first rendered picture. Thumbnail, title and figures are what the page of all
     scenes shows.
@@ -83,16 +88,16 @@ def write_scene_page(
         frame = Section("viewer", "Look for yourself", [Frame(address, "Viewer", summary)], "Viewer")
         shown = [frame, *(open_viewer(section, address) for section in shown[:1]), *shown[1:]]
     page = Page(
-        title=settings.title or title or stamp["scene"],
-        subtitle=Markup("Scene <code>{}</code>, {}.").format(stamp["scene"], about),
+        title=settings.title or head.title or stamp["scene"],
+        subtitle=Markup("Scene <code>{}</code>, {}.").format(stamp["scene"], head.about),
         sections=[*shown, *closing],
         version=stamp["version"],
         footer=f"Nishiki {stamp['version']}, scene {stamp['scene']}, report {stamp['key']}.",
         stamp=f"{stamp['scene']}/{stamp['stage']}/{stamp['key']}",
-        facts=facts,
-        tiles=tiles,
-        verdict=verdict,
-        warnings=[*warnings, *beyond],
+        facts=head.facts,
+        tiles=head.tiles,
+        verdict=head.verdict,
+        warnings=[*head.warnings, *beyond],
     )
     html = render_page(page)
     context.output.path("report.html").write_text(html, encoding="utf-8")
@@ -102,8 +107,8 @@ def write_scene_page(
         "bytes": len(html.encode()),
         "stages": sorted(context.inputs),
         "title": page.title,
-        "about": about,
-        "figures": [dataclasses.asdict(tile) for tile in tiles],
+        "about": head.about,
+        "figures": [dataclasses.asdict(tile) for tile in head.tiles],
     }
 
 

@@ -168,11 +168,14 @@ def chart(
     title: str,
     x_range: tuple[float, float] | None = None,
     y_range: tuple[float, float] | None = None,
-    width: int = 560,
-    height: int = 300,
+    size: tuple[int, int] = (560, 300),
     logarithmic: bool = False,
 ) -> str:
-    """Curves over common axes, the legend in rows above them. height : without these. logarithmic : the y axis."""
+    """Draw curves over common axes, the legend in rows above.
+
+    size : width, and height without the legend. logarithmic : the y axis.
+    """
+    width, height = size
     x = Axis(*(x_range or _range([curve.x for curve in curves])), LEFT, width - 12)
     low, high = y_range or _range([curve.y for curve in curves], zero=True)
     legend = legend_places([curve.label for curve in curves if curve.label], x.start, x.end)

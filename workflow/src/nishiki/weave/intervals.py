@@ -104,7 +104,7 @@ def _held(problem: Problem, p, at, value, rest, edges, low, high):
 
 def _in(problem: Problem, p, rest, edges, cell, low, high):
     inside = in_cell(*in_cell(low, high, edges[0], 0, cell[0]), edges[1], 1, cell[1])
-    return descend(clipped(p, rest, *inside), *inside, rest, *problem.data, ROUNDS, 1e-5)
+    return descend(clipped(p, rest, *inside), *inside, rest, problem.data, ROUNDS, 1e-5)
 
 
 NULL = 1e-7  # singular value over the largest below which no measurement, however exact, would tell

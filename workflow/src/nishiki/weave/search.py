@@ -40,11 +40,9 @@ def strengths(a, b, y):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def residuals(p, rows, split, y, weight, shared, reading, work, out):
-    """out (n,) = weight (model - y); rows: see reading.rows_of; 0..split lie in the weft plane. Returns sum of squares.
-
-    shared: one pair of strengths for both planes, else one for each. work: (n, 2).
-    """
+def residuals(p, data, work, out):
+    """Fill out (n,) = weight (model - y) and return the sum of squares; data: of a `Problem`. work: (n, 2)."""
+    rows, split, y, weight, shared, reading = data
     f0, n = exp(p[2 * SIZE]), y.size
     weft, warp = shape_of(p[:SIZE], 0), shape_of(p[SIZE:], 1)
     fill_columns(weft, warp, exp(p[3]), exp(p[SIZE + 3]), rows, f0, reading, work)
@@ -65,29 +63,30 @@ def residuals(p, rows, split, y, weight, shared, reading, work, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def costs(points, rows, split, y, weight, shared, reading):
-    """Sum of squares (points,) at every row of points (points, UNKNOWNS)."""
-    work, out, sums = np.empty((y.size, 2)), np.empty(y.size), np.empty(len(points))
+def costs(points, data):
+    """Compute the sum of squares (points,) at every row of points (points, UNKNOWNS)."""
+    n = data[2].size
+    work, out, sums = np.empty((n, 2)), np.empty(n), np.empty(len(points))
     for k in range(len(points)):
-        sums[k] = residuals(points[k], rows, split, y, weight, shared, reading, work, out)
+        sums[k] = residuals(points[k], data, work, out)
     return sums
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def jacobian(p, low, high, free, rows, split, y, weight, shared, reading):
+def jacobian(p, low, high, free, data):
     """Residuals (n,), Jacobian (n, free) of the projected residual, sum of squares; steps stay within the bounds."""
-    n, m = y.size, free.size
+    n, m = data[2].size, free.size
     work, here, there, back = np.empty((n, 2)), np.empty(n), np.empty(n), np.empty(n)
-    cost = residuals(p, rows, split, y, weight, shared, reading, work, here)
+    cost = residuals(p, data, work, here)
     out, q = np.empty((n, m)), p.copy()
     for j in range(m):
         at = free[j]
         step = 1e-6 * max(high[at] - low[at], 1e-9)
         up, down = min(p[at] + step, high[at]), max(p[at] - step, low[at])
         q[at] = up
-        residuals(q, rows, split, y, weight, shared, reading, work, there)
+        residuals(q, data, work, there)
         q[at] = down
-        residuals(q, rows, split, y, weight, shared, reading, work, back)
+        residuals(q, data, work, back)
         q[at] = p[at]
         for k in range(n):
             out[k, j] = (there[k] - back[k]) / (up - down) if up > down else 0.0
@@ -127,16 +126,16 @@ def _step(p, low, high, free, normal, gradient, scale, damping):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def descend(p, low, high, free, rows, split, y, weight, shared, reading, rounds, tolerance):
+def descend(p, low, high, free, data, rounds, tolerance):
     """Levenberg-Marquardt with bounds: unknowns at a bound that push outwards are held.
 
     Returns (p, sum of squares). Ends when a step gains less than `tolerance` of the sum or none is found.
     """
     p = p.copy()
-    n = y.size
+    n = data[2].size
     work, trial = np.empty((n, 2)), np.empty(n)
     damping = 1e-3
-    here, slopes, cost = jacobian(p, low, high, free, rows, split, y, weight, shared, reading)
+    here, slopes, cost = jacobian(p, low, high, free, data)
     for _ in range(rounds):
         gradient, normal = slopes.T @ here, slopes.T @ slopes
         for j in range(free.size):
@@ -156,14 +155,14 @@ def descend(p, low, high, free, rows, split, y, weight, shared, reading, rounds,
         gained = 0.0
         while damping < 1e10:
             q = _step(p, low, high, free, normal, gradient, scale, damping)
-            tried = residuals(q, rows, split, y, weight, shared, reading, work, trial)
+            tried = residuals(q, data, work, trial)
             if tried < cost:
                 gained, p, damping = cost - tried, q, max(damping * 0.2, 1e-12)
                 break
             damping *= 4.0
         if gained <= tolerance * cost or gained == 0.0:
             return p, min(cost, cost - gained)
-        here, slopes, cost = jacobian(p, low, high, free, rows, split, y, weight, shared, reading)
+        here, slopes, cost = jacobian(p, low, high, free, data)
         if sqrt(cost) < 1e-15 * sqrt(n):
             break
     return p, cost
@@ -261,14 +260,14 @@ def search_plane(problem: Problem, plane: int, start: np.ndarray, *, alone: bool
     data, (low, high) = (part if alone else problem).data, bounds()
     edges = problem.edges(plane)
     table = starts(edges, plane, start, plane * SIZE + 4 in part.free)
-    sums = costs(table.reshape(-1, UNKNOWNS), *data).reshape(table.shape[:2])
+    sums = costs(table.reshape(-1, UNKNOWNS), data).reshape(table.shape[:2])
     order = np.argsort(sums, axis=1, kind="stable")[:, :STARTS]
     running = [(sums[cell, k], cell, table[cell, k]) for cell in range(len(table)) for k in order[cell]]
     for left, rounds in HALVING if alone else AGAIN:
         running = sorted(running, key=lambda item: item[:2])[:left]
         ended = []
         for _, cell, p in running:
-            p, cost = descend(p, *in_cell(low, high, edges, plane, cell), part.free, *data, rounds, 1e-7)
+            p, cost = descend(p, *in_cell(low, high, edges, plane, cell), part.free, data, rounds, 1e-7)
             ended.append((float(cost), int(cell), p))
         running = ended
     best: dict[int, tuple[float, int, np.ndarray]] = {}
@@ -305,7 +304,7 @@ def _settle(problem: Problem, candidates: list[np.ndarray]) -> tuple[np.ndarray,
             return
         inside = in_cell(*in_cell(low, high, edges[0], 0, weft), edges[1], 1, warp)
         p = clipped(p, problem.free, *inside)
-        p, cost = descend(p, *inside, problem.free, *problem.data, ROUNDS, TOLERANCE)
+        p, cost = descend(p, *inside, problem.free, problem.data, ROUNDS, TOLERANCE)
         if (weft, warp) not in tried or cost < tried[weft, warp][0]:
             tried[weft, warp] = float(cost), p
 

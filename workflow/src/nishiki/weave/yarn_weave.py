@@ -177,8 +177,12 @@ def _free(horizons, p, direction, soft):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def weave_sums(incident, outgoing, points, which, horizons, rough, index, soft, out):
-    """out (n, 2): mirror reflection and white body, 1/sr; rough (2, 2) along and across the fibres of warp, weft."""
+def weave_sums(incident, outgoing, surface, rough, index, soft, out):
+    """Fill out (n, 2): mirror reflection and white body, 1/sr; rough (2, 2) along and across the fibres of warp, weft.
+
+    surface: `YarnWeave.points`.
+    """
+    points, which, horizons = surface
     for k in range(incident.shape[0]):
         i, o = incident[k], outgoing[k]
         out[k, 0] = out[k, 1] = 0.0
@@ -326,7 +330,7 @@ class YarnWeave:
         """(n, 2) gloss and white body, 1/sr, at directions (n, 3)."""
         out = np.empty((len(incident), 2))
         weave_sums(
-            np.ascontiguousarray(incident), np.ascontiguousarray(outgoing), *self.points(density), self.rough,
+            np.ascontiguousarray(incident), np.ascontiguousarray(outgoing), self.points(density), self.rough,
             self.index, self.soft, out,
         )  # fmt: skip
         out[:, 0] *= self.gain

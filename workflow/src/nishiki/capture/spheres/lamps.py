@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.capture.spheres.optics import SphereCamera, reflected_rays
+from nishiki.capture.spheres.outline import Outline
 
 LEAST_FREEDOM = 8  # of the highlights: as many must agree before their uncertainty is taken from their agreement
 
@@ -96,8 +97,7 @@ class LampFit:
 
 def fit_lamps(
     sightings: list[Sighting],
-    parameters: list[np.ndarray],
-    covariances: list[np.ndarray],
+    outlines: list[Outline],
     camera: SphereCamera,
     radii: Sequence[float],
     origin_of: Callable[[list[np.ndarray]], tuple[np.ndarray, float]],
@@ -106,9 +106,9 @@ def fit_lamps(
     near: bool,
     falloff: Falloff | None = None,
 ) -> LampFit:
-    """Directions and, where `near`, distances of all lamps.
+    """Fit directions and, where `near`, distances of all lamps.
 
-    sightings of `lamps` lamps on the spheres whose outlines have these parameters and covariances; radii: of the
+    sightings of `lamps` lamps on the spheres with these outlines; radii: of the
     spheres, set the unit; origin_of: gives, from the outlines' parameters, the origin (3,) of the scene in the
     camera's frame and the length of a pixel in the object's plane; near: fit the distances (two spheres or more, or a
     surface), else lamps are taken to be far away. The distance of a lamp that one sphere alone shows is held loosely
@@ -116,8 +116,8 @@ def fit_lamps(
     """
     from scipy.optimize import least_squares
 
-    spheres = len(parameters)
-    roots = [np.linalg.cholesky(c + 1e-18 * np.trace(c) * np.eye(3)) for c in covariances]
+    spheres, parameters = len(outlines), [each.parameters for each in outlines]
+    roots = [np.linalg.cholesky(c + 1e-18 * np.trace(c) * np.eye(3)) for c in [each.covariance for each in outlines]]
     which = np.array([s.lamp for s in sightings])
     seen_by = np.array([s.sphere for s in sightings])
     pixels = np.array([s.pixel for s in sightings])

@@ -146,8 +146,7 @@ def measure_spheres(given: SphereInput) -> MeasuredSpheres:
     near = len(findings.outlines) > 1
     fit = fit_lamps(
         sightings,
-        [each.parameters for each in findings.outlines],
-        [each.covariance for each in findings.outlines],
+        findings.outlines,
         findings.camera,
         scale_radii([each.parameters for each in findings.outlines], findings.camera, given),
         lambda parameters: locate_origin(parameters, findings.camera, given),

@@ -42,26 +42,24 @@ def render(
     background: float = 0.0,
     shadows: str = "sweep",
     visibility: np.ndarray | None = None,
-    minimum_samples: int = 2,
-    maximum_samples: int = 1024,
+    samples: tuple[int, int] = (2, 1024),
 ) -> Rendering:
-    """Picture of `scene` under `lights` from `view` (default: frontal, a screen pixel for a pixel of the maps).
+    """Draw `scene` under `lights` from `view` (default: frontal, a screen pixel for a pixel of the maps).
 
     background: Y where the ray misses the painting, a grey under the scene's white. shadows: "sweep", "march" (see
     `nishiki.render.plane.shadow`) or "none"; without a height there are none. visibility: (lights, rows, columns)
     computed before, e.g. for a sequence of views. A pixel of a screen that is not the maps is the mean of shaded
     samples, as many across and down as the pixel is steps long on the maps, so that no pixel of the maps is jumped
-    over; at least `minimum_samples` along each side. Where that would be more than `maximum_samples` in all, the
+    over; at least the first of `samples` along each side. Where that would be more than the second in all, the
     maps are averaged first (`reduction`); averaged normals shade like a smoother surface.
     """
     view = View() if view is None else view
     ambient = Ambient() if ambient is None else ambient
     if shadows not in ("sweep", "march", "none"):
         raise UserError(f"shadows: expected sweep, march or none, found {shadows!r}; choose one of the three")
-    if not 1 <= minimum_samples**2 <= maximum_samples:
-        raise UserError(
-            f"samples: expected 1 <= minimum squared <= maximum, found {minimum_samples} and {maximum_samples}"
-        )
+    least, most = samples
+    if not 1 <= least**2 <= most:
+        raise UserError(f"samples: expected 1 <= minimum squared <= maximum, found {least} and {most}")
     if not (np.isfinite(background) and background >= 0):
         raise UserError(f"background: expected a finite level >= 0, found {background!r}; 1 is the white")
     shadowed = ()
@@ -79,7 +77,7 @@ def render(
     to_map = camera.map_from_plane(scene) @ plane
     steps = [camera.footprint(to_map, k, min(k + 16, rows), columns, scene.shape) for k in range(0, rows, 16)]
     reduction = 1
-    while max(_count(step, reduction) for step in steps) > maximum_samples and reduction < max(scene.shape):
+    while max(_count(step, reduction) for step in steps) > most and reduction < max(scene.shape):
         reduction *= 2
     maps, seen = reduce_maps(scene, visibility, reduction)
     shrink = np.array([[1 / reduction, 0, 0.5 / reduction - 0.5], [0, 1 / reduction, 0.5 / reduction - 0.5], [0, 0, 1]])
@@ -87,17 +85,17 @@ def render(
         (scene.shape[0] / reduction, scene.shape[1] / reduction))  # fmt: skip
     xyz = np.empty((rows, columns, 3), np.float32)
     flags, coverage = np.empty((rows, columns), np.uint8), np.empty((rows, columns), np.float32)
-    backdrop, most, first = background * white, 1, 0
+    backdrop, largest, first = background * white, 1, 0
     while first < rows:
-        last, across, down = painter.band(first, xyz.shape, minimum_samples, maximum_samples)
-        samples, shading = painter.paint(first, last, columns, across, down)
+        last, across, down = painter.band(first, xyz.shape, least, most)
+        inside, shading = painter.paint(first, last, columns, across, down)
         arguments = (
-            (shading.values, shading.flags, samples.inside), (across, down), backdrop,
+            (shading.values, shading.flags, inside), (across, down), backdrop,
             (xyz[first:last], flags[first:last], coverage[first:last]),
         )  # fmt: skip
         over_rows(_resolve, last - first, *arguments)
-        most, first = max(most, across * down), last
-    return Rendering(xyz, flags, coverage, white, shadowed, most, reduction)
+        largest, first = max(largest, across * down), last
+    return Rendering(xyz, flags, coverage, white, shadowed, largest, reduction)
 
 
 def _count(step: tuple[float, float], reduction: int) -> float:
@@ -146,7 +144,7 @@ class _Painter:
             eye=self.eye,
             ambient_level=self.ambient_level,
         )
-        return samples, shading
+        return samples.inside, shading
 
 
 def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):

@@ -102,7 +102,7 @@ def paint(
     lights = [distant_lamp(light, spectra[light.illuminant]) for light in picture.lights]
     view = view_of(picture.view, scene)
     ambient = Ambient(spectrum=lights[0].spectrum, level=picture.ambient) if lights else Ambient(level=picture.ambient)
-    return render(scene, lights, view, ambient=ambient, minimum_samples=settings.supersampling)
+    return render(scene, lights, view, ambient=ambient, samples=(settings.supersampling, 1024))
 
 
 def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:

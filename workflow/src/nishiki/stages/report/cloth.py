@@ -22,7 +22,7 @@ from nishiki.report.page import (
     read_json,
 )
 from nishiki.report.pictures import file_picture
-from nishiki.report.scene_page import write_scene_page
+from nishiki.report.scene_page import Head, write_scene_page
 from nishiki.stages.report.capture import export_section
 from nishiki.stages.report.cloth_reflection import curves_section, errors_section, model_name, reflection_section
 from nishiki.stages.report.headline import cloth_headline
@@ -39,15 +39,19 @@ def run(context: Context) -> dict:
     region = settings.region or measured.regions[0]
     evaluation = read_json(inputs.get("cloth_evaluate"), "evaluation.json")
     widest = settings.picture_columns
-    return write_scene_page(
-        context,
-        chain_of("goniometer"),
+    head = Head(
         title=(capture.get("capture") or {}).get("title"),
         about="a cloth measured with a goniometer",
         facts=facts(samples, capture),
         tiles=at_a_glance(samples, evaluation, region),
         verdict=cloth_headline(samples, evaluation, region),
-        sections=[
+        warnings=[*(capture.get("warnings") or []), *(samples.get("warnings") or [])],
+    )
+    return write_scene_page(
+        context,
+        chain_of("goniometer"),
+        head,
+        [
             rendered_section(inputs.get("cloth_render"), widest, settings.video_mb),
             weave_section(inputs.get("weave"), widest // 2),
             reflection_section(inputs.get("cloth_brdf"), measured, region),
@@ -56,7 +60,6 @@ def run(context: Context) -> dict:
             coverage_section(inputs["goniometer_samples"]),
             export_section(inputs.get("cloth_export")),
         ],
-        warnings=[*(capture.get("warnings") or []), *(samples.get("warnings") or [])],
     )
 
 

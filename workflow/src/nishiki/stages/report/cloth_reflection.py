@@ -321,7 +321,7 @@ def error_chart(models: dict[str, dict], default: str) -> str:
     values = np.concatenate([curve.y for curve in curves])
     return chart(
         curves, x_label="incidence, degrees", y_label="relative RMS error", title="error against incidence",
-        x_range=room, y_range=(0.8 * float(values.min()), 1.25 * float(values.max())), width=640, height=340,
+        x_range=room, y_range=(0.8 * float(values.min()), 1.25 * float(values.max())), size=(640, 340),
         logarithmic=True,
     )  # fmt: skip
 
@@ -340,5 +340,5 @@ def plane_chart(curve: dict, models: list[str], default: str) -> str:
     top = max(1.05 * min(highest, 1.6 * float(measured.max())), 1e-6)  # a model may leave the drawing
     return chart(
         [dots, *lines], x_label="view, degrees from the normal; the light is on the right", y_label="BRDF, 1/sr",
-        title="measured and predicted in the plane of the light", y_range=(0.0, top), x_range=(-90, 90), height=260,
+        title="measured and predicted in the plane of the light", x_range=(-90, 90), y_range=(0, top), size=(560, 260),
     )  # fmt: skip

@@ -27,7 +27,7 @@ from nishiki.report.page import (
     read_json,
 )
 from nishiki.report.pictures import encoded, file_picture
-from nishiki.report.scene_page import write_scene_page
+from nishiki.report.scene_page import Head, write_scene_page
 from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing
 from nishiki.stages.report.capture import export_section, facts_of_object
 from nishiki.stages.report.headline import object_headline
@@ -43,15 +43,19 @@ def run(context: Context) -> dict:
     held_out = set(inputs["texels"].settings["hold_out"]) if "texels" in inputs else set()
     widest, views = settings.picture_columns, len(diagnostics["ingest"]["views"])
     one, many = "an object photographed from one place", "an object on a turntable, photographed from {} places"
-    return write_scene_page(
-        context,
-        chain_of("turntable"),
+    head = Head(
         title=diagnostics["ingest"]["capture"].get("title"),
         about=one if views == 1 else many.format(views),
         facts=facts_of_object(diagnostics["ingest"]),
         tiles=at_a_glance(diagnostics),
         verdict=object_headline(diagnostics),
-        sections=[
+        warnings=list(diagnostics["ingest"].get("warnings") or []),
+    )
+    return write_scene_page(
+        context,
+        chain_of("turntable"),
+        head,
+        [
             rendered_section(inputs.get("object_render"), widest // 2, settings.video_mb),
             comparison_section(inputs.get("object_evaluate"), evaluation),
             views_section(evaluation),
@@ -62,7 +66,6 @@ def run(context: Context) -> dict:
             cameras_section(inputs.get("cameras"), held_out),
             export_section(inputs.get("object_export")),
         ],
-        warnings=list(diagnostics["ingest"].get("warnings") or []),
     )
 
 

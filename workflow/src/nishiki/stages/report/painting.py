@@ -12,7 +12,7 @@ from nishiki.observations.plane import Observations
 from nishiki.report.numbers import figure, plain
 from nishiki.report.page import Block, Cell, Figure, Figures, Note, Section, Table, Tile, contents, film, read_json
 from nishiki.report.pictures import Ruler, block_of, class_picture, file_picture, ruler
-from nishiki.report.scene_page import text, write_scene_page
+from nishiki.report.scene_page import Head, text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart
 from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting, kind_of
 from nishiki.stages.report.headline import headline
@@ -42,15 +42,18 @@ def run(context: Context) -> dict:
     truth = evaluation or {}
     camera = read_camera_colour(inputs["ingest"].path("curves.npz"), len(frames.channels), frames.to_srgb)
     page = PageMaps(maps, frames.mask, frames.pixel_pitch_mm, truth, widest, scale_bar)
-    return write_scene_page(
-        context,
-        CHAIN,
+    head = Head(
         title=diagnostics["ingest"]["capture"]["title"],
         about=f"digitised from {len(frames.lights)} photographs, each under another light",
         facts=facts_of_painting(diagnostics["ingest"], list(frames.channels), frames.pixel_pitch_mm, kinds),
         tiles=at_a_glance(diagnostics["normals"], evaluation, diagnostics.get("height"), diagnostics.get("spectra")),
         verdict=verdict(diagnostics, evaluation, frames, guessed=camera.rmse is None),
-        sections=[
+    )
+    return write_scene_page(
+        context,
+        CHAIN,
+        head,
+        [
             appearance_section(inputs.get("render"), widest, settings.video_mb, scale_bar),
             relighting,
             shape_section(page, refined=diagnostics["normals"].get("refined", False)),

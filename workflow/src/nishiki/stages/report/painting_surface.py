@@ -350,7 +350,6 @@ def _spectrum_chart(label: str, note: str, curves: list[tuple[Any, bool]]) -> Fi
         title=f"reflectance of {label}",
         x_range=(400, 700),
         y_range=(0.0, top * 1.02),
-        width=330,
-        height=220,
+        size=(330, 220),
     )
     return Figure(label, note, svg=svg, swatch=hexadecimal(np.round(255 * swatch)))

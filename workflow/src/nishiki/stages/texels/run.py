@@ -14,7 +14,7 @@ from nishiki.atlas.quality import (
     texels_per_pixel,
     texels_per_unit,
 )
-from nishiki.atlas.write import TexelsWriter
+from nishiki.atlas.write import Source, TexelsWriter
 from nishiki.errors import UserError
 from nishiki.evaluate.object_photographs import Pictures
 from nishiki.formats.stored import open_array
@@ -40,12 +40,14 @@ def run(context: Context) -> dict:
         mesh,
         atlas,
         cameras,
-        lights=views.lights,
-        components=source.components,
-        channels=len(views.channels),
-        encoding=views.encoding,
-        full_turn=views.full_turn,
-        hold_out=tuple(settings.hold_out),
+        Source(
+            views.lights,
+            source.components,
+            len(views.channels),
+            views.encoding,
+            views.full_turn,
+            tuple(settings.hold_out),
+        ),
         tolerance=settings.depth_tolerance,
         grazing_deg=settings.grazing_deg,
         stamp=context.stamp,
