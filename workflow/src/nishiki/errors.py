@@ -59,6 +59,6 @@ def of_the_machine(error: OSError | MemoryError) -> str | None:
     """Describe a machine's lack of space, permission or memory; None for other errors, which are bugs."""
     if isinstance(error, MemoryError):
         return f"not enough memory ({error or 'the limit is reached'}). Remedy: more memory, or smaller tiles"
-    remedy = OF_THE_MACHINE.get(error.errno)
+    remedy = OF_THE_MACHINE.get(error.errno or 0)
     where = f" ({printable(str(error.filename))})" if error.filename else ""
-    return f"{os.strerror(error.errno)}{where}. {remedy}" if remedy else None
+    return f"{os.strerror(error.errno or 0)}{where}. {remedy}" if remedy else None

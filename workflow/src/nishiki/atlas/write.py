@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import zarr
@@ -67,7 +67,7 @@ class TexelsWriter:
         self.chunk = int(np.clip((READ_AHEAD_MIB << 20) // (4 * channels * self.observations), 4096, 65536))
         self.offsets = np.zeros((self.views, atlas.tiles + 1), np.int64)
         self.length = 0
-        self.group = zarr.create_group(
+        self.group: Any = zarr.create_group(
             Path(folder) / STORE,
             attributes={
                 "format": FORMAT,

@@ -2,6 +2,7 @@
 
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -160,7 +161,7 @@ def _sorted_bands(folder: Path, bands: tuple[str, ...]) -> dict[str, dict[str, P
 def write_tables(
     folder: Path,
     settings: dict,
-    rows: list[tuple[str, ...]],
+    rows: Sequence[tuple[str, ...]],
     lights: Lights,
     further: dict[str, list[str]] | None = None,
 ) -> None:

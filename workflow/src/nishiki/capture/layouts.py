@@ -237,7 +237,7 @@ def _with_lights(source: Path, stated: StatedLights, lights_file: Path, mask: Pa
     remedy = "Put it there, or mend its name in the lights file"
     chosen, missing = [], []
     for name, file in zip(lights.names, lights.files, strict=True):
-        path = by_name.get(same_name(re.split(r"[\\/]", file)[-1])) or by_stem.get(same_name(name))
+        path = by_name.get(same_name(re.split(r"[\\/]", file or "")[-1])) or by_stem.get(same_name(name))
         chosen.append(path)
         if path is None:
             what = f"no photograph '{file}'"
@@ -249,7 +249,7 @@ def _with_lights(source: Path, stated: StatedLights, lights_file: Path, mask: Pa
     if extra:
         what = "pictures that the lights file does not name were left out"
         notes.append(warning("photograph-unlisted", str(source), what, found=", ".join(extra[:5])))
-    return Layout("lights file", tuple(chosen), lights, None, mask, tuple(notes))
+    return Layout("lights file", tuple(path for path in chosen if path), lights, None, mask, tuple(notes))
 
 
 def _folder_named(source: Path, lights: Lights, file: Path) -> Path:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -299,7 +300,7 @@ def _name_before(line: str, tokens: list[str], start: int) -> str | None:
     return line[:end].strip().rstrip(",;").strip().strip("\"'")
 
 
-def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[str | None], list[list[float]]]:
+def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[Any], list[list[float]]]:
     """lights.csv: light,x,y,z or light,azimuth_deg,polar_deg (azimuth from x towards y; polar from the normal)."""
     rows = cells_of(_kept(text))
     columns = next(rows, (0, []))[1]
@@ -310,7 +311,7 @@ def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[str | Non
     names, vectors, problems = [], [], []
     for number, cells in islice(rows, bound("lights") + 1):
         row = dict(zip(columns, cells, strict=False))
-        values = [_number(row.get(key, "")) for key in (cartesian if "x" in columns else angular)[1:]]
+        values: list[Any] = [_number(row.get(key, "")) for key in (cartesian if "x" in columns else angular)[1:]]
         if (
             len(cells) != len(columns)
             or not row["light"]

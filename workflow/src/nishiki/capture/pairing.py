@@ -281,7 +281,7 @@ def _match_lamps(sorted_files: BandFiles, lights: Lights, kind: str) -> tuple[Li
         return (lights, kept) if count > len(lamps) else None
     if None in matched:
         return None
-    first = {lamp: matched.index(lamp) for lamp in matched}
+    first = {lamp: matched.index(lamp) for lamp in matched if lamp is not None}
     same = [lights.directions[i] @ lights.directions[first[lamp]] for i, lamp in enumerate(matched)]
     if min(same) < SAME_DIRECTION or len(first) < 2:
         return None

@@ -107,7 +107,7 @@ class Pictures:
                 error("photograph-missing", file, f"no photograph '{name}' in {self.folder.name}", remedy=remedy)
                 for name in missing
             )
-        return found
+        return [path for path in found if path]
 
     def size(self, name: str, file: str) -> tuple[int, int]:
         """Rows and columns of a photograph. CaptureError as `paths`, and those of reading a header."""

@@ -55,7 +55,9 @@ def read_capture_file(path: Path) -> CaptureFile | TurntableFile | GoniometerFil
     geometry = parsed.get("geometry")
     if geometry == "turntable":
         return validate(TurntableFile, parsed, path.name)
-    return validate(GoniometerFile if geometry == "goniometer" else CaptureFile, parsed, path.name)
+    if geometry == "goniometer":
+        return validate(GoniometerFile, parsed, path.name)
+    return validate(CaptureFile, parsed, path.name)
 
 
 def geometry_named(path: Path) -> str | None:

@@ -83,8 +83,8 @@ def table(file: str, configfile: str) -> None:
         parquet = importlib.import_module("pyarrow.parquet")
         parquet.write_table(pyarrow.table(columns), path)
     else:
-        with open(path, "w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
+        with open(path, "w", newline="", encoding="utf-8") as table:
+            writer = csv.writer(table, lineterminator="\n")
             writer.writerow(columns)
             writer.writerows(zip(*columns.values(), strict=True))
     finished = sum(value is True for value in columns["finished"])

@@ -119,7 +119,7 @@ def run_scenes(
     from nishiki.engine.project import load_yaml
     from nishiki.engine.workflow import Workflow
 
-    values = load_yaml(configfile)
+    values = load_yaml(Path(configfile))
     flow = Workflow(values, only=scenes, file=configfile, leave_out_refused=not stop_at_first_failure)
     for message in list(flow.refused.values())[:NAMED]:
         print(f"nishiki run: left out: {message}", file=sys.stderr)

@@ -197,7 +197,7 @@ def better_prediction(summaries: dict) -> str | None:
         for name, key in ((INTERPOLATED, "left_out_interpolated"), (SLOT, "left_out_slot"))
         if key in summaries and summaries[key]["mean_psnr_db"] is not None
     }
-    return max(scores, key=scores.get) if scores else None
+    return max(scores, key=scores.__getitem__) if scores else None
 
 
 AMPLIFIED = 10

@@ -202,7 +202,7 @@ def ray_through_middle(camera: Camera) -> np.ndarray:
     return direction / np.linalg.norm(direction)
 
 
-def mirror_of(centres: np.ndarray) -> tuple[int, int, int]:
+def mirror_of(centres: np.ndarray) -> tuple[int, ...]:
     """Factors on the world's axes: -1 on the one nearest to the normal of the plane of the centres (n, 3)."""
     _, _, directions = np.linalg.svd(centres - centres.mean(axis=0))
     axis = int(np.argmax(np.abs(directions[2])))

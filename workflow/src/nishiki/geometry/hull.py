@@ -58,7 +58,7 @@ class Hull:
 
     mesh: Mesh  # surface of the hull
     cell: float  # side of a grid cell, world's unit
-    shape: tuple[int, int, int]  # grid points along x, y, z
+    shape: tuple[int, ...]  # grid points along x, y, z
     box: np.ndarray  # (2, 3) lowest and highest corner
     asked: float  # fraction of the cubes whose points were evaluated one by one
 

@@ -160,7 +160,7 @@ def find_corrections(
         if ambient.any():
             uncertainty["ambient"] = float(np.hypot(found.ambient_sigma, AMBIENT_BIAS * ambient.mean()))
     movement = judgement.movement
-    motions = {frames[j].file: movement.matrix(j) for j in kept if judgement.moved[j] and registers}
+    motions = {frames[j].file: movement.matrix(int(j)) for j in kept if judgement.moved[j] and registers}
     registered = [frame.light for frame in frames if frame.file in motions]
     for file, stated in reader.motions.items():  # a stated shift is undone first
         motions[file] = motions[file] + stated * (0, 0, 1) if file in motions else stated

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -91,7 +92,7 @@ class Piece:
 
 
 def sample(
-    frames: Observations, lights: np.ndarray, pixels: int, *, channel: str | None = "mean", cell: int = 1
+    frames: Observations, lights: np.ndarray, pixels: int, *, channel: Any = "mean", cell: int = 1
 ) -> Iterator[Piece]:
     """About `pixels` pixels of the object from at most STRIPS strips of rows: the same on every machine.
 

@@ -202,10 +202,11 @@ class Observations:
         asked = self.attributes.get("asked_region", kept)
         starts = (kept[0] - asked[0], kept[1] - asked[1])
         block = self.attributes["white_block"]
-        return tuple(
+        rows, columns = (
             edges_between(extent, block, start, start + n)
             for extent, start, n in zip(asked[2:], starts, self.shape, strict=True)
         )
+        return rows, columns
 
     @cached_property
     def _usable(self) -> np.ndarray:

@@ -245,7 +245,7 @@ def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
     return float(values[order][np.searchsorted(total, total[-1] / 2)]) if total[-1] > 0 else 0.0
 
 
-def _features(pictures: Sequence[np.ndarray], inside: np.ndarray) -> np.ndarray:
+def _features(pictures: Sequence[np.ndarray] | np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Laplacians of the logarithms (lights, rows, columns), clipped, 0 at and beyond the rim of the object."""
     import cv2
 

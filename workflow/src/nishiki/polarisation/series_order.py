@@ -138,7 +138,7 @@ def _exchange(rest: np.ndarray, products: np.ndarray, order: np.ndarray) -> np.n
         i, j = np.unravel_index(np.argmin(changes), changes.shape)
         if changes[i, j] > (WORTH - 1) * float((rest * products[np.ix_(order, order)]).sum()):
             break
-        order = _exchanged(order, i, j)
+        order = _exchanged(order, int(i), int(j))
     return order
 
 

@@ -71,7 +71,7 @@ def developed(
     seen = coverage > 0
     beyond = (values > (1.0 + 1e-3) * coverage[..., None]).any(axis=-1) & seen
     high = np.count_nonzero(beyond) / max(1, np.count_nonzero(seen))
-    behind = np.float32(decode(np.float64(background), "srgb"))
+    behind = np.float32(decode(np.asarray(background, np.float64), "srgb"))
     image = encoded((shoulder(values) if soft else values) + behind * (1 - coverage[..., None]))
     return DisplayImage(image.pixels, high, image.clipped_low)
 

@@ -90,7 +90,7 @@ def _figure(judgement: Judgement, j: int, shown: np.ndarray) -> Figure:
     return Figure(judgement.names[j].split("/")[-1], "; ".join(_numbers(judgement, j)), svg=drawing.finish())
 
 
-def _arrow(drawing: Drawing, start: Sequence[float], step: np.ndarray, colour: str, width: float) -> None:
+def _arrow(drawing: Drawing, start: Sequence[float] | np.ndarray, step: np.ndarray, colour: str, width: float) -> None:
     (x, y), (tip_x, tip_y) = start, np.asarray(start) + step
     for paint, broad in (("#fff", width + 2), (colour, width)):  # light seam, so that it is seen on any picture
         drawing.path(f"M{x:.1f} {y:.1f}L{tip_x:.1f} {tip_y:.1f}", stroke=paint, width=broad)

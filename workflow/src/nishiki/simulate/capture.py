@@ -194,7 +194,7 @@ class Truth:
         import zarr
 
         self.folder = folder
-        self.group = zarr.open_group(folder / "truth.zarr", mode="w", zarr_format=3)
+        self.group: Any = zarr.open_group(folder / "truth.zarr", mode="w", zarr_format=3)
 
     def make(self, name: str, shape, dtype):
         """Create an array to be filled, a chunk each first index and 256 rows."""

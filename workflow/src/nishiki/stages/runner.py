@@ -42,7 +42,7 @@ def main() -> None:
         run_stage(
             declared.settings,
             module.run,
-            module.__doc__,
+            module.__doc__ or "",
             arguments=arguments[1:],
             digest_of_capture=getattr(module, "digest_of_capture", None),
         )

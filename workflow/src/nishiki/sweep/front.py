@@ -126,7 +126,7 @@ def plot(marks: Sequence[Mark], best: Sequence[int], *, x_label: str, y_label: s
         for end in (mark.low, mark.high):
             drawing.line(x(end), at - 4, x(end), at + 4, colour)
         drawing.line(x(mark.low), at, x(mark.high), at, colour)
-        draw_sign(drawing, mark.kind, x(mark.x), at, filled=number in best, tip=mark.tip or mark.name)
+        draw_sign(drawing, mark.kind, float(x(mark.x)), float(at), filled=number in best, tip=mark.tip or mark.name)
     draw_names(drawing, marks, x, y)
     draw_legend(drawing, {mark.kind for mark in marks})
     return drawing.finish()

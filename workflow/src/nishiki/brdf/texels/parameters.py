@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zarr
@@ -39,7 +40,7 @@ class ParameterWriter:
     """Writes the parameters of one artifact; tiles may come from several threads, each tile once."""
 
     def __init__(self, folder: Path, *, tiles: int, size: int, channels: int, stamp: dict[str, str]):
-        self.group = zarr.create_group(Path(folder) / STORE, attributes={"stamp": stamp})
+        self.group: Any = zarr.create_group(Path(folder) / STORE, attributes={"stamp": stamp})
         trailing = {"kd": (channels,), "ks": (channels,), "sigma": (), "flags": ()}
         for name in NAMES:
             self.group.create_array(

@@ -42,7 +42,7 @@ class Observed:
     @property
     def seen(self) -> np.ndarray:
         """(points,) int32: usable observations of each texel, those with a weight."""
-        return np.sum(self.weights > 0, axis=1, dtype=np.int32)
+        return (self.weights > 0).sum(axis=1, dtype=np.int32)
 
 
 def observed(
@@ -206,7 +206,7 @@ class Capture:
         joined = tile.joined.values
         for o in np.flatnonzero(tile.visible.reshape(len(tile.visible), -1).any(axis=1)):
             seen = tile.visible[o] & tile.inside
-            error = encode(self.predicted(parameters, tile, o, seen), self.encoding)
+            error = encode(self.predicted(parameters, tile, int(o), seen), self.encoding)
             error = error - encode(joined[o][seen], self.encoding)
             error = error[np.isfinite(error)]
             total += float(np.sum(error.astype(np.float64) ** 2))

@@ -76,7 +76,7 @@ def outline_points(parameters: np.ndarray, camera: SphereCamera, count: int = 18
 def circle_of(parameters: np.ndarray, camera: SphereCamera) -> tuple[float, float, float]:
     """Compute column, row and radius in pixels of the circle nearest to an outline."""
     if camera.focal_px is None:
-        return tuple(float(v) for v in parameters)
+        return float(parameters[0]), float(parameters[1]), float(parameters[2])
     edge = outline_points(parameters, camera)
     middle = (edge.min(axis=0) + edge.max(axis=0)) / 2
     return float(middle[0]), float(middle[1]), float(np.linalg.norm(edge - middle, axis=1).mean())

@@ -144,7 +144,7 @@ class PrincipalModel(TabulatedModel):
 
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
         design = self.components.reshape(self.planes, -1).T
-        rows = (values - np.float32(self.mean)[..., None]).reshape(len(design), 1, -1)
+        rows = (values - np.asarray(self.mean, np.float32)[..., None]).reshape(len(design), 1, -1)
         return solve(design, rows, valid, SLIGHT * np.eye(self.planes))[:, 0]
 
 
@@ -182,7 +182,7 @@ class GridModel(TabulatedModel):
         normal = weighted @ weighted.T + SLIGHT * np.eye(self.planes)
         design = np.einsum("phk,gh->pgk", weighted.reshape(self.components.shape), self.metric, optimize=True)
         shared = np.linalg.solve(normal, design.reshape(self.planes, -1)).astype(np.float32)
-        rows = (values - np.float32(self.mean)[..., None]).reshape(shared.shape[1], -1)
+        rows = (values - np.asarray(self.mean, np.float32)[..., None]).reshape(shared.shape[1], -1)
         return np.where(valid.any(axis=0), shared @ rows, 0)
 
 

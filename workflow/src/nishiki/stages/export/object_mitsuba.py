@@ -186,6 +186,7 @@ def errors(context: Context, look: ObjectLook, parameters: dict[str, np.ndarray]
 
     def by_model(points: SeenPoints) -> np.ndarray:
         kd, ks, sigma = np.split(sample(model, points.places), [3, 6], axis=1)
-        return sum(predict(kd, ks, sigma[:, 0], points.positions, points.normals, points.centre, points.lamp))
+        diffuse, gloss = predict(kd, ks, sigma[:, 0], points.positions, points.normals, points.centre, points.lamp)
+        return diffuse + gloss
 
     return against_photographs(context, look, {"model": by_model})
