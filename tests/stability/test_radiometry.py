@@ -190,12 +190,9 @@ def _board(scale, dtype=np.float32):
         codes,
         table,
         np.zeros((1, 1, 3)),
-        edges,
-        edges,
-        cos_theta=0.8,
-        reflectance=0.9,
-        saturated=top,
-        clip=0.0,
+        (edges, edges),
+        lit=(0.8, 0.9),
+        limits=(top, 0.0),
         name="w",
     )
 
@@ -232,8 +229,8 @@ def test_boards_that_cannot_be_used():
 
     def field(codes, cosine=0.9, dark=0.0):
         return white_field(
-            codes, table, np.full((1, 1, 1), dark), edges, edges, cos_theta=cosine, reflectance=0.9, saturated=254.0,
-            clip=0.0, name="white.tif",
+            codes, table, np.full((1, 1, 1), dark), (edges, edges), lit=(cosine, 0.9), limits=(254.0, 0.0),
+            name="white.tif",
         )  # fmt: skip
 
     good = np.full((16, 16, 1), 120, np.uint8)

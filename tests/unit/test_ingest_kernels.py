@@ -226,19 +226,19 @@ def test_white_gain_makes_a_white_facing_the_lamp_one():
     board = np.full((32, 32, 3), 0.6 * 65535 * np.cos(0.5) * 0.97).astype(np.uint16) + 1000
     edges = block_edges(32, 16), block_edges(32, 16)
     dark = np.full((1, 1, 3), 1000 / 65535, np.float32)
-    options = {"saturated": 65000.0, "clip": 0.0, "name": "w.png"}
-    field = white_field(board, table, dark, *edges, cos_theta=np.cos(0.5), reflectance=0.97, **options)
+    options = {"limits": (65000.0, 0.0), "name": "w.png"}
+    field = white_field(board, table, dark, edges, lit=(np.cos(0.5), 0.97), **options)
     np.testing.assert_allclose(field.gain * 0.6, 1, rtol=1e-4)
     assert field.uniformity.min() > 0.999
     assert field.problems == ()
     board[:16, :16] = 65535
-    partial = white_field(board, table, dark, *edges, cos_theta=np.cos(0.5), reflectance=0.97, **options)
+    partial = white_field(board, table, dark, edges, lit=(np.cos(0.5), 0.97), **options)
     assert np.isnan(partial.gain[0, 0]).all()
     assert np.isfinite(partial.gain[1:, 1:]).all()
     assert partial.bad_blocks == 0.25
     assert [p.kind for p in partial.problems] == ["white-partial"]
     with pytest.raises(CaptureError, match="grazes"):
-        white_field(board, table, dark, *edges, cos_theta=0.01, reflectance=1.0, **options)
+        white_field(board, table, dark, edges, lit=(0.01, 1.0), **options)
 
 
 def test_srgb_known_values():

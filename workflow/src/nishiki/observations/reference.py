@@ -6,6 +6,7 @@ A board tells how bright its lamp was at each place, and so the gain that makes 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -39,29 +40,28 @@ def white_field(
     codes: np.ndarray,
     table: np.ndarray,
     dark: np.ndarray,
-    row_edges: np.ndarray,
-    column_edges: np.ndarray,
+    edges: Edges,
     *,
-    cos_theta: np.ndarray | float,
-    reflectance: float,
-    saturated: float,
-    clip: float,
+    lit: tuple[np.ndarray | float, float],
+    limits: tuple[Any, Any],
     name: str,
     needed: np.ndarray | None = None,
 ) -> WhiteField:
-    """Gain of one lamp from the board's codes (rows, columns, channels).
+    """Measure the gain of one lamp from the board's codes (rows, columns, channels).
 
     gain = reflectance * cos(theta) / (board - dark): the reciprocal of what a perfect diffuser facing the lamp would
-    have given. dark (1 or r, 1 or c, channels) in fractions of full scale; cos_theta: between lamp and board's normal,
-    a number or (r, c, 1) where the lamp is near; needed (r, c) bool: blocks that hold part of the object (default all):
+    have given. dark (1 or r, 1 or c, channels) in fractions of full scale; lit: cosine between lamp and board's normal,
+    a number or (r, c, 1) where the lamp is near, and reflectance; limits: codes that are saturated, or tell only of
+    darkness; needed (r, c) bool: blocks that hold part of the object (default all):
     the board need not be larger than the object.
     Raises CaptureError (white-grazing, white-saturated, white-dark) where less than half of the needed board can
     be used.
     """
+    (cos_theta, reflectance), (saturated, clip) = lit, limits
     if np.min(cos_theta) <= 0.05:
         found = f"cosine {np.min(cos_theta):.3f}"
         refuse("white-grazing", name, "lamp grazes or lies behind the white board", found=found)
-    levels, unusable = block_levels(codes, table, row_edges, column_edges, float(saturated), float(clip))
+    levels, unusable = block_levels(codes, table, *edges, float(saturated), float(clip))
     board = levels - dark
     bright_share = float((codes >= saturated).any(axis=2).mean())
     with np.errstate(invalid="ignore"):
@@ -277,11 +277,12 @@ def board_field(
         codes,
         reader.table,
         darks.at(frame.exposure_s),
-        *edges,
-        cos_theta=board_cosine(reader, reader.capture.lights.index(frame.light), edges),
-        reflectance=reader.capture.settings.white.reflectance,
-        saturated=reader.saturated,
-        clip=reader.clip,
+        edges,
+        lit=(
+            board_cosine(reader, reader.capture.lights.index(frame.light), edges),
+            reader.capture.settings.white.reflectance,
+        ),
+        limits=(reader.saturated, reader.clip),
         name=frame.file,
         needed=counts > 0,
     )

@@ -59,11 +59,9 @@ def measure_whites(reader: FrameReader[TurntableCapture], darks: DarkField, edge
             codes,
             reader.table,
             dark,
-            *edges,
-            cos_theta=board_cosine(reader, i),
-            reflectance=capture.settings.white.reflectance,
-            saturated=reader.saturated,
-            clip=reader.clip,
+            edges,
+            lit=(board_cosine(reader, i), capture.settings.white.reflectance),
+            limits=(reader.saturated, reader.clip),
             name=frame.file,
         )
         ratio = frame.exposure / longest if longest else 1.0
