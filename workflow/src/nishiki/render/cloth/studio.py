@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,6 +52,16 @@ def framed(
     half = np.abs(plane - centre).max(axis=0)
     high = margin * max(half[1], half[0] * rows / columns)
     return look_at(eye, target, field_of_view=float(2 * np.arctan(high)), **size)
+
+
+class Viewpoint(NamedTuple):
+    """A camera's angles about what it shows, radians, its distance in extents of that, and its pixels."""
+
+    elevation: float
+    azimuth: float
+    distance: float
+    rows: int
+    columns: int
 
 
 @dataclass(frozen=True)
@@ -118,12 +129,8 @@ class Studio:
 def studio(
     surfaces: list[Surface],
     lights: list[Lighting],
+    view: Viewpoint,
     *,
-    elevation: float,
-    azimuth: float,
-    distance: float,
-    rows: int,
-    columns: int,
     level: float,
     reflectance: float,
     wall: bool = True,
@@ -136,9 +143,7 @@ def studio(
     """
     points = np.concatenate([surface.mesh.vertices for surface in surfaces])
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-    camera = framed(
-        points, elevation=elevation, azimuth=azimuth, rows=rows, columns=columns, distance=distance, margin=margin
-    )
+    camera, azimuth = framed(points, **view._asdict(), margin=margin), view.azimuth
     ground = None
     if reflectance > 0:
         ground = Matte((reflectance,) * 3)

@@ -6,7 +6,7 @@ from nishiki.artifacts.stage import Context
 from nishiki.render.cloth.frame import ClothPicture
 from nishiki.render.cloth.models import ClothModels, dyed
 from nishiki.render.cloth.scene import Brdf, Surface
-from nishiki.render.cloth.studio import linear_colour, studio, tubes, turning
+from nishiki.render.cloth.studio import Viewpoint, linear_colour, studio, tubes, turning
 from nishiki.render.display import DisplayImage, developed, exposure_for
 from nishiki.render.output import write_exr, write_png, write_video
 from nishiki.stages.render import ClothRenderSettings
@@ -24,9 +24,9 @@ def run(context: Context) -> dict:
     draped = draped_cloth(settings)
     surface = draped.surface
     view = settings.view
-    place = {"elevation": np.radians(view.elevation_deg), "azimuth": np.radians(view.azimuth_deg)}
-    size = {"rows": view.rows, "columns": view.columns, "distance": view.distance}
-    stage = studio([surface], lights_of(settings), **place, **size, **room(settings))
+    elevation, azimuth = np.radians((view.elevation_deg, view.azimuth_deg))
+    place = Viewpoint(elevation, azimuth, view.distance, view.rows, view.columns)
+    stage = studio([surface], lights_of(settings), place, **room(settings))
     cloths = dyed(brdf, {name: linear_colour(colour) for name, colour in settings.dyes.items()})
     named, takes = {}, []
     if settings.as_measured:
@@ -79,10 +79,8 @@ def swatches(context: Context, brdf: Brdf, cloths: dict[str, Brdf]) -> dict:
     """Cylinders: warp upright, oblique and around, as measured or in the first dye."""
     settings = context.settings
     columns, rows = settings.view.columns, round(settings.view.columns * 0.62)
-    stage = studio(
-        tubes(), lights_of(settings), elevation=np.radians(12), azimuth=0.0, distance=2.6, rows=rows, columns=columns,
-        margin=1.1, **room(settings),
-    )  # fmt: skip
+    view = Viewpoint(np.radians(12), 0.0, 2.6, rows, columns)
+    stage = studio(tubes(), lights_of(settings), view, margin=1.1, **room(settings))
     chosen = brdf if settings.as_measured else next(iter(cloths.values()), brdf)
     made = stage.render([stage.take(chosen)], supersampling=settings.supersampling, shadows=settings.shadows)
     return {"cylinders": save(context, "cylinders", made[0], exposed(settings, made))}
@@ -123,10 +121,9 @@ def frames_of(context: Context, surface: Surface, brdf: Brdf):
     rows += rows % 2
     view = settings.view
 
-    stage = studio(
-        [surface], lights_of(settings), elevation=np.radians(view.elevation_deg), azimuth=np.radians(view.azimuth_deg),
-        distance=view.distance, rows=rows, columns=block.columns, wall=False, **room(settings),
-    )  # fmt: skip
+    elevation, azimuth = np.radians((view.elevation_deg, view.azimuth_deg))
+    place = Viewpoint(elevation, azimuth, view.distance, rows, block.columns)
+    stage = studio([surface], lights_of(settings), place, wall=False, **room(settings))
     exposure = None
     for angle in turning(block.frames):
         now = stage.turned(angle) if block.moves == "turn" else stage.lit_from(angle)

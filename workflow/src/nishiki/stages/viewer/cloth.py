@@ -12,7 +12,7 @@ from nishiki.render.cloth import around, scene
 from nishiki.render.cloth.local import LEAST_COSINE, LIFT
 from nishiki.render.cloth.models import ClothModels, dyed, gloss_alone
 from nishiki.render.cloth.scene import Brdf, BrdfTable, Surface
-from nishiki.render.cloth.studio import Studio, studio, tubes
+from nishiki.render.cloth.studio import Studio, Viewpoint, studio, tubes
 from nishiki.render.cloth.surfaces import read_drape, sheet, swatch
 from nishiki.report.viewer.page import Blocks, pack_arrays, write_page
 from nishiki.stages.render import MeshSettings
@@ -77,7 +77,7 @@ PAPER = 0.14
 """Reflectance of the paper below, as `cloth_render` has it."""
 POSITION_STEPS = 1 << 16
 """Steps of a place in an extent of the cloth."""
-SIZE = {"rows": 600, "columns": 800}
+SIZE = (600, 800)
 """Of the picture that the first view of a surface fills."""
 
 
@@ -88,20 +88,19 @@ def draped() -> Studio:
 
 def on_paper(surface: Surface) -> Studio:
     """Return a surface on paper without a wall: it is seen from all sides."""
-    view = {"elevation": np.radians(21), "azimuth": np.radians(12), "distance": 2.2}
-    return studio([surface], [], **view, **SIZE, level=1.0, reflectance=PAPER, wall=False)
+    view = Viewpoint(np.radians(21), np.radians(12), 2.2, *SIZE)
+    return studio([surface], [], view, level=1.0, reflectance=PAPER, wall=False)
 
 
 def flat() -> Studio:
     """Return a flat sample that faces the eye, weft to the right."""
-    view = {"elevation": 0.0, "azimuth": 0.0, "distance": 2.2}
-    return studio([swatch(1.0, 1.0)], [], **view, **SIZE, level=1.0, reflectance=0.0)
+    return studio([swatch(1.0, 1.0)], [], Viewpoint(0.0, 0.0, 2.2, *SIZE), level=1.0, reflectance=0.0)
 
 
 def cylinders() -> Studio:
     """Three cylinders: warp upright, oblique and around."""
-    view = {"elevation": np.radians(12), "azimuth": 0.0, "distance": 2.6}
-    return studio(tubes(), [], **view, **SIZE, level=1.0, reflectance=PAPER, wall=False, margin=1.1)
+    view = Viewpoint(np.radians(12), 0.0, 2.6, *SIZE)
+    return studio(tubes(), [], view, level=1.0, reflectance=PAPER, wall=False, margin=1.1)
 
 
 SHAPES: dict[str, Callable[[], Studio]] = {"drape": draped, "flat": flat, "cylinders": cylinders}
