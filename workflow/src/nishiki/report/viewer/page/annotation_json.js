@@ -1,4 +1,3 @@
-// @ts-check
 // Annotations as an AnnotationPage of the W3C Web Annotation Data Model (2017). Of a flat object the target is an SvgSelector
 // with a path in pixels of the maps from their upper left corner; of others it is a list of points of the surface.
 

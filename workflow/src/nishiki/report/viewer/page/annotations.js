@@ -14,7 +14,12 @@ const titled = ({ text: words }, number) => `${number + 1}  ${words.split("\n")[
 export class Annotations {
   /** app: {scene, manifest, state, first, ratio, flat, set, say, change, rebuild, opened} */
   constructor(app) {
-    Object.assign(this, { app, notes: [], chosen: null, drawn: null, last: null, served: location.protocol.startsWith("http") });
+    this.app = app;
+    this.notes = [];
+    this.chosen = null;
+    this.drawn = null;
+    this.last = null;
+    this.served = location.protocol.startsWith("http");
     this.plane = app.flat ? app.manifest : null;
     this.name = `nishiki annotations ${app.manifest.scene}`;
   }
@@ -72,7 +77,7 @@ export class Annotations {
     app.opened.add("annotations");
     this.choose(this.notes.length - 1, false);
     app.reveal("annotations");
-    document.querySelector("[data-section=annotations] textarea").focus({ preventScroll: true });
+    /** @type {HTMLElement} */ (document.querySelector("[data-section=annotations] textarea")).focus({ preventScroll: true });
   }
 
   /** Mark a note; seen: under its own lamps, from where it was drawn. */

@@ -1,4 +1,3 @@
-// @ts-check
 // Arrays of nishiki.report.viewer.page: one deflated block of named arrays.
 
 import { inflate } from "viewer/loader";

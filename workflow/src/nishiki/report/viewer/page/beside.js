@@ -16,7 +16,11 @@ export function pageBeside(address) {
 export class Beside {
   /** app: whose first state has a divider; page: the other's URL. */
   constructor(app, page) {
-    Object.assign(this, { app, sent: "", number: 0, share: 0, told: { title: page.pathname, scene: "", key: "" } });
+    this.app = app;
+    this.sent = "";
+    this.number = 0;
+    this.share = 0;
+    this.told = { title: page.pathname, scene: "", key: "" };
     this.rested = 0; // number of the last state whose picture is complete
     page.searchParams.set("part", "");
     this.frame = document.createElement("iframe");

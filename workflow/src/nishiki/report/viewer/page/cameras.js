@@ -1,4 +1,3 @@
-// @ts-check
 // Cameras of a turntable, as nishiki.geometry has them: captured, between captured ones, and free.
 
 import {

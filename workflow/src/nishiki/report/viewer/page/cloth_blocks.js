@@ -1,4 +1,3 @@
-// @ts-check
 // Surfaces and materials of a cloth's page, from their blocks of data to the graphics processor.
 import { attribute, texture } from "viewer/gl";
 

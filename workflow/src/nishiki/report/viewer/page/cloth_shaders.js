@@ -1,4 +1,3 @@
-// @ts-check
 // Shaders of the cloth's viewer: nishiki.render.cloth on a mesh, with its BRDF from a table (render/cloth/scene.py).
 
 import { ENCODING, ENHANCE, REACHES } from "viewer/common_shaders";

@@ -27,7 +27,8 @@ export function bandsOf(rows, columns, levels) {
 }
 
 /** Coefficients that are not zero, plane by plane (channel, then frequency): `starts[n]` to `starts[n + 1]` of
- * `places` (in the plane, row by row) and `values`. */
+ * `places` (in the plane, row by row) and `values`.
+ * @param {any} data @param {number[]} shape channels, frequencies, rows, columns @param {any} levels @param {any} model */
 export function decodeBlock(data, [channels, frequencies, rows, columns], levels, model) {
   return new BlockDecoder(data, channels, frequencies, rows, columns, levels, model).decode();
 }
@@ -49,7 +50,11 @@ function placeClass(k, c, level, orientation) {
 
 class BlockDecoder {
   constructor(data, channels, frequencies, rows, columns, levels, model) {
-    Object.assign(this, { data, channels, frequencies, rows, columns });
+    this.data = data;
+    this.channels = channels;
+    this.frequencies = frequencies;
+    this.rows = rows;
+    this.columns = columns;
     this.bands = bandsOf(rows, columns, levels);
     this.chance = Int32Array.from(model.chance);
     this.seen = Uint8Array.from(model.seen);

@@ -1,4 +1,3 @@
-// @ts-check
 // From spectra to the display's sRGB, as nishiki.colour and nishiki.render.display compute it.
 // Matrices are arrays of rows.
 

@@ -1,4 +1,3 @@
-// @ts-check
 // Parts of shaders that the scenes of objects and of cloths share.
 
 import { MOST_LAMPS } from "viewer/state";

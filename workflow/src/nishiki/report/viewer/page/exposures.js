@@ -8,7 +8,8 @@ const FIRST_PIXELS = 1 << 16; // at most, about, of the pixels of it that are lo
 
 export class Exposures {
   constructor(gl, tiles) {
-    Object.assign(this, { gl, tiles });
+    this.gl = gl;
+    this.tiles = tiles;
     this.chosen = new Map(); // of the states drawn last: two, where a divider compares
     const { levels } = tiles.layout;
     this.level = Math.max(levels.findIndex(({ rows, columns }) => rows * columns <= LEVEL_PIXELS), 0);

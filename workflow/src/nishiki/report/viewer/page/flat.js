@@ -1,4 +1,3 @@
-// @ts-check
 // Moving over a flat scene: a view is {x, y, zoom, tilt_deg, azimuth_deg}: the point in the middle, how much larger than
 // fitted, and where the eye stands: so far from the front, towards this direction, from the right upwards.
 import { MOST_TILT } from "viewer/plane_view";

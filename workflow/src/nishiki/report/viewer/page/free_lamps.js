@@ -1,4 +1,3 @@
-// @ts-check
 // The state's lamps in the frame of a scene, each with one point of its disc at a time.
 import { add, apply, cross, normalised, scale, transpose } from "viewer/matrices";
 

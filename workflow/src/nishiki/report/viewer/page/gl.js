@@ -1,4 +1,3 @@
-// @ts-check
 // WebGL2 helpers: context, programs, textures, framebuffers, reading back.
 
 /** Beginning of every shader. */

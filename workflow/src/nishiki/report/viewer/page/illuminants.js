@@ -1,4 +1,3 @@
-// @ts-check
 // The choice of a lamp's spectrum: a name of the manifest, a black body, or a table of the user's own.
 import { choice, element, slider } from "viewer/dom";
 import { text } from "viewer/texts";

@@ -9,7 +9,9 @@ export class KeyPlace {
   /** app: {scene, state, tool, ratio, ruler, flat, place, probe, measure, say, rulerText, redraw}; app.place: CSS pixels of the
    * cross from the canvas's upper left corner, null while a pointer is in use. */
   constructor(app, canvas) {
-    Object.assign(this, { app, canvas, measuring: false });
+    this.app = app;
+    this.canvas = canvas;
+    this.measuring = false;
     canvas.addEventListener("pointerdown", () => {
       app.place = null;
       this.measuring = false;

@@ -1,4 +1,3 @@
-// @ts-check
 // The lamps: a pad that shows the half space above the object from its front, and the controls of the lamp chosen.
 import { drawing, element, slider } from "viewer/dom";
 import { illuminantControls, nameOf } from "viewer/illuminants";

@@ -1,4 +1,3 @@
-// @ts-check
 // What is shown: the appearance, an enhancement of it, or a layer with its legend.
 import { choice, element, slider, tick } from "viewer/dom";
 import { copy } from "viewer/state";

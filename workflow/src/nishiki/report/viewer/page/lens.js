@@ -1,4 +1,3 @@
-// @ts-check
 // The lens: a square of the picture, larger around the place under the pointer.
 
 const LARGER = 3;

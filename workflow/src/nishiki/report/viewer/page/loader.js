@@ -72,7 +72,7 @@ async function inlinedText(name) {
 
 /** When the parser has read more of the page. */
 function parsed() {
-  return new Promise((resolve) => {
+  return new Promise((/** @type {(value?: void) => void} */ resolve) => {
     const watch = new MutationObserver(() => done());
     const done = () => (watch.disconnect(), document.removeEventListener("readystatechange", done), resolve());
     watch.observe(document.body, { childList: true });

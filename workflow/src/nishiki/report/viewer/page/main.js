@@ -18,14 +18,26 @@ const BOOKMARK_AFTER = 400; // ms without a change
 const MOST_RATIO = 2; // pixels of the canvas to one of CSS
 const PREVIEW = 1 / 3; // of the canvas's width and height in the first picture of a painting
 const by = (id) => document.getElementById(id);
-const canvas = by("canvas");
+const canvas = /** @type {HTMLCanvasElement} */ (by("canvas"));
 
 class App {
+  showLamp; // shows where the lamp is that moved; of the section of the panel that is there
   /** Scene: class of what is shown. */
   constructor(manifest, Scene) {
-    Object.assign(this, { manifest, Scene, flat: manifest.chain === "painting", tool: manifest.chain === "painting" ? "light" : "move" });
+    this.manifest = manifest;
+    this.Scene = Scene;
+    this.flat = manifest.chain === "painting";
+    this.tool = manifest.chain === "painting" ? "light" : "move";
     this.preview = this.flat; // until the first picture is drawn
-    Object.assign(this, { lamp: 0, ruler: [], place: null, mark: null, lens: null, probed: undefined, probes: 0, asked: false, opened: new Set(["light"]) });
+    this.lamp = 0;
+    this.ruler = [];
+    this.place = null;
+    this.mark = null;
+    this.lens = null;
+    this.probed = undefined;
+    this.probes = 0;
+    this.asked = false;
+    this.opened = new Set(["light"]);
   }
 
   async open() {
@@ -86,7 +98,7 @@ class App {
     by("divider").setAttribute("aria-label", text("divider"));
     by("sheet").textContent = text("controls");
     by("panel").replaceChildren(...this.panel());
-    if (inside) [...by(inside).querySelectorAll("button,select,input,svg")].find((each) => (each.getAttribute("aria-label") ?? each.textContent) === active)?.focus();
+    if (inside) [.../** @type {NodeListOf<HTMLElement>} */ (by(inside).querySelectorAll("button,select,input,svg"))].find((each) => (each.getAttribute("aria-label") ?? each.textContent) === active)?.focus();
     this.change();
   }
 
@@ -310,7 +322,7 @@ class App {
     by("divider").hidden = !compare;
     if (compare) {
       by("divider").style.left = `${100 * compare.divider}%`;
-      by("divider").setAttribute("aria-valuenow", Math.round(100 * compare.divider));
+      by("divider").setAttribute("aria-valuenow", `${Math.round(100 * compare.divider)}`);
     }
     this.beside?.show(cut / width);
     Object.assign(by("lens"), { hidden: !lens });
@@ -343,7 +355,7 @@ export async function start(Scene) {
   const app = new App(JSON.parse(by("manifest").textContent), Scene);
   try {
     await app.open();
-    window.nishiki = {
+    /** @type {any} */ (window).nishiki = {
       scene: app.scene,
       get state() {
         return app.state;

@@ -1,4 +1,3 @@
-// @ts-check
 // Vectors of three numbers and matrices as arrays of rows.
 
 export const add = (a, b) => a.map((v, n) => v + b[n]);

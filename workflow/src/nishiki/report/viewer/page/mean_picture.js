@@ -24,7 +24,11 @@ void main() {
 export class MeanPictures {
   /** drawSample(target, {width, height}, shift, k, state, area): one picture, or an area of it; drawScreen(): a program over all of a framebuffer. */
   constructor(gl, drawSample, drawScreen) {
-    Object.assign(this, { gl, drawSample, drawScreen, parts: {}, slow: false });
+    this.gl = gl;
+    this.drawSample = drawSample;
+    this.drawScreen = drawScreen;
+    this.parts = {};
+    this.slow = false;
     this.changed = -Infinity; // time of the last change of what is shown
     this.program = new Shader(gl, SCREEN_VERTEX, MEAN_FRAGMENT);
   }

@@ -34,6 +34,11 @@ const LAYERS = [
 ];
 
 export class ObjectScene extends RoundScene {
+  /** @type {CodedObject} */ coded;
+  /** @type {ObjectSurface} */ mesh;
+  /** @type {ObjectTexels} */ texels;
+  /** @type {ObjectShadows} */ shadows;
+
   static async open(canvas, manifest, loader) {
     const scene = new ObjectScene(canvas, manifest, loader);
     const arrays = await unpackArrays(await loader.load("object"));

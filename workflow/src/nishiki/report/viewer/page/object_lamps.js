@@ -1,4 +1,3 @@
-// @ts-check
 // Lamps of an object as a camera has them: those of the capture, fixed to the camera, or the state's own.
 import { centreOf } from "viewer/cameras";
 import { freeLamps } from "viewer/free_lamps";

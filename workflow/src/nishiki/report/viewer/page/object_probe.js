@@ -11,7 +11,8 @@ const HIDDEN = 0.02; // depth behind the surface that a view sees, in radii of t
 export class ObjectProbe {
   /** scene: gl, manifest, mesh, texels, and `programs.mesh`. */
   constructor(scene) {
-    Object.assign(this, { scene, gl: scene.gl });
+    this.scene = scene;
+    this.gl = scene.gl;
   }
 
   /** What a camera sees at the pixel (x, y), without positions' unit; null beside the object. */

@@ -1,4 +1,3 @@
-// @ts-check
 // Shaders of an object's pixels: each is one bilinear look-up among texels (nishiki.render.object.renderer); see
 // object_texel_shaders.js.
 

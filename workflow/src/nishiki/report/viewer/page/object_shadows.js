@@ -11,7 +11,10 @@ import { MOST_LAMPS } from "viewer/state";
 export class ObjectShadows {
   /** scene: gl, manifest, mesh, texels, drawScreen(). */
   constructor(scene) {
-    Object.assign(this, { scene, gl: scene.gl, maps: new ShadowMaps(scene.gl), sums: {} });
+    this.scene = scene;
+    this.gl = scene.gl;
+    this.maps = new ShadowMaps(scene.gl);
+    this.sums = {};
     this.programs = {
       map: new Shader(this.gl, SHADOW_VERTEX, SHADOW_FRAGMENT), lit: new Shader(this.gl, SCREEN_VERTEX, LIT_FRAGMENT),
     };

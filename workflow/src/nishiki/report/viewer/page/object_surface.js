@@ -8,7 +8,10 @@ const FORM = 0.06; // standard deviation, in radii of the object, of the smoothi
 
 export class ObjectSurface {
   constructor(gl, manifest, arrays) {
-    Object.assign(this, { gl, manifest, surface: surfaceOf(manifest, arrays), empty: gl.createVertexArray() });
+    this.gl = gl;
+    this.manifest = manifest;
+    this.surface = surfaceOf(manifest, arrays);
+    this.empty = gl.createVertexArray();
     const { normals, corners, chartOf } = this.surface;
     this.corners = this.#cornersWith(normals);
     this.charts = integers(gl, "R32I", Int32Array.from(corners.filter((_, n) => n % 3 === 0), (point) => chartOf[point]), 1);

@@ -1,4 +1,3 @@
-// @ts-check
 // Shaders of an object's texels, which lie in one atlas texture, tile beside tile: where they are, who sees them, and the encoded
 // model plus its residual (nishiki.render.object.renderer).
 

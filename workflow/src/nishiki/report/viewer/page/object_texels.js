@@ -12,10 +12,20 @@ const SLICE_MS = 14; // of decoding between two chances for events
 const REDRAW_MS = 400; // between two pictures while decoding goes on
 
 export class ObjectTexels {
+  /** Textures, as `#places` and `#form` make them. */
+  positions;
+  normals;
+  form;
+
   /** scene: its gl, manifest, loader, drawScreen(), onready() and shownAt, the time of its last picture. */
   constructor(scene, coded, mesh, arrays) {
     const { gl, manifest } = scene;
-    Object.assign(this, { scene, gl, manifest, coded, mesh, parts: manifest.parts.length });
+    this.scene = scene;
+    this.gl = gl;
+    this.manifest = manifest;
+    this.coded = coded;
+    this.mesh = mesh;
+    this.parts = manifest.parts.length;
     this.residuals = new Map(); // `view/light` -> textures
     this.version = 0; // of what is decoded
     this.working = 0;

@@ -1,4 +1,3 @@
-// @ts-check
 // Views of a turntable object: captured ones, between them, free ones; and whose residual each of them shows.
 import { cameraAlong, fitted, freeView, lookAt, neighbours, positionAlong, positionOfEye } from "viewer/cameras";
 

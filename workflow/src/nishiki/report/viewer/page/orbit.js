@@ -37,7 +37,11 @@ export function zoomed(view, factor, radius) {
  * are captured views, capturedView; turns(): whether a drag with one pointer turns now. */
 export class Orbit {
   constructor(canvas, scene, current, change, turns = () => true) {
-    Object.assign(this, { canvas, scene, current, change, turns });
+    this.canvas = canvas;
+    this.scene = scene;
+    this.current = current;
+    this.change = change;
+    this.turns = turns;
     this.pointers = new Map();
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);

@@ -1,4 +1,3 @@
-// @ts-check
 // Drawn over the picture: scale bar, ruler, the place that was probed.
 import { drawing } from "viewer/dom";
 

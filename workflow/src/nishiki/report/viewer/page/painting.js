@@ -20,6 +20,8 @@ const LAYER_COLOURS = ["grey", "diverging", "flags"];
 const BACKGROUND = 0.106;
 const FRONTAL = { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 };
 export class Painting {
+  opening; // promise of the reliefs
+
   /** Opens a painting; ready to draw once its coarsest tile is there and the level from which the exposure is chosen, in
    * long paintings a finer one. */
   static async open(canvas, manifest, loader) {
@@ -31,7 +33,9 @@ export class Painting {
   }
 
   constructor(canvas, manifest, loader) {
-    Object.assign(this, { canvas, manifest, loader });
+    this.canvas = canvas;
+    this.manifest = manifest;
+    this.loader = loader;
     this.gl = context(canvas);
     this.onready = () => {};
     this.pending = 0;
@@ -98,6 +102,7 @@ export class Painting {
     return this.#place(state).toRelief(x, y, (...at) => this.relief.heightAt(...at));
   }
 
+  /** Point of the scene at a place of the map. @param {number[]} place */
   #pointOf([column, row]) {
     const { rows, columns, pitch_mm } = this.manifest, pitch = pitch_mm ?? 1;
     return [(column - columns / 2) * pitch, (rows / 2 - row) * pitch];

@@ -1,4 +1,3 @@
-// @ts-check
 // Colours of a painting under lamps of any spectrum, as the shader takes them.
 import * as colour from "viewer/colour";
 

@@ -1,4 +1,3 @@
-// @ts-check
 // Shaders of the painting. Shading follows nishiki.render.plane.kernel term by term.
 import { ENHANCE } from "viewer/common_shaders";
 

@@ -15,7 +15,12 @@ function readPixel(gl, framebuffer, made, layer, column, row) {
 export class Values {
   /** wait(promise): told of what is on its way. */
   constructor(gl, manifest, tiles, loader, wait) {
-    Object.assign(this, { gl, manifest, tiles, loader, wait });
+    this.codes = null; // promise of the samples of the photographs
+    this.gl = gl;
+    this.manifest = manifest;
+    this.tiles = tiles;
+    this.loader = loader;
+    this.wait = wait;
     this.layers = new Map(); // by name: {making, texture}
     this.packing = gl.createFramebuffer();
   }

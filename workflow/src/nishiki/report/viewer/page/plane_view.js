@@ -12,7 +12,13 @@ export class PlaneView {
   constructor({ rows, columns, pitch }, { width, height }, scale, view, heights = [0, 0]) {
     const tilt = (view.tilt_deg * Math.PI) / 180, azimuth = (view.azimuth_deg * Math.PI) / 180;
     const [dx, dy] = [Math.cos(azimuth), Math.sin(azimuth)], shrink = Math.cos(tilt) - 1;
-    Object.assign(this, { rows, columns, pitch, width, height, scale, heights });
+    this.rows = rows;
+    this.columns = columns;
+    this.pitch = pitch;
+    this.width = width;
+    this.height = height;
+    this.scale = scale;
+    this.heights = heights;
     this.tilted = tilt > 0;
     this.toward = [Math.sin(tilt) * dx, Math.sin(tilt) * dy, Math.cos(tilt)];
     // rows of the map and of the canvas grow downwards

@@ -1,4 +1,3 @@
-// @ts-check
 // Texts inside a PNG file (iTXt chunks of the PNG specification, 11.3.3.4).
 
 const TABLE = Uint32Array.from({ length: 256 }, (_, n) => {

@@ -1,4 +1,3 @@
-// @ts-check
 // Values under the cursor: position, normal, layers, spectrum with its band of error, gloss, the photographs' values.
 import { drawing, element } from "viewer/dom";
 import { text } from "viewer/texts";

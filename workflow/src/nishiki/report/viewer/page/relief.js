@@ -7,7 +7,10 @@ const MOST_CELLS = 160; // along a side of a tile
 export class Relief {
   /** heights: {surface (NaN: unknown), rows, columns, pitch}; pitch: of a pixel of the map, in the same unit. */
   constructor(gl, { surface, rows, columns, pitch: own }, pitch) {
-    Object.assign(this, { rows, columns, scale: pitch / own, surface: filled(surface, columns) });
+    this.rows = rows;
+    this.columns = columns;
+    this.scale = pitch / own;
+    this.surface = filled(surface, columns);
     this.heights = [0, 0]; // lowest and highest
     for (const value of this.surface) {
       if (value < this.heights[0]) this.heights[0] = value;

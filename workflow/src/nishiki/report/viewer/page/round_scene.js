@@ -4,13 +4,20 @@ import { context, readback } from "viewer/gl";
 export class RoundScene {
   /** kind: what is shown, for the error where the browser lacks something. */
   constructor(canvas, manifest, loader, kind) {
-    Object.assign(this, { canvas, manifest, loader });
+    this.canvas = canvas;
+    this.manifest = manifest;
+    this.loader = loader;
     this.onready = () => {};
     this.gl = context(canvas);
     if (!this.gl.getExtension("EXT_color_buffer_float")) {
       throw new Error(`WebGL2 with EXT_color_buffer_float is needed to show ${kind}`);
     }
     this.empty = this.gl.createVertexArray();
+  }
+
+  /** View of a state; of the kind of scene. @abstract @returns {any} */
+  viewOf(state) {
+    throw new Error(`no view of ${state}`);
   }
 
   /** A state whose picture is so many times larger, with the place at the pixel `from` of the canvas at `to`. */

@@ -10,7 +10,9 @@ const CLICK = 5; // pixels that a click may wander
 export class RoundTools {
   /** app: {scene, state, tool, ratio, ruler, chooseTool, setView, fit, probe, measure, say, rulerText} */
   constructor(app, canvas) {
-    Object.assign(this, { app, from: [], measuring: false });
+    this.app = app;
+    this.from = [];
+    this.measuring = false;
     this.keys = new KeyPlace(app, canvas);
     canvas.addEventListener("keydown", (event) => this.key(event)); // before those of the camera
     new Orbit(canvas, app.scene, () => app.state, (view) => app.setView(view), () => !["ruler", "annotate", "lens"].includes(app.tool));

@@ -6,7 +6,7 @@ import { nameOf } from "viewer/illuminants";
 
 /** Rules of the page for what is drawn over the picture, for a drawing that stands alone. */
 function rules() {
-  const own = [...document.styleSheets[0].cssRules].filter(({ selectorText }) => selectorText?.startsWith("#overlay "));
+  const own = [...document.styleSheets[0].cssRules].filter((rule) => rule instanceof CSSStyleRule && rule.selectorText.startsWith("#overlay "));
   return `svg{font:12px sans-serif;--mark:#f2c14e}${own.map(({ cssText }) => cssText.replaceAll("#overlay ", "")).join("")}`;
 }
 

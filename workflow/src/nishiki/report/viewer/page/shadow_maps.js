@@ -8,7 +8,10 @@ export const SHADOW_FRAGMENT = "void main() {}";
 
 export class ShadowMaps {
   constructor(gl) {
-    Object.assign(this, { gl, layers: 0, texture: null, targets: [] });
+    this.gl = gl;
+    this.layers = 0;
+    this.texture = null;
+    this.targets = [];
   }
 
   /** Draw what throws shadows, as every lamp of freeLamps sees it; draw(toLamp) draws it once. The lamps' matrices. */

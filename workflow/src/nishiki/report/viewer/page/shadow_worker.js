@@ -269,7 +269,7 @@ export function work() {
       }
     } else {
       const visibility = visibilities(data.lamps, data.window);
-      postMessage(visibility, [visibility.buffer]);
+      postMessage(visibility, { transfer: [visibility.buffer] });
     }
   };
 }

@@ -22,6 +22,7 @@ class Heights {
     this.described = described;
     this.running = null;
     this.next = null;
+    this.onready = (job, visibility) => {}; // eslint-disable-line no-unused-vars
     const url = URL.createObjectURL(new Blob([`(${work})()`], { type: "text/javascript" }));
     this.worker = new Worker(url);
     URL.revokeObjectURL(url);
@@ -67,7 +68,9 @@ class Heights {
 export class Shadows {
   /** most: lamps that the shader can take. */
   constructor(gl, reliefs, loader, most) {
-    Object.assign(this, { gl, reliefs, loader });
+    this.gl = gl;
+    this.reliefs = reliefs;
+    this.loader = loader;
     this.levels = []; // heights that are open, the coarse first
     this.known = new Map(); // by lamps: {key, count, parts}, parts by level: {texture, rows, columns, window}
     this.shown = {}; // keys of those that each part of the canvas shows
@@ -118,7 +121,8 @@ export class Shadows {
     fine.request({ key, lamps, window });
   }
 
-  /** A part [left, top, right, bottom] of the map, 0 to 1, in pixels of the finer relief. */
+  /** A part [left, top, right, bottom] of the map, 0 to 1, in pixels of the finer relief.
+   * @param {number[]} part @param {number} margin */
   #pixels([left, top, right, bottom], margin) {
     const { rows, columns } = this.reliefs[1];
     const within = (value, most) => Math.min(Math.max(value, 0), most);
@@ -158,5 +162,5 @@ export class Shadows {
   }
 }
 
-/** Whether a window, or the whole map where it is null, holds a part of it. */
+/** Whether a window, or the whole map where it is null, holds a part of it. @param {any} window @param {number[]} part */
 const holds = (window, [left, top, right, bottom]) => !window || (window[0] <= left && window[1] <= top && window[2] >= right && window[3] >= bottom);

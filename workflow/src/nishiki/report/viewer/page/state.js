@@ -1,4 +1,3 @@
-// @ts-check
 // What the page shows, as plain JSON; a bookmark is what differs from the first state, in the address after #.
 
 export const MOST_LAMPS = 8;

@@ -1,4 +1,3 @@
-// @ts-check
 // The page's texts in the languages that it knows.
 
 const all = JSON.parse(document.getElementById("texts").textContent);

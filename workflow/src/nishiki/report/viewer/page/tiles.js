@@ -19,7 +19,11 @@ function stackOf(data) {
 export class Tiles {
   /** layout: {size, border, levels} of the manifest; stack: pictures of a tile; wait(promise): told of what is on its way. */
   constructor(gl, layout, stack, loader, wait) {
-    Object.assign(this, { gl, layout, stack, loader, wait });
+    this.gl = gl;
+    this.layout = layout;
+    this.stack = stack;
+    this.loader = loader;
+    this.wait = wait;
     this.side = layout.size + 2 * layout.border;
     this.sharp = gl.getExtension("EXT_texture_filter_anisotropic"); // for tilted views
     this.tiles = new Map();
@@ -30,7 +34,8 @@ export class Tiles {
     return Math.max(this.layout.levels.findLastIndex(({ factor }) => factor * scale < 1.25), 0);
   }
 
-  /** Tiles of a level, [row, column], within [left, top, right, bottom] of the map. */
+  /** Tiles of a level, [row, column], within [left, top, right, bottom] of the map.
+   * @param {number} level @param {number[]} bounds */
   within(level, [left, top, right, bottom]) {
     const { levels, size } = this.layout, { rows, columns, factor } = levels[level];
     const range = (from, to, count) => {

@@ -56,7 +56,8 @@ function button(name, onclick, pressed) {
 /** Listens on the canvas of a flat scene. */
 export class FlatTools {
   constructor(app, canvas) {
-    Object.assign(this, { app, canvas });
+    this.app = app;
+    this.canvas = canvas;
     this.pointers = new Map();
     this.keys = new KeyPlace(app, canvas);
     followPointer(app, canvas);

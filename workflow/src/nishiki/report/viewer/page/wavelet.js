@@ -4,7 +4,9 @@
  * `norms[n] = [{low, high}, ...]` the lengths of an axis' basis vectors, level by level, finest first. */
 export class PlaneSynthesis {
   constructor(lengths, norms, levels) {
-    Object.assign(this, { lengths, norms, levels });
+    this.lengths = lengths;
+    this.norms = norms;
+    this.levels = levels;
     this.gains = new Map();
   }
 
