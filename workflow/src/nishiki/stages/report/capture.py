@@ -108,7 +108,7 @@ def about_capture(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
     camera = capture.get("camera") or {}
     coding = diagnostics.get("coding")
     bits = f"{camera['bits']} bits" if camera.get("bits") else None
-    parts = [camera.get("model"), bits, f"coding of the photographs: {coding}" if coding else None]
+    parts = [camera.get("model"), bits, f"encoding of the photographs: {coding}" if coding else None]
     return [*facts, ("Camera", ", ".join(part for part in parts if part) or "not stated")]
 
 

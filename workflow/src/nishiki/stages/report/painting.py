@@ -235,13 +235,15 @@ def appearance_section(render: Artifact | None, widest: int, video_mb: float, ru
         caption = f"{describe(entry)} {exposed(exposure, chosen=entry.get('exposure') == 'auto')}".strip()
         frontal = entry["view"]["kind"] == "frontal"
         picture = file_picture(data, widest)
-        items.append(Figure(entry["name"].capitalize(), caption, picture, ruler=ruler if frontal else None))
+        items.append(
+            Figure(entry["name"].replace("-", " ").capitalize(), caption, picture, ruler=ruler if frontal else None)
+        )
     for entry in render.settings["sequences"]:
         facts = reported.get(entry["name"]) or {}
         if facts.get("file") in render.manifest["files"]:
             moves = f"The {entry['moves']} goes round at {entry['elevation_deg']:g}° above the plane."
             caption = f"{moves} {exposed(facts.get('exposure'), chosen=True)}".strip()
-            shown = film(render, facts["file"], entry["name"].capitalize(), caption, video_mb)
+            shown = film(render, facts["file"], entry["name"].replace("-", " ").capitalize(), caption, video_mb)
             (items if isinstance(shown, Figure) else others).append(shown)
     if named:
         others.append(f"Also made: {', '.join(named)}.")
