@@ -1,6 +1,7 @@
 """Predicted against photographed light, pixel by pixel, and small pictures of both."""
 
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -180,7 +181,7 @@ class PreviewPair:
             values = np.ascontiguousarray(picture, np.float32)
             add_blocks(values, inside, rows.start, self.block, self.sums[k], self.counts[k])
 
-    def arrays(self) -> dict[str, np.ndarray]:
+    def arrays(self) -> dict[str, Any]:
         """predicted, observed: (rows, columns, 3) float16 linear sRGB, the lamp's white at 1, 1, 1; inside: bool."""
         with np.errstate(invalid="ignore", divide="ignore"):
             means = np.where(self.counts[..., None] > 0, self.sums / self.counts[..., None], 0.0)

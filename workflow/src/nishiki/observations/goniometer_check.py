@@ -13,7 +13,7 @@ from nishiki.formats.masks import label_problems, read_labels
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, refuse, warning
 from nishiki.goniometry.coverage import FEWEST_PAIRS, forward_shine, reciprocity, turned_views, typical_albedo
 from nishiki.goniometry.directions import unit
-from nishiki.observations.blocks import block_edges
+from nishiki.observations.blocks import picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField, measure_darks
 from nishiki.observations.store_parts import RepeatedFiles, as_errors
@@ -130,7 +130,7 @@ def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
     """Find what only decoding shows; every photograph is decoded once."""
     try:
         reader = windowed(FrameReader.of(capture, "all", prove=False), capture)  # the whole seal is verified apart
-        edges = tuple(block_edges(n, CHECK_BLOCK) for n in reader.region[2:])
+        edges = picture_edges(reader.region[2:], CHECK_BLOCK)
         darks = measure_darks(reader, edges, tick)
     except CaptureError as e:
         return list(e.problems)

@@ -13,7 +13,7 @@ from nishiki.capture.seal import expect_sealed, sealed_digests
 from nishiki.formats.masks import label_problems
 from nishiki.formats.problems import Problem, group_problems
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
-from nishiki.observations.blocks import Edges, block_edges
+from nishiki.observations.blocks import Edges, picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.goniometer_check import code_problems, hot_problems, region_labels, white_level, windowed
 from nishiki.observations.reference import DarkField, measure_darks
@@ -67,7 +67,7 @@ def write_goniometer(
     capture = choice.capture
     tick = PhotographCounter(progress, len(capture.frames))
     reader = windowed(FrameReader.of(capture, settings.channels, unopened=choice.files), capture)
-    edges = tuple(block_edges(n, settings.white_block) for n in reader.region[2:])
+    edges = picture_edges(reader.region[2:], settings.white_block)
     labels = region_labels(capture, (reader.rows, reader.columns))
     darks = measure_darks(reader, edges, tick)
     frames = (*capture.observed, *capture.frames_of("white"))

@@ -12,7 +12,7 @@ from nishiki.capture.turntable import TurntableCapture
 from nishiki.errors import UserError
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, warning
-from nishiki.observations.blocks import block_edges
+from nishiki.observations.blocks import picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import measure_darks
@@ -193,7 +193,7 @@ def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Pr
 
 def _reference_problems(reader: FrameReader[TurntableCapture], tick: Tick) -> list[Problem]:
     """Dark frames and normalising white boards."""
-    edges = tuple(block_edges(n, CHECK_BLOCK) for n in (reader.rows, reader.columns))
+    edges = picture_edges((reader.rows, reader.columns), CHECK_BLOCK)
     try:
         darks = measure_darks(reader, edges, tick)
         # white boards and exposures are there for every light, or for none; if not, it is reported already

@@ -13,7 +13,7 @@ from nishiki.colour.colour import encode
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
 from nishiki.formats.problems import Problem, group_problems, refuse
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
-from nishiki.observations.blocks import Edges, block_edges
+from nishiki.observations.blocks import Edges, picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.linearise import LUMA_WEIGHTS
 from nishiki.observations.plane_decode import count_unusable
@@ -155,7 +155,7 @@ def write_views(
     capture, opened = choice.capture, "photographs" not in choice.skipped
     tick = PhotographCounter(progress, len(capture.frames) - (0 if opened else len(capture.observed)))
     reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
-    edges = tuple(block_edges(n, settings.white_block) for n in (reader.rows, reader.columns))
+    edges = picture_edges((reader.rows, reader.columns), settings.white_block)
     path = Path(folder) / STORE
     group = BandedGroup.create(path)
     outlines, doubts = _write_silhouettes(path, group, capture, reader)

@@ -1,5 +1,7 @@
 """Object_evaluate: the decoded object against its photographs, left-out views, truth, and the bytes it takes."""
 
+from typing import Any
+
 import numpy as np
 
 from nishiki.artifacts.stage import Context
@@ -125,7 +127,9 @@ class Work:
     def show(self, name: str, left_out: bool, inside: np.ndarray, photograph: np.ndarray, coded: dict) -> None:
         """Write one picture of photograph, rendering, model alone, ten times the difference; and their arrays."""
         best = coded[INTERPOLATED] if left_out else coded[DECODED]
-        panels = comparison(photograph, best, coded[MODEL], inside, self.decoded.encoding, self.settings.columns)
+        panels: dict[str, Any] = comparison(
+            photograph, best, coded[MODEL], inside, self.decoded.encoding, self.settings.columns
+        )
         stem = f"compare-{name}"
         strip = np.concatenate([panels[key] for key in ("photograph", "rendered", "model", "error")], axis=1)
         write_png(self.context.output.path(f"{stem}.png"), strip, stamp=self.context.stamp)

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -139,7 +140,7 @@ def write_mitsuba(context: Context, cloth: ExportedCloth) -> dict:
     shown, surface = cloth.shown, cloth.draped.surface
     azimuth = np.radians(shown.view.azimuth_deg)
     stamp = {f"nishiki.{name}": text for name, text in context.stamp.items()}
-    about = {"stamp": stamp, "unit": "m" if shown.mesh is None else "of the file"}
+    about: dict[str, Any] = {"stamp": stamp, "unit": "m" if shown.mesh is None else "of the file"}
     write_ply(folder / "cloth.ply", surface.mesh, **about, uv=cloth.draped.uv, attributes={"weft": surface.weft})
     names = ["cloth.ply", "brdf.npz", "scene.json", "nishiki_cloth.py"]
     if shown.paper > 0:
@@ -174,7 +175,7 @@ def camera_of(cloth: ExportedCloth) -> Camera:
     """Return the camera of the draped pictures."""
     view = cloth.shown.view
     place = {"elevation": np.radians(view.elevation_deg), "azimuth": np.radians(view.azimuth_deg)}
-    size = {"rows": view.rows, "columns": view.columns, "distance": view.distance}
+    size: dict[str, Any] = {"rows": view.rows, "columns": view.columns, "distance": view.distance}
     return framed(cloth.draped.surface.mesh.vertices, **place, **size, margin=MARGIN)
 
 

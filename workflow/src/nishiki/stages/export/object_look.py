@@ -9,6 +9,7 @@ Without a white board albedo is relative to a lamp of unknown strength and may b
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -96,7 +97,7 @@ def sample(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
 ALPHA_PER_SIGMA = float(np.sqrt(2 * np.log(2) / (np.sqrt(2) - 1)))
 INDEX = 1.5
 NORMAL_REFLECTANCE = ((INDEX - 1) / (INDEX + 1)) ** 2
-METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+METRES: dict[Any, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 PRIOR = 0.04  # squared irradiance that the model's own albedo counts as
 LEAST_ALPHA = 0.03**2  # roughness below which viewers show nothing of distant lamps
 

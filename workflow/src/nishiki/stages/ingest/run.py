@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def run(context: Context) -> dict:
 
 def write_curves(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> None:
     """curves.npz: illuminant (61,) and sensitivities (channels, 61) on 400-700/5 nm, those that the capture has."""
-    curves = {}
+    curves: dict[str, Any] = {}
     for name in ("illuminant", "sensitivities"):
         given = getattr(capture, name)
         if isinstance(given, str):

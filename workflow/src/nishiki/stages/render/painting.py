@@ -5,6 +5,7 @@ import json
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -63,7 +64,11 @@ def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool) -> PlaneScene
     maps = Maps(inputs["normals"].folder)
     known = (maps.read("flags") & NO_ESTIMATE) == 0
     normals = np.where(known[..., None], shading_normals(maps), np.float32(0))
-    fields = {"normals": normals, "pitch": maps.group.attrs.get("pixel_pitch_mm") or 1.0, **colours(inputs, maps)}
+    fields: dict[str, Any] = {
+        "normals": normals,
+        "pitch": maps.group.attrs.get("pixel_pitch_mm") or 1.0,
+        **colours(inputs, maps),
+    }
     if "shading" in maps:
         fields["shading"] = maps.read("shading")
     if "height" in inputs and cast_shadows and not directional_shading(maps):

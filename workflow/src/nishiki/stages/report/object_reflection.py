@@ -67,8 +67,7 @@ def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest:
     figures = parameter_figures(parameters)
     if len(figures) == 1:
         intro += " No texel has a highlight in this fit, so that there are no sheets of its strength and width."
-    blocks = [intro, Figures(figures, 3), Facts(facts)]
-    return Section("model", "Reflection", blocks)
+    return Section("model", "Reflection", [intro, Figures(figures, 3), Facts(facts)])
 
 
 def parameter_figures(parameters: np.ndarray) -> list[Figure]:

@@ -193,7 +193,10 @@ def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
     reach = max(10.0, 2.0 * float(phi[fitted > 0.005 * peak].max(initial=0.0)))
     reach = min(reach, float(phi.max()))
     firm = (strength >= 0.5) & (phi <= reach)
-    axes = {"x_label": "angle φ between normal and half vector, degrees", "y_label": "specular part / (F G / cos θr)"}
+    axes: dict[str, Any] = {
+        "x_label": "angle φ between normal and half vector, degrees",
+        "y_label": "specular part / (F G / cos θr)",
+    }
     drawn = [
         Curve("measured", phi, value, PALETTE[0], dots=True, strength=np.where(phi <= reach, strength, 0)),
         # the fit is blurred by each row's own uncertainty of the normals: a line through firm rows only

@@ -251,7 +251,7 @@ def _tables(expected_de00: dict[str, float], truth: dict[str, Any]) -> list[Bloc
     """Return colour errors to be expected, and errors of the reflectance against a truth."""
     tables: list[Block] = []
     if expected_de00:
-        rows = [[ILLUMINANTS[light], value] for light, value in expected_de00.items()]
+        rows: list[list[Any]] = [[ILLUMINANTS[light], value] for light, value in expected_de00.items()]
         caption = (
             "Colour under lights that the camera has not seen: mean ΔE00 to be expected of the estimated spectra, from "
             "training spectra of like colours"

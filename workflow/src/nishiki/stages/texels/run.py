@@ -53,7 +53,7 @@ def run(context: Context) -> dict:
         stamp=context.stamp,
     )
     facts = dict.fromkeys(("visible", "texels", "pixels", "silhouette", "uncovered"), 0)
-    shares: list[np.ndarray] = []
+    shares: list[float | None] = []
     for index in context.progress.over(range(len(cameras)), "view"):
         silhouette = None if silhouettes is None else silhouettes[index] != 0
         view = writer.view(index, silhouette)

@@ -70,7 +70,8 @@ class PaintingMaps:
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns)."""
-        return self.normals.group["normals"].shape[:2]
+        rows, columns = self.normals.group["normals"].shape[:2]
+        return rows, columns
 
     @property
     def basis(self) -> np.ndarray | None:
