@@ -65,34 +65,18 @@ class Commands(Group):
         return next(each for each in vars(module).values() if isinstance(each, click.Command) and each.name == name)
 
 
-def print_version(context: click.Context, parameter: click.Parameter, given: bool) -> None:
-    """Print the version and end."""
-    if given:
-        click.echo(f"nishiki {PROJECT_VERSION}")
-        context.exit()
-
-
 commands = Commands(
     name=COMMAND,
     help="Turn photographs under controlled light into the appearance of an object, with provenance.",
     examples=(
         "demo                    simulate a painting, digitise it, write the report",
         "run my-photographs/     convert a folder of photographs, check it, digitise it",
-        "run                     make every scene of config/scenes.tsv",
+        "run                     digitise every scene of config/scenes.tsv",
         "run --help              options of a command; so for every other one",
     ),
     context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]},
-    params=[
-        click.Option(
-            ["--version"],
-            is_flag=True,
-            expose_value=False,
-            is_eager=True,
-            callback=print_version,
-            help="Print the version.",
-        )
-    ],
 )
+click.version_option(PROJECT_VERSION, message="nishiki %(version)s", help="Print the version.")(commands)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -166,14 +166,9 @@ def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
     if described.geometry == "goniometer":
         values, azimuths = described.goniometer.values, described.goniometer.azimuths
         return [*rows, ("values", str(values), "--values"), ("azimuths", f"of the view from {azimuths}", "--azimuths")]
-    stated = {"encoding-assumed": "8 bit say nothing of it"}.get(
-        next(iter(kinds & {"encoding-assumed"}), ""), "as stated"
-    )
-    other = "linear" if described.camera.encoding != "linear" else "srgb"
-    encoding = (
-        "as each file states" if described.camera.encoding == "file" else f"{described.camera.encoding} ({stated})"
-    )
-    rows.append(("encoding", encoding, f"--encoding {other}"))
+    name, stated = described.camera.encoding, "assumed" if "encoding-assumed" in kinds else "as stated"
+    encoding = "as each file states" if name == "file" else f"{name} ({stated})"
+    rows.append(("encoding", encoding, f"--encoding {'srgb' if name == 'linear' else 'linear'}"))
     order = "in the order of the photographs' names" if kinds & set(IN_THE_LIST[1:]) else "by file name"
     order = "measured on the mirror balls" if made.layout == "mirror balls" else order
     if described.geometry == "turntable":
