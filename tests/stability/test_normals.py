@@ -13,10 +13,10 @@ from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss import refine_normals
 from nishiki.photometric.height import integrate_normals
-from nishiki.photometric.least_squares import eigenvalues
 from nishiki.photometric.light_selection import METHODS, select_diffuse
 from nishiki.photometric.reflectance import diffuse_reflectance
 from nishiki.photometric.solve import SOLVERS, estimate_normals
+from nishiki.small_matrices import eigenvalues
 
 ESTIMATES = ("normals", "albedo", "sigma", "condition", "residual")
 

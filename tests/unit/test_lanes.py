@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from nishiki.photometric.lanes import LANES, choose, load, planes, root, splat, store
+from nishiki.lanes import LANES, choose, load, planes, root, splat, store
 
 
 @njit(error_model="numpy")
@@ -58,9 +58,8 @@ def test_planes_begin_at_a_register():
 SUMS_OF_A_BLOCK = """
 import sys
 import numpy as np
-from nishiki.photometric.block import BLOCK
-from nishiki.photometric.lanes import LANES
-from nishiki.photometric.lobe import SLOPES, SUMS, add_products
+from nishiki.lanes import LANES
+from nishiki.photometric.lobe import BLOCK, SLOPES, SUMS, add_products
 
 rng = np.random.default_rng(3)
 slopes, sums = rng.normal(size=(SLOPES * 41, LANES)).astype(np.float32), np.zeros(SUMS * BLOCK, np.float32)

@@ -20,7 +20,8 @@ from nishiki.brdf.gloss_profile import (
 from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
-from nishiki.photometric.gloss import channel_rotation, refine_normals
+from nishiki.photometric.gloss import JointScene, JointSettings, channel_rotation, refine_normals
+from nishiki.photometric.gloss_kernel import Pixel
 from nishiki.photometric.gloss_prediction import NODES, NODES_PER_UNIT, predict
 from nishiki.photometric.gloss_scene import GlossTile, find_finishes, fit_scene_gloss
 from nishiki.photometric.light_selection import select_diffuse
@@ -95,9 +96,11 @@ def test_prediction_of_the_kernel_is_the_array_form(steepest):
     lights, normals = ring(), tilted(40, steepest)[0]
     table, grid = VARNISH.table(), np.arange(NODES) / NODES_PER_UNIT
     rows, t, gradient = np.zeros((11, 12)), np.zeros(6), np.zeros(4)
-    setting = np.array([0.002, 0.02, 0.25, 0.03, 3.0, 15.0, 1.0])
+    scene = JointScene(light_table(lights, 1.45), table, np.ones((1, 1)))
+    setting = JointSettings(0.002, 0.02, 1.0, 1e4, gloss_error=0.25, tilt_error=0.03, tolerance=3.0, iterations=15)
+    pixel = Pixel(np.zeros((1, 12)), np.ones(9, bool), rows, np.zeros(1), 1e-4)
     for n in normals:
-        predict(n, np.ones(9, bool), light_table(lights, 1.45), table, setting, 1e-4, 1.0, rows, t, gradient)
+        predict(n, pixel, scene, setting, t, gradient)
         geometry = half_vector_geometry(n, lights, VIEW)
         lit = geometry.cos_i > 0
         chord = 2 * np.sin(geometry.phi / 2)
@@ -111,12 +114,13 @@ def test_prediction_of_the_kernel_is_the_array_form(steepest):
 def test_slopes_of_the_kernel_are_differences_of_its_predictions():
     lights, step = light_table(ring(), 1.45), 1e-6
     table = GlossProfile(np.array([2.0]), np.array([0.4])).table()
-    setting = np.array([0.002, 0.02, 0.25, 0.03, 3.0, 15.0, 1.0])
+    setting = JointSettings(0.002, 0.02, 1.0, 1e4, gloss_error=0.25, tilt_error=0.03, tolerance=3.0, iterations=15)
     gradient = np.zeros(4)
 
     def at(n, t):
         rows = np.zeros((11, 12))
-        predict(n, np.ones(9, bool), lights, table, setting, 1e-4, 1.0, rows, t, gradient)
+        pixel = Pixel(np.zeros((1, 12)), np.ones(9, bool), rows, np.zeros(1), 1e-4)
+        predict(n, pixel, JointScene(lights, table, np.ones((1, 1))), setting, t, gradient)
         return rows
 
     for n in tilted(20, 40, seed=3)[0]:
@@ -318,15 +322,17 @@ def test_lamps_at_several_incidences_tell_the_transmission(share):
         assert degrees(lossy.normals, truth).mean() > 2 * degrees(fit.normals, truth).mean()
 
 
-def test_bytes_do_not_depend_on_tiles_or_threads():
+def test_bytes_do_not_depend_on_tiles_or_threads(monkeypatch):
     lights, truth = ring(), tilted(5000, 30).reshape(50, 100, 3)
     observed = render(truth, np.full((50, 100, 3), 0.4), lights, VARNISH).astype(np.float32)
     observed += np.random.default_rng(0).normal(0, 0.003, observed.shape).astype(np.float32)
     start = np.broadcast_to(VIEW, truth.shape)
-    whole = refine_normals(observed, lights, normals=start, gloss=VARNISH, threads=1)
-    shared = refine_normals(observed, lights, normals=start, gloss=VARNISH, threads=2)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
+    shared = refine_normals(observed, lights, normals=start, gloss=VARNISH)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "1")
+    whole = refine_normals(observed, lights, normals=start, gloss=VARNISH)
     bands = [
-        refine_normals(observed[:, rows], lights, normals=start[rows], gloss=VARNISH, threads=1)
+        refine_normals(observed[:, rows], lights, normals=start[rows], gloss=VARNISH)
         for rows in (slice(0, 7), slice(7, 50))
     ]
     for name in ("normals", "reflectance", "sigma", "residual", "condition", "lights_used", "flags", "cost"):

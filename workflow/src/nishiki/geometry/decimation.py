@@ -8,6 +8,8 @@ corners) and must not turn a triangle over.
 import numpy as np
 from numba import njit
 
+from nishiki.small_matrices import solve_by_cofactors
+
 JIT = {"cache": True, "nogil": True, "error_model": "numpy"}
 STIFF = 1e-6
 """Share of a plane's own quadric that pulls a corner towards where it was: settles flat places."""
@@ -64,16 +66,11 @@ def _best(first, second, a, b, out):
     mx, my, mz = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
     xx, yy, zz = q[0] + pull, q[3] + pull, q[5] + pull
     bx, by, bz = pull * mx - q[6], pull * my - q[7], pull * mz - q[8]
-    # Symmetric and positive definite by the pull: Cramer's rule.
-    c0, c1, c2 = yy * zz - q[4] * q[4], q[2] * q[4] - q[1] * zz, q[1] * q[4] - q[2] * yy
-    determinant = xx * c0 + q[1] * c1 + q[2] * c2
-    if not determinant > 0.0:
+    x, y, z, determinant = solve_by_cofactors((xx, q[1], q[2], yy, q[4], zz), bx, by, bz)
+    if not determinant > 0.0:  # symmetric and positive definite by the pull, but for rounding
         out[0], out[1], out[2] = mx, my, mz
     else:
-        c3, c4, c5 = xx * zz - q[2] * q[2], q[1] * q[2] - xx * q[4], xx * yy - q[1] * q[1]
-        out[0] = (c0 * bx + c1 * by + c2 * bz) / determinant
-        out[1] = (c1 * bx + c3 * by + c4 * bz) / determinant
-        out[2] = (c2 * bx + c4 * by + c5 * bz) / determinant
+        out[0], out[1], out[2] = x / determinant, y / determinant, z / determinant
     return max(0.0, _value(q, out[0], out[1], out[2]))
 
 

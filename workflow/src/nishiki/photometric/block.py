@@ -10,7 +10,8 @@ Conditions of loops over pixels are joined by & and |: the compiler makes scalar
 import numpy as np
 from numba import njit
 
-from nishiki.photometric.lanes import LANES, choose, larger, load, smaller, splat, store
+from nishiki.lanes import LANES, choose, larger, load, smaller, splat, store
+from nishiki.small_matrices import solve_by_cofactors
 
 BLOCK = 32  # 96 lights of three float32 planes of a block fit the second-level cache, one plane the first
 TERMS = 10
@@ -67,14 +68,10 @@ def solve_block(sums, at_least, scaled):
         a, b, c = sums[p] + trace, sums[p + BLOCK], sums[p + 2 * BLOCK]
         d, e, f = sums[p + 3 * BLOCK] + trace, sums[p + 4 * BLOCK], sums[p + 5 * BLOCK] + trace
         u, v, w = sums[p + 6 * BLOCK], sums[p + 7 * BLOCK], sums[p + 8 * BLOCK]
-        c00, c01, c02 = d * f - e * e, c * e - b * f, b * e - c * d
-        c11, c12, c22 = a * f - c * c, b * c - a * e, a * d - b * b
-        det = a * c00 + b * c01 + c * c02
+        x, y, z, det = solve_by_cofactors((a, b, c, d, e, f), u, v, w)
         enough = sums[p + 9 * BLOCK] >= at_least and det > np.float32(0.0)
         scale = np.float32(1.0) / (det if enough else np.float32(1.0))
-        x = (c00 * u + c01 * v + c02 * w) * scale
-        y = (c01 * u + c11 * v + c12 * w) * scale
-        z = (c02 * u + c12 * v + c22 * w) * scale
+        x, y, z = x * scale, y * scale, z * scale
         x = x if enough else scaled[p]
         y = y if enough else scaled[p + BLOCK]
         z = z if enough else scaled[p + 2 * BLOCK]

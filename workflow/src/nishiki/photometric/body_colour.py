@@ -26,7 +26,7 @@ NOISE times that which noise gives this estimate, N (1 + 1 / s^2) / C. On dark p
 import numpy as np
 from numba import njit
 
-from nishiki.photometric.lanes import LANES, choose, load, load_three, planes, repeated, root, splat, store
+from nishiki.lanes import LANES, choose, load, load_three, planes, repeated, root, splat, store
 from nishiki.threads import over_rows
 
 LIT = 0.3  # of the lower mean of a pixel: darker samples are shadow, whose colour is that of the noise

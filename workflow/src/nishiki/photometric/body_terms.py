@@ -8,8 +8,8 @@ channels, along those normals: light is predicted with all of the gloss and with
 import numpy as np
 from numba import njit
 
+from nishiki.lanes import LANES, choose, load, planes, splat, store, widen
 from nishiki.photometric import flags as bits
-from nishiki.photometric.lanes import LANES, choose, load, planes, splat, store, widen
 from nishiki.photometric.lobe import BLOCK, powers
 from nishiki.photometric.refine import LEAST_FACTOR, WIDTH
 
@@ -17,8 +17,9 @@ TERMS = 11  # six products of (c, c^2, c x^8), three right-hand sides, the sum o
 
 
 @njit(cache=True, error_model="numpy")
-def load_block(intensity, mean, usable, known, start, values, may, use, change):
+def load_block(samples, start, values, may, use, change):
     """Load the samples of the mean of a block, and their relative change by the weights of the channels."""
+    intensity, mean, usable, known = samples
     zero, one = np.float32(0.0), np.float32(1.0)
     for p in range(0, BLOCK, LANES):
         difference = total = splat(zero)
@@ -81,10 +82,10 @@ def add_up_terms(values, weights, vectors, normals, sums):
 
 
 @njit(cache=True, error_model="numpy")
-def solve_terms(sums, prior, noise, at_least, going, terms, limit):
+def solve_terms(sums, settings, going, terms, limit):
     """Terms (3 * BLOCK) of the pixels that go on; limit (BLOCK,): three times the scatter of their samples.
 
-    prior: as in `nishiki.photometric.refine.refine`, with the scatter about Lambert's law of the same normal.
+    The prior is as in `nishiki.photometric.refine.refine`, with the scatter about Lambert's law of the same normal.
     """
     for p in range(BLOCK):
         s00, s01, s02 = sums[p], sums[p + BLOCK], sums[p + 2 * BLOCK]
@@ -94,7 +95,7 @@ def solve_terms(sums, prior, noise, at_least, going, terms, limit):
         albedo = r0 / s00
         left = squares - albedo * r0
         left = left if left > 0.0 else 0.0
-        held = prior * kept / 3.0 + left / (kept * albedo * albedo) / (WIDTH * WIDTH)
+        held = settings.prior * kept / 3.0 + left / (kept * albedo * albedo) / (WIDTH * WIDTH)
         ridge = 1e-9 * s00
         m00, m11, m22 = s00 + ridge, s11 + held + ridge, s22 + held + ridge
         l1, l2 = s01 / m00, s02 / m00
@@ -110,13 +111,13 @@ def solve_terms(sums, prior, noise, at_least, going, terms, limit):
         freedom = kept - 3.0 if kept > 4.0 else 1.0
         scatter = np.sqrt((rest if rest > 0.0 else 0.0) / freedom)
         mean = a + (b * s01 + d * s02) / s00
-        good = (kept >= at_least) & (albedo > 0.0) & (d1 > 0.0) & (d2 > 0.0) & (mean > LEAST_FACTOR * albedo)
+        good = (kept >= settings.at_least) & (albedo > 0.0) & (d1 > 0.0) & (d2 > 0.0) & (mean > LEAST_FACTOR * albedo)
         go = going[p] if good else 0.0  # false for NaN
         terms[p] = a if go > 0.0 else terms[p]
         terms[p + BLOCK] = b if go > 0.0 else terms[p + BLOCK]
         terms[p + 2 * BLOCK] = d if go > 0.0 else terms[p + 2 * BLOCK]
         terms[p + 3 * BLOCK] = mean if go > 0.0 else terms[p + 3 * BLOCK]
-        limit[p] = np.float32(3.0 * (scatter + noise * albedo))
+        limit[p] = np.float32(3.0 * (scatter + settings.noise * albedo))
         going[p] = go
 
 
@@ -136,39 +137,35 @@ def choose_again(values, known, vectors, normals, terms, limit, weights):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fit_body_terms(begin, end, intensity, mean, usable, known, vectors, settings, normals, flags, shading):
+def fit_body_terms(begin, end, samples, vectors, settings, normals, flags, shading):
     """Replace the body shading of pixels whose normals come from another intensity than the mean of the channels.
 
     Parameters
     ----------
     begin, end : int
         Blocks of BLOCK pixels, of which there are at least one.
-    intensity, mean : (lights, pixels) float32
-    usable, known : (lights, pixels) uint8
-        Samples to start from; those to choose from again, by their residuals.
+    samples : nishiki.photometric.solve.BodySamples
     vectors : (6, lights) float32
         Directions to the lights, and half vectors.
-    settings : (4,) float64
-        Prior, noise, least number of samples, and the change of the samples below which a pixel is left as it is.
+    settings : nishiki.photometric.solve.BodySettings
     normals : (pixels, 3) float32
     flags : (pixels,) uint8
         Pixels without an estimate, or without a lobe, are left as they are.
     shading : (pixels, 3) float32
         (a, b, d), scaled so that the body factor is 1 on average over the samples, weighted c^2; changed in place.
     """
-    lights, pixels = mean.shape
-    prior, noise, at_least, least_change = settings[0], settings[1], settings[2], settings[3]
+    lights, pixels = samples.mean.shape
     memory = planes(3 * lights + 5, np.int64(BLOCK))
     values, may, weights = memory[:lights], memory[lights : 2 * lights], memory[2 * lights : 3 * lights]
     change, limit, surface = memory[3 * lights], memory[3 * lights + 1], memory[3 * lights + 2 :].ravel()
     sums, terms, going, rounded = np.zeros(TERMS * BLOCK), np.zeros(4 * BLOCK), np.zeros(BLOCK), surface.copy()
     for block in range(begin, end):
         start = min(block * BLOCK, pixels - BLOCK)  # the last block overlaps: its pixels get the same twice
-        load_block(intensity, mean, usable, known, start, values, may, weights, change)
+        load_block(samples, start, values, may, weights, change)
         any_going = False
         for p in range(BLOCK):
             fitted = not flags[start + p] & (bits.NO_ESTIMATE | bits.FALLBACK)
-            going[p] = 1.0 if fitted and change[p] > least_change else 0.0
+            going[p] = 1.0 if fitted and change[p] > settings.least_change else 0.0
             any_going |= going[p] > 0.0
             for k in range(3):
                 surface[p + k * BLOCK] = normals[start + p, k]
@@ -182,7 +179,7 @@ def fit_body_terms(begin, end, intensity, mean, usable, known, vectors, settings
                     rounded[p] = np.float32(terms[p])
                 choose_again(values, may, vectors, surface, rounded, limit, weights)
             add_up_terms(values, weights, vectors, surface, sums)
-            solve_terms(sums, prior, noise, at_least, going, terms, limit)
+            solve_terms(sums, settings, going, terms, limit)
         for p in range(BLOCK):
             if terms[p + 3 * BLOCK] > 0.0:
                 for k in range(3):

@@ -1,14 +1,15 @@
 """Normals and reflectance fitted together with the gloss of the scene, pixel by pixel."""
 
-from concurrent.futures import ThreadPoolExecutor
+from collections import namedtuple
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile, light_table
 from nishiki.errors import UserError
 from nishiki.photometric.gloss_kernel import refine_pixels
-from nishiki.threads import threads as given_threads
+from nishiki.threads import over_rows
 
 NOISE = 0.002  # of an observation, relative to white
 MODEL_ERROR = 0.02  # of the body's shading, relative to the pixel's mean level: interreflection, mixed pixels
@@ -17,7 +18,34 @@ TILT_ERROR = 0.03  # radians by which the mirroring surface may lean from the no
 TOLERANCE = 3.0  # standard deviations at which a sample has lost three quarters of its weight
 ITERATIONS = 15
 SECOND_START = 1.0  # robust cost a value above which the normal that mirrors the brightest light is tried too
-SLICE = 2048
+
+
+JointScene = namedtuple("JointScene", "lights table rotation")
+"""What all pixels of a joint fit share.
+
+lights (lights, 8) float64: direction, half vector, F, cos theta_q; table (4, NODES) of `GlossProfile.table`;
+rotation (C, C): the first row is the common level of the channels.
+"""
+
+
+class JointSettings(NamedTuple):
+    """Settings of a joint fit; see the constants above and `refine_normals`."""
+
+    noise: float
+    model_error: float
+    second_start: float
+    max_condition: float
+    gloss_error: float = GLOSS_ERROR
+    tilt_error: float = TILT_ERROR
+    tolerance: float = TOLERANCE
+    iterations: int = ITERATIONS
+
+
+JointFields = namedtuple("JointFields", "normals reflectance scalars lights_used flags cost")
+"""What the kernel changes: fields of `RefinedNormals` of flat pixels.
+
+scalars (4, pixels): albedo, sigma, condition, residual.
+"""
 
 
 @dataclass(frozen=True)
@@ -54,7 +82,6 @@ def refine_normals(
     noise: float | None = None,
     model_error: float = MODEL_ERROR,
     second_start: float = SECOND_START,
-    threads: int | None = None,
 ) -> RefinedNormals:
     """Fit I'_jk = rho_k b(n . l_j) + s_j(n) at every pixel from the given normals (see `gloss_kernel`).
 
@@ -63,8 +90,7 @@ def refine_normals(
     uint8: where a bit of NO_ESTIMATE is set nothing is done; reflectance (rows, columns, channels) kept there and where
     the fit fails, zeros if None; gloss: of `nishiki.brdf.gloss_profile`; noise, of an observation (0.002 of the
     gloss' unit if None); model_error, relative to a pixel's mean level; second_start: cost a value above which a second
-    start is tried; threads: None for
-    as many as numba is set to use. The result does not depend on threads or tiles.
+    start is tried. The result does not depend on threads or tiles.
 
     Raises UserError where shapes do not fit.
     """
@@ -79,16 +105,10 @@ def refine_normals(
     valid = np.isfinite(observations).all(axis=-1) & (True if valid is None else valid)
     noise = NOISE * gloss.unit if noise is None else noise
     fields = empty_fields(pixels, channels, normals, reflectance, flags)
-    shared = (
-        observations.reshape(count, pixels, channels),
-        np.ascontiguousarray(np.broadcast_to(valid, shape[:3]).reshape(count, pixels)),
-        light_table(directions, gloss.refractive_index),
-        gloss.table(),
-        channel_rotation(channels),
-        np.array([noise, model_error, GLOSS_ERROR, TILT_ERROR, TOLERANCE, ITERATIONS, second_start]),
-        float(max_condition),
-    )
-    in_threads(lambda first, last: refine_pixels(*shared, first, last, *fields), pixels, threads)
+    scene = JointScene(light_table(directions, gloss.refractive_index), gloss.table(), channel_rotation(channels))
+    settings = JointSettings(float(noise), float(model_error), float(second_start), float(max_condition))
+    known = np.ascontiguousarray(np.broadcast_to(valid, shape[:3]).reshape(count, pixels))
+    over_rows(refine_pixels, pixels, observations.reshape(count, pixels, channels), known, scene, settings, fields)
     refined, rho, scalars, used, marks, cost = fields
     albedo, sigma, condition, residual = scalars.reshape(4, *shape[1:3])
     return RefinedNormals(
@@ -110,7 +130,7 @@ def empty_fields(pixels, channels, normals, reflectance, flags):
     scalars[1] = 0.5 * np.pi
     start = np.zeros((pixels, channels)) if reflectance is None else reflectance.reshape(pixels, channels)
     marks = np.zeros(pixels) if flags is None else flags.reshape(pixels)
-    return (
+    return JointFields(
         np.array(normals, dtype=np.float32, order="C").reshape(pixels, 3).copy(),
         np.array(start, dtype=np.float32, order="C"),
         scalars,
@@ -128,15 +148,3 @@ def channel_rotation(channels: int) -> np.ndarray:
         rotation[k, :k], rotation[k, k] = 1.0, -float(k)
         rotation[k] /= np.sqrt(k * (k + 1.0))
     return rotation
-
-
-def in_threads(work, pixels, threads):
-    """Slices of the pixels side by side; each writes its own pixels only."""
-    threads = min(threads or given_threads(), -(-pixels // SLICE))
-    if threads <= 1:
-        work(0, pixels)
-        return
-    edges = [min(k * SLICE, pixels) for k in range(-(-pixels // SLICE) + 1)]
-    with ThreadPoolExecutor(threads) as pool:
-        for _ in pool.map(work, edges[:-1], edges[1:]):
-            pass  # reading the results passes on an exception

@@ -12,6 +12,8 @@ found by damped Gauss-Newton with weights 1 / variance, times the square of Cauc
 Everything is float64 and in the fixed order of the lights: the result of a pixel depends on nothing else.
 """
 
+from collections import namedtuple
+
 import numpy as np
 from numba import njit
 
@@ -23,15 +25,10 @@ from nishiki.photometric.gloss_prediction import (
     GLOSS,
     GLOSS_S,
     GLOSS_T,
-    ITERATIONS,
     LANES,
     LIT,
-    MODEL_ERROR,
-    NOISE,
     ROWS,
-    SECOND_START,
     STEEPEST,
-    TOLERANCE,
     VAR_COLOUR,
     VAR_LEVEL,
     W_COLOUR,
@@ -39,13 +36,21 @@ from nishiki.photometric.gloss_prediction import (
     predict,
     tangents,
 )
-from nishiki.photometric.least_squares import LARGEST, eigenvalues
+from nishiki.photometric.least_squares import LARGEST
+from nishiki.small_matrices import eigenvalues
 
 LARGEST_STEP = 0.3  # radians
 DAMPINGS = 5
 SETTLED = 1e-3  # radians
 NOTHING = 1e-300  # keeps sums of no weight from 0 / 0: weights are inverse squares of radiances of any unit
 AT_LEAST = 4  # lit samples; three unknowns in the common level, and one to spare
+
+
+Pixel = namedtuple("Pixel", "y known rows rho floor")
+"""A pixel in work: y (C, lights) rotated samples; known (lights,) bool; rows (ROWS, lights); rho (C,) reflectance.
+
+floor: variance of a sample.
+"""
 
 
 @njit(cache=True, error_model="numpy")
@@ -166,19 +171,19 @@ def moved(n, t, s, r, out):
 
 
 @njit(cache=True, error_model="numpy")
-def descend(y, known, lights, table, settings, floor, n, rho, rows, work):
+def descend(pixel, scene, settings, n, work):
     """Fit from the normal n, in place; the rows and weights are left at the result.
 
     work (18,): tangents 0:6, trial normal 6:9, equations 9:14, gradient 14:18. A step that raises the weighted sum of
     squares is taken back and damped more, DAMPINGS times at most.
     """
     t, trial, equations, gradient = work[0:6], work[6:9], work[9:14], work[14:18]
-    root, tolerance = np.sqrt(np.float64(rho.size)), settings[TOLERANCE]
+    y, known, rows, rho, tolerance = pixel.y, pixel.known, pixel.rows, pixel.rho, settings.tolerance
     for i in range(3):
         trial[i] = n[i]
     damping, before, length, refused, accepted = 1e-3, 0.0, np.inf, 0, 0
     while True:
-        predict(trial, known, lights, table, settings, floor, root, rows, t, gradient)
+        predict(trial, pixel, scene, settings, t, gradient)
         if accepted == 0:
             for j in range(known.size):
                 rows[W_LEVEL, j] = rows[LIT, j] / rows[VAR_LEVEL, j]
@@ -191,7 +196,7 @@ def descend(y, known, lights, table, settings, floor, n, rho, rows, work):
             for _ in range(1 if accepted else 2):
                 weigh(y, rows, rho, tolerance)
                 strengths(y, rows, rho)
-            if length < SETTLED or accepted == int(settings[ITERATIONS]):
+            if length < SETTLED or accepted == settings.iterations:
                 break
             gauss_newton(y, rows, rho, equations)
             before = squares(y, rows, rho)
@@ -237,12 +242,13 @@ def misfit(y, known, rows, rho, tolerance, floor):
 
 
 @njit(cache=True, error_model="numpy")
-def describe(y, known, lights, rows, rho, equations, max_condition, p, scalars, used, flags):
+def describe(pixel, lights, equations, max_condition, p, fields):
     """Sigma, condition, residual and lights used of a pixel, and its flags."""
+    y, rows, rho, scalars = pixel.y, pixel.rows, pixel.rho, fields.scalars
     a = b = c = d = e = f = 0.0
     weight = squared = chi = 0.0
     count, freedom = 0, -2 - rho.size
-    for j in range(known.size):
+    for j in range(pixel.known.size):
         if rows[LIT, j] == 0.0:
             continue
         trust = rows[W_LEVEL, j] * rows[VAR_LEVEL, j]
@@ -267,8 +273,8 @@ def describe(y, known, lights, rows, rho, equations, max_condition, p, scalars, 
     scalars[1, p] = sigma if sigma < 0.5 * np.pi else 0.5 * np.pi  # also where it is no number
     scalars[2, p] = min(condition, 3e38)
     scalars[3, p] = min(np.sqrt(squared / max(weight, 1e-30) / rho.size), LARGEST)
-    used[p] = count
-    flags[p] = bits.ILL_CONDITIONED if condition > max_condition else 0
+    fields.lights_used[p] = count
+    fields.flags[p] = bits.ILL_CONDITIONED if condition > max_condition else 0
 
 
 @njit(cache=True, error_model="numpy")
@@ -289,23 +295,20 @@ def rotate(observations, rotation, p, y):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def refine_pixels(
-    observations, valid, lights, table, rotation, settings, max_condition, first, last,
-    normals, reflectance, scalars, used, flags, cost,
-):  # fmt: skip
+def refine_pixels(first, last, observations, valid, scene, settings, fields):
     """Refine the pixels first .. last - 1 in place, where their flags say that there is an estimate to start from.
 
-    observations (lights, pixels, channels) float32; valid (lights, pixels) bool; lights (lights, 8) float64: direction,
-    half vector, F, cos theta_q; table (4, NODES) of `GlossProfile.table`; rotation (C, C).
-    normals (pixels, 3), reflectance (pixels, C), scalars (4, pixels) float32: albedo, sigma, condition, residual.
+    observations (lights, pixels, channels) float32; valid (lights, pixels) bool; scene, settings and fields are named
+    tuples of `nishiki.photometric.gloss`.
     """
+    normals, flags, cost, (lights, _, rotation) = fields.normals, fields.flags, fields.cost, scene
     count, channels = observations.shape[0], observations.shape[2]
     padded = (count + LANES - 1) // LANES * LANES
     rows, y, known = np.zeros((ROWS, padded)), np.zeros((channels, padded)), np.zeros(count, np.bool_)
     rows[VAR_LEVEL], rows[VAR_COLOUR] = 1.0, 1.0
     rho, colour, n, best_n = np.empty(channels), np.empty(channels), np.empty(3), np.empty(3)
     work = np.empty(18)
-    tolerance = settings[TOLERANCE]
+    tolerance = settings.tolerance
     for p in range(first, last):
         cost[p] = 0.0
         if flags[p] & bits.NO_ESTIMATE:
@@ -313,13 +316,14 @@ def refine_pixels(
         for j in range(count):
             known[j] = valid[j, p]
         top, scale = rotate(observations, rotation, p, y)
-        floor = settings[NOISE] ** 2 + (settings[MODEL_ERROR] * scale) ** 2
+        floor = settings.noise**2 + (settings.model_error * scale) ** 2
+        pixel = Pixel(y, known, rows, rho, floor)
         for i in range(3):
             n[i] = normals[p, i]
         n[2] = max(n[2], STEEPEST)
-        value, limit = np.inf, settings[SECOND_START] * count * channels
+        value, limit = np.inf, settings.second_start * count * channels
         for attempt in range(3):  # the given normal; the one that mirrors the brightest light; back to the better one
-            descend(y, known, lights, table, settings, floor, n, rho, rows, work)
+            descend(pixel, scene, settings, n, work)
             cost_here = misfit(y, known, rows, rho, tolerance, floor)
             if attempt == 2 or (attempt == 0 and not cost_here > limit) or (attempt == 1 and cost_here < value):
                 value = cost_here
@@ -348,8 +352,8 @@ def refine_pixels(
         for i in range(3):
             normals[p, i] = n[i]
         for i in range(channels):
-            reflectance[p, i] = colour[i]
-        scalars[0, p] = level / channels
+            fields.reflectance[p, i] = colour[i]
+        fields.scalars[0, p] = level / channels
         cost[p] = value
         gauss_newton(y, rows, rho, work[9:14])
-        describe(y, known, lights, rows, rho, work[9:14], max_condition, p, scalars, used, flags)
+        describe(pixel, lights, work[9:14], settings.max_condition, p, fields)

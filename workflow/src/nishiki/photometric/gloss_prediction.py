@@ -14,8 +14,6 @@ STEEPEST = 0.05  # n_z is kept above it
 # Rows of the scratch of a pixel, a column for each light
 LIT, BODY, BODY_S, BODY_T, GLOSS, GLOSS_S, GLOSS_T, VAR_LEVEL, VAR_COLOUR, W_LEVEL, W_COLOUR = range(11)
 ROWS = 11
-# Places of the settings
-NOISE, MODEL_ERROR, GLOSS_ERROR, TILT_ERROR, TOLERANCE, ITERATIONS, SECOND_START = range(7)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -65,10 +63,12 @@ def transmitted(cosine, table):
 
 
 @njit(cache=True, error_model="numpy")
-def predict(n, known, lights, table, settings, floor, root, rows, t, gradient):
+def predict(n, pixel, scene, settings, t, gradient):
     """Fill the rows for the normal n: shading and gloss with their slopes along both tangents, and the variances."""
+    known, rows, floor, (lights, table, rotation) = pixel.known, pixel.rows, pixel.floor, scene
     tangents(n, t)
-    kappa, tilt = settings[GLOSS_ERROR] ** 2, settings[TILT_ERROR] ** 2
+    root = np.sqrt(np.float64(rotation.shape[0]))
+    kappa, tilt = settings.gloss_error**2, settings.tilt_error**2
     view, view_slope = transmitted(n[2], table)
     for j in range(known.size):
         c = n[0] * lights[j, 0] + n[1] * lights[j, 1] + n[2] * lights[j, 2]

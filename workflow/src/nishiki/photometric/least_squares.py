@@ -3,89 +3,13 @@
 import numpy as np
 from numba import njit
 
+from nishiki.lanes import LANES, choose, load, root, store
 from nishiki.photometric import flags as bits
-from nishiki.photometric.lanes import LANES, choose, load, root, splat, store, widen
+from nishiki.small_matrices import eigenvalues, inverse
 
 BLOCK = 64
 LEAST_ALBEDO, LARGEST = 1e-45, 3.4028234e38  # of float32, subnormal numbers included
 TERMS = 10  # six products of the direction, three of the right-hand side, the sum of squares
-
-
-@njit(cache=True, error_model="numpy")
-def eigenvalues(a, b, c, d, e, f):
-    """Smallest and largest eigenvalue of the symmetric matrix [[a, b, c], [b, d, e], [c, e, f]]; numbers or lanes.
-
-    Of the matrix less its mean, over its spread, and turned over where the two large ones lie closer together, the
-    largest is the root of x^3 - 3 x = 2 h in [sqrt 3, 2], h in [0, 1] (O. K. Smith, Eigenvalues of a symmetric 3 x 3
-    matrix, CACM 1961): by Newton's steps from a cubic in h. Where two lie close together (lights in a narrow cone) the
-    roots of the cubic keep half of the digits: the smallest is taken from the matrix across the eigenvector of the
-    largest, to a rounding of the largest.
-    """
-    mean = (a + d + f) / 3.0
-    a, d, f = a - mean, d - mean, f - mean
-    spread = root((a * a + d * d + f * f + (b * b + c * c + e * e) * 2.0) / 6.0)
-    one_value = spread <= 0.0
-    scale = 1.0 / choose(one_value, 1.0, spread)
-    a, b, c, d, e, f = a * scale, b * scale, c * scale, d * scale, e * scale, f * scale
-    half = (a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)) * 0.5
-    sign = choose(half > 0.0, 1.0, -1.0)
-    a, b, c, d, e, f, half = a * sign, b * sign, c * sign, d * sign, e * sign, f * sign, half * sign
-    half = choose(half < 1.0, half, 1.0)
-    x = ((half * 0.01966 - 0.08504) * half + 1.0 / 3.0) * half + 1.7320508
-    for _ in range(3):
-        square = x * x
-        x = x - (x * (square - 3.0) - half * 2.0) / (square * 3.0 - 3.0)
-    first = mean + spread * sign * x
-    second = mean + spread * sign * smaller_root(a, b, c, d, e, f, x)
-    upright = sign > 0.0
-    least, largest = choose(upright, second, first), choose(upright, first, second)
-    return choose(one_value, mean, least), choose(one_value, mean, largest)
-
-
-@njit(cache=True, error_model="numpy")
-def smaller_root(a, b, c, d, e, f, largest):
-    """Smallest eigenvalue of a symmetric matrix of trace 0, from its largest one, which is far from the others."""
-    # the eigenvector is across the rows of the matrix less the largest: the longest of their three products
-    p, q, r = a - largest, d - largest, f - largest
-    x, y, z = b * e - c * q, b * c - p * e, p * q - b * b
-    square = x * x + y * y + z * z
-    for u, v, w in ((q * r - e * e, c * e - b * r, b * e - c * q), (c * e - b * r, p * r - c * c, b * c - p * e)):
-        size = u * u + v * v + w * w
-        longer = size > square
-        square = choose(longer, size, square)
-        x, y, z = choose(longer, u, x), choose(longer, v, y), choose(longer, w, z)
-    per_length = 1.0 / root(square)
-    x, y, z = x * per_length, y * per_length, z * per_length
-    sign = choose(z >= 0.0, 1.0, -1.0)
-    k = -1.0 / (sign + z)
-    s0, s1, s2 = 1.0 + sign * x * x * k, sign * x * y * k, 0.0 - sign * x
-    t0, t1, t2 = x * y * k, sign + y * y * k, 0.0 - y
-    h0, h1, h2 = a * s0 + b * s1 + c * s2, b * s0 + d * s1 + e * s2, c * s0 + e * s1 + f * s2
-    g0, g1, g2 = a * t0 + b * t1 + c * t2, b * t0 + d * t1 + e * t2, c * t0 + e * t1 + f * t2
-    ss, tt, st = s0 * h0 + s1 * h1 + s2 * h2, t0 * g0 + t1 * g1 + t2 * g2, t0 * h0 + t1 * h1 + t2 * h2
-    apart = ss - tt
-    return (ss + tt) * 0.5 - root(apart * apart * 0.25 + st * st)
-
-
-@njit(cache=True, error_model="numpy")
-def inverse(a, b, c, d, e, f):
-    """Compute the six elements of the inverse of a symmetric positive 3 x 3 matrix, by L D L^T.
-
-    Sums of squares over the pivots: its error grows with the condition, that of cofactors with the condition squared.
-    """
-    l10, l20 = b / a, c / a
-    second = d - l10 * b
-    l21 = (e - l20 * b) / second
-    third = f - l20 * c - l21 * (e - l20 * b)
-    k = l10 * l21 - l20
-    return (
-        1.0 / a + l10 * l10 / second + k * k / third,
-        0.0 - l10 / second - k * l21 / third,
-        k / third,
-        1.0 / second + l21 * l21 / third,
-        0.0 - l21 / third,
-        1.0 / third,
-    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -145,11 +69,9 @@ def condition_block(matrices, count, conditions, inverses):
 
 
 @njit(cache=True, error_model="numpy")
-def write_block(solved, condition, count, max_condition, start, width, normals, scalars, lights_used, flags):
-    """Write the rows of every output of a block's pixels: what `solve_block` found, where it is a surface.
-
-    scalars (4, pixels) float32: albedo, sigma, condition, residual.
-    """
+def write_block(solved, condition, count, max_condition, start, width, estimates):
+    """Write the estimates of a block's pixels: what `solve_block` found, where it is a surface."""
+    normals, scalars, lights_used, flags = estimates
     for i in range(width):
         p, flag, length, z = start + i, 0, solved[3, i], solved[2, i]
         surface = count[i] >= 3 and condition[i] < bits.COPLANAR and LEAST_ALBEDO <= length <= LARGEST
@@ -183,12 +105,13 @@ def block_work():
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def solve_weighted(begin, end, observations, weights, products, max_condition, normals, scalars, lights_used, flags):
+def solve_weighted(begin, end, observations, weights, products, max_condition, estimates):
     """Least squares with weights of its own at every pixel of the blocks begin .. end - 1; a mask is 0 or 1.
 
     observations (lights, pixels) float32; weights (lights, pixels) uint8 or float32; products (lights, 9): the six
-    products of each direction with itself, then the direction. Accumulated in float64, a light at a time over BLOCK
-    neighbouring pixels, so that the result of a pixel does not depend on where tiles begin.
+    products of each direction with itself, then the direction; estimates (`solve.Estimates`) are written. Accumulated
+    in float64, a light at a time over BLOCK neighbouring pixels, so that the result of a pixel does not depend on where
+    tiles begin.
     """
     lights, pixels = observations.shape
     # One flat array of sums: with a single pair of arrays to tell apart the compiler makes SIMD code of the loop.
@@ -223,81 +146,11 @@ def solve_weighted(begin, end, observations, weights, products, max_condition, n
         rows = sums.reshape(TERMS + 2, BLOCK)
         condition_block(rows, rows[11], conditions, inverses)
         solve_block(rows[6:10], inverses, rows[11], rows[10], solved)
-        write_block(solved, conditions, rows[11], max_condition, start, width, normals, scalars, lights_used, flags)
-
-
-@njit(cache=True, error_model="numpy")
-def add_masked(values, mask, products, start, sums):
-    """Right-hand sides and sums of squares of a block, into sums (4, BLOCK); a mask of 0: no sample."""
-    for p in range(0, BLOCK, LANES):
-        x = y = z = squares = splat(0.0)
-        for j in range(values.shape[0]):
-            value = widen(choose(load(mask, (j, start + p)), load(values, (j, start + p)), np.float32(0.0)))
-            x += value * products[j, 6]
-            y += value * products[j, 7]
-            z += value * products[j, 8]
-            squares += value * value
-        store(sums, (0, p), x)
-        store(sums, (1, p), y)
-        store(sums, (2, p), z)
-        store(sums, (3, p), squares)
-
-
-@njit(cache=True, error_model="numpy")
-def add_matrices(mask, products, start, matrices, count):
-    """Add up normal matrices (6, BLOCK) of the lights that the mask selects, and their number."""
-    for p in range(0, BLOCK, LANES):
-        a = b = c = d = e = f = number = splat(0.0)
-        for j in range(mask.shape[0]):
-            here = load(mask, (j, start + p))
-            a = choose(here, a + products[j, 0], a)
-            b = choose(here, b + products[j, 1], b)
-            c = choose(here, c + products[j, 2], c)
-            d = choose(here, d + products[j, 3], d)
-            e = choose(here, e + products[j, 4], e)
-            f = choose(here, f + products[j, 5], f)
-            number = choose(here, number + 1.0, number)
-        store(matrices, (0, p), a)
-        store(matrices, (1, p), b)
-        store(matrices, (2, p), c)
-        store(matrices, (3, p), d)
-        store(matrices, (4, p), e)
-        store(matrices, (5, p), f)
-        store(count, p, number)
-
-
-@njit(cache=True, error_model="numpy")
-def copy_block(values, mask, start, width, spare, spare_mask):
-    """Copy a block that is not full, with nothing behind it."""
-    for j in range(values.shape[0]):
-        for p in range(BLOCK):
-            spare_mask[j, p] = mask[j, start + p] if p < width else 0
-            if p < width:
-                spare[j, p] = values[j, start + p]
+        write_block(solved, conditions, rows[11], max_condition, start, width, estimates)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def solve_masked(begin, end, observations, selected, products, max_condition, normals, scalars, lights_used, flags):
-    """Least squares on the samples that `selected` (lights, pixels) uint8 marks; otherwise as `solve_weighted`."""
-    lights, pixels = observations.shape
-    sums, solved, matrices, inverses, conditions, counts = block_work()
-    spare, spare_mask = np.zeros((lights, BLOCK), np.float32), np.zeros((lights, BLOCK), np.uint8)
-    for block in range(begin, end):
-        start = block * BLOCK
-        width = min(BLOCK, pixels - start)
-        values, mask, first = observations, selected, start
-        if width < BLOCK:
-            copy_block(observations, selected, start, width, spare, spare_mask)
-            values, mask, first = spare, spare_mask, 0
-        add_masked(values, mask, products, first, sums)
-        add_matrices(mask, products, first, matrices, counts)
-        condition_block(matrices, counts, conditions, inverses)
-        solve_block(sums, inverses, counts, counts, solved)
-        write_block(solved, conditions, counts, max_condition, start, width, normals, scalars, lights_used, flags)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def solve_shared(begin, end, observations, products, max_condition, normals, scalars, lights_used, flags):
+def solve_shared(begin, end, observations, products, max_condition, estimates):
     """Least squares where every light is usable everywhere: one normal matrix serves all pixels."""
     lights, pixels = observations.shape
     sums, solved, matrices, inverses, conditions, counts = block_work()
@@ -322,4 +175,4 @@ def solve_shared(begin, end, observations, products, max_condition, normals, sca
                 sums[2, p] += value * z
                 sums[3, p] += value * value
         solve_block(sums, inverses, counts, counts, solved)
-        write_block(solved, conditions, counts, max_condition, start, width, normals, scalars, lights_used, flags)
+        write_block(solved, conditions, counts, max_condition, start, width, estimates)

@@ -1,8 +1,10 @@
 """Separation by light selection: which lights show each pixel's diffuse reflection alone."""
 
+from collections import namedtuple
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +39,29 @@ class LightSelection(Summarised):
     invalid: np.ndarray
     lights_usable: np.ndarray
     method: str
+
+
+Lamps = namedtuple("Lamps", "directions products sort_all sort_smallest")
+"""directions (lights, 3), their products (lights, 9) float32; networks that sort all samples, and the smallest."""
+
+
+class RefitSettings(NamedTuple):
+    """Settings of the re-fit; those that are not counts as float32."""
+
+    starts: int
+    floor: np.float32
+    at_least: np.float32
+    steps: int = STEPS
+    window: np.float32 = np.float32(WINDOW)
+    coverage: np.float32 = np.float32(COVERAGE)
+    above: np.float32 = np.float32(ABOVE)
+    brighter: np.float32 = np.float32(BRIGHTER)
+    darker: np.float32 = np.float32(DARKER)
+    rounds: int = ROUNDS
+
+
+Selected = namedtuple("Selected", "usable highlights shadows")
+"""usable (lights, pixels) bool; numbers of highlights and shadows (pixels,) uint16 among the others."""
 
 
 def select_diffuse(
@@ -197,6 +222,12 @@ def half_vectors(directions):
     return halves / np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
 
 
+def direction_products(directions):
+    """(lights, 9): xx, xy, xz, yy, yz, zz, x, y, z of each direction, as the kernels add them up."""
+    x, y, z = directions.T
+    return np.ascontiguousarray(np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x, y, z], axis=1))
+
+
 def distinct_sets(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return one column of chosen (lights, n) bool for each distinct column, and the number of each column's set."""
     first, member = np.zeros(1, np.int64), np.zeros(chosen.shape[1], np.int64)
@@ -210,8 +241,8 @@ def distinct_sets(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def refit(stack, known, directions, starts, noise, min_lights, usable, highlights, shadows):
     """Run `refit_selection` with the project's constants (docs/stages/separate.md gives their reasons)."""
+    from nishiki.lanes import repeated
     from nishiki.photometric.block import BLOCK
-    from nishiki.photometric.lanes import repeated
     from nishiki.photometric.refit import refit_selection
 
     if not (1 <= starts <= 32 and 0 <= noise < 1 and min_lights >= 3):
@@ -219,22 +250,20 @@ def refit(stack, known, directions, starts, noise, min_lights, usable, highlight
             "light selection by re-fit: expected 1 <= starts <= 32, 0 <= noise < 1 and min_lights >= 3,"
             f" found starts = {starts}, noise = {noise}, min_lights = {min_lights}"
         )
-    x, y, z = directions.astype(np.float32).T
-    products = np.ascontiguousarray(np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x, y, z], axis=1))
-    settings = np.array(
-        [starts, STEPS, WINDOW, COVERAGE, ABOVE, BRIGHTER, DARKER, noise, min_lights, ROUNDS], np.float32
-    )
-    vectors = np.ascontiguousarray(directions.astype(np.float32))
+    directions = np.ascontiguousarray(directions, np.float32)
     lights, pixels = stack.shape
-    networks = sorting_network(lights), sorting_network(lights, min(lights, max(min_lights, ceil(COVERAGE * lights))))
+    smallest = min(lights, max(min_lights, ceil(COVERAGE * lights)))
+    networks = sorting_network(lights), sorting_network(lights, smallest)
+    lamps = Lamps(directions, direction_products(directions), *networks)
+    settings = RefitSettings(starts, np.float32(noise), np.float32(min_lights))
     if pixels >= BLOCK:
-        given = stack, known, vectors, products, *networks, settings, usable, highlights, shadows
-        over_rows(refit_selection, -(-pixels // BLOCK), *given)
+        selected = Selected(usable, highlights, shadows)
+        over_rows(refit_selection, -(-pixels // BLOCK), stack, known, lamps, settings, selected)
     elif pixels:
         known = known if known.shape[1] == 1 else repeated(known, BLOCK)
         stack = repeated(stack, BLOCK)
-        block = np.empty(stack.shape, np.bool_), np.empty(BLOCK, np.uint16), np.empty(BLOCK, np.uint16)
-        refit_selection(0, 1, stack, known, vectors, products, *networks, settings, *block)
+        block = Selected(np.empty(stack.shape, np.bool_), np.empty(BLOCK, np.uint16), np.empty(BLOCK, np.uint16))
+        refit_selection(0, 1, stack, known, lamps, settings, block)
         usable[...], highlights[...], shadows[...] = (values[..., :pixels] for values in block)
 
 

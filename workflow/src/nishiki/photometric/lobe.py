@@ -18,10 +18,13 @@ which the compiler makes vector code of, it then needs to check few pairs of arr
 rounded apart: with fused multiply-add the bytes would depend on the processor.
 """
 
+from collections import namedtuple
+
 import numpy as np
 from numba import njit
 
-from nishiki.photometric.lanes import LANES, choose, load, planes, splat, store
+from nishiki.lanes import LANES, choose, load, planes, splat, store
+from nishiki.small_matrices import factorise, substitute
 
 BLOCK = 32
 SUMS = 21  # 15 products and 5 right-hand sides of the Gauss-Newton step, the sum of squares
@@ -29,6 +32,28 @@ SURFACE = 12  # normal, two tangents, a, b, d: float32, as the samples are
 EXPONENT = 8  # e of the model, that of `nishiki.brdf.torrance_sparrow`
 SLOPES = 6  # of a sample: by the tangents, c, c x^e; residual, weight
 FIT = 7  # normal, a, b, d, penalised sum of squares: float64
+
+
+Fit = namedtuple("Fit", "fit moved surface trial_surface sums trial slopes prior damping turn going better")
+"""Fit of a block, and the scratch memory of its search; flat arrays.
+
+fit, moved (FIT * BLOCK) float64: the fit, and a step's; surface, trial_surface (SURFACE * BLOCK), sums, trial
+(SUMS * BLOCK) float32: what they give; slopes (SLOPES * lights, LANES) float32; better (BLOCK,) float32 and going,
+float64: 1 where so, else 0; prior, damping, turn (BLOCK,) float64.
+"""
+
+
+@njit(cache=True)
+def make_fit(lights):
+    """Make the memory of a fit."""
+    memory, wide = planes(2 * (SURFACE + SUMS) + 1, np.int64(BLOCK)), np.zeros((4, BLOCK))
+    rows = SURFACE + SUMS
+    return Fit(
+        np.zeros(FIT * BLOCK), np.zeros(FIT * BLOCK),
+        memory[:SURFACE].ravel(), memory[SURFACE : 2 * SURFACE].ravel(),
+        memory[2 * SURFACE : SURFACE + rows].ravel(), memory[SURFACE + rows : 2 * rows].ravel(),
+        planes(SLOPES * lights, np.int64(LANES)), wide[0], wide[1], wide[2], wide[3], memory[2 * rows],
+    )  # fmt: skip
 
 
 @njit(cache=True, inline="always")
@@ -134,58 +159,22 @@ def add_products(slopes, p, sums):
     store(sums, p + 20 * BLOCK, squares)
 
 
-@njit(cache=True, inline="always")
-def factorise(sums, p, damping, prior):
-    """L D L^T of a pixel's damped normal equations with the prior on b and d: L, 1 / D, and whether D > 0."""
+@njit(cache=True, error_model="numpy", forceinline=True)
+def factors_of(sums, p, damping, prior):
+    """Factorise a pixel's damped normal equations with the prior on b and d."""
     f = np.float64
     ridge, more = 1e-9 * f(sums[p + 9 * BLOCK]), 1.0 + damping
-    m00 = f(sums[p]) * more + ridge
-    m11 = f(sums[p + 5 * BLOCK]) * more + ridge
-    m22 = f(sums[p + 9 * BLOCK]) * more + ridge
-    m33 = (f(sums[p + 12 * BLOCK]) + prior) * more + ridge
-    m44 = (f(sums[p + 14 * BLOCK]) + prior) * more + ridge
-    m10, m20, m30, m40 = (
-        f(sums[p + BLOCK]),
-        f(sums[p + 2 * BLOCK]),
-        f(sums[p + 3 * BLOCK]),
-        f(sums[p + 4 * BLOCK]),
+    diagonal = (
+        f(sums[p]) * more + ridge,
+        f(sums[p + 5 * BLOCK]) * more + ridge,
+        f(sums[p + 9 * BLOCK]) * more + ridge,
+        (f(sums[p + 12 * BLOCK]) + prior) * more + ridge,
+        (f(sums[p + 14 * BLOCK]) + prior) * more + ridge,
     )
     m21, m31, m41 = f(sums[p + 6 * BLOCK]), f(sums[p + 7 * BLOCK]), f(sums[p + 8 * BLOCK])
     m32, m42, m43 = f(sums[p + 10 * BLOCK]), f(sums[p + 11 * BLOCK]), f(sums[p + 13 * BLOCK])
-    i0 = 1.0 / m00
-    l10, l20, l30, l40 = m10 * i0, m20 * i0, m30 * i0, m40 * i0
-    d1 = m11 - l10 * m10
-    m21, m31, m41 = m21 - l20 * m10, m31 - l30 * m10, m41 - l40 * m10
-    i1 = 1.0 / d1
-    l21, l31, l41 = m21 * i1, m31 * i1, m41 * i1
-    d2 = m22 - l20 * m20 - l21 * m21
-    m32, m42 = m32 - l30 * m20 - l31 * m21, m42 - l40 * m20 - l41 * m21
-    i2 = 1.0 / d2
-    l32, l42 = m32 * i2, m42 * i2
-    d3 = m33 - l30 * m30 - l31 * m31 - l32 * m32
-    m43 = m43 - l40 * m30 - l41 * m31 - l42 * m32
-    i3 = 1.0 / d3
-    l43 = m43 * i3
-    d4 = m44 - l40 * m40 - l41 * m41 - l42 * m42 - l43 * m43
-    positive = (m00 > 0.0) & (d1 > 0.0) & (d2 > 0.0) & (d3 > 0.0) & (d4 > 0.0)  # false for NaN
-    return (l10, l20, l30, l40, l21, l31, l41, l32, l42, l43), (i0, i1, i2, i3, 1.0 / d4), positive
-
-
-@njit(cache=True, inline="always")
-def substitute(factors, inverses, r0, r1, r2, r3, r4):
-    """Solutions of the factorised equations."""
-    l10, l20, l30, l40, l21, l31, l41, l32, l42, l43 = factors
-    i0, i1, i2, i3, i4 = inverses
-    r1 = r1 - l10 * r0
-    r2 = r2 - l20 * r0 - l21 * r1
-    r3 = r3 - l30 * r0 - l31 * r1 - l32 * r2
-    r4 = r4 - l40 * r0 - l41 * r1 - l42 * r2 - l43 * r3
-    r4 = r4 * i4
-    r3 = r3 * i3 - l43 * r4
-    r2 = r2 * i2 - l32 * r3 - l42 * r4
-    r1 = r1 * i1 - l21 * r2 - l31 * r3 - l41 * r4
-    r0 = r0 * i0 - l10 * r1 - l20 * r2 - l30 * r3 - l40 * r4
-    return r0, r1, r2, r3, r4
+    m10, m20, m30 = f(sums[p + BLOCK]), f(sums[p + 2 * BLOCK]), f(sums[p + 3 * BLOCK])
+    return factorise(diagonal, m10, m20, m30, f(sums[p + 4 * BLOCK]), (m21, m31, m41, m32, m42, m43))
 
 
 @njit(cache=True, error_model="numpy")
@@ -217,25 +206,25 @@ def set_surface(fit, surface):
 
 
 @njit(cache=True, error_model="numpy")
-def propose(fit, surface, sums, damping, prior, moved, turn, active):
-    """Propose the fits after one damped Gauss-Newton step, and the angle that it turns each normal, radians.
+def propose(state):
+    """Make the fits after one damped Gauss-Newton step, `moved`, and by how much it turns each normal, radians.
 
-    A pixel whose equations are singular is no longer active and stays where it is.
+    A pixel whose equations are singular is no longer going and stays where it is.
     """
+    fit, surface, sums, moved, prior = state.fit, state.surface, state.sums, state.moved, state.prior
     for p in range(BLOCK):
         b, d = fit[p + 4 * BLOCK], fit[p + 5 * BLOCK]
-        factors, inverses, positive = factorise(sums, p, damping[p], prior[p])
+        factors = factors_of(sums, p, state.damping[p], prior[p])
         u, v, da, db, dd = substitute(
             factors,
-            inverses,
             np.float64(sums[p + 15 * BLOCK]),
             np.float64(sums[p + 16 * BLOCK]),
             np.float64(sums[p + 17 * BLOCK]),
             np.float64(sums[p + 18 * BLOCK]) - prior[p] * b,
             np.float64(sums[p + 19 * BLOCK]) - prior[p] * d,
         )
-        go = 1.0 if positive else 0.0
-        go = go * active[p]
+        go = 1.0 if factors.positive else 0.0
+        go = go * state.going[p]
         u, v = (u, v) if go > 0.0 else (0.0, 0.0)
         size = np.sqrt(u * u + v * v)
         shrink = 0.3 / (size if size > 0.3 else 0.3)
@@ -246,27 +235,29 @@ def propose(fit, surface, sums, damping, prior, moved, turn, active):
         moved[p + 3 * BLOCK] = fit[p + 3 * BLOCK] + (da if go > 0.0 else 0.0)
         moved[p + 4 * BLOCK] = b + (db if go > 0.0 else 0.0)
         moved[p + 5 * BLOCK] = d + (dd if go > 0.0 else 0.0)
-        turn[p] = size
-        active[p] = go
+        state.turn[p] = size
+        state.going[p] = go
 
 
 @njit(cache=True, error_model="numpy")
-def judge(fit, moved, sums, prior, damping, turn, active, better, start):
-    """Which of the active pixels' steps lower the penalised sum of squares; the next damping, and who goes on.
+def judge(state, start):
+    """Find the pixels whose step lowers the penalised sum of squares; set their damping, and which go on.
 
     start: there is nothing to compare with yet.
     """
+    fit, moved, sums, prior = state.fit, state.moved, state.trial, state.prior
+    damping, turn, going, better = state.damping, state.turn, state.going, state.better
     for p in range(BLOCK):
         b, d = moved[p + 4 * BLOCK], moved[p + 5 * BLOCK]
         cost = sums[p + 20 * BLOCK] + prior[p] * (b * b + d * d)
         moved[p + 6 * BLOCK] = cost
         lower = 1.0 if start or cost < fit[p + 6 * BLOCK] else 0.0
-        better[p] = lower * active[p]
-        raised = damping[p] * 16.0
-        raised = raised if raised > 1e-2 else 1e-2
-        after = damping[p] * 0.25 if lower > 0.0 else raised
-        damping[p] = damping[p] if start else after
-        active[p] = active[p] if start or turn[p] >= 1e-3 else 0.0
+        better[p] = lower * going[p]
+        if not start:
+            raised = damping[p] * 16.0
+            raised = raised if raised > 1e-2 else 1e-2
+            damping[p] = damping[p] * 0.25 if lower > 0.0 else raised
+            going[p] = going[p] * (1.0 if turn[p] >= 1e-3 else 0.0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -289,42 +280,23 @@ def take_lanes(chosen, source, target):
 
 
 @njit(cache=True, error_model="numpy")
-def any_above_zero(active):
-    positive = False
+def descend(values, weights, vectors, rounds, state):
+    """Run damped Gauss-Newton for the pixels that are going, from `state.fit`; it ends with their fits."""
+    for p in range(state.fit.size):
+        state.moved[p] = state.fit[p]
     for p in range(BLOCK):
-        positive |= active[p] > 0.0
-    return positive
-
-
-@njit(cache=True, error_model="numpy")
-def descend(values, weights, vectors, prior, rounds, active, fit, surface, sums, work):
-    """Damped Gauss-Newton of the active pixels of a block from `fit`; fit, surface and sums are those of the end."""
-    moved, trial_surface, trial, damping, turn, better, going, slopes = work
-    for p in range(fit.size):
-        moved[p] = fit[p]
-    for p in range(BLOCK):
-        damping[p], going[p] = 1e-3, active[p]
+        state.damping[p] = 1e-3
     for step in range(rounds + 1):  # the first one is that of no length
         if step > 0:
-            propose(fit, surface, sums, damping, prior, moved, turn, going)
-        if not any_above_zero(going):
+            propose(state)
+        if not state.going.any():
             break
-        set_surface(moved, trial_surface)
-        add_up(values, weights, vectors, trial_surface, slopes, trial)
-        judge(fit, moved, trial, prior, damping, turn, going, better, step == 0)
-        take(better, moved, fit)
-        take_lanes(better, trial_surface, surface)
-        take_lanes(better, trial, sums)
-
-
-@njit(cache=True, error_model="numpy")
-def descent_work(lights):
-    """Arrays for `descend`."""
-    memory, wide = planes(np.int64(SURFACE + SUMS + 1), np.int64(BLOCK)), np.zeros((FIT + 3) * BLOCK)
-    moved, damping, turn = wide[: FIT * BLOCK], wide[FIT * BLOCK :], wide[(FIT + 1) * BLOCK :]
-    surface, sums = memory[:SURFACE].ravel(), memory[SURFACE : SURFACE + SUMS].ravel()
-    going, better, slopes = wide[(FIT + 2) * BLOCK :], memory[SURFACE + SUMS], planes(SLOPES * lights, np.int64(LANES))
-    return moved, surface, sums, damping, turn, better, going, slopes
+        set_surface(state.moved, state.trial_surface)
+        add_up(values, weights, vectors, state.trial_surface, state.slopes, state.trial)
+        judge(state, step == 0)
+        take(state.better, state.moved, state.fit)
+        take_lanes(state.better, state.trial_surface, state.surface)
+        take_lanes(state.better, state.trial, state.sums)
 
 
 @njit(cache=True, error_model="numpy")
@@ -356,20 +328,17 @@ def body_of(vectors, j, surface, p):
 
 
 @njit(cache=True, error_model="numpy")
-def tangential_variance(sums, prior, out):
-    """Trace of the tangential block of the inverse of the (undamped) normal equations; negative if singular."""
-    for p in range(BLOCK):
-        factors, inverses, positive = factorise(sums, p, 0.0, prior[p])
-        l10, l20, l30, l40, l21, l31, l41, l32, l42, l43 = factors
-        i0, i1, i2, i3, i4 = inverses
-        # the first two columns of the inverse of L
-        u1 = -l10
-        u2 = -l20 - l21 * u1
-        u3 = -l30 - l31 * u1 - l32 * u2
-        u4 = -l40 - l41 * u1 - l42 * u2 - l43 * u3
-        v2 = -l21
-        v3 = -l31 - l32 * v2
-        v4 = -l41 - l42 * v2 - l43 * v3
-        trace = i0 + u1 * u1 * i1 + u2 * u2 * i2 + u3 * u3 * i3 + u4 * u4 * i4
-        trace = trace + i1 + v2 * v2 * i2 + v3 * v3 * i3 + v4 * v4 * i4
-        out[p] = trace if positive else -1.0
+def tangential_variance(sums, p, prior):
+    """Compute the trace of the tangential block of the inverse of the normal equations; negative if singular."""
+    m = factors_of(sums, p, 0.0, prior)
+    # the first two columns of the inverse of L
+    u1 = -m.l10
+    u2 = -m.l20 - m.l21 * u1
+    u3 = -m.l30 - m.l31 * u1 - m.l32 * u2
+    u4 = -m.l40 - m.l41 * u1 - m.l42 * u2 - m.l43 * u3
+    v2 = -m.l21
+    v3 = -m.l31 - m.l32 * v2
+    v4 = -m.l41 - m.l42 * v2 - m.l43 * v3
+    trace = m.i0 + u1 * u1 * m.i1 + u2 * u2 * m.i2 + u3 * u3 * m.i3 + u4 * u4 * m.i4
+    trace = trace + m.i1 + v2 * v2 * m.i2 + v3 * v3 * m.i3 + v4 * v4 * m.i4
+    return trace if m.positive else -1.0

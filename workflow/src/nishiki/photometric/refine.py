@@ -1,22 +1,15 @@
 """Refine Lambertian normals by the lobe model, and choose the samples of every pixel again."""
 
+from collections import namedtuple
+
 import numpy as np
 from numba import njit
 
+from nishiki.lanes import LANES, choose, load, planes, splat, store
 from nishiki.photometric import flags as bits
-from nishiki.photometric.lanes import LANES, choose, load, planes, splat, store
-from nishiki.photometric.least_squares import LARGEST, LEAST_ALBEDO, eigenvalues
-from nishiki.photometric.lobe import (
-    BLOCK,
-    FIT,
-    SUMS,
-    SURFACE,
-    choose_samples,
-    descend,
-    descent_work,
-    take_lanes,
-    tangential_variance,
-)
+from nishiki.photometric.least_squares import LARGEST, LEAST_ALBEDO
+from nishiki.photometric.lobe import BLOCK, choose_samples, descend, make_fit, take_lanes, tangential_variance
+from nishiki.small_matrices import eigenvalues
 
 WIDTH = 0.25  # standard deviation expected of b and d, relative to the albedo, where the samples scatter much
 FARTHEST = np.float32(1e12)  # times the albedo
@@ -24,158 +17,156 @@ LEAST_FACTOR = 0.01  # mean body factor, relative to Lambert's albedo, below whi
 FIRST_ROUNDS, ROUNDS = 4, 3  # Gauss-Newton steps for the samples first chosen, and for those chosen again
 
 
-@njit(cache=True, error_model="numpy")
-def load_block(observations, usable, known, index, width, scalars, normals, values, may, use, start):
-    """Load a block of pixels, `index` (BLOCK,) of which the first `width` are real: samples relative to the albedo.
+Block = namedtuple("Block", "index values known usable weights spare albedo kept limit more condition active state")
+"""Pixels that are refined together.
 
-    start (FIT * BLOCK): Lambert's fits. Samples of what is no real pixel are unknown.
+index (BLOCK,) int64: their places; values, known, usable, weights, spare (lights, BLOCK) float32: samples relative
+to the albedo, and masks of 0 and 1; albedo, kept, limit, more (BLOCK,) float32;
+condition and active (1 where a fit goes on; BLOCK,) float64.
+"""
+
+
+@njit(cache=True)
+def make_block(lights):
+    """Make the memory of a block."""
+    width = np.int64(BLOCK)  # a constant would have `planes` compiled for it alone
+    memory = planes(np.int64(4), width)
+    return Block(
+        np.zeros(BLOCK, np.int64), planes(lights, width), planes(lights, width), planes(lights, width),
+        planes(lights, width), planes(lights, width), memory[0], memory[1], memory[2], memory[3],
+        np.zeros(BLOCK), np.zeros(BLOCK), make_fit(lights),
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def load_block(samples, estimates, block, width):
+    """Load the pixels of a block, of which the first `width` are real; samples of the others are unknown.
+
+    Samples are relative to the albedo; the fits become Lambert's.
     """
+    observations, usable, known = samples
+    index, start, albedo = block.index, block.state.fit, block.albedo
     shared_usable, shared_known = usable.shape[1] == 1, known.shape[1] == 1
-    memory = planes(np.int64(2), np.int64(BLOCK))  # constants would have it compiled for them alone
-    albedo, row = memory[0], memory[1:]
+    row = planes(np.int64(1), np.int64(BLOCK))
     for p in range(BLOCK):
         q = index[p if p < width else 0]
-        albedo[p] = scalars[0, q]
+        albedo[p] = estimates.scalars[0, q]
         for k in range(3):
-            start[p + k * BLOCK] = normals[q, k]
+            start[p + k * BLOCK] = estimates.normals[q, k]
         start[p + 3 * BLOCK], start[p + 4 * BLOCK], start[p + 5 * BLOCK] = 1.0, 0.0, 0.0
     first = index[0]
     neighbours = width == BLOCK and index[BLOCK - 1] == first + BLOCK - 1
     there, is_usable = np.zeros((1, BLOCK), np.uint8), np.zeros((1, BLOCK), np.uint8)
-    for j in range(values.shape[0]):
+    for j in range(observations.shape[0]):
         if neighbours and not shared_known and not shared_usable:
-            load_light(observations, known, usable, (j, first), albedo, values, may, use, j)
+            load_light(observations, known, usable, (j, first), block, j)
             continue
         for p in range(BLOCK):
             q = index[p if p < width else 0]
             row[0, p] = observations[j, q]
             there[0, p] = (known[j, 0] if shared_known else known[j, q]) if p < width else 0
             is_usable[0, p] = usable[j, 0] if shared_usable else usable[j, q]
-        load_light(row, there, is_usable, (np.int64(0), np.int64(0)), albedo, values, may, use, j)
+        load_light(row, there, is_usable, (np.int64(0), np.int64(0)), block, j)
 
 
 @njit(cache=True, error_model="numpy")
-def load_light(samples, known, usable, place, albedo, values, may, use, j):
+def load_light(samples, known, usable, place, block, j):
     """Light j of a block from a place of the samples, relative to the albedo; samples that are not known are 0."""
     zero, one = np.float32(0.0), np.float32(1.0)
     row, first = place
     for p in range(0, BLOCK, LANES):
-        value = load(samples, (row, first + p)) / load(albedo, p)
+        value = load(samples, (row, first + p)) / load(block.albedo, p)
         # so far outside of the albedo that only its sign matters: its square has to fit into float32
         value = choose(value < FARTHEST, value, FARTHEST)
         value = choose(value > -FARTHEST, value, -FARTHEST)
         there = load(known, (row, first + p))
-        store(values, (j, p), choose(there, value, zero))
-        store(may, (j, p), choose(there, one, zero))
-        store(use, (j, p), choose(there & load(usable, (row, first + p)), one, zero))
+        store(block.values, (j, p), choose(there, value, zero))
+        store(block.known, (j, p), choose(there, one, zero))
+        store(block.usable, (j, p), choose(there & load(usable, (row, first + p)), one, zero))
 
 
 @njit(cache=True, error_model="numpy")
-def fit_block(
-    values, known, usable, vectors, start, held, noise, reselections, at_least, active, result, buffers, work
-):
+def fit_block(block, vectors, settings):
     """Fit, choose the samples again, fit again; values relative to the Lambertian albedo.
 
-    result (fit, surface, sums, weights, kept): kept (BLOCK,) float32 samples, with weight 1, of the last fit.
+    `block.weights` and `block.kept` are the samples of the last fit, and their number.
     """
-    fit, surface, sums, weights, kept = result
-    spare, limit, more, going = buffers
-    one = np.float32(1.0)
-    for p in range(fit.size):
-        fit[p] = start[p]
+    state, kept, limit, more = block.state, block.kept, block.limit, block.more
     for p in range(BLOCK):
-        going[p] = active[p]
-    for j in range(values.shape[0]):
-        for p in range(0, BLOCK, LANES):
-            store(weights, (j, p), load(usable, (j, p)))
-    for choice in range(reselections + 1):
-        if choice == 0:
-            for p in range(0, BLOCK, LANES):
-                total = splat(np.float32(0.0))
-                for j in range(values.shape[0]):
-                    total += load(weights, (j, p))
-                store(kept, p, total)
-        else:
-            for p in range(BLOCK):
-                freedom = kept[p] - np.float32(5.0)
-                variance = np.float64(sums[p + 20 * BLOCK]) / (freedom if freedom > one else one)
-                limit[p] = np.float32(3.0 * (np.sqrt(variance) + noise))
-            choose_samples(values, known, vectors, surface, limit, spare, more)
-            for p in range(BLOCK):
-                going[p] = going[p] if more[p] >= at_least else 0.0
-                kept[p] = more[p] if going[p] > 0.0 else kept[p]
-                limit[p] = going[p]
-            take_lanes(limit, spare.reshape(-1), weights.reshape(-1))
-        rounds = FIRST_ROUNDS if choice == 0 else ROUNDS
-        descend(values, weights, vectors, held, rounds, going, fit, surface, sums, work)
+        state.going[p] = block.active[p]
+    for p in range(0, BLOCK, LANES):
+        total = splat(np.float32(0.0))
+        for j in range(block.usable.shape[0]):
+            weight = load(block.usable, (j, p))
+            store(block.weights, (j, p), weight)
+            total += weight
+        store(kept, p, total)
+    descend(block.values, block.weights, vectors, FIRST_ROUNDS, state)
+    for _ in range(settings.reselections):
+        for p in range(BLOCK):
+            freedom = kept[p] - np.float32(5.0)
+            variance = np.float64(state.sums[p + 20 * BLOCK]) / (freedom if freedom > np.float32(1.0) else 1.0)
+            limit[p] = np.float32(3.0 * (np.sqrt(variance) + settings.noise))
+        choose_samples(block.values, block.known, vectors, state.surface, limit, block.spare, more)
+        for p in range(BLOCK):
+            block.active[p] = block.active[p] if more[p] >= settings.at_least else 0.0
+            kept[p] = more[p] if block.active[p] > 0.0 else kept[p]
+            state.going[p] = limit[p] = block.active[p]
+        take_lanes(limit, block.spare.reshape(-1), block.weights.reshape(-1))
+        descend(block.values, block.weights, vectors, ROUNDS, state)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def refine(
-    p, end, observations, usable, known, vectors, settings, max_condition, normals, scalars, lights_used, flags, shading
-):
-    """Refine Lambertian estimates in the outputs of `solve_weighted`: of the pixels p .. end - 1 with samples enough.
+def refine(p, end, samples, vectors, settings, estimates, shading):
+    """Refine Lambertian estimates of the pixels p .. end - 1 that have samples enough, in place.
 
-    observations (lights, pixels) float32; usable, known (lights, pixels) uint8, or (lights, 1) for all pixels alike;
-    vectors (6, lights) float32; settings: prior, noise, reselections, at_least; shading (pixels, 3) float32: (a, b, d)
-    of `nishiki.brdf.torrance_sparrow`, Lambert's (1, 0, 0) before.
+    Parameters
+    ----------
+    p, end : int
+    samples : nishiki.photometric.solve.Samples
+    vectors : (6, lights) float32
+        Directions to the lights, and half vectors.
+    settings : nishiki.photometric.solve.LobeSettings
+    estimates : nishiki.photometric.solve.Estimates
+        As `solve_weighted` leaves them.
+    shading : (pixels, 3) float32
+        (a, b, d) of `nishiki.brdf.torrance_sparrow`, Lambert's (1, 0, 0) before.
     """
-    lights = observations.shape[0]
-    prior, noise, reselections, at_least = settings[0], settings[1], int(settings[2]), settings[3]
-    memory = planes(5 * lights + 3 + SURFACE + SUMS, np.int64(BLOCK))
-    values, known_here = memory[:lights], memory[lights : 2 * lights]
-    use, spare, row = memory[2 * lights : 3 * lights], memory[3 * lights : 4 * lights], 5 * lights
-    start, held, active, variance = np.zeros(FIT * BLOCK), np.zeros(BLOCK), np.zeros(BLOCK), np.zeros(BLOCK)
-    buffers = spare, memory[row], memory[row + 1], np.zeros(BLOCK)
-    result = (
-        np.zeros(FIT * BLOCK),
-        memory[row + 3 : row + 3 + SURFACE].ravel(),
-        memory[row + 3 + SURFACE :].ravel(),
-        memory[4 * lights : row],
-        memory[row + 2],
-    )
-    condition = np.zeros(BLOCK)
-    work = descent_work(lights)
-    index = np.zeros(BLOCK, np.int64)
+    scalars, lights_used, flags = estimates.scalars, estimates.lights_used, estimates.flags
+    block = make_block(samples.observations.shape[0])
+    state = block.state
     while p < end:
         width = 0
         while p < end and width < BLOCK:
             if not flags[p] & bits.NO_ESTIMATE:
-                if lights_used[p] < at_least:
+                if lights_used[p] < settings.at_least:
                     flags[p] |= bits.FALLBACK
                 else:
-                    index[width] = p
+                    block.index[width] = p
                     width += 1
             p += 1
         if width == 0:
             continue
-        load_block(observations, usable, known, index, width, scalars, normals, values, known_here, use, start)
+        load_block(samples, estimates, block, width)
         for i in range(BLOCK):
-            q = index[i if i < width else 0]
+            q = block.index[i]
             spread = np.float64(scalars[3, q]) / np.float64(scalars[0, q])
             # The second part is a Gaussian prior of standard deviation WIDTH, in units of the squared residuals.
-            held[i] = prior * lights_used[q] / 3.0 + (spread / WIDTH) ** 2
-            active[i] = 1.0 if i < width else 0.0
-        fit_block(
-            values, known_here, use, vectors, start, held, noise, reselections, at_least, active, result, buffers,
-            work,
-        )  # fmt: skip
-        tangential_variance(result[2], held, variance)
-        conditions_of(result[3], vectors, condition)
-        store_fits(
-            index, width, result, variance, condition, max_condition, normals, scalars, lights_used, flags, spare
-        )
-        store_shading(index, width, result, spare, shading)
+            state.prior[i] = settings.prior * lights_used[q] / 3.0 + (spread / WIDTH) ** 2
+            block.active[i] = 1.0 if i < width else 0.0
+        fit_block(block, vectors, settings)
+        set_condition(block, vectors)
+        store_fits(block, width, settings.max_condition, estimates, shading)
 
 
 @njit(cache=True, error_model="numpy")
-def conditions_of(weights, vectors, out):
-    """Condition (BLOCK,) of the 3 x 3 normal matrix of each pixel's kept lights."""
+def set_condition(block, vectors):
+    """Compute the condition (BLOCK,) of the 3 x 3 normal matrix of each pixel's kept lights."""
     for p in range(0, BLOCK, LANES):
         a = b = c = d = e = f = splat(0.0)
-        for j in range(weights.shape[0]):
+        for j in range(vectors.shape[1]):
             x, y, z = np.float64(vectors[0, j]), np.float64(vectors[1, j]), np.float64(vectors[2, j])
-            kept = load(weights, (j, p)) > np.float32(0.0)
+            kept = load(block.weights, (j, p)) > np.float32(0.0)
             a = choose(kept, a + x * x, a)
             b = choose(kept, b + x * y, b)
             c = choose(kept, c + x * z, c)
@@ -184,33 +175,30 @@ def conditions_of(weights, vectors, out):
             f = choose(kept, f + z * z, f)
         least, largest = eigenvalues(a, b, c, d, e, f)
         bound = largest * 1e-30
-        store(out, p, largest / choose(least > bound, least, bound))
+        store(block.condition, p, largest / choose(least > bound, least, bound))
 
 
 @njit(cache=True, error_model="numpy")
-def store_fits(index, width, best, variance, condition, max_condition, normals, scalars, lights_used, flags, stored):
-    """Write refined pixels; where the fit is no surface (no diffuse part, singular) the Lambertian one stands.
-
-    stored (lights, BLOCK): its first row becomes 1 where a pixel was written.
-    """
-    fit, _, sums, _, number = best
+def store_fits(block, width, max_condition, estimates, shading):
+    """Write refined pixels; where the fit is no surface (no diffuse part, singular) the Lambertian one stands."""
+    normals, scalars, lights_used, flags = estimates
+    fit, sums, condition = block.state.fit, block.state.sums, block.condition
     for i in range(width):
-        p, kept = index[i], np.float64(number[i])
+        p, kept = block.index[i], np.float64(block.kept[i])
+        variance = tangential_variance(sums, i, block.state.prior[i])
         albedo = np.float64(scalars[0, p])
         # mean of a + b c over the samples, weighted c^2
         diffuse = fit[i + 3 * BLOCK] + fit[i + 4 * BLOCK] * sums[i + 10 * BLOCK] / max(sums[i + 9 * BLOCK], 1e-30)
         squares = np.float64(sums[i + 20 * BLOCK])
         residual = np.sqrt(squares / kept) * albedo
-        determined = variance[i] > 0.0 and kept > 5.0 and residual <= LARGEST  # false for NaN
-        stored[0, i] = np.float32(0.0)
+        determined = variance > 0.0 and kept > 5.0 and residual <= LARGEST  # false for NaN
         if not (determined and LEAST_ALBEDO <= diffuse * albedo <= LARGEST):
             flags[p] |= bits.FALLBACK
             continue
-        stored[0, i] = np.float32(1.0)
         for k in range(3):
             normals[p, k] = fit[i + k * BLOCK]
         scalars[0, p] = diffuse * albedo
-        scalars[1, p] = min(np.sqrt(variance[i] * squares / (kept - 5.0)), 0.5 * np.pi)
+        scalars[1, p] = min(np.sqrt(variance * squares / (kept - 5.0)), 0.5 * np.pi)
         scalars[2, p] = min(condition[i], 3e38)
         scalars[3, p] = residual
         lights_used[p] = int(kept)
@@ -220,16 +208,8 @@ def store_fits(index, width, best, variance, condition, max_condition, normals, 
         if fit[i + 2 * BLOCK] <= 0.0:
             flag |= bits.FACES_AWAY
         flags[p] = flag
-
-
-@njit(cache=True, error_model="numpy")
-def store_shading(index, width, best, stored, shading):
-    """Store (a, b, d), scaled so that the body factor is 1 on average over the samples, weighted c^2."""
-    fit, _, sums, _, _ = best
-    for i in range(width):
-        if stored[0, i] > np.float32(0.0):
-            a, b, d = fit[i + 3 * BLOCK], fit[i + 4 * BLOCK], fit[i + 5 * BLOCK]
-            mean = a + (b * sums[i + 10 * BLOCK] + d * sums[i + 11 * BLOCK]) / np.float64(sums[i + 9 * BLOCK])
-            if mean > LEAST_FACTOR:  # false for NaN
-                p = index[i]
-                shading[p, 0], shading[p, 1], shading[p, 2] = a / mean, b / mean, d / mean
+        # the shading is scaled so that the body factor is 1 on average over the samples, weighted c^2
+        a, b, d = fit[i + 3 * BLOCK], fit[i + 4 * BLOCK], fit[i + 5 * BLOCK]
+        mean = a + (b * sums[i + 10 * BLOCK] + d * sums[i + 11 * BLOCK]) / np.float64(sums[i + 9 * BLOCK])
+        if mean > LEAST_FACTOR:  # false for NaN
+            shading[p, 0], shading[p, 1], shading[p, 2] = a / mean, b / mean, d / mean

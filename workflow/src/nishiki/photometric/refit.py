@@ -15,8 +15,8 @@ concentration steps (Rousseeuw and van Driessen, Computing LTS regression for la
 import numpy as np
 from numba import njit
 
+from nishiki.lanes import LANES, choose, load, planes, root, splat, store
 from nishiki.photometric.block import BLOCK, FAR, TERMS, add_up, distances, keep_below, solve_block, sort_block
-from nishiki.photometric.lanes import LANES, choose, load, planes, root, splat, store
 
 
 @njit(cache=True, error_model="numpy")
@@ -133,21 +133,15 @@ def accept(values, known, directions, scaled, scale, brighter, darker, weights):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def refit_selection(
-    first, last, observations, valid, directions, products, comparators, of_half, settings, usable, highlights, shadows
-):
-    """Mark in `usable` the samples that one Lambertian surface explains, of the blocks first .. last - 1.
+def refit_selection(first, last, observations, valid, lamps, settings, selected):
+    """Mark in `selected` the samples that one Lambertian surface explains, of the blocks first .. last - 1.
 
     observations (lights, pixels) float32, at least BLOCK pixels; valid (lights, pixels) bool, or (lights, 1) for "the
-    same everywhere"; usable (lights, pixels) bool, highlights and shadows (pixels,) uint16 are written. directions
-    (lights, 3) and products (lights, 9) float32; comparators, of_half: networks that
-    sort all samples, and the `coverage` share of the smallest; settings float32: starts, steps, window, coverage,
-    above, brighter, darker, floor, at_least, rounds.
+    same everywhere"; lamps, settings and selected are named tuples of `nishiki.photometric.light_selection`.
     """
     lights, pixels = observations.shape
-    starts, steps, rounds = int(settings[0]), int(settings[1]), int(settings[9])
-    window, coverage, above = settings[2], settings[3], settings[4]
-    brighter, darker, floor, at_least = settings[5], settings[6], settings[7], settings[8]
+    directions, products, comparators, of_half = lamps
+    coverage, floor, at_least, above = settings.coverage, settings.floor, settings.at_least, settings.above
     memory, row = planes(6 * lights + TERMS + 17, np.int64(BLOCK)), 6 * lights
     values, known, weights = memory[:lights], memory[lights : 2 * lights], memory[2 * lights : 3 * lights]
     distance, ordered = memory[3 * lights : 4 * lights], memory[4 * lights : 5 * lights]
@@ -165,13 +159,13 @@ def refit_selection(
             limit[p], record[p] = 0.0, np.inf
             for k in range(4):
                 best[p + k * BLOCK] = 0.0
-        for s in range(starts):
-            part = np.float32(s / max(starts - 1, 1))
-            rank_limits(ranked, count, window, part, at_least, low, high)
+        for s in range(settings.starts):
+            part = np.float32(s / max(settings.starts - 1, 1))
+            rank_limits(ranked, count, settings.window, part, at_least, low, high)
             window_weights(values, known, low, high, weights)
             for p in range(4 * BLOCK):
                 scaled[p] = 0.0
-            for _ in range(steps + 1):
+            for _ in range(settings.steps + 1):
                 add_up(values, weights, products, sums)
                 solve_block(sums, at_least, scaled)
                 distances(values, known, directions, scaled, above, distance)
@@ -185,12 +179,12 @@ def refit_selection(
         distances(values, known, directions, best, above, distance)
         keep_below(distance, limit, weights)
         spread(values, directions, weights, best, floor, scale)
-        for _ in range(rounds):
-            accept(values, known, directions, best, scale, brighter, darker, weights)
+        for _ in range(settings.rounds):
+            accept(values, known, directions, best, scale, settings.brighter, settings.darker, weights)
             add_up(values, weights, products, sums)
             solve_block(sums, at_least, best)
-        accept(values, known, directions, best, scale, brighter, darker, weights)
-        write_block(values, known, directions, best, weights, at_least, start, usable, highlights, shadows)
+        accept(values, known, directions, best, scale, settings.brighter, settings.darker, weights)
+        write_block(values, known, directions, best, weights, at_least, start, selected)
 
 
 @njit(cache=True, error_model="numpy")
@@ -202,7 +196,7 @@ def far_unless(known, values, out):
 
 
 @njit(cache=True, error_model="numpy")
-def write_block(values, known, directions, scaled, weights, at_least, start, usable, highlights, shadows):
+def write_block(values, known, directions, scaled, weights, at_least, start, selected):
     """Write the samples kept and the reasons for the others; a pixel without a trustworthy fit keeps all known ones."""
     zero, one = np.float32(0.0), np.float32(1.0)
     rejected = planes(np.int64(2), np.int64(BLOCK))
@@ -221,9 +215,9 @@ def write_block(values, known, directions, scaled, weights, at_least, start, usa
             left_out = choose((there > zero) & (weight <= zero), one, zero)
             bright += choose(brighter, left_out, zero)
             dark += choose(brighter, zero, left_out)
-            store(usable, (j, start + p), weight > zero)
+            store(selected.usable, (j, start + p), weight > zero)
         store(rejected, (0, p), bright)
         store(rejected, (1, p), dark)
     for p in range(BLOCK):
-        highlights[start + p] = int(rejected[0, p])
-        shadows[start + p] = int(rejected[1, p])
+        selected.highlights[start + p] = int(rejected[0, p])
+        selected.shadows[start + p] = int(rejected[1, p])

@@ -23,6 +23,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import half_vectors
+from nishiki.small_matrices import solve_positive
 from nishiki.threads import over_rows
 
 MODELS = ("plain", "directional")
@@ -101,32 +102,6 @@ def middle(values, count):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _solve(matrix, right):
-    """Cholesky solution of a symmetric positive system in place of `right`; False where it is none."""
-    size = right.size
-    for i in range(size):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                matrix[i, i] = np.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    for i in range(size):
-        for k in range(i):
-            right[i] -= matrix[i, k] * right[k]
-        right[i] /= matrix[i, i]
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            right[i] -= matrix[k, i] * right[k]
-        right[i] /= matrix[i, i]
-    return True
-
-
-@numba.njit(cache=True, error_model="numpy")
 def _shading_basis(g, directions, halves, basis):
     """Rows (c, c^2, c x^8) or (c, c^2, c x^8, c l_x, c l_y) of every lamp, for the normal along g."""
     length = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
@@ -180,7 +155,7 @@ def _least_squares(level, weight, basis, first, held, matrix, terms):
             for j in range(level.size):
                 total += weight[j] * basis[j, i] * basis[j, k]
             matrix[i, k] = total
-    return _solve(matrix, terms)
+    return solve_positive(matrix, terms)
 
 
 @numba.njit(cache=True, error_model="numpy")

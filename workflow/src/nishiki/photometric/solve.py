@@ -1,12 +1,14 @@
 """Photometric stereo: normals, albedo and their uncertainty from observations under known lights."""
 
+from collections import namedtuple
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
-from nishiki.photometric.light_selection import all_finite, checked_stack, half_vectors
+from nishiki.photometric.light_selection import all_finite, checked_stack, direction_products, half_vectors
 from nishiki.summary import Summarised
 from nishiki.threads import over_rows
 
@@ -16,6 +18,40 @@ RESELECTIONS = 1
 NEAR_DEG = 0.2  # largest difference between a pixel's direction to a near light and that of its block
 LARGEST_CODE = 65535  # of 16 bits
 AT_LEAST = 6  # samples below which the gloss lobe is not tried: five unknowns and one to spare
+
+
+Estimates = namedtuple("Estimates", "normals scalars lights_used flags")
+"""What the kernels write: normals (pixels, 3), scalars (4, pixels) float32: albedo, sigma, condition, residual.
+
+lights_used (pixels,) uint16 and flags (pixels,) uint8, the bits of `nishiki.photometric.flags`.
+"""
+
+
+Samples = namedtuple("Samples", "observations usable known")
+"""observations (lights, pixels) float32; usable, known (lights, pixels) uint8, or (lights, 1) for all alike."""
+
+
+class LobeSettings(NamedTuple):
+    """noise relative to the albedo; condition above which a pixel is flagged; the others see the constants above."""
+
+    noise: float
+    max_condition: float
+    prior: float = PRIOR
+    at_least: int = AT_LEAST
+    reselections: int = RESELECTIONS
+
+
+BodySamples = namedtuple("BodySamples", "intensity mean usable known")
+"""What the normals were fitted to, and the mean of the channels (lights, pixels) float32; masks as of `Samples`."""
+
+
+class BodySettings(NamedTuple):
+    """Settings of `shading_of_mean`; least_change: of the samples of a pixel, relative."""
+
+    noise: float
+    least_change: float
+    prior: float = PRIOR
+    at_least: int = AT_LEAST
 
 
 @dataclass(frozen=True, repr=False)
@@ -202,7 +238,7 @@ def without_distrusted(stack, directions, usable, known, outputs, max_condition)
     """
     from nishiki.photometric.distrust import SUSPECT, distrusted
 
-    if not (outputs[1][2] > SUSPECT).any():
+    if not (outputs.scalars[2] > SUSPECT).any():
         return usable
     known = np.ones_like(usable) if known is None else known
     again = distrusted(stack, directions, usable, known, outputs)
@@ -210,10 +246,11 @@ def without_distrusted(stack, directions, usable, known, outputs, max_condition)
         return usable
     usable = usable.copy()
     usable[:, again] = known[:, again]
-    normals, scalars, used, flags = lambertian(
+    anew = lambertian(
         np.ascontiguousarray(stack[:, again]), directions, np.ascontiguousarray(usable[:, again]), max_condition
     )
-    outputs[0][again], outputs[1][:, again], outputs[2][again], outputs[3][again] = normals, scalars, used, flags
+    outputs.normals[again], outputs.scalars[:, again] = anew.normals, anew.scalars
+    outputs.lights_used[again], outputs.flags[again] = anew.lights_used, anew.flags
     return usable
 
 
@@ -228,19 +265,9 @@ def refine_lobe(stack, directions, usable, known, outputs, noise, max_condition)
     vectors = with_half_vectors(directions)
     everything = np.ones((stack.shape[0], 1), dtype=np.uint8)
     shading = np.tile(np.array(LAMBERT, np.float32), (stack.shape[1], 1))
-    settings = np.array([PRIOR, noise, RESELECTIONS, AT_LEAST])
-    over_rows(
-        refine,
-        stack.shape[1],
-        stack,
-        everything if usable is None else usable,
-        everything if known is None else known,
-        vectors,
-        settings,
-        float(max_condition),
-        *outputs,
-        shading,
-    )
+    samples = Samples(stack, everything if usable is None else usable, everything if known is None else known)
+    settings = LobeSettings(float(noise), float(max_condition))
+    over_rows(refine, stack.shape[1], samples, vectors, settings, outputs, shading)
     return shading
 
 
@@ -276,44 +303,40 @@ def shading_of_mean(intensity, mean, directions, field, *, usable, valid, least_
 
     stack, directions = checked_stack(mean, directions)
     known = sample_weights(stack, valid, None, np.shape(mean))
-    samples = (
+    samples = BodySamples(
         np.ascontiguousarray(intensity, dtype=np.float32).reshape(stack.shape),
         stack,
         np.ascontiguousarray(usable, dtype=np.bool_).reshape(stack.shape).view(np.uint8),
         np.ones(stack.shape, np.uint8) if known is None else known,
     )
-    settings = with_half_vectors(directions), np.array([PRIOR, noise, AT_LEAST, least_change])
     pixels = stack.shape[1]
-    of_pixels = field.normals.reshape(-1, 3), field.flags.reshape(-1), field.shading.reshape(-1, 3)
+    normals, flags, shading = field.normals.reshape(-1, 3), field.flags.reshape(-1), field.shading.reshape(-1, 3)
     if 0 < pixels < BLOCK:  # the kernel takes whole blocks: pixels are repeated
         again = np.arange(BLOCK) % pixels
-        samples = tuple(np.take(values, again, axis=1) for values in samples)
-        of_pixels = tuple(values[again] for values in of_pixels)
-    normals, flags, shading = np.ascontiguousarray(of_pixels[0]), of_pixels[1], of_pixels[2].copy()
+        samples = BodySamples(*(np.take(values, again, axis=1) for values in samples))
+        normals, flags, shading = normals[again], flags[again], shading[again]
+    normals, shading = np.ascontiguousarray(normals), shading.copy()
+    settings = BodySettings(float(noise), float(least_change))
     if pixels:
-        over_rows(fit_body_terms, -(-max(pixels, BLOCK) // BLOCK), *samples, *settings, normals, flags, shading)
+        blocks = -(-max(pixels, BLOCK) // BLOCK)
+        over_rows(fit_body_terms, blocks, samples, with_half_vectors(directions), settings, normals, flags, shading)
     return shading[:pixels].reshape(field.shading.shape)
 
 
 def lambertian(stack, directions, factors, max_condition) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Lambertian least squares into new outputs; factors (lights, pixels) uint8 or float32, or None for all."""
-    from nishiki.photometric.least_squares import BLOCK, solve_masked, solve_shared, solve_weighted
+    from nishiki.photometric.least_squares import BLOCK, solve_shared, solve_weighted
 
     outputs = empty_outputs(stack.shape[1])
-    products = direction_products(directions)
-    if factors is None:
-        kernel, given = solve_shared, (stack, products)
-    elif factors.dtype == np.uint8:
-        kernel, given = solve_masked, (stack, factors, products)
-    else:
-        kernel, given = solve_weighted, (stack, factors, products)
-    over_rows(kernel, -(-stack.shape[1] // BLOCK), *given, float(max_condition), *outputs)
+    kernel, given = (solve_shared, (stack,)) if factors is None else (solve_weighted, (stack, factors))
+    blocks, products = -(-stack.shape[1] // BLOCK), direction_products(directions)
+    over_rows(kernel, blocks, *given, products, float(max_condition), outputs)
     return outputs
 
 
-def empty_outputs(pixels) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Arrays that the kernels fill: normals, (albedo, sigma, condition, residual), lights used, flags."""
-    return (
+def empty_outputs(pixels):
+    """Make arrays that the kernels fill."""
+    return Estimates(
         np.empty((pixels, 3), dtype=np.float32),
         np.empty((4, pixels), dtype=np.float32),
         np.empty(pixels, dtype=np.uint16),
@@ -334,12 +357,6 @@ def as_field(normals, scalars, used, flags, shape, solver):
         flags=flags.reshape(shape),
         solver=solver,
     )
-
-
-def direction_products(directions):
-    """(lights, 9): xx, xy, xz, yy, yz, zz, x, y, z of each direction, as the kernels add them up."""
-    x, y, z = directions.T
-    return np.ascontiguousarray(np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x, y, z], axis=1))
 
 
 def both(usable, valid):
