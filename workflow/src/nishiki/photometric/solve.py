@@ -323,7 +323,7 @@ def shading_of_mean(intensity, mean, directions, field, *, usable, valid, least_
     return shading[:pixels].reshape(field.shading.shape)
 
 
-def lambertian(stack, directions, factors, max_condition) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def lambertian(stack, directions, factors, max_condition) -> Estimates:
     """Lambertian least squares into new outputs; factors (lights, pixels) uint8 or float32, or None for all."""
     from nishiki.photometric.least_squares import BLOCK, solve_shared, solve_weighted
 
