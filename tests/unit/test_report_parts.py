@@ -10,13 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import expect_facts
 
-from nishiki.colour.colour import srgb_matrix, xyz_to_lab
+from nishiki.colour.colour import decode, srgb_matrix, xyz_to_lab
 from nishiki.report.numbers import degrees, figure, percent, plain, signed
 from nishiki.report.page import Figures, Table
 from nishiki.report.pictures import (
     MISSING,
     balance,
     block_of,
+    bright_picture,
     class_picture,
     coloured,
     file_picture,
@@ -125,6 +126,15 @@ def test_hillshade_is_light_towards_the_upper_left():
 def test_a_png_that_is_none_is_refused():
     with pytest.raises(ValueError, match="not a picture"):
         file_picture(b"text", 720)
+
+
+@pytest.mark.parametrize(("code", "factor"), [(60, 15), (120, 3), (250, 1)])
+def test_a_dark_png_is_brightened_and_its_caption_says_by_how_much(code, factor):
+    data = cv2.imencode(".png", np.full((8, 8, 3), code, np.uint8))[1].tobytes()
+    picture, note = bright_picture(data, 8)
+    shown = decode(decoded(picture) / 255.0, "srgb").mean()
+    assert np.isclose(shown / decode(np.float64(code / 255.0), "srgb"), factor, rtol=0.05)
+    assert (f" {factor} " in note) == (factor > 1)
 
 
 def test_a_large_png_is_averaged_in_linear_light():

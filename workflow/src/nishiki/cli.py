@@ -95,8 +95,10 @@ def main(arguments: list[str] | None = None) -> None:
         print(error.format_message())
         raise SystemExit(2) from None
     except click.UsageError as error:
-        where = error.ctx.command_path if error.ctx else COMMAND
-        print(f"{name}: {error.format_message()} See {where} --help", file=sys.stderr)
+        print(
+            f"{name}: {error.format_message()} See {error.ctx.command_path if error.ctx else COMMAND} --help",
+            file=sys.stderr,
+        )
         raise SystemExit(2) from None
     except UserError as error:
         # Remedies name the launcher of a checkout; an installed package has the command instead.

@@ -123,10 +123,9 @@ def convert(source: str, capture: str | None, list_only: bool, unsealed: bool, o
     made = convert_source(Path(source), Path(capture), given, checked=not unsealed)
     things = "measurements" if made.geometry == "goniometer" else "photographs"
     if made.channels:
-        shown = (
-            made.channels if len(made.channels) <= SHOWN else (*made.channels[: SHOWN - 1], "...", made.channels[-1])
-        )
-        print(f"{len(made.channels)} channels, taken to be in 1/sr: {', '.join(shown)}")
+        names = made.channels
+        shown = names if len(names) <= SHOWN else (*names[: SHOWN - 1], "...", names[-1])
+        print(f"{len(names)} channels, taken to be in 1/sr: {', '.join(shown)}")
     for problem in group_problems(made.warnings):
         print(f"warning: {problem}", file=sys.stderr)
     if unsealed:

@@ -15,11 +15,7 @@ DEMOS = {
     "painting": ("painting", "config/config.yaml", "a simulated painting: 40 seconds of processor time"),
     "jar": ("object", "config/object.yaml", "a simulated jar, 36 views on a turntable: five minutes of processor time"),
     "satin": ("satin", "config/cloth.yaml", "a simulated satin, 5,940 photographs: three minutes of processor time"),
-    "rig": (
-        "painting",
-        "config/painting_by_rig.yaml",
-        "the painting through a simulated dome: 40 seconds of processor time",
-    ),
+    "rig": ("painting", "config/painting_by_rig.yaml", "a simulated dome and painting: 40 seconds of processor time"),
 }
 """Preset of the simulator, configuration, and what is told beforehand; times with compiled kernels."""
 

@@ -269,6 +269,13 @@ def file_picture(data: bytes, widest: int) -> PagePicture:
     return encoded(_shrunk(data, widest))
 
 
+def bright_picture(data: bytes, widest: int) -> tuple[PagePicture, str]:
+    """Reduce a PNG as `file_picture` does, brightened if it is dark; also return what its caption says of that."""
+    linear = decode(_shrunk(data, widest) / np.float32(255), "srgb")
+    factor = brightening(linear)
+    return colour_picture(linear * factor), brightened(factor).strip()
+
+
 def file_jpeg(data: bytes, widest: int) -> bytes:
     """Return a PNG as the bytes of a JPEG at most `widest` pixels wide, averaged in linear light."""
     return _compressed(_shrunk(data, widest))

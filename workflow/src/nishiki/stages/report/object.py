@@ -26,7 +26,7 @@ from nishiki.report.page import (
     film,
     read_json,
 )
-from nishiki.report.pictures import encoded, file_picture
+from nishiki.report.pictures import bright_picture, encoded, file_picture
 from nishiki.report.scene_page import Head, write_scene_page
 from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing
 from nishiki.stages.report.capture import export_section, facts_of_object
@@ -97,7 +97,8 @@ def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> S
     for name in list(render.diagnostics.get("pictures") or {})[:MOST_PICTURES]:
         data = contents(render, f"{name}.png")
         if data is not None:
-            items.append(Figure(words(name), "", file_picture(data, widest)))
+            picture, note = bright_picture(data, widest)
+            items.append(Figure(words(name), note, picture))
     video = render.diagnostics.get("video") or {}
     if video.get("file") in render.manifest["files"]:
         shown = film(render, video["file"], "The turn", f"{figure(video['frames'])} frames.", video_mb)
