@@ -68,6 +68,14 @@ def test_the_order_of_the_lamps_is_found(name):
     np.testing.assert_allclose(listed[list(found.order)], directions)
 
 
+def test_an_exchanged_pair_is_found_where_gloss_hides_it_from_the_other_tests():
+    directions = dome(((12, 30), (8, 55)))
+    values = photographs(directions, seed=1, gloss=0.5, steep=16.0, noise=0.05)
+    assert arrange(values, directions).as_stated
+    order = exchanged(20, 3, 14)
+    assert arrange(values, directions[order]).order == tuple(order)
+
+
 @pytest.mark.parametrize("axes", AXES)
 def test_axes_are_found_but_for_a_half_turn(axes):
     directions = dome(RINGS)

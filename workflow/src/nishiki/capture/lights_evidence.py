@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.formats.images import read_coarse, read_header
-from nishiki.photometric.consistency import SURE, fit_lambert, none_where_undetermined, split_course, spread_pixels
+from nishiki.photometric.consistency import SURE, split_course
+from nishiki.photometric.lambert_fit import fit_lambert, none_where_undetermined, spread_pixels
 from nishiki.photometric.near_lamps import NearLamps, measure_width
 
 SIDE = 40  # samples along the longer side of the picture

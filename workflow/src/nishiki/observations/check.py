@@ -31,7 +31,7 @@ from nishiki.observations.polariser_check import listed_files, silhouette_proble
 from nishiki.observations.reference import DarkField, board_field, measure_darks
 from nishiki.observations.region import AnyCapture, object_mask, region_numbers, region_of
 from nishiki.observations.store_parts import RepeatedFiles, as_errors, attempt
-from nishiki.photometric.consistency import FEWEST_LAMPS
+from nishiki.photometric.lambert_fit import FEWEST_LAMPS
 
 SAME_DIRECTION = np.cos(np.radians(0.1))
 CHECK_BLOCK = 16

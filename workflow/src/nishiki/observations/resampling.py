@@ -19,7 +19,7 @@ from nishiki.formats.zarr_store import chunk_path, write_chunk
 from nishiki.observations.blocks import field_rows
 from nishiki.observations.linearise import straight_scale
 from nishiki.observations.plane import Observations
-from nishiki.photometric.consistency import solve_normals
+from nishiki.photometric.lambert_fit import solve_normals
 
 FINE_CODES = 1 << 16  # steps of linear light in a table from light to 8-bit codes: 20 of the smallest sRGB step
 ROWS = 256  # that are computed at a time

@@ -1,57 +1,40 @@
 """Find the order of the lamps and the axes that explain the photographs of a plane scene best.
 
-Two tests, of which neither needs the other's assumption:
-
-* The residual of Lambert's law with free gains (`nishiki.photometric.consistency`): a photograph under a lamp that is
-  not its own misfits.
-* The curl of the slopes p, q of the normals: slopes of a surface have none (Horn and Brooks, 1986). Lamps turned or
-  mirrored about the line of sight leave the residual alone, and turn or mirror the normals; with
-
-      a = p_y - q_x,   d = p_x + q_y,   a' = p_y + q_x,   d' = p_x - q_y
-
-  a is the curl as stated, a' with one axis mirrored, d' with both exchanged, d after a quarter turn. A half turn leaves
-  its size as it is: it makes hills hollows.
-
-Both are compared tile by tile, so that each difference has a standard error over tiles of the picture. Candidates for
-the order are all cyclic shifts and reversals, and permutations: the stack of photographs has rank 3, and its space and
-that of the lamps are laid over each other by rotations and assignments (Kuhn, 1955) in turn, from many starts.
+Orders and axes are tried (`nishiki.photometric.order_trials`), and their residual and curl are compared tile by tile,
+so that each difference has a standard error over tiles of the picture. Candidates for the order are all cyclic shifts
+and reversals, and permutations: the stack of photographs has rank 3, and its space and that of the lamps are laid over
+each other by rotations and assignments (Kuhn, 1955) in turn, from many starts. Exchanges of two photographs are judged
+by themselves, because two of many leave all other measures nearly as they are.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from nishiki.photometric.consistency import (
-    FEWEST_LAMPS,
-    GRAZING,
-    KINK,
-    LEAST_SCALE,
-    SURE,
-    Fit,
-    fit_lambert,
-    lit_and_dark,
-    none_where_undetermined,
-    scale_of,
-    solve_normals,
+from nishiki.photometric.consistency import SURE
+from nishiki.photometric.lambert_fit import LEAST_SCALE, none_where_undetermined
+from nishiki.photometric.order_trials import (
+    AXES,
+    TILE,
+    Tiles,
+    Trial,
+    cut_tiles,
+    measure_shading,
+    measure_slopes,
+    tabulate_misfits,
+    try_order,
 )
 
-TILE = 8  # side of a tile, pixels of the reduced picture: one observation
-FEWEST_TILES, MOST_TILES = 12, 140  # a mean of fewer has no useful error; more only take time
-MOST_VALUES = 300_000  # of all tiles and photographs; with many lamps fewer tiles are enough
-PER_TILE = 5  # pixels of a tile in the fit of gains
-STEEPEST = 0.2  # cosine of the steepest slope that counts: beyond, small errors of the normal are any slope
 STARTS = 60  # rotations from which permutations are sought; exchanged pairs and random orders of 12 need about 10
 FINALISTS = 5  # orders by each of two measures that are fitted robustly
 REFINED, TURNS = 3, 5  # fits from which photographs are assigned to lamps anew, and how often
 FLAT = 0.05  # standard deviation of shading, relative: slopes of some three degrees, which a sheen imitates
 TWINS_DEG = 15.0  # asymmetry of the lamps up to which any order has a twin that makes hills hollows: 5 and 7 on two
 # domes, where wrong orders were found; 20 and more where none were
-DOUBTFUL = 2.0  # standard errors by which an arrangement that is believed may at most be the worse one
+DOUBTFUL = 2.0  # standard errors by which an arrangement that is believed may at most be the worse one, and by which
+# each of two exchanged photographs has to be the better one alone
 HALVED = 0.5  # of the residual that is left of the photographs that an order moves: gloss gains less by chance
-AXES = ((1, 0, 0, 1), (1, 0, 0, -1), (0, 1, 1, 0), (0, 1, -1, 0))  # as stated, mirrored, exchanged, turned
+UNRIVALLED = 2.0  # times the standard errors of any exchange of two other photographs: gloss on a sound coin gains 7
 COMMON = (1, -1, 2, -2)  # cyclic shifts that are always fitted, and the reversal: a photograph or two more or fewer
 LETTERS = "xy"
 
@@ -97,42 +80,6 @@ class Arrangement:
         return not self.rearranged and not self.unexplained
 
 
-@dataclass(frozen=True)
-class _Tiles:
-    """Values (lights, tiles, side, side), lamps (lights, 1 or tiles, 3), middles (tiles, 2) of the tiles, x and y."""
-
-    values: np.ndarray
-    lamps: np.ndarray
-    middles: np.ndarray
-
-    @cached_property
-    def sample(self) -> tuple[np.ndarray, np.ndarray]:
-        """Values (lights, pixels) of some pixels of every tile, and the tile (pixels,) of each."""
-        count, number = self.values.shape[:2]
-        values = self.values.reshape(count, number, -1)[:, :, :: TILE * TILE // PER_TILE]
-        tile = np.arange(number).repeat(values.shape[2])
-        values = values.reshape(count, -1)
-        usable = np.isfinite(values).sum(axis=0) >= FEWEST_LAMPS
-        return values[:, usable], tile[usable]
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """An order with its fit.
-
-    misfit (lights, tiles) relative to the albedo, energies (tiles, 4) of the derivatives that AXES names, (4,) how far
-    the normals then point outwards, and the turns about the line of sight, with and without mirroring y, after which
-    the curl is least, as matrices (2, 3, 3).
-    """
-
-    order: np.ndarray
-    fit: Fit
-    misfit: np.ndarray
-    energies: np.ndarray
-    outwards: np.ndarray
-    turns: np.ndarray
-
-
 @none_where_undetermined
 def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
     """Find the order and the axes of the lamps that the photographs show.
@@ -168,11 +115,11 @@ def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
 
 def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int = STARTS) -> Arrangement | None:
     """Find the order and the axes that explain the photographs best, without a test of what was found."""
-    tiles = _cut(values, lamps)
+    tiles = cut_tiles(values, lamps)
     if tiles is None:
         return None
     stated = np.arange(len(values))
-    first = _try(tiles, stated)
+    first = try_order(tiles, stated)
     if first is None:
         return None
     trials = {tuple(stated.tolist()): first}
@@ -189,7 +136,7 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
                 for half in (np.eye(3), np.diag([-1.0, -1.0, 1.0]))
             ]
         for turn in turns:
-            following: _Trial | None = trial
+            following: Trial | None = trial
             for _ in range(TURNS):
                 following = _add(trials, tiles, _reassigned(tiles, following, turn))
                 if following is None:
@@ -200,8 +147,10 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
     rivals = [rival for rival in rivals if _beyond_doubt((first, 0), rival)]
     rivals.sort(key=lambda rival: _complexity(rival[0].order, rival[1]))
     best, axes = next((one for one in rivals if not any(_beyond_doubt(one, other) for other in rivals)), (first, 0))
+    if best is first and axes == 0 and (exchanged := _find_exchange(tiles, first)) is not None:
+        best = _add(trials, tiles, exchanged) or trials[tuple(exchanged.tolist())]
     misfits = [float(np.nanmedian(trial.misfit)) for trial in (first, best)]
-    if (best is not first or axes) and _measure_shading(tiles.values) < min(FLAT, 3 * min(misfits)):
+    if (best is not first or axes) and measure_shading(tiles.values) < min(FLAT, 3 * min(misfits)):
         return None  # a flat thing, whose slopes are those that its gloss makes
     sigmas = _compare((first, 0), (best, axes))[:2]
     mirrored, exchanged, quarter = (_compare((best, axes), (best, axes ^ other))[1] for other in (1, 2, 3))
@@ -215,10 +164,10 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
     )
 
 
-def _add(trials: dict[tuple[int, ...], _Trial], tiles: _Tiles, order: np.ndarray) -> _Trial | None:
+def _add(trials: dict[tuple[int, ...], Trial], tiles: Tiles, order: np.ndarray) -> Trial | None:
     """Try an order that was not tried before; None where it was, or where it cannot be fitted."""
     key = tuple(order.tolist())
-    trial = None if key in trials else _try(tiles, order)
+    trial = None if key in trials else try_order(tiles, order)
     if trial is not None:
         trials[key] = trial
     return trial
@@ -246,129 +195,42 @@ def turned(directions: np.ndarray, axes: str) -> np.ndarray:
     return result
 
 
-def _cut(values: np.ndarray, lamps: np.ndarray) -> _Tiles | None:
-    """Cut tiles spread over the object out of the pictures; None where they are too few."""
-    count, rows, columns = values.shape
-    high, wide = rows // TILE, columns // TILE
-    if count < FEWEST_LAMPS or high * wide < FEWEST_TILES:
-        return None
-    up, left = (rows - high * TILE) // 2, (columns - wide * TILE) // 2
-
-    def cut(array: np.ndarray) -> np.ndarray:
-        part = array[:, up : up + high * TILE, left : left + wide * TILE]
-        shape = (len(part), high, TILE, wide, TILE, *part.shape[3:])
-        return np.moveaxis(part.reshape(shape), 3, 2).reshape(len(part), high * wide, TILE, TILE, *part.shape[3:])
-
-    tiles = cut(values)
-    known = np.isfinite(tiles).sum(axis=0) >= max(FEWEST_LAMPS, count // 2)
-    level = np.nanmax(np.where(np.isfinite(tiles), tiles, 0.0), axis=0)
-    known &= level > 0.05 * np.quantile(level[known], 0.9) if known.any() else known
-    chosen = np.flatnonzero(known.mean(axis=(1, 2)) > 0.6)
-    if len(chosen) < FEWEST_TILES:
-        return None
-    most = int(np.clip(MOST_VALUES // (count * TILE * TILE), 4 * FEWEST_TILES, MOST_TILES))
-    chosen = chosen[:: -(-len(chosen) // most)]
-    down, across = np.divmod(chosen, wide)
-    vectors = lamps[:, None, :] if lamps.ndim == 2 else cut(lamps)[:, chosen, TILE // 2, TILE // 2]
-    part = np.where(known[chosen], tiles[:, chosen], np.nan).astype(np.float64)
-    return _Tiles(part, vectors, np.stack([across - across.mean(), down.mean() - down], axis=1))
-
-
-def _measure_shading(values: np.ndarray) -> float:
-    """Measure by how much the light of one lamp differs between pixels of equal albedo, relative to it."""
-    logarithms = np.log(np.where(values > 0, values, np.nan)).reshape(len(values), -1)
-    for _ in range(2):  # without the lamps' strengths and the albedo
-        logarithms = logarithms - np.nanmedian(logarithms, axis=1, keepdims=True)
-        logarithms -= np.nanmedian(logarithms, axis=0)
-    return 1.4826 * float(np.nanmedian(np.abs(logarithms)))
-
-
-def _try(tiles: _Tiles, order: np.ndarray) -> _Trial | None:
-    """Fit normals with the lamps in this order, and measure misfit and curl of every tile."""
-    count, number = tiles.values.shape[:2]
-    lamps = tiles.lamps[order]
-    sample, patches = tiles.sample
-    fit = fit_lambert(sample, lamps[:, patches] if lamps.shape[1] > 1 else lamps, patches)
-    if not np.isfinite(fit.gains).all():
-        return None
-    sizes = np.where(np.isfinite(sample), np.abs(fit.alone), np.nan) / np.linalg.norm(fit.normals, axis=1)
-    misfit = np.stack([np.nanmedian(sizes[:, patches == tile], axis=1) for tile in range(number)], axis=1)
-    flat = tiles.values.reshape(count, -1)
-    normals = _robust_normals(flat, lamps, fit)
-    return _Trial(order, fit, misfit, *_slopes(normals.reshape(number, TILE, TILE, 3), tiles.middles))
-
-
-def _reassigned(tiles: _Tiles, trial: _Trial, turn: np.ndarray) -> np.ndarray:
+def _reassigned(tiles: Tiles, trial: Trial, turn: np.ndarray) -> np.ndarray:
     """Assign the photographs to the lamps that explain them best, given the normals of a trial, turned."""
     from scipy.optimize import linear_sum_assignment
 
-    count, (sample, patches) = len(tiles.values), tiles.sample
-    albedo = np.linalg.norm(trial.fit.normals, axis=1)
-    vectors = tiles.lamps if tiles.lamps.shape[1] == 1 else tiles.lamps[:, patches]
-    shading = np.maximum(np.einsum("jsa,sa->js", vectors, trial.fit.normals @ turn.T / albedo[:, None]), 0.0)
-    cost = np.ones((count, count))
-    for photograph, values in enumerate(sample / albedo):
-        known = np.isfinite(values)
-        if known.sum() < FEWEST_TILES:
-            continue
-        here, there = values[known], shading[:, known]
-        gains = np.median(here) / np.maximum(np.median(there, axis=1), GRAZING)
-        for _ in range(2):
-            weights = 1 / (GRAZING**2 + np.abs(here - gains[:, None] * there))
-            gains = (weights * there * here).sum(axis=1) / np.maximum((weights * there**2).sum(axis=1), 1e-12)
-        cost[photograph] = np.minimum(np.abs(here - gains[:, None] * there), 1.0).mean(axis=1)
+    cost = np.nanmean(tabulate_misfits(tiles, trial, turn), axis=2)
     return linear_sum_assignment(np.nan_to_num(cost, nan=1.0))[1]
 
 
-def _robust_normals(values: np.ndarray, lamps: np.ndarray, fit: Fit) -> np.ndarray:
-    """Albedo times normal (pixels, 3) of all pixels with the gains of a fit, by four rounds of reweighting."""
-    vectors = fit.gains[:, None, None] * (lamps if lamps.shape[1] == 1 else lamps.repeat(TILE * TILE, axis=1))
-    known = np.isfinite(values)
-    filled, weights = np.where(known, values, 0.0), known.astype(np.float64)
-    for _ in range(4):
-        normals, _ = solve_normals(weights, filled, vectors)
-        albedo = np.linalg.norm(normals, axis=1) + 1e-300
-        cosine = np.einsum("jsa,sa->js", vectors, normals)
-        lit, _ = lit_and_dark(known, filled, cosine, albedo)
-        scale = scale_of(filled - cosine, lit, albedo)
-        weights = lit / (1 + ((filled - cosine) / (KINK * scale)) ** 2)
-    normals[(known.sum(axis=0) < FEWEST_LAMPS) | (normals[:, 2] < GRAZING * albedo)] = np.nan
-    return normals
+def _find_exchange(tiles: Tiles, trial: Trial) -> np.ndarray | None:
+    """Find the order in which the lamps of two photographs are exchanged, where the tiles of both agree on it.
+
+    The normals are those of all photographs, which two of many hardly turn. Gloss makes exchanges look better as well,
+    but then many of them: one is believed that no exchange of two other photographs comes near.
+    """
+    if np.nanmedian(trial.misfit) < 2 * LEAST_SCALE:  # there is nothing to gain but rounding
+        return None
+    table, order = tabulate_misfits(tiles, trial, np.eye(3)), trial.order.copy()
+    own = np.einsum("jjt->jt", table)[:, None]
+    alone, both = (
+        _in_errors(np.log(a / b)) for a, b in ((own, table), (own + own.swapaxes(0, 1), table + table.swapaxes(0, 1)))
+    )
+    pair = np.array(np.unravel_index(np.argmax(both), both.shape))
+    rivals = np.delete(np.delete(both, pair, axis=0), pair, axis=1)
+    first, second = pair
+    sure = both[first, second] > max(SURE, UNRIVALLED * rivals.max())
+    if not sure or min(alone[first, second], alone[second, first]) < DOUBTFUL:
+        return None
+    order[pair] = order[pair[::-1]]
+    return order
 
 
-def _slopes(normals: np.ndarray, middles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return energies (tiles, 4) of the derivatives in AXES, outward tilt (4,), and turns of least curl (2, 3, 3)."""
-    size = np.linalg.norm(normals, axis=-1)
-    steep = np.maximum(normals[..., 2], STEEPEST * size)
-    p, q = -normals[..., 0] / steep, -normals[..., 1] / steep
-
-    def across(f: np.ndarray) -> np.ndarray:
-        return 0.5 * (f[:, 1:, 1:] - f[:, 1:, :-1] + f[:, :-1, 1:] - f[:, :-1, :-1])
-
-    def upwards(f: np.ndarray) -> np.ndarray:
-        return 0.5 * (f[:, :-1, 1:] - f[:, 1:, 1:] + f[:, :-1, :-1] - f[:, 1:, :-1])
-
-    parts = (upwards(p) - across(q), upwards(p) + across(q), across(p) - upwards(q), across(p) + upwards(q))
-    parts = tuple(np.clip(part, -1, 1) for part in parts)  # an edge of the object counts as a step of unit slope
-    energies = np.stack([np.nanmean(part**2, axis=(1, 2)) for part in parts], axis=1)
-    mean = np.stack([-np.nanmean(p, axis=(1, 2)), -np.nanmean(q, axis=(1, 2))], axis=1)
-    tilts = [mean @ np.array(axes).reshape(2, 2).T for axes in AXES]
-    outwards = np.stack([np.nansum((tilt - np.nanmean(tilt, axis=0)) * middles) for tilt in tilts])
-    turns = []
-    for still, turned_part, mirror in ((0, 3, 1.0), (1, 2, -1.0)):
-        # curl after a turn by f: cos f a - sin f d, of least square where (cos 2f, sin 2f) ~ (dd - aa, 2 ad)
-        first, second = parts[still], parts[turned_part]
-        angle = 0.5 * np.arctan2(2 * np.nanmean(first * second), np.nanmean(second**2) - np.nanmean(first**2))
-        cosine, sine = np.cos(angle), np.sin(angle)
-        turns.append(np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1.0]]) @ np.diag([1.0, mirror, 1.0]))
-    return energies, outwards, np.stack(turns)
-
-
-def _curl(trial: _Trial, axes: int) -> float:
+def _curl(trial: Trial, axes: int) -> float:
     return float(np.sqrt(np.nanmean(trial.energies[:, axes]) / np.nanmean(trial.energies)) / 2)
 
 
-def _compare(first: tuple[_Trial, int], other: tuple[_Trial, int]) -> tuple[float, float, float]:
+def _compare(first: tuple[Trial, int], other: tuple[Trial, int]) -> tuple[float, float, float]:
     """Return the standard errors by which residual and curl of another trial with its axes are below the first's.
 
     The residual is that of the photographs whose lamps differ; third, the part of it that is left.
@@ -380,31 +242,32 @@ def _compare(first: tuple[_Trial, int], other: tuple[_Trial, int]) -> tuple[floa
             np.nanmean(np.where(np.isfinite(t.misfit), t.misfit, 1.0)[moved], axis=0) for t, _ in (first, other)
         )
         gained = np.log(before / after)
-        sigma, left = _in_errors(gained), float(np.exp(-np.mean(gained)))
+        sigma, left = float(_in_errors(gained)), float(np.exp(-np.mean(gained)))
     before, after = _shares(first), _shares(other)
     # normals that face away have no slopes: as bad as slopes in any direction
     nowhere = np.isnan(before) & np.isnan(after)
     before, after = (np.where(np.isfinite(e) | nowhere, e, 0.25) for e in (before, after))
-    return sigma, _in_errors((before - after) / (before + after)), left
+    return sigma, float(_in_errors((before - after) / (before + after))), left
 
 
-def _shares(one: tuple[_Trial, int]) -> np.ndarray:
+def _shares(one: tuple[Trial, int]) -> np.ndarray:
     """Curl of every tile as a share of the energy of all four derivatives: 0 for a surface, 1/4 for noise."""
     return one[0].energies[:, one[1]] / one[0].energies.sum(axis=1)
 
 
-def _in_errors(differences: np.ndarray) -> float:
-    """Mean over its standard error, as the normal deviate that is as rare (Wallace, 1959): tiles may be few."""
-    known = differences[np.isfinite(differences)]
-    freedom = len(known) - 1
-    error = np.std(known, ddof=1) / np.sqrt(len(known)) if freedom > 0 else 0.0
-    if not error > 0:
-        return 0.0
-    rare = np.sqrt(freedom * np.log1p((np.mean(known) / error) ** 2 / freedom)) * (8 * freedom + 1) / (8 * freedom + 3)
-    return float(np.copysign(rare, np.mean(known)))
+def _in_errors(differences: np.ndarray) -> np.ndarray:
+    """Mean over its standard error, as the normal deviate that is as rare (Wallace, 1959): tiles may be few.
+
+    differences (..., tiles), NaN where unknown; 0 where nothing is known of the error.
+    """
+    freedom = np.isfinite(differences).sum(axis=-1) - 1
+    known = np.where(np.isfinite(differences), differences, np.nan)
+    mean, error = np.nanmean(known, axis=-1), np.nanstd(known, axis=-1, ddof=1) / np.sqrt(freedom + 1)
+    rare = np.sqrt(freedom * np.log1p((mean / error) ** 2 / freedom)) * (8 * freedom + 1) / (8 * freedom + 3)
+    return np.where(error > 0, np.copysign(rare, mean), 0.0)
 
 
-def _beyond_doubt(first: tuple[_Trial, int], other: tuple[_Trial, int]) -> bool:
+def _beyond_doubt(first: tuple[Trial, int], other: tuple[Trial, int]) -> bool:
     """Whether one test is sure, and the other does not speak against it.
 
     The residual alone is believed of orders by which people err, and not of one in thousands that fits by chance.
@@ -449,7 +312,7 @@ def _name_axes(axes: int, outwards: np.ndarray) -> str:
     return ",".join(("-" if row.sum() < 0 else "") + LETTERS[int(np.flatnonzero(row)[0])] for row in matrix)
 
 
-def _candidates(tiles: _Tiles, seed: int, starts: int) -> list[np.ndarray]:
+def _candidates(tiles: Tiles, seed: int, starts: int) -> list[np.ndarray]:
     """Orders other than that stated which explain the photographs best by plain least squares, of rank or of curl."""
     count = len(tiles.values)
     directions = tiles.lamps.mean(axis=1)
@@ -465,11 +328,11 @@ def _candidates(tiles: _Tiles, seed: int, starts: int) -> list[np.ndarray]:
     return [*common, *_by_rank(level, directions, plain, seed, starts)[:FINALISTS], *by_curl[:FINALISTS]]
 
 
-def _plain_curl(tiles: _Tiles, directions: np.ndarray) -> float:
+def _plain_curl(tiles: Tiles, directions: np.ndarray) -> float:
     """Curl of the slopes by least squares with these directions."""
     values = np.nan_to_num(tiles.values.reshape(len(directions), -1))
     normals = (np.linalg.pinv(directions) @ values).T.reshape(-1, TILE, TILE, 3)
-    energies, _, _ = _slopes(normals, tiles.middles)
+    energies, _, _ = measure_slopes(normals, tiles.middles)
     return float(np.nanmedian(energies[:, :1].sum(axis=1) / energies.sum(axis=1)))
 
 

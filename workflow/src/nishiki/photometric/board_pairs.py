@@ -18,19 +18,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.photometric.consistency import (
+from nishiki.photometric.consistency import FEWEST_PIXELS, LARGEST_MISFIT, LEAST_GAIN, SURE, is_even, law_errors
+from nishiki.photometric.lambert_fit import (
     FEWEST_LAMPS,
-    FEWEST_PIXELS,
     GRAZING,
     KINK,
-    LARGEST_MISFIT,
-    LEAST_GAIN,
     ROUNDS,
-    SURE,
     Fit,
     fit_lambert,
-    is_even,
-    law_errors,
     none_where_undetermined,
     regress,
     spread_pixels,

@@ -2,7 +2,7 @@
 
 A pixel at x, whose albedo times normal is m, shows m . (p_j - x) / |p_j - x|^3 under a lamp at p_j, and m . l_j under a
 far one. With directions alone, p_j is l_j at a common distance, and the width of the picture in distances of the lamps
-is fitted together with the gains (`nishiki.photometric.consistency.fit_lambert`). Far lamps assumed in place of near
+is fitted together with the gains (`nishiki.photometric.lambert_fit.fit_lambert`). Far lamps assumed in place of near
 ones bend the relief: light that falls off towards one side looks like a surface that turns away.
 
 Gloss under a camera that stands near wanders with the lamp as well. The width is therefore fitted a second time without
@@ -15,19 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.photometric.arrangement import STEEPEST
-from nishiki.photometric.consistency import (
-    FEWEST_LAMPS,
-    FEWEST_PIXELS,
-    KINK,
-    LARGEST_MISFIT,
-    SURE,
-    Fit,
-    fit_lambert,
-    is_even,
-    none_where_undetermined,
-    spread_pixels,
-)
+from nishiki.photometric.consistency import FEWEST_PIXELS, LARGEST_MISFIT, SURE, is_even
+from nishiki.photometric.lambert_fit import FEWEST_LAMPS, KINK, Fit, fit_lambert, none_where_undetermined, spread_pixels
+from nishiki.photometric.order_trials import STEEPEST
 
 HIGHLIGHT = np.cos(np.radians(20.0))  # between normal and half vector: broader gloss is as good as diffuse
 LEAST_MATT = 0.25  # of a lamp's samples that hold no gloss: of fewer, its strength is not determined
