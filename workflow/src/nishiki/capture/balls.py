@@ -19,6 +19,7 @@ from nishiki.formats.problems import CaptureError, Problem, error, warning
 MASK = "mask.png"
 MOST_SIGMA_DEG = 10.0  # median uncertainty of the directions up to which lamps are believed
 MOST_TILT_DEG = 35.0  # of the scene under the lamps; near lamps tilt it, too
+LEVEL_DEG = 2.5  # tilt of a scene that sound balls have shown: .2 to 1.3, and 3 to 6 where normals were off by 3 to 5
 LEAST_Z = 0.02  # of a direction: lamps below graze the object
 BEYOND = 1.1  # radii of a ball that are left out of the mask
 
@@ -102,6 +103,11 @@ def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, lamps: in
             remedy=f"Look at {MIRROR_BALLS} in the capture: green outlines must lie on balls, red crosses on lights",
         )
     ]
+    if measured.scene is not None and measured.scene.tilt_deg > LEVEL_DEG:
+        what = "the scene is tilted under the lamps measured on the balls: unless it is, they are off by that angle"
+        said = f"{measured.scene.tilt_deg:.0f} degrees"
+        remedy = "Photograph again with the balls on black cloth, well inside the picture, or give --lights"
+        notes.append(warning("balls-tilted", source.name, what, found=said, remedy=remedy))
     notes += [warning("lamp-unmeasured", name, f"photograph left out: {why}") for name, why in found.left_out.items()]
     if mask is None:
         what = f"the balls are not part of the object: {MASK} excludes them"

@@ -220,7 +220,7 @@ def _measure_sphere(given: SphereInput, circle: Circle, crop, stack: np.ndarray,
 
 def _sightings(findings: Findings, names: list[str]) -> tuple[list[Sighting], list[str]]:
     """Highlights that can be used, and warnings; lamps without one are noted in `findings.left_out`."""
-    sightings, warnings = [], []
+    sightings, doubtful, warnings = [], [], []
     reasons: dict[str, list[str]] = {name: [] for name in names}
     found = findings.highlights
     for k in range(len(findings.outlines)):
@@ -235,19 +235,20 @@ def _sightings(findings: Findings, names: list[str]) -> tuple[list[Sighting], li
                 reasons[name].append("its highlight is cut off by the outline")
             elif highlight.second > DOUBLED:
                 reasons[name].append(f"two highlights, the second with {100 * highlight.second:.0f} % of the light")
+            elif not 1 / AREA_RANGE < (ratio := highlight.area_px / area) < AREA_RANGE:
+                why = "it may be partly hidden" if ratio < 1 else "it may be a glare or two lamps"
+                reasons[name].append(f"a highlight has {ratio:.2g} times the area of the others; {why}")
+                doubtful.append(Sighting(i, k, highlight.pixel, highlight.sigma_px))
             else:
                 sightings.append(Sighting(i, k, highlight.pixel, highlight.sigma_px))
-                ratio = highlight.area_px / area
-                if not 1 / AREA_RANGE < ratio < AREA_RANGE:
-                    why = "it may be partly hidden" if ratio < 1 else "it may be a glare or two lamps"
-                    where = f"{name}, sphere {k + 1}"
-                    warnings.append(f"{where}: the highlight has {ratio:.2g} times the area of the others; {why}")
+    sure = {s.lamp for s in sightings}
+    sightings += [s for s in doubtful if s.lamp not in sure]
     seen = {s.lamp for s in sightings}
     for i, name in enumerate(names):
         if i not in seen:
             findings.left_out[name] = reasons[name][0]
         elif reasons[name]:
-            warnings.append(f"{name}: measured without {len(reasons[name])} of the spheres ({reasons[name][0]})")
+            warnings.append(f"{name}: measured badly on {len(reasons[name])} of the spheres ({reasons[name][0]})")
     return sightings, warnings
 
 

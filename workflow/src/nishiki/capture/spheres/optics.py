@@ -20,6 +20,7 @@ ABOVE_HORIZON = 0.8  # of the radius: what lies further out is the ground, unles
 LEAST_ABOVE = 0.15  # of the largest highlight's light
 STRICT_LEVELS = (0.9, 0.95)  # the same where the photograph also shows what else the sphere reflects
 FINE_SIDE = 24.0  # samples across a highlight: smaller ones are interpolated before a level cuts them
+WITHIN_PX = 0.29  # standard deviation of a place within the one pixel that a small sharp highlight lights
 LEAST_SIGMA_PX = 0.05  # of a centroid: pixels are samples
 
 
@@ -222,7 +223,7 @@ def find_highlight(
     border = (rows == 0) & (corner[1] <= 0) | (columns == 0) & (corner[0] <= 0)
     border |= (rows + corner[1] >= camera.rows - 1) | (columns + corner[0] >= camera.columns - 1)
     cut = bool((chosen & ((from_middle > INSIDE * radius) | border)).any())
-    sigma = float(np.sqrt(LEAST_SIGMA_PX**2 + asymmetry**2 + random**2))
+    sigma = float(np.sqrt(LEAST_SIGMA_PX**2 + asymmetry**2 + random**2 + (WITHIN_PX / area) ** 2))
     return Highlight(places[0], sigma, area, peak, second, cut)
 
 
