@@ -147,8 +147,8 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
     rivals = [rival for rival in rivals if _beyond_doubt((first, 0), rival)]
     rivals.sort(key=lambda rival: _complexity(rival[0].order, rival[1]))
     best, axes = next((one for one in rivals if not any(_beyond_doubt(one, other) for other in rivals)), (first, 0))
-    if best is first and axes == 0 and (exchanged := _find_exchange(tiles, first)) is not None:
-        best = _add(trials, tiles, exchanged) or trials[tuple(exchanged.tolist())]
+    if best is first and axes == 0 and (pair := _find_exchange(tiles, first)) is not None:
+        best = _add(trials, tiles, pair) or trials.get(tuple(pair.tolist()), first)
     misfits = [float(np.nanmedian(trial.misfit)) for trial in (first, best)]
     if (best is not first or axes) and measure_shading(tiles.values) < min(FLAT, 3 * min(misfits)):
         return None  # a flat thing, whose slopes are those that its gloss makes
