@@ -117,7 +117,10 @@ def make(*, encoding="srgb", residual=None, **options):
         channels=3,
         ceiling=options.pop("ceiling", None),
     )
-    return ObjectRenderer(decoded, mesh, atlas.geometry, **options)
+    threads = options.pop("threads", None)
+    renderer = ObjectRenderer(decoded, (mesh, atlas.geometry), **options)
+    renderer.threads = threads or renderer.threads
+    return renderer
 
 
 def picture_of(made, index):

@@ -70,7 +70,7 @@ class DecodedObject:
             points = texel_points(mesh, self.atlas, self.surface, slice(tile, tile + 1))
             return tuple(values[0] for values in points)
 
-        return ObjectRenderer(self, mesh, geometry, **options)
+        return ObjectRenderer(self, (mesh, geometry), **options)
 
     def numbers(self, names) -> frozenset[int]:
         """Return places of named views in the order of the turn; UserError for a name that is not there."""

@@ -54,20 +54,20 @@ CACHE_BYTES = 256 << 20
 class ObjectRenderer:
     """A renderer of a decoded object.
 
-    mesh: the object's, or the same triangles at other places; geometry(tile) -> positions (T, T, 3), normals (T, T, 3),
-    inside (T, T) on it; without: views that were left out of the fit and may not lend their residual to others;
-    level > 0: a preview from the coarse part of the residual; model_only: without the residual; own_lamps: light the
-    object in place of the captured ones (the model alone, since a residual belongs to its light); rim: pixels by which
-    values are carried on beyond the surface's edge. What was saturated or never seen is not bound by any photograph,
-    and a lobe can grow there without limit: pictures are clipped to 0 .. the object's ceiling, the largest linear value
-    that the capture could hold, as the camera's were; under own_lamps, of any intensity, the ceiling says nothing.
+    surface: the object's mesh, or the same triangles at other places, and a function from a tile to positions (T, T,
+    3), normals (T, T, 3), inside (T, T) on it; without: views that were left out of the fit and may not lend their
+    residual to others; level > 0: a preview from the coarse part of the residual; model_only: without the residual;
+    own_lamps: light the object in place of the captured ones (the model alone, since a residual belongs to its light);
+    rim: pixels by which values are carried on beyond the surface's edge. What was saturated or never seen is not bound
+    by any photograph, and a lobe can grow there without limit: pictures are clipped to 0 .. the object's ceiling, the
+    largest linear value that the capture could hold, as the camera's were; under own_lamps, of any intensity, the
+    ceiling says nothing.
     """
 
     def __init__(
         self,
         decoded: "DecodedObject",
-        mesh: Mesh,
-        geometry: Callable,
+        surface: tuple[Mesh, Callable],
         *,
         without: frozenset[int] = frozenset(),
         method: Method = "cubic",
@@ -75,16 +75,17 @@ class ObjectRenderer:
         model_only: bool = False,
         own_lamps: FreeLighting | None = None,
         rim: int = 2,
-        threads: int | None = None,
     ):
-        self.mesh, self.atlas, self.cameras, self.geometry = mesh, decoded.atlas, list(decoded.cameras), geometry
+        mesh, self.geometry = surface
+        self.mesh = mesh
+        self.atlas, self.cameras = decoded.atlas, list(decoded.cameras)
         self.residual, self.lighting, self.ceiling = decoded.residual, decoded.lighting, decoded.ceiling
         self.encoding, self.channels = decoded.encoding, decoded.channels
         self.turn = fit_turn(self.cameras, full_turn=decoded.full_turn)
         self.without, self.method, self.level = without, method, level
         self.lit = None if own_lamps is None else LitObject(mesh, own_lamps)
         self.model_only, self.rim = model_only or self.lit is not None, rim
-        self.threads = threads or given_threads()
+        self.threads = given_threads()
         self.parts = coded_parts(self.residual, self.encoding)
         self.depths = DepthMaps(mesh)
         self._cache: OrderedDict[int, Tile] = OrderedDict()
