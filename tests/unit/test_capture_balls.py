@@ -1,15 +1,21 @@
 """Photographs with mirror balls in the frame and no lights file: traced scenes, and captures as people make them."""
 
 import shutil
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from mirror_rays import Scene, dome
 
+from nishiki.capture import balls
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.options import ConvertOptions
+from nishiki.capture.spheres import measure
+from nishiki.capture.spheres.optics import Highlight
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
@@ -106,3 +112,30 @@ def test_no_ball_is_found_where_there_is_none(data, tmp_path, folder):
     with pytest.raises(CaptureError) as caught:
         convert(source, tmp_path / "capture", ConvertOptions())
     assert caught.value.problems[0].kind == "layout-unknown"
+
+
+def test_a_highlight_of_another_size_counts_only_where_no_other_ball_shows_the_lamp():
+    """Light that a ball throws on the ground, seen in the other ball, has passed for the lamp."""
+    found = np.empty((6, 2), object)
+    for lamp, ball in np.ndindex(found.shape):
+        found[lamp, ball] = Highlight(np.zeros(2), 0.1, 4.0, 1.0, 0.0, False)
+    for lamp, ball in ((2, 1), (3, 0), (3, 1)):
+        found[lamp, ball] = replace(found[lamp, ball], area_px=40.0)
+    findings = SimpleNamespace(outlines=[None, None], highlights=found, left_out={})
+    sightings, warnings = measure._sightings(findings, [f"{i}" for i in range(6)])
+    used = {(s.lamp, s.sphere) for s in sightings}
+    assert used == {(lamp, ball) for lamp in range(6) for ball in range(2)} - {(2, 1)}
+    assert len(warnings) == 2
+    assert not findings.left_out
+
+
+@pytest.mark.parametrize(("tilt_deg", "named"), [(1.3, False), (5.6, True)])
+def test_lamps_that_tilt_the_scene_are_named(tilt_deg, named):
+    camera = SimpleNamespace(focal_px=None)
+    measured = SimpleNamespace(
+        findings=SimpleNamespace(outlines=[], camera=camera, left_out={}),
+        fit=SimpleNamespace(direction_sigma=np.full(6, 0.02)),
+        scene=SimpleNamespace(tilt_deg=tilt_deg),
+    )
+    kinds = {problem.kind for problem in balls._notes(Path("photographs"), measured, None, 6)}
+    assert ("balls-tilted" in kinds) is named

@@ -11,7 +11,7 @@ from nishiki.capture.polariser import parse_state
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.errors import UserError
 from nishiki.formats.masks import read_mask
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning
 from nishiki.observations.blocks import picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.plane_decode import count_unusable
@@ -92,17 +92,14 @@ class PolariserLevels:
         key, order = max(views, key=lambda each: each[1].unexplained)
         files = self.files[key]
         moved = [f"{files[states[k]]}: {states[i]}" for i, k in enumerate(commonest) if i != k]
-        more = f" and {len(moved) - MOST_NAMED} more" if len(moved) > MOST_NAMED else ""
-        remedy = f"State in the column polariser of frames.csv what they show ({', '.join(moved[:MOST_NAMED])}{more})"
+        remedy = f"State in the column polariser of frames.csv what they show ({name_some(moved)})"
         if len(moved) == 2:
             alike = set.intersection(*(set(each.all) for _, each in views)) - {commonest}
             places = [np.flatnonzero(np.array(each) != range(len(states))) for each in (commonest, *sorted(alike))]
             exchanges = ", or ".join(" and ".join(states[i] for i in pair) for pair in places[:MOST_NAMED])
             remedy = f"Exchange the states {exchanges} in the column polariser of frames.csv"
         if key[2]:
-            names = list(dict.fromkeys(view for (_, _, view), _ in views))
-            more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-            remedy += f" for the views {', '.join(names[:MOST_NAMED])}{more}"
+            remedy += f" for the views {name_some(dict.fromkeys(view for (_, _, view), _ in views))}"
         what = f"the photographs of {len(moved)} of {len(states)} polariser states do not follow their angles"
         shares = f"{100 * order.unexplained:.2g} % of the variation left, {100 * order.corrected:.2g} % with the remedy"
         return error("states-exchanged", "frames.csv", what, expected="polarisers' law", found=shares, remedy=remedy)

@@ -342,7 +342,8 @@ def _by_rank(
     """Orders by how much of the photographs' space of rank 3 the lamps' space holds, the most first."""
     from scipy.optimize import linear_sum_assignment
 
-    whitened = _whitened(directions)
+    axes, _, weights = np.linalg.svd(directions, full_matrices=False)
+    whitened = axes @ weights
     scores: dict[tuple[int, ...], float] = {}
     rng = np.random.default_rng(seed)
     even = level / np.linalg.norm(level, axis=1, keepdims=True)  # as if all lamps were equally strong
@@ -362,8 +363,3 @@ def _by_rank(
             held = float(((whitened[order].T @ space) ** 2).sum())
             scores[tuple(order.tolist())] = max(held, scores.get(tuple(order.tolist()), 0.0))
     return [np.array(order) for order in sorted(scores, key=lambda order: -scores[order])]
-
-
-def _whitened(vectors: np.ndarray) -> np.ndarray:
-    left, _, right = np.linalg.svd(vectors, full_matrices=False)
-    return left @ right
