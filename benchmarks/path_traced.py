@@ -145,6 +145,12 @@ PAINTINGS = {
             darkness=0.25,
         ),
         "satin-3": Painting(28, "impasto", 1.4, 0.2, "ggx", 1.5, "Golden_HB", "Nikon D3", "D65", ((8, 48), (4, 26))),
+        "two-3": Painting(
+            29, "canvas", 1.7, 0.24, "ggx", 1.5, "okumura", "Canon 5DMarkII", "D65", ((9, 47), (6, 27)), (BARE,), 0.55
+        ),
+        "gilded-2": Painting(
+            30, "impasto", 1.4, 0.18, "ggx", 1.5, "Golden_HB", "Nikon D700", "D65", ((11, 48), (5, 26)), (GOLD,), 0.6
+        ),
     },
 }
 CHECKS_DEG = (20.0, 32.0, 50.0, 60.0)

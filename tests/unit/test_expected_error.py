@@ -55,21 +55,21 @@ def test_a_surface_has_less_than_normals_that_no_surface_has():
     normals = relief()
     valid = np.ones(normals.shape[:2], bool)
     sigma = np.full(valid.shape, 0.005, np.float32)
-    good = expected_error(normals, sigma, valid)
+    good = expected_error(normals, sigma, valid, True)
     y, x = np.mgrid[: valid.shape[0], : valid.shape[1]]
     patch = np.exp(-((x - 28.0) ** 2 + (y - 20.0) ** 2) / 60)  # a smooth error of 6 degrees, which no residual shows
     p, q = -normals[..., 0] / normals[..., 2], -normals[..., 1] / normals[..., 2]
-    bad = expected_error(from_slopes(p + 0.1 * patch, q), sigma, valid)
+    bad = expected_error(from_slopes(p + 0.1 * patch, q), sigma, valid, True)
     assert bad[16:24, 24:32].mean() > 1.5 * good[16:24, 24:32].mean()
     assert np.allclose(bad[:, :4], good[:, :4], rtol=0.02)
 
 
-def test_grows_with_sigma_and_with_the_tilt():
+def test_is_the_mean_square_of_sigma_where_no_curl_adds_to_it():
     flat, valid = from_slopes(np.zeros((20, 20)), np.zeros((20, 20))), np.ones((20, 20), bool)
-    tilted = from_slopes(np.ones((20, 20)), np.zeros((20, 20)))
-    low, high = (expected_error(flat, np.full((20, 20), value), valid) for value in (0.001, 0.05))
-    assert (high > low).all()
-    assert (expected_error(tilted, np.full((20, 20), 0.001), valid) > low).all()
+    sigma = np.where(np.arange(20) % 2, 0.01, 0.03) * np.ones((20, 1))
+    joint, selected = (expected_error(flat, sigma, valid, fitted) for fitted in (True, False))
+    assert np.allclose(joint[5:15, 5:15], np.sqrt((0.01**2 + 0.03**2) / 2), rtol=0.1)
+    assert np.allclose(selected, module.MISFIT * joint)
 
 
 def test_pixels_without_an_estimate_are_unknown_and_touch_no_others():
@@ -77,12 +77,12 @@ def test_pixels_without_an_estimate_are_unknown_and_touch_no_others():
     valid = np.ones(normals.shape[:2], bool)
     valid[:, 30:] = False
     sigma = np.full(valid.shape, 0.005, np.float32)
-    found = expected_error(normals, sigma, valid)
+    found = expected_error(normals, sigma, valid, True)
     spoilt = normals.copy()
     spoilt[:, 30:] = [0, 0, 1]
-    assert np.array_equal(found, expected_error(spoilt, sigma, valid))
+    assert np.array_equal(found, expected_error(spoilt, sigma, valid, True))
     assert (found[~valid] == np.float32(module.UNKNOWN)).all()
-    assert np.isfinite(expected_error(normals, sigma, np.zeros_like(valid))).all()
+    assert np.isfinite(expected_error(normals, sigma, np.zeros_like(valid), True)).all()
 
 
 def test_slope_error_is_finite_beside_rough_ground():

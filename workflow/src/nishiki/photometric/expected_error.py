@@ -1,9 +1,9 @@
-"""Expected error of the normals: what the noise says, what the integrability says, and what the tilt says.
+"""Expected error of the normals: what lamps left out say, and what the integrability says.
 
-`sigma` follows from the noise and misfit of a pixel's samples. It does not know errors that all of them share
-(interreflection, gloss, shading other than the model's), and those are most of the error. They leave a trace, though:
-the slopes of a surface have no curl (B. K. P. Horn and M. J. Brooks, The variational approach to shape from shading,
-Computer Vision, Graphics, and Image Processing 33, 1986), and errors that change from place to place do. With
+`sigma` of the joint fit is a jackknife over the lamps: it holds errors that change with the lamp. Errors that all
+lamps share leave another trace: the slopes of a surface have no curl (B. K. P. Horn and M. J. Brooks, The variational
+approach to shape from shading, Computer Vision, Graphics, and Image Processing 33, 1986), and errors that change from
+place to place do. With
 
     k     = p_y - q_x of every square of four valid pixels, p and q the slopes, pixels as unit
     delta = WINDOW / 4 * mean of k over WINDOW x WINDOW squares
@@ -11,12 +11,11 @@ Computer Vision, Graphics, and Image Processing 33, 1986), and errors that chang
 delta is the error of the slopes along the border of the window that explains the circulation around it. The expected
 error is
 
-    E = SCALE (sigma + S0)^A (c^1.5 d + D0)^B (tan theta + T0)^C
+    E^2 = mean of (m sigma)^2 over a window + c^3 d^2
 
 d the root mean square of delta over a window, c = n_z, c^1.5 the mean factor from slopes to angles along and across the
-tilt, theta the tilt. Shadows, interreflection and gloss grow with the tilt. The constants were found by least squares
-of the logarithms over captures with truth (docs/notes/stages/height.md); E is then scaled so that, as for Gaussian
-errors, 63 % of those errors were smaller.
+tilt; m = 1 where normals were fitted together with gloss, MISFIT where they come from selected lamps alone, whose sigma
+is that of the residual only (measured: docs/notes/stages/height.md).
 
 Errors of what ingest put right are shared by all pixels and leave no curl. To first order, with lights l_j and
 M = sum l_j l_j^T, a relative error e_j of the strength of lamp j turns the normal n by the part of M^-1 l_j (l_j . n)
@@ -29,13 +28,12 @@ from typing import Any
 import numpy as np
 
 WINDOW = 7  # pixels
-SCALE, SIGMA_POWER, CURL_POWER, TILT_POWER = 2.93, 0.587, 0.414, 0.406
-LEAST_SIGMA, LEAST_CURL, LEAST_TILT = 0.003, 0.0005, 0.05
-LEAST_NZ, STEEPEST = 0.15, 3.0  # slopes and tangents of the tilt beyond count as these
+MISFIT = 2.0
+LEAST_NZ, LARGEST_SIGMA = 0.15, 0.5  # slopes beyond, and radians beyond, count as these
 UNKNOWN = 0.5 * np.pi  # as sigma of pixels without an estimate
 
 
-def expected_error(normals: np.ndarray, sigma: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def expected_error(normals: np.ndarray, sigma: np.ndarray, valid: np.ndarray, joint: np.ndarray | bool) -> np.ndarray:
     """Root mean square angle by which the normals are likely to be off.
 
     Parameters
@@ -46,20 +44,18 @@ def expected_error(normals: np.ndarray, sigma: np.ndarray, valid: np.ndarray) ->
         Radians, of the stage `normals`.
     valid : (rows, columns) bool
         Pixels with an estimate.
+    joint : (rows, columns) bool
+        Pixels whose normals were fitted together with gloss.
 
     Returns
     -------
     (rows, columns) float32
         Radians, at most pi / 2, which it is where a pixel is not valid.
     """
-    nz = normals[..., 2]
-    tangent = np.sqrt(np.maximum(1 - nz * nz, 0)) / np.maximum(nz, 1 / STEEPEST / 2)
-    factors = (
-        (np.minimum(sigma, 0.5) + LEAST_SIGMA) ** SIGMA_POWER,
-        (slope_error(normals, valid) * np.clip(nz, LEAST_NZ, 1) ** 1.5 + LEAST_CURL) ** CURL_POWER,
-        (np.minimum(tangent, STEEPEST) + LEAST_TILT) ** TILT_POWER,
-    )
-    error = SCALE * factors[0] * factors[1] * factors[2]
+    known = valid.astype(np.float32)
+    square = (np.minimum(sigma, LARGEST_SIGMA) * np.where(joint, 1, MISFIT)).astype(np.float32) ** 2
+    circulation = slope_error(normals, valid) * np.clip(normals[..., 2], LEAST_NZ, 1) ** 1.5
+    error = np.sqrt(np.maximum(window_mean(square * known, known), 0) + circulation**2)
     return np.where(valid, np.minimum(error, UNKNOWN), UNKNOWN).astype(np.float32)
 
 

@@ -13,8 +13,8 @@ from nishiki.threads import over_rows
 
 NOISE = 0.002  # of an observation, relative to white
 MODEL_ERROR = 0.02  # of the body's shading, relative to the pixel's mean level: interreflection, mixed pixels
-GLOSS_ERROR = 0.25  # of the predicted gloss, relative
-TILT_ERROR = 0.03  # radians by which the mirroring surface may lean from the normal of the body
+GLOSS_ERROR = 0.15  # of the predicted gloss, relative
+TILT_ERROR = 0.02  # radians by which the mirroring surface may lean from the normal of the body
 TOLERANCE = 3.0  # standard deviations at which a sample has lost three quarters of its weight
 ITERATIONS = 15
 SECOND_START = 1.0  # robust cost a value above which the normal that mirrors the brightest light is tried too

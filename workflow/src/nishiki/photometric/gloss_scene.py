@@ -16,19 +16,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.brdf.gloss_profile import LADDER, GlossProfile, SpecularHistogram, fit_gloss, specular_samples, unit_of
+from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, fit_gloss, specular_samples, unit_of
 from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss import RefinedNormals, refine_normals
+from nishiki.photometric.gloss_equations import LARGEST_SIGMA, step
 
-ROUNDS = 3
-LARGEST_SIGMA = 0.1  # radians: where the normals are worse the blur is no longer a small one
-FIRST_LOOK = 4000  # pixels of a thinner sample
+WIDTHS = np.geomspace(0.01, 0.3, 9)  # radians, half widths: what is wider is light from paint to paint as well
+ROUNDS = 2
+MOST_ROUNDS = 8  # of cells and profiles in turn
+THIN = 3  # one pixel in so many tells the cells' finishes
 WORTHWHILE = 0.03  # gain of robust cost a value, from which gloss counts as shown
-TRANSMISSIONS = (0.0, 0.5, 1.0)  # tried; the least of the parabola through their costs is taken
 SIDE = 15  # pixels: of a cell of the picture that has one finish
 FEWEST_CELLS = 4  # of a finish
 MOST_FINISHES = 4
-MEASURED = 0.01  # fall of the robust cost, relative, from which the lamps tell the transmission from a tilt
 
 
 @dataclass(frozen=True)
@@ -61,13 +61,14 @@ class GlossTile:
 class SceneGloss:
     """The gloss of a scene.
 
-    profile, without gloss where none is significant; found: whether or not; gain: robust cost a value (light and
-    channel) that the profile takes off the fit without gloss; significant: whether that is WORTHWHILE; pixels of the
-    sample.
+    profile, without gloss where none is significant; found: whether or not; first: before the steps that free the
+    pixels' own unknowns; gain: robust cost a value (light and channel) that the profile takes off the fit without
+    gloss; significant: whether that is WORTHWHILE; pixels of the sample.
     """
 
     profile: GlossProfile
     found: GlossProfile
+    first: GlossProfile
     gain: float
     significant: bool
     pixels: int
@@ -84,38 +85,40 @@ class SceneGloss:
 
 
 def fit_scene_gloss(
-    tiles: Sequence[GlossTile], *, refractive_index: float = 1.45, rounds: int = ROUNDS, **settings
+    tiles: Sequence[GlossTile], *, refractive_index: float = 1.45, start: GlossProfile | None = None
 ) -> SceneGloss:
-    """Profile of the scene from a sample of its pixels; settings: of `refine_normals`.
+    """Fit the gloss of the scene, or of one finish, to a sample of its pixels.
 
-    The body is taken to lie below a dielectric surface (transmission 1) while the gloss is sought; the last round uses
-    the transmission that the samples show, if they show any (`measure_transmission`). Where no gloss is significant
-    there is no surface to show it, and the profile returned has no transmission loss either.
+    start : gloss of an earlier fit; without it, specular samples of the selection's normals and of a first joint fit
+    tell one. Where no gloss is significant there is no surface either, and the profile returned has no transmission
+    loss.
     """
     unit = unit_of([tile.reflectance for tile in tiles])  # noise and cells of the histogram are relative to it
-    nothing = GlossProfile(np.zeros(LADDER.size), LADDER, refractive_index, unit=unit)
-    profile: GlossProfile = nothing
+    nothing = GlossProfile(np.zeros(WIDTHS.size), WIDTHS, refractive_index, unit=unit)
+    profile = nothing if start is None else replace(start, unit=unit)
     fits: Sequence[RefinedNormals | None] = [None] * len(tiles)
-    for number in range(rounds):
-        if number > 0 and number == rounds - 1:
-            transmission = measure_transmission(tiles, profile, **settings)
-            if transmission != profile.transmission:
-                profile, nothing = (replace(p, transmission=transmission) for p in (profile, nothing))
-                fits = [refined(tile, profile, **settings) for tile in tiles]
+    for _ in range(ROUNDS if start is None else 0):
         histogram = SpecularHistogram.empty(refractive_index=refractive_index, value_unit=unit)
         for tile, fit in zip(tiles, fits, strict=True):
             histogram = add_tile(histogram, tile, fit, profile)
-        profile = fit_gloss(histogram, transmission=profile.transmission)
-        fits = [refined(tile, profile, **settings) for tile in tiles]
-    without = [refined(tile, nothing, **settings) for tile in tiles]
+        profile = fit_gloss(histogram, transmission=profile.transmission, ladder=WIDTHS)
+        fits = [refined(tile, profile) for tile in tiles]
+    if start is not None:
+        fits = [refined(tile, profile) for tile in tiles]
+    first = profile
+    for _ in range(ROUNDS):
+        profile = step(tiles, fits, profile)
+        fits = [refined(tile, profile) for tile in tiles]
+    nothing = replace(nothing, transmission=profile.transmission)
+    without = [refined(tile, nothing) for tile in tiles]
     gain = mean_cost(tiles, without) - mean_cost(tiles, fits)
     significant = bool(gain > WORTHWHILE)
     shown = profile if significant else replace(nothing, transmission=0.0)
-    return SceneGloss(shown, profile, gain, significant, sum(tile.flags.size for tile in tiles))
+    return SceneGloss(shown, profile, first, gain, significant, sum(tile.flags.size for tile in tiles))
 
 
 def find_finishes(
-    tiles: Sequence[GlossTile], gloss: GlossProfile, **settings
+    tiles: Sequence[GlossTile], gloss: GlossProfile
 ) -> Iterator[tuple[list[SceneGloss], np.ndarray, np.ndarray]]:
     """Divide the cells among two finishes, then three and so on, while each has FEWEST_CELLS and a gloss of its own.
 
@@ -123,7 +126,6 @@ def find_finishes(
     ----------
     tiles : of pixels (lights, 1, pixels, ...), with the numbers of their cells.
     gloss : of the whole scene.
-    settings : of `refine_normals`.
 
     Yields
     ------
@@ -131,9 +133,10 @@ def find_finishes(
     own (cells,) bool: those whose cost under any other exceeds their own by the median of the finish or more.
     """
     nothing = replace(gloss, beta=np.zeros(gloss.beta.size), transmission=0.0)
+    few, cells = [tile.only(np.s_[::THIN]) for tile in tiles], 1 + max(int(tile.cells.max()) for tile in tiles)
     starts = [[replace(gloss, transmission=1.0), nothing]]
     while starts and len(starts[0]) <= MOST_FINISHES:
-        tries = [_settle(tiles, start, **settings) for start in starts]
+        tries = [_settle(few, start, cells) for start in starts]
         tries = [each for each in tries if np.bincount(each[1], minlength=len(each[0])).min() >= FEWEST_CELLS]
         if not tries:
             return
@@ -141,7 +144,7 @@ def find_finishes(
         least, second = np.sort(costs, axis=0)[:2]
         usual = np.array([np.median((second - least)[labels == k]) for k in range(len(profiles))])
         clear = second - least >= usual[labels]
-        finishes = fit_glosses(tiles, labels, gloss.refractive_index)
+        finishes = fit_glosses(tiles, labels, gloss.refractive_index, profiles)
         if sum(not finish.profile.beta.any() for finish in finishes) > 1:
             return  # what differs is not the gloss
         yield finishes, labels, clear
@@ -152,34 +155,40 @@ def find_finishes(
         ]
 
 
-def fit_glosses(tiles: Sequence[GlossTile], labels: np.ndarray, refractive_index: float) -> list[SceneGloss]:
+def fit_glosses(
+    tiles: Sequence[GlossTile],
+    labels: np.ndarray,
+    refractive_index: float,
+    starts: Sequence[GlossProfile | None] | None = None,
+) -> list[SceneGloss]:
     """Fit the gloss of each label of the cells (cells,) by itself; that of all where the tiles hold none of it."""
     parts = [[tile.only(labels[tile.cells[0]] == k) for tile in tiles] for k in range(int(labels.max()) + 1)]
     parts = [[tile for tile in part if tile.flags.size] or list(tiles) for part in parts]
-    return [fit_scene_gloss(part, refractive_index=refractive_index) for part in parts]
+    starts = [None] * len(parts) if starts is None else starts
+    fits = zip(parts, starts, strict=True)
+    return [fit_scene_gloss(part, refractive_index=refractive_index, start=start) for part, start in fits]
 
 
-def _settle(tiles, profiles, **settings) -> tuple[list[GlossProfile], np.ndarray, np.ndarray]:
-    """Return profiles fitted to their cells, the labels of the cells, and all costs (profiles, cells), after ROUNDS."""
-    profiles = list(profiles)
-    for number in range(ROUNDS + 1):
-        fits = [[refined(tile, profile, **settings) for tile in tiles] for profile in profiles]
-        costs = np.stack([cell_costs(tiles, each) for each in fits])
-        labels = costs.argmin(axis=0)
-        if number == ROUNDS:
+def _settle(tiles, profiles, cells: int) -> tuple[list[GlossProfile], np.ndarray, np.ndarray]:
+    """Return profiles fitted to their cells, the labels of the cells, and all costs (profiles, cells), settled."""
+    profiles, labels = list(profiles), None
+    for number in range(MOST_ROUNDS):
+        fits = [[refined(tile, profile) for tile in tiles] for profile in profiles]
+        costs = np.stack([cell_costs(tiles, each, cells) for each in fits])
+        before, labels = labels, costs.argmin(axis=0)
+        if number == MOST_ROUNDS - 1 or (before is not None and np.array_equal(labels, before)):
             break
         for k, profile in enumerate(profiles):
             histogram = SpecularHistogram.empty(refractive_index=profile.refractive_index, value_unit=profile.unit)
             for tile, fit in zip(tiles, fits[k], strict=True):
                 histogram = add_tile(histogram, tile, fit, profile, labels[tile.cells] == k)
             if profile.beta.any() and histogram.rows.any():
-                profiles[k] = fit_gloss(histogram, transmission=profile.transmission)
+                profiles[k] = fit_gloss(histogram, transmission=profile.transmission, ladder=WIDTHS)
     return profiles, labels, costs
 
 
-def cell_costs(tiles: Sequence[GlossTile], fits: Sequence[RefinedNormals]) -> np.ndarray:
-    """Return the mean robust cost a value of every cell (cells,); 0 without a fitted pixel."""
-    count = 1 + max(int(tile.cells.max()) for tile in tiles)
+def cell_costs(tiles: Sequence[GlossTile], fits: Sequence[RefinedNormals], count: int) -> np.ndarray:
+    """Return the mean robust cost a value of every cell (count,); 0 without a fitted pixel."""
     total, values = np.zeros(count), np.zeros(count)
     for tile, fit in zip(tiles, fits, strict=True):
         done = (fit.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
@@ -188,29 +197,10 @@ def cell_costs(tiles: Sequence[GlossTile], fits: Sequence[RefinedNormals]) -> np
     return total / np.maximum(values, 1)
 
 
-def measure_transmission(tiles: Sequence[GlossTile], profile: GlossProfile, **settings) -> float:
-    """Share of the surface's loss that the body suffers, 0 to 1, by the robust cost of the fit on a thinner sample.
-
-    Bodies without a smooth surface, or with a rough one, lose less light than the exact losses of a dielectric say; the
-    joint fit with those losses then tilts their normals by degrees. Lamps at several incidences show it. Where the cost
-    does not fall by that part, MEASURED, below that of the profile's own transmission (a ring of lamps at one
-    incidence), that one is kept.
-    """
-    every = max(sum(tile.flags.size for tile in tiles) // FIRST_LOOK, 1)
-    few = [tile.only(np.s_[::every]) for tile in tiles]
-    costs = np.array(
-        [mean_cost(few, [refined(t, replace(profile, transmission=x), **settings) for t in few]) for x in TRANSMISSIONS]
-    )
-    curve = np.polynomial.Polynomial.fit(TRANSMISSIONS, costs, 2, domain=(0, 1), window=(0, 1))
-    bend = curve.coef[2]
-    best = TRANSMISSIONS[int(costs.argmin())] if bend <= 0 else float(np.clip(-curve.coef[1] / (2 * bend), 0, 1))
-    return best if curve(best) < (1 - MEASURED) * curve(profile.transmission) else profile.transmission
-
-
 def add_tile(
     histogram, tile: GlossTile, fit: RefinedNormals | None, profile: GlossProfile, where: np.ndarray | bool = True
 ) -> SpecularHistogram:
-    """Add a tile's specular samples to the histogram, by the last round's fit or by what the tile came with.
+    """Add a tile's specular samples, by the last round's fit or by what the tile came with.
 
     where: (rows, columns) bool, pixels that count.
     """
@@ -223,7 +213,7 @@ def add_tile(
     return histogram.add_samples(*samples, sigma=sigma)
 
 
-def refined(tile: GlossTile, profile: GlossProfile, **settings) -> RefinedNormals:
+def refined(tile: GlossTile, profile: GlossProfile) -> RefinedNormals:
     """Fit one tile jointly."""
     return refine_normals(
         tile.observations,
@@ -233,7 +223,6 @@ def refined(tile: GlossTile, profile: GlossProfile, **settings) -> RefinedNormal
         valid=tile.valid,
         flags=tile.flags,
         reflectance=tile.reflectance,
-        **settings,
     )
 
 

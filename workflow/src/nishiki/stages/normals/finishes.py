@@ -145,7 +145,7 @@ def fitted_finish(
     from nishiki.model_selection.relighting import Fitted, joint_fit_counts, left_out_errors
 
     nothing = None if gloss is None else replace(gloss.found, beta=0 * gloss.found.beta, transmission=0.0)
-    joint = {} if gloss is None else {"joint": gloss.found, "bare": nothing}
+    joint = {} if gloss is None else {"joint": gloss.found, "first": gloss.first, "bare": nothing}
 
     def fit(piece: Sampled) -> dict[str, Fitted]:
         given = piece.observations, piece.usable, piece.valid, piece.parcel
@@ -178,8 +178,8 @@ def fitted_finish(
     if gloss is None:
         return Finish(None, share, None, False, errors)
     told = errors if clear is True or not surely else left_out_errors(surely, fit, pieces)
-    if told["bare"].mean() <= told["joint"].mean():
-        found, told["joint"], errors["joint"] = nothing, told["bare"], errors["bare"]
+    best = min(("bare", "first", "joint"), key=lambda name: told[name].mean())
+    found, told["joint"], errors["joint"] = joint[best], told[best], errors[best]
     return Finish(gloss, share, found, joint_fit_counts(told), errors)
 
 
@@ -301,6 +301,13 @@ def sampled_pixels(frames: Observations, selection: Maps | None, lights: np.ndar
         cells = cells if frames.regions is None else frames.regions[row, column].astype(np.int64)
         parcel = replace(piece.parcel, scale=np.ones(len(lights), np.float32))  # the piece is scaled
         pieces.append(Sampled(piece.observations, usable, piece.valid, parcel, cells))
+    if frames.positions_mm is None and len(pieces) > 1:  # all under the same directions
+        joined = (
+            np.concatenate([getattr(piece, name) for piece in pieces], axis=axis)
+            for name, axis in (("observations", 2), ("usable", 2), ("valid", 2), ("cells", 1))
+        )
+        observations, usable, valid, cells = joined
+        pieces = [Sampled(observations, usable, valid, pieces[0].parcel, cells)]
     if frames.regions is None and pieces:
         known = np.unique(np.concatenate([piece.cells[0] for piece in pieces]))
         pieces = [replace(piece, cells=np.searchsorted(known, piece.cells)) for piece in pieces]
