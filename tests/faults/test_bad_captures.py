@@ -294,8 +294,11 @@ def test_each_kind_has_its_own_clear_error(tmp_path, name):
     folder = make_capture(tmp_path / "c")
     change, kind, words = BROKEN[name]
     change(folder)
-    problems = check_capture(folder, level="full")
-    errors = [p for p in problems if p.severity == "error"]
+    for level in ("quick", "full"):  # the full check also compares the photographs, which takes most of its time
+        problems = check_capture(folder, level=level)
+        errors = [p for p in problems if p.severity == "error"]
+        if kind in {p.kind for p in errors}:
+            break
     assert kind in {p.kind for p in errors}, [str(p) for p in problems]
     said = " | ".join(str(p) for p in errors if p.kind == kind)
     assert words.casefold() in said.casefold()
