@@ -165,7 +165,6 @@ def fitted_finish(
             fits["joint, matt"] = fits["bare"]
         return fits
 
-    found = None if gloss is None else gloss.found
     total = sum(piece.valid.shape[2] for piece in pieces)
     here, surely = (
         [part for piece in pieces if (part := piece.only(cells[piece.cells[0]])).valid.any()]
@@ -173,14 +172,16 @@ def fitted_finish(
     )
     share = sum(piece.valid.shape[2] for piece in here) / total if total else 1.0
     if not here:
+        found = None if gloss is None else gloss.found
         return Finish(gloss, share, found, gloss is not None and gloss.significant, {})
     errors = left_out_errors(here, fit, pieces)
     if gloss is None:
         return Finish(None, share, None, False, errors)
     told = errors if clear is True or not surely else left_out_errors(surely, fit, pieces)
-    best = min(("bare", "first", "joint"), key=lambda name: told[name].mean())
-    found, told["joint"], errors["joint"] = joint[best], told[best], errors[best]
-    return Finish(gloss, share, found, joint_fit_counts(told), errors)
+    counts = any(joint_fit_counts({"normals": told["normals"], "joint": told[name]}) for name in joint)
+    best = min(joint, key=lambda name: told[name].mean())
+    errors["joint"] = errors[best]
+    return Finish(gloss, share, joint[best], counts, errors)
 
 
 def choose_count(tried: Sequence[tuple[Finish, ...]]) -> tuple[tuple[Finish, ...], Decision | None]:
