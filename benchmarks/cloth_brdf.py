@@ -28,10 +28,12 @@ from cloth_peers import PRIORS, fit_peer
 
 import _project  # noqa: F401
 from nishiki.brdf.cloth.interface import incidences, prediction_error, solid_angles
-from nishiki.brdf.cloth.models import DEFAULT, MODELS, REFERENCE, Fitted, fit_models
+from nishiki.brdf.cloth.models import FACETS, MODELS, REFERENCE, YARNS, Fitted, fit_models
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import Reflectances, ReflectanceSet
+from nishiki.weave.yarn_search import search_yarns
+from nishiki.weave.yarn_weave import bindings
 
 ROOT = Path(__file__).resolve().parents[1]
 PLANES = {0.0: "weft", 45.0: "bias", 90.0: "warp"}
@@ -101,7 +103,9 @@ def fit_one(measured: ReflectanceSet, region: int, name: str, oblique: int, chos
         peer = fit_peer(name, data, np.concatenate([np.flatnonzero(measured.normal_incidence), chosen]))
         fitted = Fitted(peer.brdf, peer.used)
     else:
-        fitted = fit_models(data, basic, [name], oblique=oblique)[name]
+        best = search_yarns(data, bindings()).best if name == YARNS else None
+        yarns = best and (best.brdf, {"rms_rel_normal": best.rms_rel})
+        fitted = fit_models(data, basic, [name], oblique=oblique, yarns=yarns)[name]
     return fitted, time.perf_counter() - start
 
 
@@ -139,9 +143,9 @@ def judge(name, model, fitted, seconds, measured, region, seen, count, default):
 
 def run(name: str, measured: ReflectanceSet, region: int, models, oblique: int, fewer: bool) -> None:
     """All models with and without oblique images; then the default with fewer views of normal incidence."""
-    fit_one(measured, region, DEFAULT, 0)  # compiles
+    fit_one(measured, region, FACETS, 0)  # compiles
     for count in dict.fromkeys((0, oblique)):
-        seen = fit_one(measured, region, DEFAULT, count)[0].used if count else np.empty(0, int)
+        seen = fit_one(measured, region, FACETS, count)[0].used if count else np.empty(0, int)
         chosen = seen[~measured.normal_incidence[seen]]
         for model in models:
             if count and model in ("bard_linear", "bard_great_circle", "facets", *REFERENCE):
@@ -150,12 +154,12 @@ def run(name: str, measured: ReflectanceSet, region: int, models, oblique: int, 
             used = 0 if model in REFERENCE else len(fitted.used)
             kept = seen if model in REFERENCE else np.union1d(seen, fitted.used)
             judge(name, model, fitted, seconds, measured, region, kept.astype(int), used or len(measured),
-                  model == DEFAULT and count == oblique)  # fmt: skip
+                  model == YARNS and count == oblique)  # fmt: skip
     for count in FEWER[1:] if fewer else ():
         few, _ = complete(measured.take(thinned(measured, count)))
         for extra in dict.fromkeys((0, oblique)):
-            fitted, seconds = fit_one(few, region, DEFAULT, extra)
-            judge(name, DEFAULT, fitted, seconds, few, region, fitted.used, len(fitted.used), False)
+            fitted, seconds = fit_one(few, region, FACETS, extra)
+            judge(name, FACETS, fitted, seconds, few, region, fitted.used, len(fitted.used), False)
 
 
 def main() -> None:

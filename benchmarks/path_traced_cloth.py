@@ -17,6 +17,7 @@ import os
 import sys
 from dataclasses import asdict, dataclass
 from glob import glob
+from math import gcd
 from pathlib import Path
 
 import numpy as np
@@ -48,8 +49,10 @@ class Yarn:
 
 @dataclass(frozen=True)
 class Cloth:
-    """harness and step of the binding; dye: albedo of the body, at most 0.5; through: share of the
-    body's light that passes the wall of a yarn. irregular: how much yarns differ (1: 4 % in their axes)."""
+    """harness, step, under, together of the binding: a warp yarn lies below `under` of `harness` weft yarns, the place
+    moves on by `step` after every `together` warp yarns. dye: albedo of the body, at most 0.5; through: share of the
+    body's light that passes the wall of a yarn; irregular: how much yarns differ (1: 4 % in their axes); power: of the
+    section |x/a|^power + |z/b|^power = 1 (2: an ellipse, more: flattened)."""
 
     use: str
     weave: str
@@ -64,6 +67,9 @@ class Cloth:
     through: float = 0.0
     irregular: float = 1.0
     seed: int = 1
+    under: int = 1
+    together: int = 1
+    power: float = 2.0
 
 
 CLOTHS = {
@@ -79,15 +85,28 @@ CLOTHS = {
                      (0.03, 0.03, 0.03), 0.5, seed=12),
     "satin-5-translucent": Cloth("unseen", "satin", 5, 3, Yarn(0.10, 0.94, 0.45, 0.15, 0.33),
                                  Yarn(0.13, 0.9, 0.5, 0.17, 0.35), (0.49, 0.45, 0.37), through=0.3, seed=13),
+    "twill-2-2": Cloth("tuned", "twill", 4, 1, Yarn(0.12, 0.92, 0.6, 0.13, 0.3), Yarn(0.14, 0.9, 0.55, 0.14, 0.3),
+                       (0.06, 0.04, 0.03), 0.5, seed=21, under=2),
+    "twill-1-2": Cloth("tuned", "twill", 3, 1, Yarn(0.14, 0.88, 0.5, 0.14, 0.3), Yarn(0.12, 0.94, 0.55, 0.11, 0.28),
+                       (0.03, 0.05, 0.04), 0.6, seed=22, under=2),
+    "basket": Cloth("tuned", "basket", 4, 2, Yarn(0.14, 0.9, 0.55, 0.14, 0.3), Yarn(0.15, 0.9, 0.55, 0.14, 0.3),
+                    (0.12, 0.1, 0.05), 0.5, seed=23, under=2, together=2),
+    "flattened": Cloth("tuned", "satin", 5, 2, Yarn(0.11, 0.95, 0.45, 0.11, 0.26), Yarn(0.14, 0.92, 0.4, 0.13, 0.3),
+                       (0.04, 0.02, 0.02), 0.35, seed=24, power=2.6),
+    "twill-3-3": Cloth("unseen", "twill", 6, 1, Yarn(0.12, 0.93, 0.55, 0.12, 0.29), Yarn(0.13, 0.92, 0.55, 0.13, 0.3),
+                       (0.02, 0.04, 0.09), 0.45, seed=31, under=3),
+    "satin-1-4": Cloth("unseen", "satin", 5, 2, Yarn(0.13, 0.9, 0.5, 0.14, 0.3), Yarn(0.11, 0.95, 0.5, 0.1, 0.27),
+                       (0.1, 0.02, 0.02), 0.6, seed=32, under=4),
+    "twill-2-2-flat": Cloth("unseen", "twill", 4, 1, Yarn(0.13, 0.93, 0.5, 0.13, 0.3),
+                            Yarn(0.15, 0.91, 0.5, 0.15, 0.32), (0.04, 0.04, 0.05), 0.45, seed=33, under=2, power=2.5),
 }  # fmt: skip
 
 
 def pattern_of(cloth: Cloth) -> np.ndarray:
-    """(harness, harness) bool, row = weft yarn, column = warp yarn: True where the warp lies on top."""
-    up = np.ones((cloth.harness, cloth.harness), bool)
-    columns = np.arange(cloth.harness)
-    up[(cloth.step * columns) % cloth.harness, columns] = False
-    return up
+    """Mark where the warp lies on top: (harness, warp yarns of a repeat) bool, row = weft yarn, column = warp yarn."""
+    side = cloth.harness // gcd(cloth.harness, cloth.step) * cloth.together
+    row, column = np.arange(cloth.harness)[:, None], np.arange(side)
+    return (row - cloth.step * (column // cloth.together)) % cloth.harness >= cloth.under
 
 
 def way(up: np.ndarray, spacing: float, amplitude: float, smooth: float, arch: float) -> np.ndarray:
@@ -115,8 +134,6 @@ def tubes(cloth: Cloth, system: str, random) -> list[tuple[np.ndarray, np.ndarra
     """(vertices, triangles, texture coordinates) of every yarn of one system in a cell of `cell_of`, lengths in mm."""
     repeats = repeats_of(cloth)
     pattern = np.tile(pattern_of(cloth), (repeats, repeats))
-    if cloth.weave == "plain":
-        pattern = np.tile(np.eye(2, dtype=bool), (repeats, repeats))
     own, other = (cloth.warp, cloth.weft) if system == "warp" else (cloth.weft, cloth.warp)
     up = pattern.T if system == "warp" else ~pattern
     share = cloth.warp_crimp if system == "warp" else 1 - cloth.warp_crimp
@@ -137,9 +154,10 @@ def tubes(cloth: Cloth, system: str, random) -> list[tuple[np.ndarray, np.ndarra
         turn = np.linspace(0, 2 * np.pi, AROUND + 1)
         a, b = own.half_width * scatter[1], own.half_width * own.aspect * scatter[2]
         tilt = 1 / np.sqrt(1 + slope**2)
-        across = aside[:, None] + a * np.cos(turn)
-        along = place[:, None] - (slope * tilt)[:, None] * b * np.sin(turn)
-        up_z = height[:, None] + tilt[:, None] * b * np.sin(turn)
+        wide, thick = (np.copysign(np.abs(f(turn)) ** (2 / cloth.power), f(turn)) for f in (np.cos, np.sin))
+        across = aside[:, None] + a * wide
+        along = place[:, None] - (slope * tilt)[:, None] * b * thick
+        up_z = height[:, None] + tilt[:, None] * b * thick
         x, y = (across, along) if system == "warp" else (along, across)
         vertices = np.stack([x, y, up_z], axis=-1).reshape(-1, 3)
         u, v = np.broadcast_arrays(place[:, None], turn * own.half_width)
@@ -160,7 +178,8 @@ def repeats_of(cloth: Cloth) -> int:
 
 def cell_of(cloth: Cloth) -> np.ndarray:
     """Extent of the irregular cell along weft and warp, mm."""
-    return repeats_of(cloth) * cloth.harness * np.array([cloth.warp.spacing, cloth.weft.spacing])
+    rows, columns = pattern_of(cloth).shape
+    return repeats_of(cloth) * np.array([columns * cloth.warp.spacing, rows * cloth.weft.spacing])
 
 
 def joined(parts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -297,7 +316,7 @@ def truth_of(parts, cloth: Cloth) -> dict:
                 kinds += [system == "weft"] * len(faces)
     vertices, faces, _ = joined(pieces)
     normals, heights, weft = from_above(vertices, faces, np.array(kinds), cell)
-    found = {"weave": cloth.weave, "harness": cloth.harness, "step": cloth.step, "use": cloth.use}
+    found = {key: getattr(cloth, key) for key in ("weave", "harness", "step", "under", "together", "use")}
     for axis, plane in enumerate(("weft", "warp")):
         angle = np.degrees(np.arctan2(np.abs(normals[:, axis]), normals[:, 2]))
         found[f"mean_slope_{plane}_deg"] = float(angle.mean())

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from nishiki.brdf.cloth.store import load_brdf, save_brdf
-from nishiki.brdf.cloth.yarn_facets import CENTRE, REACH, fit_ratio, likeness, pairs_of, ratio, shape_of, uncorrected
+from nishiki.brdf.cloth.yarn_facets import (
+    CENTRE,
+    REACH_DIFFERENCE,
+    fit_ratio,
+    likeness,
+    places_of,
+    ratio,
+    shape_of,
+    uncorrected,
+)
 from nishiki.goniometry.directions import unit
 
 
@@ -18,51 +27,52 @@ IMAGES = direction([30.0, 60.0, 45.0], [0.0, 90.0, 45.0]), direction([50.0, 20.0
 
 
 def test_images_are_met_and_far_directions_left_alone():
-    pairs = pairs_of(*IMAGES)
-    weights = fit_ratio(pairs, np.array([1.3, 0.9, 1.0]), np.ones(3), quarter=True)
-    np.testing.assert_allclose(ratio(*IMAGES, pairs, weights, True), [1.3, 0.9, 1.0], rtol=0.02)
+    places = places_of(*IMAGES)
+    weights = fit_ratio(places, np.array([1.3, 0.9, 1.0]), np.ones(3), quarter=True)
+    np.testing.assert_allclose(ratio(*IMAGES, places, weights, True), [1.3, 0.9, 1.0], rtol=0.02)
     far = direction(10.0, 0.0), direction(10.0, 180.0)
-    assert ratio(*far, pairs, weights, True) == pytest.approx(1, abs=1e-4)
+    assert ratio(*far, places, weights, True) == pytest.approx(1, abs=1e-4)
 
 
 def test_ratio_is_symmetric_and_continuous():
-    pairs = pairs_of(*IMAGES)
-    weights = fit_ratio(pairs, np.array([1.3, 0.9, 1.0]), np.ones(3), quarter=True)
+    places = places_of(*IMAGES)
+    weights = fit_ratio(places, np.array([1.3, 0.9, 1.0]), np.ones(3), quarter=True)
     rng = np.random.default_rng(1)
     theta, phi = rng.uniform(0, 85, (2, 200)), rng.uniform(0, 360, (2, 200))
     i, o = direction(theta[0], phi[0]), direction(theta[1], phi[1])
-    here = ratio(i, o, pairs, weights, True)
+    here = ratio(i, o, places, weights, True)
     assert np.ptp(here) > 0.1
-    np.testing.assert_allclose(ratio(o, i, pairs, weights, True), here, rtol=1e-12)
+    np.testing.assert_allclose(ratio(o, i, places, weights, True), here, rtol=1e-12)
     for mirror in ([-1, 1, 1], [1, -1, 1], [-1, -1, 1]):
-        np.testing.assert_allclose(ratio(i * mirror, o * mirror, pairs, weights, True), here, rtol=1e-12)
-    near = ratio(i, direction(theta[1] + 0.01, phi[1]), pairs, weights, True)
+        np.testing.assert_allclose(ratio(i * mirror, o * mirror, places, weights, True), here, rtol=1e-12)
+    near = ratio(i, direction(theta[1] + 0.01, phi[1]), places, weights, True)
     assert np.abs(near - here).max() < 1e-3
 
 
 def test_likeness_is_positive_definite_and_ends_at_its_reach():
     rng = np.random.default_rng(2)
     theta, phi = rng.uniform(0, 85, (2, 60)), rng.uniform(0, 360, (2, 60))
-    pairs = pairs_of(direction(theta[0], phi[0]), direction(theta[1], phi[1]))
+    places = places_of(direction(theta[0], phi[0]), direction(theta[1], phi[1]))
     for quarter in (True, False):
-        matrix = np.array([[likeness(a, b, quarter) for b in pairs] for a in pairs])
+        matrix = np.array([[likeness(a, b, quarter) for b in places] for a in places])
         np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
         assert np.linalg.eigvalsh(matrix).min() > -1e-9
-    light, view = direction(60.0, 0.0), direction([30.0, 80.0], 90.0)
-    assert np.linalg.norm(view[0] - view[1]) > REACH
-    assert likeness(pairs_of(light, view[:1])[0], pairs_of(light, view[1:])[0], False) == 0
+    near, far = (places_of(direction(angle, 0.0), direction(angle, 180.0))[0] for angle in (20.0, 60.0))
+    assert far[3] - near[3] > REACH_DIFFERENCE
+    assert likeness(near, far, False) == 0
+    assert likeness(near, near, False) == 1
 
 
 def test_black_images_say_nothing():
-    weights = fit_ratio(pairs_of(*IMAGES), np.array([0.0, 1.0, 1.0]), np.ones(3), quarter=False)
+    weights = fit_ratio(places_of(*IMAGES), np.array([0.0, 1.0, 1.0]), np.ones(3), quarter=False)
     assert np.abs(weights).max() < 1e-9
 
 
 def test_model_with_images_is_stored_and_reciprocal(tmp_path):
-    pairs = pairs_of(*IMAGES)
+    places = places_of(*IMAGES)
     plain = uncorrected(shape_of(CENTRE), [0.1, 0.2], [0.0, 0.0])
-    weights = fit_ratio(pairs, np.array([1.2, 0.8, 1.1]), np.ones(3), quarter=True)
-    brdf = replace(plain, images=pairs, image_weights=weights)
+    weights = fit_ratio(places, np.array([1.2, 0.8, 1.1]), np.ones(3), quarter=True)
+    brdf = replace(plain, images=places, image_weights=weights)
     i, o = IMAGES
     np.testing.assert_allclose(brdf.evaluate(i, o) / plain.evaluate(i, o), np.tile([[1.2], [0.8], [1.1]], 2), rtol=0.02)
     np.testing.assert_allclose(brdf.evaluate(i, o), brdf.evaluate(o, i), rtol=1e-9)

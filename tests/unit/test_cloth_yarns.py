@@ -17,7 +17,7 @@ from nishiki.brdf.cloth.interface import (
     solid_angles,
     together,
 )
-from nishiki.brdf.cloth.models import MODELS, fit_models
+from nishiki.brdf.cloth.models import BEST, MODELS, fit_models
 from nishiki.brdf.cloth.store import load_brdf, save_brdf
 from nishiki.brdf.cloth.yarn_facets import (
     CENTRE,
@@ -286,7 +286,7 @@ def test_known_yarns_are_predicted_from_normal_incidence_and_better_with_oblique
 def test_all_models_are_fitted_on_what_they_may_use(cloth):
     _, measured = cloth
     data = Measured.of(measured)
-    names = [name for name in MODELS if name != "yarn_facets"]
+    names = [name for name in MODELS if name not in BEST]
     fitted = fit_models(data, (measured.basic.evaluate, measured.basic.values[0]), names, oblique=6)
     normal = np.flatnonzero(data.normal)
     for name in ("bard_linear", "bard_great_circle", "facets"):

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from benchmarks.cloth_peers import Ward
 
+from nishiki.brdf.cloth.interface import gloss_of
 from nishiki.errors import UserError
 from nishiki.geometry.camera import look_at
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.cloth.around import Surroundings, lookup, openness, shares
 from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.local import disc_point
-from nishiki.render.cloth.models import dyed, gloss_alone, share_of, together
+from nishiki.render.cloth.models import dyed, share_of, together
 from nishiki.render.cloth.scene import AmbientLight, ClothScene, Lamp, Matte, Surface
 from nishiki.render.cloth.studio import framed, linear_colour
 from nishiki.render.cloth.surfaces import cylinder, paper, sheet, swatch
@@ -145,7 +146,7 @@ def test_dyes_share_their_gloss_and_are_what_the_dichromatic_model_says():
     assert np.allclose(found[0], made["red"].evaluate(incident, outgoing))
     assert np.allclose(found[1], WARD.evaluate(incident, outgoing))
     for name, values in (("red", found[0]), ("blue", found[2])):
-        exact = Dyed.of(gloss_alone(WARD), colours[name]).evaluate(incident, outgoing)
+        exact = Dyed.of(gloss_of(WARD), colours[name]).evaluate(incident, outgoing)
         assert np.abs(values - exact).max() < 0.02 * exact.max()
     # Of even light a dyed cloth returns a + albedo (1 - a).
     apart = np.abs(share_of(made["red"]) - shares(made["red"]))
@@ -264,11 +265,11 @@ def test_a_camera_that_holds_everything():
 
 
 def test_gloss_without_the_light_from_within():
-    gloss = gloss_alone(WARD)
+    gloss = gloss_of(WARD)
     assert np.all(gloss.diffuse == 0)
     assert gloss.alpha_x == WARD.alpha_x
     matte = Matte((0.3,))
-    assert gloss_alone(matte) is matte
+    assert gloss_of(matte) is matte
     assert linear_colour("#ffffff") == (1.0, 1.0, 1.0)
     assert linear_colour("#bc0000")[0] == pytest.approx(0.5029, abs=1e-4)
 

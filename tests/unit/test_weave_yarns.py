@@ -8,9 +8,9 @@ from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import unit
 from nishiki.weave.yarn_search import CENTRE, NAMES, parameters_of, search_yarns, spread, weave_of
-from nishiki.weave.yarn_weave import Binding, bindings
+from nishiki.weave.yarn_weave import HOLE, Binding, bindings, free, yarn_at
 
-SATIN = Binding("satin", 5, 2)
+SATIN, PLAIN, TWILL = Binding(4, 1, 2), Binding(1, 1), Binding(2, 1)
 
 
 def yarns(binding=SATIN, **changes):
@@ -20,41 +20,86 @@ def yarns(binding=SATIN, **changes):
     return weave_of(x, binding)
 
 
-def test_bindings_are_all_plain_twill_and_satin_weaves_without_mirror_images():
+def test_bindings_are_all_regular_weaves_without_mirror_images():
     every = bindings("unknown", 8)
-    assert every[0] == Binding("plain", 2, 1)
+    assert every[0] == PLAIN
     assert len(set(every)) == len(every)
-    assert [(b.harness, b.step) for b in every if b.weave == "satin"] == [(5, 2), (7, 2), (7, 3), (8, 3)]
-    assert [b.harness for b in every if b.weave == "twill"] == [3, 4, 5, 6, 7, 8]
+    patterns = set()
+    for binding in every:
+        pattern = binding.pattern()
+        assert pattern.mean() == pytest.approx(binding.over / binding.harness)
+        wide = np.tile(pattern, (24 // len(pattern), 24))[:, :24]
+        same = {
+            np.roll(wide[:, ::side], (a, b), (0, 1)).tobytes() for side in (1, -1) for a in range(8) for b in range(8)
+        }
+        assert not same & patterns, binding
+        patterns.add(wide.tobytes())
+    found = {(b.over, b.under, b.step) for b in every if b.weave == "satin" and b.under == 1}
+    assert found == {(4, 1, 2), (6, 1, 2), (6, 1, 3), (7, 1, 3)}
+    assert {(2, 2), (3, 3), (1, 2), (2, 1)} <= {(b.over, b.under) for b in every if b.weave == "twill"}
+    assert sum(b.weave == "basket" for b in every) == 2
+    assert sum(b.weave == "rib" for b in every) == 4
     assert bindings("satin", harness=6) == []
-    assert bindings("plain") == [Binding("plain", 2, 1)]
-    assert [str(b).split()[0] for b in bindings("unknown", harness=5)] == ["twill", "satin"]
+    assert bindings("plain") == [PLAIN]
+    assert {b.weave for b in bindings("unknown", harness=5)} == {"twill", "satin"}
 
 
-@pytest.mark.parametrize("binding", [Binding("plain", 2, 1), Binding("twill", 4, 1), SATIN])
+EVERY_KIND = [PLAIN, Binding(3, 1), Binding(2, 2), Binding(1, 2), SATIN, Binding(2, 2, 2), Binding(1, 1, 1, 2),
+              Binding(2, 2, 2, 2)]  # fmt: skip
+
+
+@pytest.mark.parametrize("binding", EVERY_KIND, ids=str)
 def test_the_surface_repeats_with_the_step_of_the_binding(binding):
     surface = yarns(binding).surface(20)
     height = surface.height[:-1, :-1]
-    moved = np.roll(np.roll(height, 20, axis=1), 20 * binding.step, axis=0)
+    moved = np.roll(np.roll(height, 20 * binding.together, axis=1), 20 * binding.step, axis=0)
     np.testing.assert_allclose(moved, height, atol=1e-9)
-    np.testing.assert_array_equal(np.sum(~surface.pattern, axis=0), 1)
-    rows, columns = np.nonzero(~surface.pattern)
-    assert not surface.is_warp[rows * 20 + 10, columns * 20 + 10].any()  # the weft is up at every binding
-    assert surface.is_warp.mean() == pytest.approx(1 - 1 / binding.harness, abs=0.12)
+    np.testing.assert_array_equal(np.sum(~surface.pattern, axis=0), binding.under)
+    rows, columns = np.indices(surface.pattern.shape) * 20 + 10
+    np.testing.assert_array_equal(surface.is_warp[rows, columns], surface.pattern)  # where yarns cross
+    assert surface.is_warp.mean() == pytest.approx(binding.over / binding.harness, abs=0.15)
+
+
+@pytest.mark.parametrize("binding", EVERY_KIND, ids=str)
+def test_slopes_are_those_of_the_heights(binding):
+    form, step = yarns(binding, arch=0.02).form, 1e-6
+    places = np.random.default_rng(3).uniform(-4, 4, (200, 2))
+    for kind in (0, 1):
+        for x, y in places:
+            height, along_x, along_y = yarn_at(x, y, form, kind)
+            if height == HOLE or max(abs(along_x), abs(along_y)) > 3:
+                continue
+            left, right = (yarn_at(x + s, y, form, kind)[0] for s in (-step, step))
+            low, high = (yarn_at(x, y + s, form, kind)[0] for s in (-step, step))
+            assert (right - left) / (2 * step) == pytest.approx(along_x, abs=2e-3)
+            assert (high - low) / (2 * step) == pytest.approx(along_y, abs=2e-3)
+
+
+@pytest.mark.parametrize("binding", EVERY_KIND, ids=str)
+def test_yarns_touch_where_they_cross(binding):
+    """At a crossing the middles of both yarns lie as far from each other as they are thick together."""
+    weave = yarns(binding)
+    form, pattern = weave.form, binding.pattern()
+    apart = []
+    for row, column in np.ndindex(*pattern.shape):
+        warp, weft = (yarn_at(float(column), row * weave.spacing_ratio, form, kind)[0] for kind in (0, 1))
+        middles = warp - form.half_thickness[0] - (weft - form.half_thickness[1])
+        assert (middles > 0) == pattern[row, column]
+        apart.append(abs(middles) / form.half_thickness.sum())
+    assert max(apart) == pytest.approx(1, abs=0.05)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("theta_deg", [0, 30, 60, 75])
-@pytest.mark.parametrize("binding", [Binding("plain", 2, 1), Binding("twill", 3, 1), SATIN])
+@pytest.mark.parametrize("binding", [PLAIN, TWILL, SATIN])
 def test_what_is_seen_fills_the_view_from_everywhere(binding, theta_deg):
     """The visible surface, projected towards any direction, covers the cloth's own projection exactly once."""
-    from nishiki.weave.yarn_weave import _free
-
     points, _, horizons = yarns(binding, soft=np.log(0.01)).points((40, 30))
     for phi_deg in (0, 40, 90):
         towards = unit(np.radians(theta_deg), np.radians(phi_deg))
         cosine = points[:, :3] @ towards
-        seen = np.array([_free(horizons, p, towards, 0.01) if cosine[p] > 0 else 0.0 for p in range(len(points))])
+        seen = np.empty(len(points))
+        free(horizons, towards, 0.01, seen)
         assert np.sum(points[:, 9] * seen * np.maximum(cosine, 0)) / towards[2] == pytest.approx(
             1, abs=0.06 if theta_deg < 70 else 0.1
         )
@@ -65,7 +110,7 @@ def test_reflection_is_reciprocal_and_dark_below_the_horizon():
     i, o = rng.normal(size=(2, 50, 3))
     i, o = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (i, o))
     weave = yarns()
-    there, back = weave.parts(i, o), weave.parts(o, i)
+    there, back = weave.parts(i, o, weave.points()), weave.parts(o, i, weave.points())
     np.testing.assert_allclose(there, back, rtol=1e-9)
     assert np.all(there[(i[:, 2] <= 0) | (o[:, 2] <= 0)] == 0)
     assert np.all(np.isfinite(there))
@@ -88,19 +133,20 @@ def measured_of(weave, *, body=0.05, normal_only=False):
         aside = unit(theta.ravel(), phi.ravel())
         for lamp in unit(np.radians([30.0, 60.0]), np.radians([0.0, 90.0])):
             views, light = np.concatenate([views, aside]), np.concatenate([light, np.tile(lamp, (len(aside), 1))])
-    terms = weave.parts(light, views, (24, 16))
-    values = terms[:, :1] + body * terms[:, 1:]
+    terms = weave.parts(light, views, weave.points((24, 16)))
+    values = terms[:, :1] + terms[:, 2:3] + body * (terms[:, 1:2] + terms[:, 3:])
     return Measured(light, views, values, light[:, 2] > 0.9999, True)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "binding",
-    [*(pytest.param(Binding(*one), marks=pytest.mark.long) for one in (("plain", 2, 1), ("twill", 3, 1))), SATIN],
+    [*(pytest.param(one, marks=pytest.mark.long) for one in (PLAIN, TWILL)), Binding(2, 2), SATIN],
+    ids=str,
 )
 def test_search_finds_the_weave_and_its_yarns(binding):
     truth = yarns(binding, aspect_warp=np.log(0.7), rough_across_warp=np.log(0.24), crimp=0.1)
-    search = search_yarns(measured_of(truth), [Binding("plain", 2, 1), Binding("twill", 3, 1), SATIN])
+    search = search_yarns(measured_of(truth), dict.fromkeys([PLAIN, TWILL, SATIN, binding]))
     assert search.best.binding == binding
     assert search.alike == [binding]
     assert search.best.rms_rel < 0.03
@@ -118,7 +164,7 @@ def test_a_matt_cloth_tells_nothing_of_its_weave():
     matt = measured_of(yarns(), body=0.0)
     flat = Measured(matt.incident, matt.outgoing, np.full_like(matt.values, 0.1), matt.normal, True)
     flat.values[:] *= 1 + 0.02 * np.random.default_rng(0).standard_normal(flat.values.shape)
-    search = search_yarns(flat, [Binding("plain", 2, 1), SATIN])
+    search = search_yarns(flat, [PLAIN, SATIN])
     assert not search.best.explains
     assert not any(number["determined"] for number in parameters_of(search.best, confidence=0.95).values())
 

@@ -481,7 +481,8 @@ def fit_cloth(
 ):
     """Fit a reflection model of a woven cloth to measured reflectances.
 
-    Every model needs measurements that are lit along the normal; `yarn_facets` and `bard_scaled` also use oblique ones.
+    Every model needs measurements that are lit along the normal; `yarns`, `yarn_facets` and
+    `bard_scaled` also use oblique ones.
 
     Parameters
     ----------
@@ -491,7 +492,8 @@ def fit_cloth(
     values : (n, channels) array_like of float
         Bidirectional reflectance, in 1 / sr, zero or more. (n,) is taken as one channel.
     model : str, optional
-        `yarn_facets`, `facets`, `bard_linear`, `bard_great_circle` or `bard_scaled`.
+        `yarns` (interlaced yarns, whose weave is searched: about half a minute), `yarn_facets`, `facets`,
+        `bard_linear`, `bard_great_circle` or `bard_scaled`.
     symmetry : {'quarter', 'half', 'none'}, optional
         Symmetry of the reflectance at normal incidence: two mirror planes, a half turn, or none.
     oblique : int, optional
@@ -551,4 +553,11 @@ def fit_cloth(
     measured = ReflectanceSet.of(np.asarray(incident), np.asarray(outgoing), np.asarray(values), symmetry=symmetry)
     measured = complete(measured)[0]
     basic = (measured.basic.evaluate, measured.basic.values[0])
-    return fit_models(Measured.of(measured), basic, (model,), oblique=oblique)[model].brdf
+    of, yarns = Measured.of(measured), None
+    if model == "yarns":
+        from nishiki.weave.yarn_search import search_yarns
+        from nishiki.weave.yarn_weave import bindings
+
+        best = search_yarns(of, bindings()).best
+        yarns = best.brdf, {"rms_rel_normal": best.rms_rel}
+    return fit_models(of, basic, (model,), oblique=oblique, yarns=yarns)[model].brdf

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from nishiki.brdf.cloth.store import load_brdf
 from nishiki.errors import UserError
 from nishiki.weave.fit import LOBES, READINGS, Plane, WeaveFit, WeaveModel
 from nishiki.weave.model import WeaveBrdf
 from nishiki.weave.section import WarpSection, WeftSection
 from nishiki.weave.yarn_search import YarnSearch, parameters_of
+from nishiki.weave.yarn_weave import InterlacedYarns
 
 NAME = "weave.json"
 FORMAT = 1
@@ -53,6 +55,9 @@ def describe_yarns(search: YarnSearch, *, confidence: float) -> dict:
         "weave": best.binding.weave,
         "harness": best.binding.harness,
         "step": best.binding.step,
+        "over": best.binding.over,
+        "under": best.binding.under,
+        "together": best.binding.together,
         "alike": [str(binding) for binding in search.alike],
         "ranking": [{"binding": str(binding), "cost": round(cost, 2)} for binding, cost in search.ranking],
         "rms_rel": best.rms_rel,
@@ -76,6 +81,11 @@ def curves(model: WeaveModel, name: str, plane: Plane) -> dict:
     }
 
 
+def yarns_file(region: str) -> str:
+    """Return the name of the file that holds a region's interlaced yarns as a reflection model."""
+    return f"yarns_{region}.npz"
+
+
 def write_weave(folder: Path, regions: dict[str, dict]) -> None:
     """Write the entries of `describe` by region; the first is the default."""
     text = json.dumps({"format": FORMAT, "regions": regions}, indent=1, allow_nan=False)
@@ -87,7 +97,8 @@ class Weave:
 
     def __init__(self, folder: Path | str, region: str | int = 0):
         """region : name, or number in order. UserError where the file is missing, of another format, or the region."""
-        path = Path(folder) / NAME
+        self.folder = Path(folder)
+        path = self.folder / NAME
         try:
             stored = json.loads(path.read_text())
             names = list(stored["regions"])
@@ -115,8 +126,16 @@ class Weave:
             d["lobe"],
         )
 
+    def yarns(self) -> tuple[InterlacedYarns, dict] | None:
+        """Load the interlaced yarns as an uncorrected BRDF, and facts of their fit; None where none were fitted."""
+        found = self.details["yarns"]
+        if not found:
+            return None
+        facts = {"rms_rel_normal": found["rms_rel"], "binding": found["alike"][0], "determined": found["determined"]}
+        return load_brdf(self.folder / yarns_file(self.region)), facts
+
     def brdf(self) -> WeaveBrdf:
-        """Return the model as a BRDF of the whole hemisphere."""
+        """Return the sections as a BRDF of the whole hemisphere."""
         return brdf_of(self.model)
 
 

@@ -1,28 +1,29 @@
 """Model interlaced yarns of elliptical section: their surface, and what it reflects.
 
 Lengths are in spacings of the warp yarns; x along the weft, y along the warp. A warp yarn of half width a1 and half
-thickness b1 lies above the weft but for one binding a repeat of `harness` weft yarns; the binding moves on by `step`
-from yarn to yarn (plain 2 and 1, twill 1, satin more). At a crossing both yarns touch: the sum of their half
-thicknesses is shared between the amplitudes of warp and weft. Every warp yarn's surroundings are those of its
-neighbour, moved along, so one column of the repeat stands for the cloth.
+thickness b1 lies below some weft yarns of a repeat and above the others, as the `Binding` says. At a crossing both
+yarns touch: the sum of their half thicknesses is shared between the amplitudes of warp and weft. A warp yarn's
+surroundings are those of its neighbour, moved along, so the columns of a few warp yarns stand for the cloth.
 
     f(i, o) = 1 / (i_z o_z) sum_p w(p) / p_z V(p, i) V(p, o) (p.i)(p.o) (m + body / pi (1 - F(p.i))(1 - F(p.o)))
 
-over points p of that column; m is the reflection of anisotropic GGX facets about p, as in `brdf.cloth.yarn_facets`. V
-follows from the horizon of each point, marched over the surface. Light that has passed through yarns leaves the cloth
-evenly: a Lambert term beside the two.
+over points p of these columns; m is the reflection of anisotropic GGX facets about p, as in `brdf.cloth.yarn_facets`.
+V follows from the horizon of each point, marched over the surface. Light that has passed through yarns leaves the
+cloth evenly: a Lambert term beside the two.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from functools import cached_property
 from math import gcd
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numba import njit
 
-from nishiki.brdf.cloth.yarn_facets import facet_reflection
+from nishiki.brdf.cloth.yarn_facets import FEWEST_ROWS, YarnFacets, facet_reflection
 from nishiki.brdf.torrance_sparrow import fresnel_scalar
+from nishiki.threads import STRIPS_A_THREAD, over_items, threads
 from nishiki.weave.section import Surface
 
 HALF_PI = 0.5 * math.pi
@@ -31,90 +32,119 @@ HOLE = -9.0  # height where no yarn lies
 NORMAL, ALONG, ACROSS, WEIGHT, COLUMNS = 0, 3, 6, 9, 10
 SHORTEST, GROWTH, STEPS = 0.04, 1.26, 20  # of a ray over the surface, in spacings: to 3.2
 STEEPEST = 20.0  # slope to which the sides of a section are followed
+REACHED = 2  # crossings to either side that count where a yarn changes sides
 BLEND = 0.015  # height over which warp and weft pass into each other where they cross, so that sums are smooth
 LEAST = 1e-3  # share of a place below which a yarn is left out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def bump(d, spacing, period, soft):
-    """How far a yarn has changed sides at distance d from its binding, 1 there and 0 half a period away; its slope."""
-    d = d - period * math.floor(d / period + 0.5)
-    half, far = 0.5 * spacing, 0.5 * period
-    low = math.tanh((far + half) / soft) - math.tanh((far - half) / soft)
-    top = 2.0 * math.tanh(half / soft)
-    right, left = math.tanh((d + half) / soft), math.tanh((d - half) / soft)
-    slope = ((1.0 - right * right) - (1.0 - left * left)) / soft
-    return (right - left - low) / (top - low), slope / (top - low)
+class Form(NamedTuple):
+    """What the compiled functions take of a weave; lengths in warp spacings.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def warp_at(x, y, form):
-    """Height of the warp yarn's upper side at (x, y), and its slopes along x and y; HOLE beside it.
-
-    form = (harness, step, q, a1, b1, a2, b2, amplitude 1, amplitude 2, soft, arch), lengths in warp spacings.
+    up: (rows, columns) 1 where the warp lies on top, else -1, a whole repeat; warp_middle (columns,), weft_middle
+    (rows,): middle of a yarn's one stretch below (warp) or above (weft) the others, in crossings; low, high: (2,) least
+    and largest smoothed side of warp and weft at their crossings; arch (2,): rise of a float.
     """
-    harness, q, a1, b1 = form[0], form[2], form[3], form[4]
-    period = harness * q
-    column = math.floor(x + 0.5)
-    u = (x - column) / a1
+
+    up: np.ndarray
+    warp_middle: np.ndarray
+    weft_middle: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    ratio: float
+    half_width: np.ndarray
+    half_thickness: np.ndarray
+    amplitude: np.ndarray
+    arch: np.ndarray
+    bend: float
+    step: int
+    together: int
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def side_of(up, place, bend):
+    """Compute how far a yarn is on one side at `place` in crossings, -1 to 1, and its slope.
+
+    A yarn changes sides half-way between two crossings, within `bend` crossings to either side of it, along a smooth
+    step of fifth degree; elsewhere it lies flat. up: (n,) 1 or -1 at the crossings 0 .. n - 1, repeated without end.
+    """
+    count = up.size
+    near = math.floor(place + 0.5)
+    side = up[(near - REACHED) % count]
+    total, slope = side, 0.0
+    for k in range(near - REACHED, near + REACHED):
+        following = up[(k + 1) % count]
+        if following != side:
+            t = min(max((place - k - 0.5) / bend, -1.0), 1.0)
+            square = t * t
+            total += 0.5 * (following - side) * (1.0 + t * (1.875 - square * (1.25 - 0.375 * square)))
+            slope += 0.9375 * (following - side) * (1.0 - square) ** 2 / bend
+            side = following
+    return total, slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def yarn_at(x, y, form, kind):
+    """Compute the height of the upper side of the warp (kind 0) or weft yarn (1) at (x, y), its slopes along x and y.
+
+    The height is HOLE where the yarn does not lie.
+    """
+    across, along, spacing, pace = (x, y, 1.0, form.ratio) if kind == 0 else (y, x, form.ratio, 1.0)
+    number = math.floor(across / spacing + 0.5)
+    u = (across - number * spacing) / form.half_width[kind]
     if abs(u) >= 1.0:
         return HOLE, 0.0, 0.0
-    d = y - form[1] * column * q
-    share, slope = bump(d, q, period, form[9] * q)
-    root = math.sqrt(1.0 - u * u)
-    turn = 2.0 * math.pi / period
-    arch = 0.5 * form[10] * period if harness > 2.0 else 0.0
-    height = form[7] * (1.0 - 2.0 * share) + arch * (1.0 - math.cos(turn * d)) + b1 * root
-    across = -b1 * u / (a1 * max(root, 1e-9))
-    along = -2.0 * form[7] * slope + arch * turn * math.sin(turn * d)
-    return height, max(min(across, STEEPEST), -STEEPEST), along
+    rows, columns = form.up.shape
+    if kind == 0:
+        column = int(number) % columns
+        side, slope = side_of(form.up[:, column], along / pace, form.bend)
+        middle, period = form.warp_middle[column], rows
+    else:
+        row = int(number) % rows
+        side, slope = side_of(form.up[row], along / pace, form.bend)
+        side, slope = -side, -slope
+        middle, period = form.weft_middle[row] + 0.5 * columns, columns
+    scale = 2.0 / (form.high[kind] - form.low[kind])
+    turn = 2.0 * math.pi / (period * pace)
+    rise = 0.5 * form.arch[kind] * period * pace
+    turned = turn * (along - middle * pace)
+    root, thickness = math.sqrt(1.0 - u * u), form.half_thickness[kind]
+    height = form.amplitude[kind] * (scale * (side - form.low[kind]) - 1.0)
+    height += rise * (1.0 - math.cos(turned)) + thickness * root
+    steep = max(min(-thickness * u / (form.half_width[kind] * max(root, 1e-9)), STEEPEST), -STEEPEST)
+    slope = form.amplitude[kind] * scale * slope / pace + rise * turn * math.sin(turned)
+    return (height, steep, slope) if kind == 0 else (height, slope, steep)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def weft_at(x, y, form, binding):
-    """Compute height and slope of the weft yarns; binding[k]: the column at which weft yarn k comes up."""
-    q, a2, b2 = form[2], form[5], form[6]
-    row = math.floor(y / q + 0.5)
-    v = (y - row * q) / a2
-    if abs(v) >= 1.0:
-        return HOLE, 0.0, 0.0
-    share, slope = bump(x - binding[int(row) % binding.size], 1.0, form[0], form[9])
-    root = math.sqrt(1.0 - v * v)
-    height = -form[8] * (1.0 - 2.0 * share) + b2 * root
-    across = -b2 * v / (a2 * max(root, 1e-9))
-    return height, 2.0 * form[8] * slope, max(min(across, STEEPEST), -STEEPEST)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def height_field(x, y, form, binding, height, is_warp):
+def height_field(x, y, form, height, is_warp):
     """Fill height (y, x) and is_warp with the upper side of the cloth at places x and y; HOLE where no yarn lies."""
     for row in range(y.size):
         for column in range(x.size):
-            warp = warp_at(x[column], y[row], form)[0]
-            weft = weft_at(x[column], y[row], form, binding)[0]
+            warp = yarn_at(x[column], y[row], form, 0)[0]
+            weft = yarn_at(x[column], y[row], form, 1)[0]
             height[row, column] = max(warp, weft)
             is_warp[row, column] = warp >= weft
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def height_table(form, binding, table):
-    """Fill table (m, length) with heights over one warp yarn's column: x in -0.5 .. 0.5, y over a period."""
+def height_table(form, table):
+    """Fill table (m, length) with heights over the columns that stand for the cloth, x from -0.5, y over a period."""
     rows, columns = table.shape
     for k in range(rows):
         for j in range(columns):
-            x, y = (k + 0.5) / rows - 0.5, j / columns * form[0] * form[2]
-            table[k, j] = max(warp_at(x, y, form)[0], weft_at(x, y, form, binding)[0])
+            x, y = (k + 0.5) / rows * form.together - 0.5, j / columns * form.up.shape[0] * form.ratio
+            table[k, j] = max(yarn_at(x, y, form, 0)[0], yarn_at(x, y, form, 1)[0])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _looked_up(x, y, form, table):
-    """Height from the table; every column is the first one, moved along by the step of the weave."""
+    """Height from the table; the columns beside those are the same, moved along by the step of the weave."""
     rows, columns = table.shape
-    column = math.floor(x + 0.5)
-    across = (x - column + 0.5) * rows - 0.5
-    along = (y / form[2] - form[1] * column) / form[0]
+    group = math.floor((x + 0.5) / form.together)
+    across = ((x + 0.5) / form.together - group) * rows
+    along = (y / form.ratio - form.step * group) / form.up.shape[0]
     along = (along - math.floor(along)) * columns
-    k = min(max(math.floor(across + 0.5), 0), rows - 1)
+    k = min(int(across), rows - 1)
     j = int(along)
     share = along - j
     j = j % columns
@@ -122,7 +152,7 @@ def _looked_up(x, y, form, table):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def points_of(form, binding, places, table, points, which, horizons):
+def points_of(form, places, table, points, which, horizons):
     """Fill points (2 n, COLUMNS), which (2 n,), horizons (2 n, azimuths) at places (n, 3) = x, y, share of the plane.
 
     A place has a point on the warp and one on the weft, weighted by which of the two lies higher.
@@ -130,7 +160,7 @@ def points_of(form, binding, places, table, points, which, horizons):
     count, azimuths = places.shape[0], horizons.shape[1]
     for p in range(2 * count):
         x, y, share = places[p % count, 0], places[p % count, 1], places[p % count, 2]
-        warp, weft = warp_at(x, y, form), weft_at(x, y, form, binding)
+        warp, weft = yarn_at(x, y, form, 0), yarn_at(x, y, form, 1)
         z, dx, dy = warp if p < count else weft
         above = z - (weft[0] if p < count else warp[0])
         share *= 1.0 / (1.0 + math.exp(-min(max(above / BLEND, -40.0), 40.0)))
@@ -162,57 +192,64 @@ def points_of(form, binding, places, table, points, which, horizons):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _free(horizons, p, direction, soft):
-    """Share of a point's surroundings that lets a direction through."""
+def free(horizons, direction, soft, out):
+    """Fill out (n,) with the share of each point's surroundings that lets a direction through.
+
+    Everything that is a point is seen from above, so along the normal it is 1.
+    """
     azimuths = horizons.shape[1]
+    flat = math.hypot(direction[0], direction[1])
+    if flat < 1e-6:
+        out[:] = 1.0
+        return
     place = math.atan2(direction[1], direction[0]) / (2.0 * math.pi) * azimuths
     place -= azimuths * math.floor(place / azimuths)
     low = int(place)
     share = place - low
     low = low % azimuths
-    horizon = horizons[p, low] * (1.0 - share) + horizons[p, (low + 1) % azimuths] * share
-    up = math.atan2(direction[2], math.hypot(direction[0], direction[1]))
-    u = min(max(0.5 + 0.5 * (up - horizon) / soft, 0.0), 1.0)
-    return u * u * (3.0 - 2.0 * u)
+    high = (low + 1) % azimuths
+    up = math.atan2(direction[2], flat)
+    for p in range(out.size):
+        horizon = horizons[p, low] * (1.0 - share) + horizons[p, high] * share
+        u = min(max(0.5 + 0.5 * (up - horizon) / soft, 0.0), 1.0)
+        out[p] = u * u * (3.0 - 2.0 * u)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def weave_sums(incident, outgoing, surface, rough, index, soft, out):
-    """Fill out (n, 2): mirror reflection and white body, 1/sr; rough (2, 2) along and across the fibres of warp, weft.
+def weave_sums(incident, outgoing, surface, rough, tail, index, soft, out):
+    """Fill out (n, 4), 1/sr, with mirror reflection and white body of the warp, then of the weft.
 
-    surface: `YarnWeave.points`.
+    surface: `YarnWeave.points`; rough: (2, 2) roughness along and across the fibres of warp and weft; tail: see
+    `facet_reflection`.
     """
     points, which, horizons = surface
+    lit, seen = np.empty(points.shape[0]), np.empty(points.shape[0])
     for k in range(incident.shape[0]):
         i, o = incident[k], outgoing[k]
-        out[k, 0] = out[k, 1] = 0.0
+        out[k, :] = 0.0
         if not (i[2] > 0.0 and o[2] > 0.0):
             continue
         hx, hy, hz = i[0] + o[0], i[1] + o[1], i[2] + o[2]
         length = math.sqrt(hx * hx + hy * hy + hz * hz)
         hx, hy, hz = hx / length, hy / length, hz / length
         fresnel = 0.5 * fresnel_scalar(min(0.5 * length, 1.0), index)
-        mirror = body = 0.0
-        upright = i[0] * i[0] + i[1] * i[1] < 1e-12
+        free(horizons, i, soft, lit)
+        free(horizons, o, soft, seen)
         for p in range(points.shape[0]):
-            if which[p] == 0:
-                continue
             a = points[p]
             ci = a[0] * i[0] + a[1] * i[1] + a[2] * i[2]
             co = a[0] * o[0] + a[1] * o[1] + a[2] * o[2]
-            if ci <= 0.0 or co <= 0.0:
+            share = a[WEIGHT] * lit[p] * seen[p]
+            if ci <= 0.0 or co <= 0.0 or share <= 0.0:
                 continue
-            seen = a[9] * _free(horizons, p, o, soft)
-            if not upright:
-                seen *= _free(horizons, p, i, soft)
-            if seen <= 0.0:
-                continue
-            ra, rc = rough[which[p] - 1, 0], rough[which[p] - 1, 1]
-            facets = facet_reflection(a, i, o, (hx, hy, hz), ci, co, ra, rc)
-            mirror += seen * fresnel * facets
-            body += seen * ci * co * (1.0 - fresnel_scalar(ci, index)) * (1.0 - fresnel_scalar(co, index))
-        scale = 1.0 / (i[2] * o[2])
-        out[k, 0], out[k, 1] = scale * mirror, scale * body / math.pi
+            family = which[p] - 1
+            ra, rc = rough[family, 0], rough[family, 1]
+            facets = facet_reflection(a, i, o, (hx, hy, hz), ci, co, (ra, rc), tail)
+            out[k, 2 * family] += share * fresnel * facets
+            through = (1.0 - fresnel_scalar(ci, index)) * (1.0 - fresnel_scalar(co, index))
+            out[k, 2 * family + 1] += share * ci * co * through / math.pi
+        for column in range(4):
+            out[k, column] /= i[2] * o[2]
 
 
 AZIMUTHS = 24  # of a point's horizon
@@ -225,33 +262,59 @@ INDEX = 1.54
 
 @dataclass(frozen=True)
 class Binding:
-    """weave: plain, twill or satin; harness: yarns of a repeat; step: shift of the binding from yarn to yarn."""
+    """Describe how warp and weft cross.
 
-    weave: str
-    harness: int
-    step: int
+    A warp yarn lies above `over` weft yarns, then below `under`; the place moves on by `step` weft yarns after every
+    `together` warp yarns.
+    """
+
+    over: int
+    under: int
+    step: int = 1
+    together: int = 1
+
+    @property
+    def harness(self) -> int:
+        """Weft yarns of a repeat."""
+        return self.over + self.under
+
+    @property
+    def weave(self) -> str:
+        """Name of the kind: plain, twill, satin, rib or basket."""
+        if self.together > 1 or gcd(self.step, self.harness) > 1:
+            return "basket" if self.step == self.together == self.over == self.under else "rib"
+        return "plain" if self.harness == 2 else "twill" if self.step == 1 else "satin"
 
     def __str__(self) -> str:
         if self.weave == "plain":
             return "plain weave"
-        return f"{self.weave} of {self.harness} yarns" + (f", step {self.step}" if self.step > 1 else "")
+        step = f", step {self.step}" if self.weave == "satin" else ""
+        several = f", {self.together} warp yarns together" if self.weave == "rib" and self.together > 1 else ""
+        return f"{self.over}/{self.under} {self.weave}{step}{several}"
 
-    def columns(self) -> np.ndarray:
-        """(harness,) warp yarn that lies below each weft yarn of a repeat."""
-        out = np.empty(self.harness)
-        out[(self.step * np.arange(self.harness)) % self.harness] = np.arange(self.harness)
-        return out
+    def pattern(self) -> np.ndarray:
+        """Mark where the warp lies on top in a repeat: (weft yarns, warp yarns) bool."""
+        columns = self.harness // gcd(self.step, self.harness) * self.together
+        row, column = np.arange(self.harness)[:, None], np.arange(columns)
+        return (row - self.step * (column // self.together)) % self.harness >= self.under
 
 
-def bindings(weave: str = "unknown", most: int = 10, harness: int | None = None) -> list[Binding]:
-    """Every plain weave, twill and satin with at most `most` yarns a repeat; mirror images count as one."""
-    out = [Binding("plain", 2, 1)]
+PLAIN = Binding(1, 1)
+DERIVED = (  # ribs and baskets: plain weave with yarns that go two or three together
+    Binding(2, 2, 2), Binding(1, 1, 1, 2), Binding(2, 2, 2, 2),
+    Binding(3, 3, 3), Binding(1, 1, 1, 3), Binding(3, 3, 3, 3),
+)  # fmt: skip
+
+
+def bindings(weave: str = "unknown", most: int = 8, harness: int | None = None) -> list[Binding]:
+    """List every regular weave with at most `most` yarns a repeat, by rising harness; mirror images count as one."""
+    every = [PLAIN]
     for yarns in range(3, most + 1) if harness is None else (harness,):
-        out += [Binding("twill", yarns, 1)] if yarns > 2 else []
-        out += [Binding("satin", yarns, step) for step in range(2, yarns // 2 + 1) if gcd(step, yarns) == 1]
-    if harness is not None:
-        out = [one for one in out if one.harness == harness]
-    return [one for one in out if weave in ("unknown", one.weave)]
+        steps = [step for step in range(1, yarns // 2 + 1) if gcd(step, yarns) == 1] if yarns > 2 else []
+        every += [Binding(yarns - under, under, step) for under in range(1, yarns) for step in steps]
+    every += [one for one in DERIVED if one.harness <= most]
+    every = [one for one in every if harness in (None, one.harness) and weave in ("unknown", one.weave)]
+    return sorted(every, key=lambda one: one.harness)
 
 
 def _over_a_yarn(half_width: float, spacing: float, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -266,6 +329,19 @@ def _over_a_yarn(half_width: float, spacing: float, count: int) -> tuple[np.ndar
     return np.concatenate([on, beside]), np.concatenate([share, np.full(GAP, gap / GAP / spacing)])
 
 
+def _middles(crossed: np.ndarray) -> np.ndarray:
+    """Find the middle of each yarn's one stretch of crossings that are True, in crossings; NaN where it has several.
+
+    crossed: (yarns, crossings) bool, periodic.
+    """
+    out = np.full(len(crossed), np.nan)
+    for k, yarn in enumerate(crossed):
+        starts = np.flatnonzero(yarn & ~np.roll(yarn, 1))
+        if starts.size == 1:
+            out[k] = starts[0] + 0.5 * (yarn.sum() - 1)
+    return out
+
+
 @dataclass(frozen=True)
 class YarnWeave:
     """Describe a weave of elliptical yarns."""
@@ -277,63 +353,80 @@ class YarnWeave:
     crimp: float  # the warp's share of the amplitudes
     bend: float  # length on which a yarn changes sides, in spacings of the crossed yarns
     arch: float  # rise of a float over its period
-    rough: np.ndarray  # (2, 2): GGX roughness of warp and weft along and across the fibres
+    rough: np.ndarray  # (2, 2): roughness of warp and weft along and across the fibres
+    tail: float  # share of GGX's long tails in the facets' distribution
     gain: float  # of the gloss
     soft: float  # radians, scatter of the horizons, for yarns differ
     index: float = INDEX
 
-    @cached_property
-    def form(self) -> np.ndarray:
-        """What the compiled functions take."""
-        q = self.spacing_ratio
-        a1, a2 = 0.5 * self.fill[0], 0.5 * self.fill[1] * q
-        b1, b2 = a1 * self.aspect[0], a2 * self.aspect[1]
-        both = b1 + b2
-        return np.array([
-            self.binding.harness, self.binding.step, q, a1, b1, a2, b2, self.crimp * both, (1 - self.crimp) * both,
-            self.bend, self.arch,
-        ])  # fmt: skip
+    def as_arrays(self) -> dict[str, np.ndarray]:
+        """Return the numbers by name, the binding as (over, under, step, together)."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: np.array(value) for name, value in (values | {"binding": astuple(self.binding)}).items()}
 
-    def points(
-        self, density: tuple[int, int] = (POINTS_ACROSS, POINTS_ALONG)
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points of one column: (n, COLUMNS), which yarn (n,), horizons (n, AZIMUTHS)."""
+    @classmethod
+    def from_arrays(cls, arrays) -> Self:
+        """Restore what `as_arrays` returned."""
+        values = {field.name: arrays[field.name] for field in fields(cls)}
+        values = {name: value if np.ndim(value) else float(value) for name, value in values.items()}
+        return cls(**values | {"binding": Binding(*map(int, arrays["binding"]))})
+
+    @cached_property
+    def form(self) -> Form:
+        """What the compiled functions take."""
+        pattern = self.binding.pattern()
+        up = np.where(pattern, 1.0, -1.0)
+        half_width = 0.5 * self.fill * [1.0, self.spacing_ratio]
+        half_thickness = half_width * self.aspect
+        sides = [np.array([side_of(yarn, k, self.bend)[0] for k in range(yarn.size)]) for yarn in (up[:, 0], -up[0])]
+        low, high = (np.array([end(side) for side in sides]) for end in (np.min, np.max))
+        warp_middle, weft_middle = _middles(~pattern.T), _middles(~pattern)
+        floats = np.array([self.binding.over > 1, self.binding.under > 1 and not np.isnan(weft_middle[0])])
+        amplitude = np.array([self.crimp, 1 - self.crimp]) * half_thickness.sum()
+        return Form(
+            up, warp_middle, np.nan_to_num(weft_middle), low, high, self.spacing_ratio, half_width,
+            half_thickness, amplitude, self.arch * floats, self.bend,
+            self.binding.step, self.binding.together,
+        )  # fmt: skip
+
+    def points(self, density: tuple[int, int] = (POINTS_ACROSS, POINTS_ALONG)):
+        """Points of the columns that stand for the cloth: (n, COLUMNS), which yarn (n,), horizons (n, AZIMUTHS)."""
         across, along = density
-        q, harness, form = self.spacing_ratio, self.binding.harness, self.form
-        x, wide = _over_a_yarn(form[3], 1.0, across)
-        y, long = _over_a_yarn(form[5], q, along)
+        q, harness, together, form = self.spacing_ratio, self.binding.harness, self.binding.together, self.form
+        x, wide = _over_a_yarn(form.half_width[0], 1.0, across)
+        x, wide = (x + np.arange(together)[:, None]).ravel(), np.tile(wide, together) / together
+        y, long = _over_a_yarn(form.half_width[1], q, along)
         y = (y + q * np.arange(harness)[:, None]).ravel()
         xx, yy = np.meshgrid(x, y, indexing="ij")
         places = np.stack([xx.ravel(), yy.ravel(), np.outer(wide, np.tile(long, harness) / harness).ravel()], axis=1)
-        table = np.empty((TABLE[0], harness * TABLE[1]))
-        columns = self.binding.columns()
-        height_table(form, columns, table)
+        table = np.empty((together * TABLE[0], harness * TABLE[1]))
+        height_table(form, table)
         count = 2 * len(places)
         points, which, horizons = np.empty((count, COLUMNS)), np.empty(count, np.int64), np.empty((count, AZIMUTHS))
-        points_of(form, columns, places, table, points, which, horizons)
+        points_of(form, places, table, points, which, horizons)
         seen = which > 0
         return points[seen], which[seen], horizons[seen]
 
     def surface(self, samples: int = 24) -> Surface:
         """One repeat as a height field, `samples` points a yarn spacing; holes lie as low as the lowest yarn."""
-        q, harness = self.spacing_ratio, self.binding.harness
-        steps = np.arange(harness * samples + 1) / samples
-        height, is_warp = np.empty((steps.size, steps.size)), np.empty((steps.size, steps.size), bool)
-        height_field(steps - 0.5, (steps - 0.5) * q, self.form, self.binding.columns(), height, is_warp)
+        pattern = self.binding.pattern()
+        y, x = (np.arange(count * samples + 1) / samples for count in pattern.shape)
+        height, is_warp = np.empty((y.size, x.size)), np.empty((y.size, x.size), bool)
+        height_field(x - 0.5, (y - 0.5) * self.spacing_ratio, self.form, height, is_warp)
         lowest = height[height > HOLE].min()
-        pattern = np.ones((harness, harness), bool)
-        yarns = np.arange(harness)
-        pattern[(self.binding.step * yarns) % harness, yarns] = False
-        return Surface(steps, steps * q, np.maximum(height, lowest), is_warp, pattern)
+        return Surface(x, y * self.spacing_ratio, np.maximum(height, lowest), is_warp, pattern)
 
-    def parts(self, incident: np.ndarray, outgoing: np.ndarray, density=(POINTS_ACROSS, POINTS_ALONG)) -> np.ndarray:
-        """(n, 2) gloss and white body, 1/sr, at directions (n, 3)."""
-        out = np.empty((len(incident), 2))
-        weave_sums(
-            np.ascontiguousarray(incident), np.ascontiguousarray(outgoing), self.points(density), self.rough,
-            self.index, self.soft, out,
-        )  # fmt: skip
-        out[:, 0] *= self.gain
+    def parts(self, incident: np.ndarray, outgoing: np.ndarray, points) -> np.ndarray:
+        """Evaluate gloss and white body of warp and weft at directions (n, 3): (n, 4), 1/sr; see `points`."""
+        out = np.empty((len(incident), 4))
+        block = max(FEWEST_ROWS, -(-len(incident) // (STRIPS_A_THREAD * threads())))
+
+        def some(first: int) -> None:
+            rows = slice(first, first + block)
+            weave_sums(incident[rows], outgoing[rows], points, self.rough, self.tail, self.index, self.soft, out[rows])
+
+        over_items(some, range(0, len(incident), block))
+        out[:, ::2] *= self.gain
         return out
 
     def slopes(self) -> dict[str, float]:
@@ -352,3 +445,19 @@ class YarnWeave:
             out[f"p90_slope_{plane}"] = float(angle[order][np.searchsorted(np.cumsum(weight[order]), 0.9)])
         out["weft_share"] = float(weight[which == 2].sum())
         return out
+
+
+@dataclass(frozen=True)
+class InterlacedYarns(YarnFacets):
+    """Reflect light as interlaced yarns do, with what lies within the fibres, corrected as the facets on yarns are."""
+
+    KIND: ClassVar[str] = "yarns"
+    SHAPE: ClassVar[Any] = YarnWeave
+    shape: YarnWeave
+
+    @cached_property
+    def _compiled(self):
+        return self.shape.points(COARSE)
+
+    def _parts(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+        return self.shape.parts(incident, outgoing, self._compiled)

@@ -19,7 +19,7 @@ a(i) + albedo (1 - a(i)), at most 1 if the gloss' is (Kelemen and Szirmay-Kalos,
 specular-matte BRDF model with importance sampling, 2001).
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -214,8 +214,9 @@ WITHIN = ("diffuse", "body", "lambert")  # fields that hold the light from withi
 
 
 def gloss_of(brdf):
-    """Return the model without its light from within: a black cloth of the same yarns; itself where it has none."""
-    inner = {field.name: getattr(brdf, field.name) for field in fields(brdf) if field.name in WITHIN}
+    """Return the model without its light from within, a black cloth of the same yarns; itself where it has none."""
+    names = [field.name for field in fields(brdf)] if is_dataclass(brdf) else []
+    inner = {name: getattr(brdf, name) for name in names if name in WITHIN}
     return replace(brdf, **{name: np.zeros_like(value) for name, value in inner.items()}) if inner else brdf
 
 

@@ -5,33 +5,54 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.brdf.cloth.interface import incidences, solid_angles
+from nishiki.brdf.cloth.interface import incidences, prediction_error, solid_angles
 from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard, ScaledBard, read_facets
-from nishiki.brdf.cloth.yarn_facets import NAMES
-from nishiki.brdf.cloth.yarn_fit import Measured, choose_oblique, fit_normal, fit_yarn_facets
+from nishiki.brdf.cloth.yarn_facets import NAMES, YarnFacets
+from nishiki.brdf.cloth.yarn_fit import (
+    Measured,
+    ShapeFit,
+    brdf_of,
+    choose_oblique,
+    completed,
+    fit_normal,
+    fit_yarn_facets,
+)
 from nishiki.errors import UserError
 
-DEFAULT = "yarn_facets"
+FACETS, YARNS = "yarn_facets", "yarns"
+BEST = (YARNS, FACETS)  # what `auto` chooses among
 NORMAL_ONLY = ("bard_linear", "bard_great_circle", "facets")  # they read the table of normal incidence
 REFERENCE = ("bard_scaled",)  # uses every oblique measurement
-MODELS = (DEFAULT, *NORMAL_ONLY, *REFERENCE)
+MODELS = (*BEST, *NORMAL_ONLY, *REFERENCE)
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model, the rows of the measurements that it used, and facts about the fit (finite plain values)."""
+    """A model, the rows of the measurements that it used, and facts about the fit (finite plain values).
+
+    alone: the same model from normal incidence only, where it can be had.
+    """
 
     brdf: Any
     used: np.ndarray
     facts: dict = field(default_factory=dict)
+    alone: Any = None
 
 
-def fit_models(measured: Measured, basic, names, *, oblique: int = 20, index: float = 1.5) -> dict[str, Fitted]:
+def fit_models(
+    measured: Measured,
+    basic,
+    names,
+    *,
+    oblique: int = 20,
+    index: float = 1.5,
+    yarns: tuple[YarnFacets, dict] | None = None,
+) -> dict[str, Fitted]:
     """Fit the models named to one region.
 
     basic: a `goniometry.table.BasicReflectance` of it as a function of views and its grid, (evaluate, values (nt, np,
     channels)), or None where nothing was measured at normal incidence, which is an error.  oblique: how many oblique
-    measurements `yarn_facets` may use.
+    measurements `yarn_facets` and `yarns` may use; yarns: for the latter, the weave that was found and its fit's facts.
     """
     valid = np.flatnonzero(np.isfinite(measured.values).all(axis=1))
     normal = valid[measured.normal[valid]]
@@ -41,9 +62,16 @@ def fit_models(measured: Measured, basic, names, *, oblique: int = 20, index: fl
             "with light along the normal and interpolate"
         )
     out = {}
+    if set(names) & set(BEST):
+        first, aside = fit_normal(measured.take(normal)), valid[~measured.normal[valid]]
+        chosen = aside[choose_oblique(first, measured.incident[aside], measured.outgoing[aside], oblique)]
     for name in names:
-        if name == DEFAULT:
-            out[name] = _yarns(measured, normal, valid[~measured.normal[valid]], basic[0], oblique)
+        if name == FACETS:
+            out[name] = _facets(measured, normal, chosen, basic[0], first)
+        elif name == YARNS:
+            if yarns is None:
+                raise UserError("model yarns: expected interlaced yarns of the stage weave. Remedy: set weave.yarns")
+            out[name] = _interlaced(measured, normal, chosen, basic[0], *yarns)
         elif name in REFERENCE:
             out[name] = Fitted(_scaled(measured, valid, basic[1]), valid)
         else:
@@ -51,10 +79,25 @@ def fit_models(measured: Measured, basic, names, *, oblique: int = 20, index: fl
     return out
 
 
-def _yarns(measured: Measured, normal: np.ndarray, oblique: np.ndarray, basic, count: int) -> Fitted:
-    """Fit to the rows of normal incidence and to `count` of the oblique ones, which the fit to the former chooses."""
-    first = fit_normal(measured.take(normal))
-    chosen = oblique[choose_oblique(first, measured.incident[oblique], measured.outgoing[oblique], count)]
+def left_out_error(measured: Measured, fit: Fitted) -> float:
+    """Return the mean relative rms error over the oblique incidences of what normal incidence alone predicts.
+
+    Where nothing was measured off the normal it is the error of the uncorrected model at normal incidence.
+    """
+    aside = np.flatnonzero(~measured.normal & np.isfinite(measured.values).all(axis=1))
+    if not len(aside):
+        return float(fit.facts["rms_rel_normal"])
+    rest = measured.take(aside)
+    predicted = fit.alone.evaluate(rest.incident, rest.outgoing)
+    errors = [
+        prediction_error(rest.outgoing[rows], rest.values[rows], predicted[rows], solid_angles(rest.outgoing[rows]))
+        for _, _, rows in incidences(rest.incident)
+    ]
+    return float(np.mean([error.rms_rel for error in errors]))
+
+
+def _facets(measured: Measured, normal: np.ndarray, chosen: np.ndarray, basic, first: ShapeFit) -> Fitted:
+    """Fit to the rows of normal incidence and to the oblique ones that the fit to the former has chosen."""
     fit = fit_yarn_facets(measured, np.concatenate([normal, chosen]), basic=basic, first=first)
     facts = {
         "rms_rel_normal": fit.rms_rel,
@@ -69,7 +112,15 @@ def _yarns(measured: Measured, normal: np.ndarray, oblique: np.ndarray, basic, c
         "lambert": fit.brdf.lambert.tolist(),
         "correction": [float(fit.brdf.correction.min()), float(fit.brdf.correction.max())],
     }
-    return Fitted(fit.brdf, fit.used, facts)
+    return Fitted(fit.brdf, fit.used, facts, completed(brdf_of(first), measured.take(normal), basic))
+
+
+def _interlaced(measured: Measured, normal: np.ndarray, chosen: np.ndarray, basic, weave: YarnFacets, facts) -> Fitted:
+    """Bring the weave that was found at normal incidence to the measurements."""
+    used = np.concatenate([normal, chosen])
+    brdf = completed(weave, measured.take(used), basic)
+    facts = {**facts, "oblique": len(chosen), "body": brdf.body.tolist(), "lambert": brdf.lambert.tolist()}
+    return Fitted(brdf, used, facts, completed(weave, measured.take(normal), basic))
 
 
 def _scaled(measured: Measured, valid: np.ndarray, grid: np.ndarray) -> ScaledBard:

@@ -158,6 +158,7 @@ KINDS = {  # where the class of a kind is
     "bard_scaled": "nishiki.brdf.cloth.normal_incidence:ScaledBard",
     "facets": "nishiki.brdf.cloth.normal_incidence:FacetBrdf",
     "yarn_facets": "nishiki.brdf.cloth.yarn_facets:YarnFacets",
+    "yarns": "nishiki.weave.yarn_weave:InterlacedYarns",
     "weave": "nishiki.weave.model:WeaveBrdf",
     "table": "nishiki.brdf.cloth.store:TableBrdf",
     "dyed": "nishiki.brdf.cloth.interface:Dyed",

@@ -1,10 +1,10 @@
 """Evaluate facets on yarns: the facets of fibres about the slopes of two families of yarns.
 
-Local ratio: the logarithm of measured over modelled value is taken for a Gaussian process over pairs of directions
-(light, view): mean 0, standard deviation MODEL_ERROR, correlation Wendland's function of the pairs' distance, summed
-over the mirror images in the planes of weft and warp and over the exchange of light and view, so that the result has
-these symmetries exactly (Wendland, Scattered Data Approximation, 2005; Rasmussen and Williams, Gaussian Processes for
-Machine Learning, 2006). Farther than REACH from all images the model stands alone.
+Local ratio: the logarithm of measured over modelled value is taken for a Gaussian process over half vector and
+difference angle (Rusinkiewicz 1998), in which a model's errors lie still: mean 0, standard deviation MODEL_ERROR,
+correlation Wendland's function of the distance, summed over the mirror images in the planes of weft and warp, so that
+the result has this symmetry exactly (Wendland, Scattered Data Approximation, 2005; Rasmussen and Williams, Gaussian
+Processes for Machine Learning, 2006). Farther than the reaches from all images the model stands alone.
 
 A cloth's surface is that of warp and weft yarns.  A yarn's surface tilts across the yarn (its section) and along it
 (its way over and under the others), and on it the fibres' facets scatter about that tilt.  With w(p) the share of the
@@ -31,13 +31,14 @@ view from one side only the lower limit counts, which is how shadowing and maski
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numba import njit
 
 from nishiki.brdf.cloth.interface import halves, off_horizon, only_above
 from nishiki.brdf.torrance_sparrow import fresnel_scalar
+from nishiki.formats.fields import ArrayFields
 from nishiki.threads import STRIPS_A_THREAD, over_items, threads
 
 HALF_PI = 0.5 * math.pi
@@ -72,17 +73,31 @@ def _share(margin, softness):
     return u * u * (3.0 - 2.0 * u)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def beckmann_shadow(cosine, reach):
+    """Compute Smith's Lambda of Beckmann's distribution (Walter et al. 2007, eq. 15, as a rational function).
+
+    cosine: of a direction with the normal; reach: root of its square and of the tangential parts times roughness.
+    """
+    rough = reach * reach - cosine * cosine
+    if rough * 2.56 <= cosine * cosine:
+        return 0.0
+    a = cosine / math.sqrt(rough)
+    return (1.0 - 1.259 * a + 0.396 * a * a) / (3.535 * a + 2.181 * a * a)
+
+
 @njit(cache=True, error_model="numpy", inline="always")
-def facet_reflection(a, i, o, half, ci, co, along, across):
-    """Compute D G / 2 of anisotropic GGX facets at a point of a yarn (Walter et al. 2007).
+def facet_reflection(a, i, o, half, ci, co, rough, tail):
+    """Compute D G / 2 of anisotropic facets at a point of a yarn (Walter et al. 2007).
 
     The point's share of the cloth's reflectance is F / 2 times it: n.i n.o / (i_z o_z) F D G / (4 n.i n.o), where the
-    facets' own cosines cancel those of the yarn's surface.
-
-    a: columns normal, along and across the fibres; i, o, half: directions of light, view and between them; ci, co:
-    cosines of i and o with the normal; along, across: roughness.
+    facets' own cosines cancel those of the yarn's surface. a: columns normal, along and across the fibres; i, o, half:
+    directions of light, view and between them; ci, co: cosines of i and o with the normal; rough: along and across the
+    fibres; tail: share of GGX's slopes with their long tails, the rest are Beckmann's of the same roughness; Smith's
+    masking is linear in the distribution of slopes.
     """
     hx, hy, hz = half
+    along, across = rough
     h1 = (hx * a[3] + hy * a[4] + hz * a[5]) / along
     h2 = (hx * a[6] + hy * a[7] + hz * a[8]) / across
     h3 = hx * a[0] + hy * a[1] + hz * a[2]
@@ -93,7 +108,13 @@ def facet_reflection(a, i, o, half, ci, co, along, across):
     o2 = (o[0] * a[6] + o[1] * a[7] + o[2] * a[8]) * across
     si = math.sqrt(i1 * i1 + i2 * i2 + ci * ci)
     so = math.sqrt(o1 * o1 + o2 * o2 + co * co)
-    return ci * co / (math.pi * along * across * spread * spread * (co * si + ci * so))
+    if tail == 1.0:
+        return ci * co / (math.pi * along * across * spread * spread * (co * si + ci * so))
+    up = max(h3 * h3, 1e-9)
+    short = math.exp(-min((spread - h3 * h3) / up, 500.0)) / (up * up)
+    shadowed = tail * 0.5 * (si / ci + so / co - 2.0)
+    shadowed += (1.0 - tail) * (beckmann_shadow(ci, si) + beckmann_shadow(co, so))
+    return 0.5 * (tail / (spread * spread) + (1.0 - tail) * short) / (math.pi * along * across * (1.0 + shadowed))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -137,7 +158,7 @@ def sums(incident, outgoing, atoms, split, rough, index, tables, softness, out):
             if seen <= 0.0:
                 continue
             ra, rc = rough[family, 0], rough[family, 1]
-            facets = facet_reflection(a, i, o, (hx, hy, hz), ci, co, ra, rc)
+            facets = facet_reflection(a, i, o, (hx, hy, hz), ci, co, (ra, rc), 1.0)
             value = seen * mirror * facets
             through = (1.0 - fresnel_scalar(ci, index)) * (1.0 - fresnel_scalar(co, index))
             if family == 0:
@@ -152,57 +173,54 @@ def sums(incident, outgoing, atoms, split, rough, index, tables, softness, out):
 
 
 MODEL_ERROR, NOISE = 0.15, 0.03  # of the logarithm: of the model's errors, and of a measurement
-REACH = 0.8  # distance of pairs of unit vectors
+REACH_HALF, REACH_DIFFERENCE = 0.8, 0.6  # chord between half vectors, radians between difference angles
 LARGEST = 1.0  # logarithm of a ratio that is still taken for a model's error
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def likeness(first, second, quarter):
-    """Correlation of two pairs (6,): light and view."""
+    """Correlation of a model's errors at two places (4,), see `places_of`: Wendland's function of their distance."""
     total = 0.0
-    for image in range(8 if quarter else 2):
-        x = -1.0 if image & 2 else 1.0
-        y = -1.0 if image & 4 else 1.0
-        turn = 3 if image & 1 else 0
-        product = 0.0
-        for k in range(2):
-            a, b = 3 * k, (3 * k + turn) % 6
-            product += x * first[a] * second[b] + y * first[a + 1] * second[b + 1] + first[a + 2] * second[b + 2]
-        square = 4.0 - 2.0 * product
-        if square < REACH * REACH:
-            d = math.sqrt(max(square, 0.0)) / REACH
-            total += (1.0 - d) ** 4 * (4.0 * d + 1.0)
+    apart = ((first[3] - second[3]) / REACH_DIFFERENCE) ** 2
+    for image in range(4 if quarter else 1):
+        x = -1.0 if image & 1 else 1.0
+        y = -1.0 if image & 2 else 1.0
+        square = (first[0] - x * second[0]) ** 2 + (first[1] - y * second[1]) ** 2 + (first[2] - second[2]) ** 2
+        r = math.sqrt(square / REACH_HALF**2 + apart)
+        if r < 1.0:
+            total += (1.0 - r) ** 5 * (5.0 * r + 1.0)
     return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def log_ratio(pairs, images, weights, quarter, out):
-    """out (n,) = sum over images (m, 6) of their weight times their likeness to the pair (n, 6)."""
-    for k in range(pairs.shape[0]):
+def log_ratio(places, images, weights, quarter, out):
+    """out (n,) = sum over images (m, 4) of their weight times their likeness to the place (n, 4)."""
+    for k in range(places.shape[0]):
         total = 0.0
         for j in range(images.shape[0]):
-            total += weights[j] * likeness(pairs[k], images[j], quarter)
+            total += weights[j] * likeness(places[k], images[j], quarter)
         out[k] = total
 
 
-def pairs_of(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-    """(n, 6) of directions (n, 3)."""
-    return np.ascontiguousarray(np.concatenate([incident, outgoing], axis=-1))
+def places_of(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+    """Return half vector and difference angle (radians) of directions (n, 3): (n, 4)."""
+    g = halves(incident, outgoing)
+    return np.ascontiguousarray(np.concatenate([g.h, np.arccos(g.cos_d)[..., None]], axis=-1))
 
 
-def fit_ratio(pairs: np.ndarray, measured: np.ndarray, modelled: np.ndarray, quarter: bool) -> np.ndarray:
-    """Weights (n,) of the images at pairs (n, 6), from measured and modelled values (n,)."""
+def fit_ratio(places: np.ndarray, measured: np.ndarray, modelled: np.ndarray, quarter: bool) -> np.ndarray:
+    """Weights (n,) of the images at places (n, 4), from measured and modelled values (n,)."""
     known = (measured > 0) & (modelled > 0)
     safe = np.where(known, measured, 1.0) / np.where(known, modelled, 1.0)
     target = np.clip(np.log(safe), -LARGEST, LARGEST)
-    matrix = np.array([[likeness(a, b, quarter) for b in pairs] for a in pairs]).reshape(len(pairs), -1)
-    return MODEL_ERROR**2 * np.linalg.solve(MODEL_ERROR**2 * matrix + NOISE**2 * np.eye(len(pairs)), target)
+    matrix = np.array([[likeness(a, b, quarter) for b in places] for a in places]).reshape(len(places), -1)
+    return MODEL_ERROR**2 * np.linalg.solve(MODEL_ERROR**2 * matrix + NOISE**2 * np.eye(len(places)), target)
 
 
 def ratio(incident: np.ndarray, outgoing: np.ndarray, images: np.ndarray, weights: np.ndarray, quarter: bool):
     """(n,) factor of a model at directions (n, 3)."""
     out = np.empty(len(incident))
-    log_ratio(pairs_of(incident, outgoing), images, weights, quarter, out)
+    log_ratio(places_of(incident, outgoing), images, weights, quarter, out)
     return np.exp(np.clip(out, -LARGEST, LARGEST))
 
 
@@ -214,7 +232,7 @@ FEWEST_ROWS = 128  # that are worth a thread: about 3 ms
 
 
 @dataclass(frozen=True)
-class YarnShape:
+class YarnShape(ArrayFields):
     """Geometry and roughness of both families; arrays (2, 2) are [warp, weft][along, across] the yarn."""
 
     slope: np.ndarray  # s, tangent of the tilt, > 0
@@ -301,6 +319,7 @@ class YarnFacets:
     """The BRDF: a shape, what lies within the fibres, and how measured facets and images differ from the shape's."""
 
     KIND: ClassVar[str] = "yarn_facets"
+    SHAPE: ClassVar[Any] = YarnShape
     RECIPROCAL: ClassVar[bool] = True
     shape: YarnShape
     body: np.ndarray  # (channels,) albedo within the fibres
@@ -308,7 +327,7 @@ class YarnFacets:
     correction: (
         np.ndarray
     )  # (nt, np) factor of the mirror reflection by the half vector; theta_h 0 .. pi/4, phi 0 .. 2 pi
-    images: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))  # light and view of the oblique images used
+    images: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))  # places of the oblique images used
     image_weights: np.ndarray = field(default_factory=lambda: np.zeros(0))  # see local_ratio
     quarter: bool = True  # whether mirror images in the planes of weft and warp count as the same
 
@@ -321,11 +340,14 @@ class YarnFacets:
     def _compiled(self):
         return self.shape.atoms(), self.shape.limits()
 
+    def _parts(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+        return shape_parts(self.shape, incident, outgoing, compiled=self._compiled)
+
     def parts(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """(..., 4) mirror reflection and white body, 1 / sr, of warp and weft, without the correction."""
         incident, outgoing = np.broadcast_arrays(off_horizon(incident), off_horizon(outgoing))
         flat = [np.ascontiguousarray(d.reshape(-1, 3)) for d in (incident, outgoing)]
-        return shape_parts(self.shape, *flat, compiled=self._compiled).reshape(*incident.shape[:-1], 4)
+        return self._parts(*flat).reshape(*incident.shape[:-1], 4)
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """BRDF, 1 / sr: (..., channels)."""
@@ -344,17 +366,17 @@ class YarnFacets:
 
     def as_arrays(self) -> dict[str, np.ndarray]:
         """Return the shape's numbers under their names, then the rest."""
-        names = ("body", "lambert", "correction", "images", "image_weights", "quarter")
-        arrays = {name: np.asarray(getattr(self, name)) for name in names}
-        return {**{name: np.asarray(value) for name, value in vars(self.shape).items()}, **arrays}
+        return {**self.shape.as_arrays(), **{name: np.asarray(getattr(self, name)) for name in BESIDE}}
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "YarnFacets":
+    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Self:
         """Restore the model of `as_arrays`."""
-        of_shape: dict[str, Any] = {n: arrays[n] for n in YarnShape.__dataclass_fields__}
-        shape = YarnShape(**{n: value if np.ndim(value) else float(value) for n, value in of_shape.items()})
-        names = ("body", "lambert", "correction", "images", "image_weights")
-        return cls(shape, quarter=bool(arrays["quarter"]), **{name: np.asarray(arrays[name], float) for name in names})
+        beside = {name: np.asarray(arrays[name], float) for name in BESIDE if name != "quarter"}
+        return cls(cls.SHAPE.from_arrays(arrays), **beside, quarter=bool(arrays["quarter"]))
+
+
+BESIDE = ("body", "lambert", "correction", "images", "image_weights", "quarter")
+"""Fields of the BRDF beside the shape."""
 
 
 def shape_parts(shape: YarnShape, incident: np.ndarray, outgoing: np.ndarray, *, compiled=None) -> np.ndarray:

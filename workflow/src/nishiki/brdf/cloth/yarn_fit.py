@@ -31,7 +31,7 @@ from nishiki.brdf.cloth.yarn_facets import (
     YarnFacets,
     corrected,
     fit_ratio,
-    pairs_of,
+    places_of,
     shape_of,
     shape_parts,
     uncorrected,
@@ -251,14 +251,24 @@ def fit_yarn_facets(
     weight = normal_weights(under)
     rms = np.sqrt(np.sum((weight * error) ** 2) / np.sum((weight * under.grey) ** 2))
     spread = np.sqrt(np.diag(np.linalg.inv(fit.information)))
+    return YarnFit(completed(brdf, chosen, basic), fit, rows, float(rms), spread)
+
+
+def completed(brdf: YarnFacets, chosen: Measured, basic) -> YarnFacets:
+    """Bring a model to what was measured: its mirror reflection at normal incidence, all of it at oblique images.
+
+    chosen: what the fit used; basic: see `fit_yarn_facets`.
+    """
     if basic is not None:
-        brdf = replace(brdf, correction=correction(brdf, basic, steepest=float(polar(under.outgoing).max())))
-    if oblique.size:
-        images = chosen.take(oblique)
-        pairs, modelled = pairs_of(images.incident, images.outgoing), brdf.evaluate(images.incident, images.outgoing)
-        weights = fit_ratio(pairs, images.grey, modelled.mean(axis=1), measured.quarter)
-        brdf = replace(brdf, images=pairs, image_weights=weights, quarter=measured.quarter)
-    return YarnFit(brdf, fit, rows, float(rms), spread)
+        steepest = float(polar(chosen.outgoing[chosen.normal]).max())
+        brdf = replace(brdf, correction=correction(brdf, basic, steepest=steepest))
+    images = chosen.take(~chosen.normal)
+    if not len(images.grey):
+        return brdf
+    modelled = brdf.evaluate(images.incident, images.outgoing).mean(axis=1)
+    places = places_of(images.incident, images.outgoing)
+    weights = fit_ratio(places, images.grey, modelled, chosen.quarter)
+    return replace(brdf, images=places, image_weights=weights, quarter=chosen.quarter)
 
 
 def brdf_of(fit: ShapeFit) -> YarnFacets:

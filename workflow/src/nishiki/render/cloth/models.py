@@ -1,13 +1,12 @@
 """The models of a cloth by region, as stored, and dyed: another body below the same gloss."""
 
 import json
-from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nishiki.brdf.cloth.interface import PHIS, THETAS, Dyed
+from nishiki.brdf.cloth.interface import PHIS, THETAS, Dyed, gloss_of
 from nishiki.brdf.cloth.store import load_brdf
 from nishiki.errors import UserError
 from nishiki.render.cloth.around import grid_views, lookup, shares
@@ -64,18 +63,6 @@ class ClothModels:
         return self.description["models"][region]
 
 
-WITHIN = ("diffuse", "body", "lambert")
-"""Fields in which the models of a cloth keep the light from within."""
-
-
-def gloss_alone(brdf: Brdf) -> Brdf:
-    """Return a model without the light from within, where it tells the two apart; else the model itself."""
-    if not is_dataclass(brdf):
-        return brdf
-    zeros = {f.name: np.zeros_like(np.asarray(getattr(brdf, f.name), float)) for f in fields(brdf) if f.name in WITHIN}
-    return replace(brdf, **zeros) if zeros else brdf
-
-
 def dyed(brdf: Brdf, colours: dict[str, tuple[float, float, float]]) -> dict[str, Dyed]:
     """Return the gloss of a cloth over dyes of these colours (linear sRGB albedo).
 
@@ -84,7 +71,7 @@ def dyed(brdf: Brdf, colours: dict[str, tuple[float, float, float]]) -> dict[str
     """
     if not colours:
         return {}
-    gloss = gloss_alone(brdf)
+    gloss = gloss_of(brdf)
     theta, phi = (np.arange(THETAS) + 0.5) * (np.pi / 2 / THETAS), np.arange(PHIS) * (2 * np.pi / PHIS)
     t, p = (a.ravel() for a in np.meshgrid(theta, phi, indexing="ij"))
     views = np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=1)

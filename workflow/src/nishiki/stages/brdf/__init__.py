@@ -129,16 +129,20 @@ CLOTH_LIMITS = (
 )
 
 
-Model = Literal["yarn_facets", "facets", "bard_linear", "bard_great_circle", "bard_scaled", "weave"]
+Model = Literal["yarns", "yarn_facets", "facets", "bard_linear", "bard_great_circle", "bard_scaled", "weave"]
 
 
-class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=2, limits=CLOTH_LIMITS):
+class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=3, limits=CLOTH_LIMITS):
     """The BRDF of the whole hemisphere of every region, from normal incidence and a few oblique measurements."""
 
-    model: Model = Field("yarn_facets", description="the model that stands for the cloth")
+    model: Literal["auto"] | Model = Field(
+        "auto",
+        description="the model that stands for the cloth; auto: yarns (of the stage weave) or yarn_facets, whichever "
+        "predicts the oblique measurements better from normal incidence alone",
+    )
     compare: tuple[Model, ...] = Field(
         ("facets", "bard_linear", "bard_great_circle", "bard_scaled"),
-        description="models fitted beside it; weave: where the stage weave has run",
+        description="models fitted beside it; weave: its sections",
     )
     oblique: int = Field(
         20,
@@ -171,7 +175,9 @@ CLOTH = Stage(
     does="reflectance for every direction of light and view",
     geometry="goniometer",
     requires=("goniometer_samples",),
-    wants=lambda settings: ("weave",) * ("weave" in (settings.model, *settings.compare)),
+    wants=lambda settings: (
+        ("weave",) * (not {"auto", "yarns", "weave"}.isdisjoint((settings.model, *settings.compare)))
+    ),
     needs_colour=True,
     looks_at=_looks_at,
     libraries=("numpy", "scipy", "numba"),

@@ -14,7 +14,7 @@ from nishiki.brdf.cloth.interface import (
     reciprocity_error,
     solid_angles,
 )
-from nishiki.brdf.cloth.models import Fitted, fit_models
+from nishiki.brdf.cloth.models import BEST, YARNS, Fitted, fit_models, left_out_error
 from nishiki.brdf.cloth.store import TableBrdf, goniometer_rows, save_brdf, utia_planes
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.errors import UserError
@@ -36,31 +36,36 @@ EXPORT_VIEWS_DEG = [(0.0, 0.0), *((t, p) for t in np.arange(5.0, 90.0, 5.0) for 
 
 def run(context: Context) -> dict:
     """Fit every model of every region; write the models, the default's exports and cloth_brdf.json."""
-    settings = context.settings
     reflectances, decision = used_measurements(context)
-    names = tuple(dict.fromkeys((settings.model, *settings.compare)))
-    stored_facts, diagnostics = {}, {}
+    asked = context.settings.model
+    names = tuple(dict.fromkeys(((*BEST,) if asked == "auto" else (asked,)) + context.settings.compare))
+    regions = []
     for number, region in enumerate(reflectances.regions):
         context.progress.tell(f"region {region}: {', '.join(names)}")
         measured = Measured.of(reflectances, number)
-        fitted = fits(context, reflectances, measured, number, names)
+        regions.append((measured, fits(context, reflectances, measured, number, names)))
+    left_out = [
+        {name: round(left_out_error(measured, fitted[name]), 5) for name in BEST if name in fitted}
+        for measured, fitted in regions
+    ]
+    fitted_everywhere = [name for name in BEST if all(name in errors for errors in left_out)]
+    default = asked if asked != "auto" else min(fitted_everywhere, key=lambda n: sum(errors[n] for errors in left_out))
+    stored_facts, diagnostics = {}, {}
+    for region, (measured, fitted), errors in zip(reflectances.regions, regions, left_out, strict=True):
         folder = Path("models") / region
         for name, fit in fitted.items():
             save_brdf(context.output.path(str(folder / f"{name}.npz")), fit.brdf)
         several = len(reflectances.regions) > 1
-        save_brdf(context.output.path(f"brdf_{region}.npz" if several else "brdf.npz"), fitted[settings.model].brdf)
-        export(context, fitted[settings.model].brdf, f"_{region}" if several else "", reflectances.channels)
+        save_brdf(context.output.path(f"brdf_{region}.npz" if several else "brdf.npz"), fitted[default].brdf)
+        export(context, fitted[default].brdf, f"_{region}" if several else "", reflectances.channels)
         stored_facts[region] = {name: {"used": fit.used.tolist(), **fit.facts} for name, fit in fitted.items()}
         diagnostics[region] = {name: judged(measured, fit) for name, fit in fitted.items()}
-    stored = {
-        "format": FORMAT,
-        "default": settings.model,
-        "regions": list(reflectances.regions),
-        "models": stored_facts,
-    }
+        for name, error in errors.items():
+            diagnostics[region][name]["left_out_error"] = error
+    stored = {"format": FORMAT, "default": default, "regions": list(reflectances.regions), "models": stored_facts}
     text = json.dumps(stored, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("cloth_brdf.json").write_text(text + "\n")
-    return {"default": settings.model, "regions": diagnostics, "economy": economy(decision)}
+    return {"default": default, "regions": diagnostics, "economy": economy(decision)}
 
 
 def used_measurements(context: Context) -> tuple[ReflectanceSet, Decision | None]:
@@ -89,12 +94,17 @@ def fits(context: Context, reflectances, measured: Measured, number: int, names)
     settings = context.settings
     if basic is not None:
         basic = (lambda views: reflectances.basic.evaluate(views, number), basic.values[number])
-    local_models = [name for name in names if name != "weave"]
-    out = fit_models(measured, basic, local_models, oblique=settings.oblique, index=settings.index)
-    if "weave" in names:
-        if "weave" not in context.inputs:
-            raise UserError("model weave: expected the artifact of the stage weave among the inputs. Remedy: run weave")
+    weave, yarns = None, None
+    if "weave" in context.inputs:
         weave = Weave(context.inputs["weave"].folder, number)
+        yarns = weave.yarns()
+    if settings.model == "auto" and not (yarns and yarns[1]["determined"]):
+        names = tuple(name for name in names if name != YARNS)
+    local_models = [name for name in names if name != "weave"]
+    out = fit_models(measured, basic, local_models, oblique=settings.oblique, index=settings.index, yarns=yarns)
+    if "weave" in names:
+        if weave is None:
+            raise UserError("model weave: expected the artifact of the stage weave among the inputs. Remedy: run weave")
         out["weave"] = Fitted(weave.brdf(), np.flatnonzero(measured.normal))
     return {name: out[name] for name in names}
 

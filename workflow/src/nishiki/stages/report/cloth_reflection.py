@@ -24,9 +24,10 @@ MODEL_NAMES = {
     "bard_linear": "BARD, linear",
     "bard_great_circle": "BARD, great circle",
     "bard_scaled": "BARD, best factor",
+    "yarns": "interlaced yarns",
     "yarn_facets": "facets on yarns",
     "facets": "facet reading",
-    "weave": "weave model",
+    "weave": "sections of the weave",
 }
 
 
@@ -163,7 +164,7 @@ def lobes_plot(parts: list[Lobe], *, width: int = 520, height: int = 330) -> str
     return drawing.finish()
 
 
-CURVES_OF = ("yarn_facets", "bard_great_circle", "weave")
+CURVES_OF = ("yarns", "yarn_facets", "bard_great_circle", "weave")
 """Models whose curves are drawn beside those of the default one."""
 MOST_CURVES = 4
 INTRODUCTION = (

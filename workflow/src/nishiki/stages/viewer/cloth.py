@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
+from nishiki.brdf.cloth.interface import gloss_of
 from nishiki.progress import Progress
 from nishiki.render.cloth import around, scene
 from nishiki.render.cloth.local import LEAST_COSINE, LIFT
-from nishiki.render.cloth.models import ClothModels, dyed, gloss_alone
+from nishiki.render.cloth.models import ClothModels, dyed
 from nishiki.render.cloth.scene import Brdf, BrdfTable, Surface
 from nishiki.render.cloth.studio import Studio, Viewpoint, studio, tubes
 from nishiki.render.cloth.surfaces import read_drape, sheet, swatch
@@ -178,7 +179,7 @@ def material_arrays(brdf: Brdf) -> dict[str, dict[str, np.ndarray]]:
         "mean_albedo": np.array([dye.mean_albedo], np.float32),
     }
     measured = table_arrays(brdf) | {"shares": around.shares(brdf).astype(np.float32)}
-    return {"measured": measured, "gloss": table_arrays(gloss_alone(brdf)) | through}
+    return {"measured": measured, "gloss": table_arrays(gloss_of(brdf)) | through}
 
 
 def table_arrays(brdf: Brdf) -> dict[str, np.ndarray]:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from nishiki.artifacts.stage import Context
+from nishiki.brdf.cloth.store import save_brdf
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.geometry.mesh import Mesh, write_ply
 from nishiki.goniometry.table import Reflectances
@@ -10,7 +11,7 @@ from nishiki.render.output import write_png
 from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing, outline
 from nishiki.weave.fit import WeaveFit, fit_weave, planes_of
 from nishiki.weave.section import USUAL, Surface, harness_of, make_surface, shade
-from nishiki.weave.store import describe, describe_yarns, write_weave
+from nishiki.weave.store import describe, describe_yarns, write_weave, yarns_file
 from nishiki.weave.yarn_search import YarnSearch, search_yarns
 from nishiki.weave.yarn_weave import bindings
 
@@ -44,6 +45,8 @@ def run(context: Context) -> dict:
             harness = settings.harness if settings.harness is not None else harness
         yarns = describe_yarns(search, confidence=settings.confidence) if search else None
         regions[name] = describe(fit, planes, weave=weave, harness=harness, yarns=yarns)
+        if search:
+            save_brdf(context.output.path(yarns_file(name)), search.best.brdf)
         suffix = f"_{name}" if len(reflectances.regions) > 1 else ""
         picture(context, fit, suffix, surface_of(context, fit, search, weave, harness))
         diagnostics[name] = report(fit, weave, harness, [plane.measured for plane in planes]) | {"yarns": yarns}
