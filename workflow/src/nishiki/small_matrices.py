@@ -99,12 +99,7 @@ def solve_by_cofactors(matrix, x, y, z):
     c00, c01, c02 = d * f - e * e, c * e - b * f, b * e - c * d
     c11, c12, c22 = a * f - c * c, b * c - a * e, a * d - b * b
     determinant = a * c00 + b * c01 + c * c02
-    return (
-        c00 * x + c01 * y + c02 * z,
-        c01 * x + c11 * y + c12 * z,
-        c02 * x + c12 * y + c22 * z,
-        determinant,
-    )
+    return (c00 * x + c01 * y + c02 * z, c01 * x + c11 * y + c12 * z, c02 * x + c12 * y + c22 * z, determinant)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)

@@ -82,12 +82,7 @@ def last_end(stages: list[PackedStage]) -> str:
 
 
 def _descriptor() -> Entity:
-    return {
-        "@id": METADATA,
-        "@type": "CreativeWork",
-        "about": {"@id": "./"},
-        "conformsTo": ids([RO_CRATE, WORKFLOW]),
-    }
+    return {"@id": METADATA, "@type": "CreativeWork", "about": {"@id": "./"}, "conformsTo": ids([RO_CRATE, WORKFLOW])}
 
 
 def _root(scene: str, capture: PackedCapture, stages: list[PackedStage], others: list[str]) -> Entity:

@@ -28,11 +28,7 @@ def integration_weights(rule: str = "trapezoid") -> np.ndarray:
 
 
 def resample(
-    wavelengths_nm: np.ndarray,
-    values: np.ndarray,
-    *,
-    name: str = "curve",
-    tolerance_nm: float = 5.0,
+    wavelengths_nm: np.ndarray, values: np.ndarray, *, name: str = "curve", tolerance_nm: float = 5.0
 ) -> np.ndarray:
     """Bring measured curves onto the working grid, linearly between their samples.
 

@@ -47,8 +47,7 @@ NAMED = 20
 @with_profile
 @with_gone
 @option(
-    "--stop-at-first-failure",
-    "end the run when a scene fails or cannot be planned (default: go on with the others)",
+    "--stop-at-first-failure", "end the run when a scene fails or cannot be planned (default: go on with the others)"
 )
 @option("--name SCENE", "name of the scene made from a folder (default: name of the folder)")
 @option("--open", "open the page of the result in the browser", "open_page")

@@ -122,11 +122,7 @@ def angular_error_deg(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def normal_errors(
-    estimate: np.ndarray,
-    truth: np.ndarray,
-    *,
-    flags: np.ndarray,
-    mask: np.ndarray | None = None,
+    estimate: np.ndarray, truth: np.ndarray, *, flags: np.ndarray, mask: np.ndarray | None = None
 ) -> NormalErrors:
     """Return errors of a field of normals.
 

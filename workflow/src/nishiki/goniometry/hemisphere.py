@@ -78,12 +78,7 @@ def positive(values: np.ndarray) -> np.ndarray:
 
 
 def interpolate(
-    outgoing: np.ndarray,
-    values: np.ndarray,
-    noise: np.ndarray,
-    *,
-    symmetry: str = "quarter",
-    grid_deg: float = 3.0,
+    outgoing: np.ndarray, values: np.ndarray, noise: np.ndarray, *, symmetry: str = "quarter", grid_deg: float = 3.0
 ) -> Interpolation:
     """BRDF values (n, channels) > 0 at views (n, 3), light along the normal, on a regular grid of one region.
 

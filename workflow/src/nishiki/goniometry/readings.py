@@ -76,13 +76,7 @@ def axes_of(theta_r: float, phi_r: float, upright: str) -> tuple[np.ndarray, np.
 
 
 def regions_in_view(
-    labels: np.ndarray,
-    shape: tuple[int, int],
-    *,
-    theta_r: float,
-    phi_r: float,
-    upright: str,
-    scale: float = 1.0,
+    labels: np.ndarray, shape: tuple[int, int], *, theta_r: float, phi_r: float, upright: str, scale: float = 1.0
 ) -> np.ndarray:
     """Labels (rows, columns) uint16 of a photograph of this shape taken from (theta_r, phi_r), by parallel projection.
 

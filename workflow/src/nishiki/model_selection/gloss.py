@@ -43,11 +43,7 @@ class Gain:
 
 
 def unseen_gain(
-    values: np.ndarray,
-    diffuse: np.ndarray,
-    attenuation: np.ndarray,
-    alpha: np.ndarray,
-    weights: np.ndarray,
+    values: np.ndarray, diffuse: np.ndarray, attenuation: np.ndarray, alpha: np.ndarray, weights: np.ndarray
 ) -> Gain:
     """Measure by cross-validation in FOLDS parts how much better a lobe predicts unseen observations.
 

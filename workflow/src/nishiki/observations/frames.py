@@ -62,12 +62,7 @@ class FrameReader(Generic[AnyCapture]):
 
     @classmethod
     def of(
-        cls,
-        capture: AnyCapture,
-        channels: str,
-        *,
-        prove: bool = True,
-        unopened: Collection[str] = (),
+        cls, capture: AnyCapture, channels: str, *, prove: bool = True, unopened: Collection[str] = ()
     ) -> "FrameReader[AnyCapture]":
         """Look at the first photograph's header, and prove that a sealed capture's tables are as they were sealed.
 

@@ -64,11 +64,7 @@ class IngestDiagnostics:
 
 
 def write_observations(
-    capture: Capture,
-    folder: Path | str,
-    *,
-    settings: Settings,
-    progress: Callable[[int, int, str], None] | None = None,
+    capture: Capture, folder: Path | str, *, settings: Settings, progress: Callable[[int, int, str], None] | None = None
 ) -> IngestDiagnostics:
     """Write `frames.zarr` into the folder, which must not hold one; read it with `Observations`.
 

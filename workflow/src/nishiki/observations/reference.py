@@ -232,11 +232,7 @@ def _dark_problems(reader: FrameReader, exposures: tuple[float | None, ...]) -> 
 
 
 def measure_gains(
-    reader: FrameReader,
-    darks: DarkField,
-    edges: Edges,
-    mask: np.ndarray,
-    tick: Callable[[str], None],
+    reader: FrameReader, darks: DarkField, edges: Edges, mask: np.ndarray, tick: Callable[[str], None]
 ) -> Gains:
     """Gain of each observed frame: from its white board, else from the lights' intensities, else from exposure."""
     capture, shape = reader.capture, reader.region[2:]

@@ -197,10 +197,7 @@ def describe_coherence(found: "Coherence", cameras: list[Camera], files: dict[st
             "Convert again with --turn reverse, or set turn: reverse under turntable in capture.yaml and seal a copy. "
             "Photographs that are mirrored left to right give the same contradiction; if these are, mirror them back",
         ),
-        "cameras-order": (
-            "the photographs are in another order than the cameras",
-            arranged,
-        ),
+        "cameras-order": ("the photographs are in another order than the cameras", arranged),
         "views-exchanged": (
             f"the views {concerned} are exchanged",
             f"{arranged}; where only their silhouettes are exchanged, exchange their names instead",

@@ -279,8 +279,7 @@ class ComXimSettings(Closed):
     baud: Baud = Field(115200, description="bits per second")
     command: Literal["TRUNSINGLE", "TURNSINGLE"] = Field("TRUNSINGLE", description="how its firmware spells a turn")
     reference: Literal["operator", "table"] = Field(
-        "operator",
-        description="zero: a person turns the table to its mark; or the table's own, while it has power",
+        "operator", description="zero: a person turns the table to its mark; or the table's own, while it has power"
     )
 
 

@@ -207,11 +207,7 @@ class Neighbours:
         self.references = incidence_cosines(plan, frames)
 
     def reasons_against(
-        self,
-        frame: PlannedFrame,
-        measures: Measures,
-        exposure_s: float | None,
-        kept: Mapping[str, Mapping[str, Any]],
+        self, frame: PlannedFrame, measures: Measures, exposure_s: float | None, kept: Mapping[str, Mapping[str, Any]]
     ) -> list[str]:
         """Why a photograph cannot be kept, by itself and beside those that are (kept: their events)."""
         known = {

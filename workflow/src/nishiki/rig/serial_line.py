@@ -156,11 +156,7 @@ class SerialLine:
         return self.answer(expect, timeout_s, refused, explain)
 
     def answer(
-        self,
-        expect: str,
-        timeout_s: float,
-        refused: str = "",
-        explain: Callable[[re.Match[str]], str] | None = None,
+        self, expect: str, timeout_s: float, refused: str = "", explain: Callable[[re.Match[str]], str] | None = None
     ) -> re.Match[str]:
         """Wait for an answer to the line that was sent last; parameters and errors as of `ask`."""
         lines: list[str] = []

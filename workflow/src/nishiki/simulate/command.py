@@ -112,11 +112,7 @@ OPTIONS = {  # name, help, settings of argparse
             "outlines of every view in the capture: given (default) or none",
             {"choices": ("given", "none"), "default": "given"},
         ),
-        (
-            "mesh",
-            "mesh in the capture: a scan (default) or none",
-            {"choices": ("scan", "none"), "default": "scan"},
-        ),
+        ("mesh", "mesh in the capture: a scan (default) or none", {"choices": ("scan", "none"), "default": "scan"}),
         ("mesh-noise-mm", "noise of the scan along the normal (0.02)", _NUMBER),
         ("triangles", "triangles of the object, instead of the preset's", _COUNT),
         ("scan-triangles", "triangles of the scan (default: those of the object)", _COUNT),

@@ -34,16 +34,8 @@ CAPTURED = MeasureSettings(
 CLOTH = MeasureSettings(
     path="regions.*.rms_rel.{cloth_brdf.model}.*", label="relative rms error of measurements that no fit saw"
 )
-USUAL = {
-    "plane": (NORMALS, RELIGHTING),
-    "turntable": (LEFT_OUT, CAPTURED),
-    "goniometer": (CLOTH,),
-}
-USUAL_OF_STAGE = {
-    "height": (HEIGHT, RELIGHTING),
-    "spectra": (SPECTRA, RELIGHTING),
-    "brdf": (RELIGHTING,),
-}
+USUAL = {"plane": (NORMALS, RELIGHTING), "turntable": (LEFT_OUT, CAPTURED), "goniometer": (CLOTH,)}
+USUAL_OF_STAGE = {"height": (HEIGHT, RELIGHTING), "spectra": (SPECTRA, RELIGHTING), "brdf": (RELIGHTING,)}
 """Measures in the order of preference: the first one that the evaluation holds is taken."""
 
 

@@ -101,18 +101,7 @@ def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int
         groups = pixel * 2 * (int(material.max()) + 1) + 2 * material + back
         _share(np.argsort(groups, kind="stable"), groups, frame, np.cos(within), stands)
     return Samples(
-        pixel,
-        number,
-        triangle,
-        weights,
-        material,
-        back,
-        place,
-        frame,
-        outgoing,
-        stands,
-        int(bent.sum()),
-        a_pixel,
+        pixel, number, triangle, weights, material, back, place, frame, outgoing, stands, int(bent.sum()), a_pixel
     )
 
 

@@ -231,11 +231,7 @@ def geometry(cloth: Cloth) -> dict:
                 "straight_mm": way.straight,
             },
         }
-    return {
-        "settings": asdict(cloth.settings),
-        "pattern": cloth.solids.pattern.astype(int).tolist(),
-        "yarns": systems,
-    }
+    return {"settings": asdict(cloth.settings), "pattern": cloth.solids.pattern.astype(int).tolist(), "yarns": systems}
 
 
 def truth_readme(settings: GoniometerSettings) -> str:

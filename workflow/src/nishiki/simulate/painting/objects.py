@@ -189,14 +189,7 @@ def make_object(settings: SimulationSettings) -> SimulatedObject:
     height *= np.float32(settings.relief_gain)
     normals, mean, steepest = pixel_maps(height, step_mm=step, supersampling=settings.supersampling)
     return SimulatedObject(
-        height,
-        label,
-        palette,
-        _varnish_waves(settings),
-        normals,
-        mean,
-        steepest,
-        float(height.max()),
+        height, label, palette, _varnish_waves(settings), normals, mean, steepest, float(height.max())
     )
 
 

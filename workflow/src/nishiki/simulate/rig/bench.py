@@ -125,12 +125,7 @@ def write_rig(bench: PaintingBench, by_hand: Path, folder: Path) -> tuple[Path, 
     port = str((folder / "dome").absolute())
     rig = {
         "camera": {"kind": "folder", "folder": "camera", "release": "lamps", "complete_s": 0.1},
-        "lamps": {
-            "kind": "dome",
-            "port": port,
-            "count": len(bench.lamps),
-            "settle_s": 0.0,
-        },
+        "lamps": {"kind": "dome", "port": port, "count": len(bench.lamps), "settle_s": 0.0},
     }
     plan = {
         "kind": "dome",

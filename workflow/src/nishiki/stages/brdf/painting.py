@@ -8,12 +8,7 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.fit import fit_lobe
-from nishiki.brdf.gloss_profile import (
-    SpecularHistogram,
-    blurred_lobes,
-    fit_gloss,
-    unit_of,
-)
+from nishiki.brdf.gloss_profile import SpecularHistogram, blurred_lobes, fit_gloss, unit_of
 from nishiki.brdf.scene import (
     brightest_light_samples,
     described_brightest,

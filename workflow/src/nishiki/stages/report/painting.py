@@ -418,11 +418,7 @@ def verdict(
             f"{lamps} lamps are few: gloss and shadows are hard to tell apart",
             "photograph under twelve lamps or more, all round and at two elevations",
         ),
-        (
-            guessed,
-            "colours of the camera are a guess",
-            "photograph a colour target and run ./nishiki calibrate target",
-        ),
+        (guessed, "colours of the camera are a guess", "photograph a colour target and run ./nishiki calibrate target"),
         (
             not frames.pixel_pitch_mm,
             "no scale: heights and lengths are in pixels",

@@ -49,7 +49,7 @@ def relighting_section(
         "The lights below were kept from every fit. Every colour difference of this section is taken "
         f"{lamp}, relative to a perfect white that faces that lamp. The record predicts what the camera would see "
         "under each of them; the photograph shows what it did see. Both are shown through the same map from camera "
-        f"channels to display colour ({how}).",
+        f"channels to display colour ({how})."
     ]
     shown = [lights[k] for k in chosen(lights)]
     previews = [load_arrays(evaluate.path(f"preview_{light['index']:03d}.npz")) for light in shown]
