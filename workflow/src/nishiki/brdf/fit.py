@@ -216,10 +216,7 @@ def _judged(arrays, strengths, reports, low, high) -> PointFits:
 
 
 def _lambert_alone(amplitude, diffuse, weights):
-    """Fit K_d of points without a lobe by weighted least squares on the diffuse column.
-
-    0 where it is not defined or beyond the float type.
-    """
+    """Fit K_d without a lobe by weighted least squares; 0 where it is not defined or beyond the float type."""
     good = np.isfinite(amplitude).all(axis=2) & np.isfinite(diffuse) & np.isfinite(weights)
     with np.errstate(over="ignore", invalid="ignore"):
         q = np.multiply(np.where(good, weights, 0), np.where(good, diffuse, 0), dtype=np.float64)

@@ -158,10 +158,7 @@ def parameters_at_bounds(regions: list[dict]) -> list[str]:
 
 
 def is_facets(parameters: dict) -> bool:
-    """Return whether the lobes are of the facets alone, so that slopes inside a pixel widen them.
-
-    The published fit sees both as one.
-    """
+    """Return whether the lobes are of the facets alone, so that slopes inside a pixel widen them."""
     return parameters["method"] != "paper"
 
 

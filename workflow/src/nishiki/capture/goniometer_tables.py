@@ -115,10 +115,7 @@ def is_table(path: Path, *, named: bool = False) -> bool:
 
 
 def angle_column(column: str) -> tuple[str, str]:
-    """Return which of ANGLES a column holds, and its unit; else the column itself.
-
-    Unit: deg, rad, or '' where the name does not tell.
-    """
+    """Return which of ANGLES a column holds, and its unit (deg, rad or '' where untold); else the column itself."""
     match = ANGLE.fullmatch(column.strip().casefold())
     if match is None:
         return column, ""
@@ -281,10 +278,7 @@ def _checked(
 
 
 def in_radians(angles: np.ndarray) -> bool:
-    """Return whether the angles (n, 4) of some measurements are radians.
-
-    Then no theta is above pi / 2 and no phi above 2 pi; in degrees all of them would be views along the normal.
-    """
+    """Return whether angles (n, 4) are radians: no theta above pi / 2, no phi above 2 pi."""
     theta, phi = np.abs(angles[:, [0, 2]]), np.abs(angles[:, [1, 3]])
     within = (theta <= np.pi / 2 + 1e-3).all() and (phi <= 2 * np.pi + 1e-3).all()
     return bool(within and len(angles) >= FEWEST_ANGLES and theta.max() > LEAST_SPREAD)

@@ -89,10 +89,7 @@ def read_relightable(source: Path, file: Path, options: ConvertOptions) -> Rende
 
 
 def open_relightable(path: Path) -> RelightableImage:
-    """Open the image in a file, or in a folder of relight or webRTIViewer.
-
-    CaptureError (relightable-unreadable) where it is none that is read.
-    """
+    """Open the image in a file, or in a folder of relight or webRTIViewer. CaptureError: relightable-unreadable."""
     try:
         if path.is_dir():
             image = open_relight(path) if is_relight_folder(path) else open_web_rti(path)

@@ -29,10 +29,7 @@ FOLDERS = ("frames", "white", "dark", "ambient", "silhouettes")
 
 
 def channel_names(header: ImageHeader) -> tuple[str, ...]:
-    """Name the channels of a photograph, alpha apart.
-
-    CaptureError (layers-several) where an EXR has several layers, none of which is the whole light.
-    """
+    """Name a photograph's channels, alpha apart. CaptureError (layers-several): EXR layers, none of them all light."""
     if several_layers(header.names):
         what, found = "several layers, none of them called Combined or Beauty", ", ".join(header.names)[:200]
         remedy = "Write an EXR of one layer, or list the channels of one under camera.channels of a capture.yaml"
@@ -170,10 +167,7 @@ def lights_text(lights: Lights) -> str:
 
 
 def read_channels(path: Path) -> np.ndarray:
-    """Read codes (rows, columns, channels) float32, an alpha channel apart.
-
-    They are as stored, or linear where the file states a curve.
-    """
+    """Read codes (rows, columns, channels) float32 without alpha, as stored or linear by the file's curve."""
     header = read_header(path)
     codes = read_codes(path, channel_names(header), header=header).astype(np.float32)
     if header.coding is None or header.coding.linear:

@@ -60,10 +60,7 @@ class RoundLayout(SourcePhotographs):
 
 
 def cameras_of(program: str, read: Callable[[Path, Pictures], Registration]) -> Callable[..., RoundLayout]:
-    """Make the reader of a folder whose cameras a program found.
-
-    `read` gets the file or folder of the cameras, and the pictures of the source.
-    """
+    """Make the reader of a folder whose cameras a program found; `read` gets the cameras' file and the pictures."""
 
     def read_registered(source: Path, cameras: Path, options: ConvertOptions) -> RoundLayout:
         pictures = Pictures(source)
@@ -142,10 +139,7 @@ def _matrices_in(path: Path) -> np.ndarray | None:
 
 
 def read_numbered(source: Path, stored: tuple[Path, np.ndarray], options: ConvertOptions) -> RoundLayout:
-    """Give the photographs, in the natural order of their names, a matrix each.
-
-    A last photograph that repeats the first is left out.
-    """
+    """Give each photograph, in natural order, a matrix; a last one that repeats the first is left out."""
     (path, matrices), photographs = stored, photographs_in(source)
     notes = []
     repeated = len(photographs) > 2 and sha256_of(photographs[0]) == sha256_of(photographs[-1])

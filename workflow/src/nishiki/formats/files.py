@@ -196,10 +196,7 @@ def json_object(text: str | bytes) -> dict[str, Any]:
 
 
 def name_fault(name: str) -> str:
-    """Say why a relative file name is refused, or ''.
-
-    Absolute names, '..', back slashes, drives, control characters and parts of more than 200 bytes are.
-    """
+    """Say why a name is refused, or '': absolute, '..', back slash, drive, control character, part of > 200 bytes."""
     parts = PurePosixPath(name).parts
     if not name or name.startswith("/") or ".." in parts or "\\" in name or name[1:2] == ":":
         return "file name"

@@ -225,10 +225,7 @@ def _zstd_frame(file: BinaryIO, place: int, end: int, head: bytes) -> tuple[int,
 
 
 def load_arrays(path: Path | str | BytesIO, *, name: str | None = None) -> dict[str, np.ndarray]:
-    """Load all arrays of an .npz file; name: how messages call it.
-
-    UserError where it is missing, damaged, holds pickled objects, or unpacks to more than is read.
-    """
+    """Load an .npz; UserError: missing, damaged, pickled objects, or beyond what is read. name: for messages."""
     file = name or str(path)
     try:
         stream = path if isinstance(path, BytesIO) else os.fdopen(open_regular(path, file), "rb")

@@ -296,10 +296,7 @@ def _supported(before: Consistency | None, after: Consistency | None) -> bool:
 
 
 def movement_problems(judgement: Judgement, registers: bool | None = None) -> list[Problem]:
-    """Warn that the camera moved; no problem where it did not.
-
-    registers: whether the photographs are moved back; None where that is left to ingest.
-    """
+    """Warn that the camera moved. registers: whether photographs are moved back; None where that is left to ingest."""
     moved, movement = judgement.moved, judgement.movement
     if not moved.any():
         return []

@@ -153,10 +153,7 @@ def _leave_out_shadow(mean, lit):
 
 @njit(cache=True, error_model="numpy")
 def _body_colour(samples, mean, lit, colour):
-    """Estimate the unit direction (channels, LANES) of the samples' differences from grey; 0 where it is not known.
-
-    Returns the sum of their squares.
-    """
+    """Estimate the unit direction (channels, LANES) from grey, 0 where unknown; return the sum of the squares."""
     zero, one = np.float32(0.0), np.float32(1.0)
     channels, square, count, every = len(colour), splat(zero), splat(zero), splat(zero)
     for k in range(channels):

@@ -77,10 +77,7 @@ def developed(
 
 
 def exposure_for(parts: list[tuple[np.ndarray, float]]) -> float:
-    """Choose one factor at which no part of several pictures becomes too bright; 1 where all is black.
-
-    parts: linear sRGB (n, 3), and the level of the display's white that its 98th percentile may reach.
-    """
+    """Choose one factor at which no part (linear sRGB (n, 3), level of its 98th percentile) is too bright."""
     tops = [np.percentile(linear @ _LUMINANCE, ADAPTED_PERCENTILE) / level for linear, level in parts if len(linear)]
     top = float(max(tops, default=0.0))
     return 1 / top if top > 0 else 1.0

@@ -49,10 +49,7 @@ class Neighbourhood:
         return total[1:] / total[0] if total[0] > 0 else np.asarray(default, float)
 
     def field(self, coarse: float, default: np.ndarray) -> "Field":
-        """Smooth the field.
-
-        coarse: precision with which the next coarser lattice counts; default (size,): where no texel says anything.
-        """
+        """Smooth the field; coarse: precision of the next coarser lattice; default (size,): where no texel tells."""
         mean = self.mean(default)
         if not any(len(keys) for keys, _ in self.parts):
             return Field(self.lattice, np.zeros(1, np.int64), mean[None].copy(), mean)

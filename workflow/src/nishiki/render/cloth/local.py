@@ -190,10 +190,7 @@ def _frames(surface, points, eye, first, last, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _share(order, groups, frame, cosine, stands):
-    """Let the first sample of a group that stands for itself stand for those alike.
-
-    Alike are normals and weft within the cosine; any other sample stands for itself. Middle samples come first.
-    """
+    """Let the first sample of a group stand for those with normal and weft within the cosine, middle ones first."""
     first = 0
     while first < len(order):
         last = first + 1

@@ -54,10 +54,7 @@ class Matte:
 
 @dataclass(frozen=True)
 class Surface:
-    """A surface of cloth on both sides; on the back the warp runs the same way and the weft the other way.
-
-    mesh; weft (v, 3): unit tangents at the vertices; material: its number in the scene.
-    """
+    """Cloth on both sides; weft (v, 3): unit tangents, the other way on the back; material: its number in the scene."""
 
     mesh: Mesh
     weft: np.ndarray

@@ -249,10 +249,7 @@ class ObjectRenderer:
 
 
 def coded_parts(residual, encoding: str) -> tuple[str, ...]:
-    """Return what has to be decoded to linear light by itself: the total, or diffuse and specular.
-
-    The latter where their residuals were coded apart in an encoding in which sums are not sums of light.
-    """
+    """Return what has to be decoded to linear light by itself: the total, or diffuse and specular coded apart."""
     components = getattr(getattr(residual, "design", None), "components", ("total",))
     return tuple(components) if encoding != "linear" and len(components) > 1 else ("total",)
 

@@ -90,10 +90,7 @@ def lagrange(places: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture to make from `camera`, under lights with weights L_j / L, with the residual of captured views.
-
-    Pixels that not all of these see take `fallback`.
-    """
+    """A picture from `camera` under weights L_j / L; pixels that not all views see take the residual of `fallback`."""
 
     camera: Camera
     views: Neighbours
@@ -151,10 +148,7 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Tile:
-    """A tile as the renderer reads it, its texels in one row.
-
-    kd, ks (T * T, channels) and sigma (T * T,); positions, normals (T * T, 3); residual: of each part, or None.
-    """
+    """A tile, its texels in one row: kd, ks (T * T, channels), sigma (T * T,), places (T * T, 3), residual or None."""
 
     parameters: tuple[np.ndarray, np.ndarray, np.ndarray]
     positions: np.ndarray

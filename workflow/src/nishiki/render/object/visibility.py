@@ -34,10 +34,7 @@ class DepthMaps:
             self._maps.popitem(last=False)
 
     def visible(self, positions: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
-        """Judge how well a camera sees points (..., 3) with normals (..., 3): (...) float32 in 0..1.
-
-        0: hidden, turned away, or outside the picture; less than 1 where the view is steeper than `STEEP`.
-        """
+        """Judge how well a camera sees points (..., 3): 0 hidden, 1 well, between where steeper than `STEEP`."""
         with self._lock:
             if camera.name not in self._maps:
                 self.prepare([camera])

@@ -332,10 +332,7 @@ def _slope_offsets(buf, n):
 
 @njit(cache=True, error_model="numpy")
 def _add_blurred_lobe(buf, lobe, n):
-    """Add `_add_lobe` averaged over Gaussian slopes.
-
-    With s^2 = gamma^2 / 2 ln 2 and the covariance C, D becomes s^2 / sqrt(det(s^2 + C)) exp(-d (s^2 + C)^-1 d / 2).
-    """
+    """Add `_add_lobe` over slopes of covariance C: D is s^2 / sqrt(det(s^2 + C)) exp(-d (s^2 + C)^-1 d / 2)."""
     source = (_LOBES + 2 * lobe) * BLOCK
     for i in range(n):
         buf[_BETA + i] = buf[source + i]

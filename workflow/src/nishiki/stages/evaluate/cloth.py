@@ -88,10 +88,7 @@ def judged(measured: Reflectances, number: int, predicted: np.ndarray, rows: np.
 
 
 def curves(measured, number: int, predicted: dict, valid: np.ndarray, held_out: np.ndarray, count: int) -> list[dict]:
-    """List measured and predicted values in the plane of the light, mean of the channels, sr^-1.
-
-    Incidences are spread evenly; the warp and the weft plane at normal incidence come first.
-    """
+    """List measured and predicted values in the plane of the light at incidences spread evenly, sr^-1; normal first."""
     groups = [(theta, phi, valid[rows]) for theta, phi, rows in incidences(measured.incident[valid])]
     planes = []
     for theta, phi, rows in groups:

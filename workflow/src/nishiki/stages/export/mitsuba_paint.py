@@ -41,10 +41,7 @@ def define():
         raise RuntimeError(f"{NAME} has colours in RGB, not {mi.variant()}. Remedy: scalar_rgb or llvm_ad_rgb")
 
     class Paint(mi.BSDF):
-        """Set up the model from regions and losses of scene.json, as text, and raw textures by name.
-
-        Some `TEXTURES` may lack; normals are in world coordinates.
-        """
+        """Set up the model from regions and losses of scene.json, as text, and raw textures, of which some may lack."""
 
         def __init__(self, props):
             mi.BSDF.__init__(self, props)

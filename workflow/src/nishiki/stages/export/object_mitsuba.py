@@ -143,10 +143,7 @@ def nearest_pinhole(camera: Camera, points: np.ndarray) -> Camera:
 
 
 def camera_facts(camera: Camera, positions: np.ndarray, unit: float) -> dict:
-    """Describe a pinhole as Mitsuba does: camera to world with x to the left, y up and z ahead.
-
-    `principal_offset`: of the picture's middle from the optical axis, as shares of its width and height.
-    """
+    """Describe a pinhole as Mitsuba does: x left, y up, z ahead; `principal_offset` as shares of the size."""
     k, centre = camera.intrinsics, camera.centre * unit
     to_world = np.eye(4)
     to_world[:3] = np.column_stack([-camera.rotation[0], -camera.rotation[1], camera.rotation[2], centre])

@@ -101,10 +101,7 @@ def shown_in(look: ObjectLook, name: str) -> Shown:
 def against_photographs(
     context: Context, look: ObjectLook, asked: Mapping[str, Shown]
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Compare linear values that several programs show of seen points with photographs: PSNR in the capture's encoding.
-
-    Of left-out views (`check`) and some others (`fitted`). Photographs are read once for all.
-    """
+    """Compare linear values of seen points with photographs: PSNR of left-out views and of some others."""
     decoded, settings, count = look.decoded, context.settings, len(look.decoded.views)
     left_out = decoded.numbers(settings.hold_out)
     seen = [view for view in range(count) if view not in left_out]

@@ -111,10 +111,7 @@ def linear_picture(views: Views, name: str) -> np.ndarray:
 
 
 def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np.ndarray | None], list, dict]:
-    """Return silhouettes of all views as given, else segmented where they are needed.
-
-    Also what may be shadow beside the segmented ones, and figures of these by view.
-    """
+    """Return silhouettes, given or segmented, what may be shadow beside the segmented ones, and figures by view."""
     outlines, facts = [views.silhouette(name) for name in views.views], {}
     shadows = [None if outline is None else np.zeros_like(outline) for outline in outlines]
     missing = [place for place, outline in enumerate(outlines) if outline is None] if needed else []

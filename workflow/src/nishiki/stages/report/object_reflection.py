@@ -118,10 +118,7 @@ def sheet(read: Callable[[int], np.ndarray], atlas: Atlas, widest: int) -> tuple
 
 
 def _pieces(read: Callable[[int], np.ndarray], atlas: Atlas, side: int) -> tuple[list[np.ndarray], LeftOut]:
-    """List connected pieces of all charts, (rows, columns, n) with NaN outside, tiles averaged to `side` pixels a side.
-
-    Those with less than `SPECK` of the known pixels are left out, but not the largest.
-    """
+    """List connected pieces of charts (rows, columns, n), tiles averaged to `side` pixels; specks are left out."""
     import cv2
 
     pieces, sizes = [], []
@@ -156,10 +153,7 @@ def _chart_picture(read: Callable[[int], np.ndarray], atlas: Atlas, chart: int, 
 
 
 def packed(boxes: list[tuple[int, int]]) -> tuple[list[Place], int, int]:
-    """Place boxes (rows, columns) on shelves, tallest first, with a gap.
-
-    Returns places (top, left), and height and width of the sheet, which is a little wider than high.
-    """
+    """Place boxes (rows, columns) on shelves, tallest first; return places (top, left), height and width."""
     area = sum((rows + GAP) * (columns + GAP) for rows, columns in boxes)
     wide = max([int(np.ceil(np.sqrt(1.3 * area))), *(columns for _, columns in boxes)] or [1])
     places: list[Place] = [(0, 0)] * len(boxes)
@@ -257,10 +251,7 @@ def bytes_bars(parts: dict[str, int]) -> str:
 
 
 def rate_curve(residual: dict[str, Any]) -> str:
-    """Draw PSNR against bytes: the model alone, and the settings that the allocation tried.
-
-    Empty without figures of the model or of any setting: settings alone lie too close together to tell anything.
-    """
+    """Draw PSNR against bytes of the model and of the settings tried; empty where either is missing."""
     tried = sorted(
         (point["bytes"] / 1000, point["psnr_db"])
         for point in residual.get("curve") or []

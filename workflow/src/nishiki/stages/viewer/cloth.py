@@ -168,10 +168,7 @@ def unit_steps(vectors: np.ndarray) -> np.ndarray:
 
 
 def material_arrays(brdf: Brdf) -> dict[str, dict[str, np.ndarray]]:
-    """Return the blocks of a model: its table and its share of even light, and its gloss alone.
-
-    The gloss has the directional albedo that a dye below it needs.
-    """
+    """Return a model's blocks: its table and share of even light, its gloss alone and the albedo that a dye needs."""
     dye = dyed(brdf, {"white": (1.0, 1.0, 1.0)})["white"]
     through = {
         "albedo": dye.gloss_albedo.astype(np.float32),
