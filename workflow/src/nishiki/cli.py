@@ -102,8 +102,7 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit(2) from None
     except UserError as error:
         # Remedies name the launcher of a checkout; an installed package has the command instead.
-        message = str(error).replace("./nishiki ", f"{COMMAND} ")
-        print(f"{name}: {message}", file=sys.stderr)
+        print(f"{name}: {str(error).replace('./nishiki ', f'{COMMAND} ')}", file=sys.stderr)
         raise SystemExit(2) from None
     except BrokenPipeError:
         raise SystemExit(0) from None

@@ -236,11 +236,9 @@ def appearance_section(render: Artifact | None, widest: int, video_mb: float, ru
             continue
         exposure = (reported.get(entry["name"]) or {}).get("exposure")
         caption = f"{describe(entry)} {exposed(exposure, chosen=entry.get('exposure') == 'auto')}".strip()
-        frontal = entry["view"]["kind"] == "frontal"
+        scale = ruler if entry["view"]["kind"] == "frontal" else None
         picture = file_picture(data, widest)
-        items.append(
-            Figure(entry["name"].replace("-", " ").capitalize(), caption, picture, ruler=ruler if frontal else None)
-        )
+        items.append(Figure(entry["name"].replace("-", " ").capitalize(), caption, picture, ruler=scale))
     for entry in render.settings["sequences"]:
         facts = reported.get(entry["name"]) or {}
         if facts.get("file") in render.manifest["files"]:
