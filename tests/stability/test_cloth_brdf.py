@@ -9,7 +9,6 @@ from stability.cases import case, powers_of_ten, relative, worst_over
 
 from nishiki.brdf.cloth.interface import LEAST_COSINE, Dyed
 from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard, great_circle_view, linear_view, read_facets
-from nishiki.brdf.cloth.store import TableBrdf
 from nishiki.brdf.cloth.yarn_facets import CENTRE, SPREAD, shape_of, uncorrected
 from nishiki.brdf.cloth.yarn_fit import Measured, fit_yarn_facets
 from nishiki.errors import UserError
@@ -91,7 +90,7 @@ def test_models_at_the_horizon():
         uncorrected(shape, 0.3 * ONE, 0.1 * ONE), Ward(ONE, ONE, 0.1, 0.4), Ggx(ONE, ONE, 0.1, 0.4, 1.5),
         AshikhminShirley(ONE, ONE, 10.0, 400.0, 0.05),
     ]  # fmt: skip
-    models += [TableBrdf.sample(models[4], thetas_h=6, phis_h=8, thetas_d=5, phis_d=4), Dyed.of(models[5], [0.3])]
+    models.append(Dyed.of(models[5], [0.3]))
     return sum(broken_values(model, seed) for seed, model in enumerate(models))
 
 

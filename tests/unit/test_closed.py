@@ -50,6 +50,8 @@ def test_what_is_reported(name):
         ({"brdf": {"lobes": "ladder"}}, "brdf.lobes"),
         ({"cloth_render": {"cloth": {}}}, "cloth_render.cloth"),
         ({"normals": {"solver": "lobes"}}, "normals.solver: lobes"),
+        ({"cloth_brdf": {"export": ["csv", "table"]}}, "cloth_brdf.export: table"),
+        ({"weave": {"reading": "yarns"}}, "weave.reading: yarns"),
         ({"cloth_brdf": {"model": "ward"}}, "ward"),
         ({"cloth_brdf": {"compare": ["facets", "ggx"]}}, "ggx"),
     ],

@@ -1,14 +1,12 @@
-"""Sampled tables and exports, peers recovered from their own values, the facet reading of a known distribution."""
+"""Exported tables, peers recovered from their own values, the facet reading of a known distribution."""
 
 import numpy as np
 import pytest
 from benchmarks.cloth_peers import Ggx, fit_peer, peer_of
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from nishiki.brdf.cloth.interface import halves, hemisphere, prediction_error, reciprocity_error
 from nishiki.brdf.cloth.normal_incidence import TILTS, TURNS, read_facets, smith_masking
-from nishiki.brdf.cloth.store import TableBrdf, goniometer_rows, load_brdf, pair, pair_angles, save_brdf, utia_planes
+from nishiki.brdf.cloth.store import goniometer_rows, utia_planes
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.goniometry.interpolation import evaluate
 
@@ -18,29 +16,6 @@ GLOSSY = Ggx(np.array([0.2]), np.array([1.0]), 0.3, 0.5, 1.5)
 def direction(theta_deg, phi_deg):
     t, p = np.radians(np.broadcast_arrays(np.asarray(theta_deg, float), np.asarray(phi_deg, float)))
     return np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=-1)
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.floats(0, 89), st.floats(0, 359), st.floats(0, 89), st.floats(0, 359))
-def test_pair_angles_are_the_inverse_of_pair(theta_i, phi_i, theta_r, phi_r):
-    incident, outgoing = direction(theta_i, phi_i), direction(theta_r, phi_r)
-    found = pair(*pair_angles(incident, outgoing))
-    straight = np.allclose(found[0], incident, atol=1e-9) and np.allclose(found[1], outgoing, atol=1e-9)
-    swapped = np.allclose(found[1], incident, atol=1e-9) and np.allclose(found[0], outgoing, atol=1e-9)
-    assert straight or swapped
-
-
-def test_table_is_reciprocal_and_close_to_what_it_was_sampled_from(tmp_path):
-    table = TableBrdf.sample(GLOSSY)
-    assert reciprocity_error(table) < 1e-12
-    views = hemisphere(10, 20)[0]
-    for light in (direction(0, 0), direction(40, 20), direction(65, 100)):
-        error = prediction_error(views, GLOSSY.evaluate(light, views), table.evaluate(light, views))
-        assert error.rms_rel < 0.03
-    assert np.all(table.evaluate(direction(20, 0), direction([91, 150], 10)) == 0)
-    assert np.all(np.isfinite(table.evaluate(direction(89.9999, 0), views)))
-    save_brdf(tmp_path / "table.npz", table)
-    assert np.array_equal(load_brdf(tmp_path / "table.npz").values, table.values)
 
 
 def test_rows_are_those_of_a_capture():

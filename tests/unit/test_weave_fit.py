@@ -46,10 +46,10 @@ CLOTHS = {
 }
 
 
-def of_reading(model: WeaveModel, reading: str, lobe_name: str = "gauss") -> WeaveModel:
+def of_reading(model: WeaveModel, reading: str) -> WeaveModel:
     values = {name: getattr(model, name) for name in model.__dataclass_fields__}
     values["weft"], values["warp"] = (s.scaled(1 / s.period) for s in (model.weft, model.warp))
-    return WeaveModel(**{**values, "reading": reading, "lobe": lobe_name})
+    return WeaveModel(**{**values, "reading": reading})
 
 
 def measured(model: WeaveModel, *, noise: float = 0.0, seed: int = 0, relative_error: float = 0.02):
@@ -76,35 +76,31 @@ def test_paper_reading_is_equation_15():
         np.testing.assert_allclose(model.predict(name, 0.0, THETA), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("kind", [0, 1])
-def test_lobe_integral_is_quadrature(kind):
+def test_lobe_integral_is_quadrature():
     for low, high, width in ((-0.3, 0.8, 0.2), (0.0, 1.5, 0.05), (-2.0, 2.0, 0.7), (1.4, 1.9, 1.3)):
         inner = [x for x in (-np.pi / 2, 0.0, np.pi / 2) if low < x < high]
-        expected = quad(lobe, low, high, args=(width, kind), points=inner or None, epsabs=1e-13)[0]
-        assert lobe_integral(low, high, width, kind) == pytest.approx(expected, rel=1e-8, abs=1e-12)
+        expected = quad(lobe, low, high, args=(width,), points=inner or None, epsabs=1e-13)[0]
+        assert lobe_integral(low, high, width) == pytest.approx(expected, rel=1e-8, abs=1e-12)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [0, 1])
 @pytest.mark.parametrize("section", [CLOTHS["satin"].weft, CLOTHS["satin"].warp])
-def test_pieces_are_the_sum_over_the_lit_and_seen_profile(section, kind):
+def test_pieces_are_the_sum_over_the_lit_and_seen_profile(section):
     """Closed form against a dense sum over the explicit profile with the share that is lit and seen found by rays."""
     cloth, period, radius = pieces_of(section)
     lengths = lengths_of(cloth, radius)
     width, samples = 0.3, 400
     for i, o in ((0.0, 0.9), (0.7, -1.2), (-0.5, -1.0)):
-        sums = np.zeros(4)
-        second = len(cloth) - 4  # the second hump: flank, two arcs, flank
+        sums = np.zeros(2)
         for own in range(len(cloth)):
             for u in (np.arange(samples) + 0.5) / samples:
                 if not (cast(cloth, period, radius, own, u, i) and cast(cloth, period, radius, own, u, o)):
                     continue
                 _, _, nx, nz = along(cloth[own], radius, u)
                 slope, part = np.arctan2(nx, nz), lengths[own] / samples
-                k = 2 if own >= second else 0
-                sums[k] += part * lobe(0.5 * (i + o) - slope, width, kind)
-                sums[k + 1] += part * np.cos(i - slope) * np.cos(o - slope)
-        found = pieces(section.shape, width, width, kind, i, o, 0.5 * (i + o))
+                sums[0] += part * lobe(0.5 * (i + o) - slope, width)
+                sums[1] += part * np.cos(i - slope) * np.cos(o - slope)
+        found = pieces(section.shape, width, i, o, 0.5 * (i + o))
         np.testing.assert_allclose(np.array(found) * period, sums, atol=5e-3 * section.length)
 
 
@@ -123,11 +119,10 @@ def test_recovery_without_noise_is_within_one_per_cent(cloth, reading):
 
 
 @pytest.mark.slow
-def test_recovery_by_yarns_and_with_the_contact_searched():
-    truth = of_reading(CLOTHS["satin"], "yarns", "ggx")
-    truth = WeaveModel(**{**truth.__dict__, "weft": WeftSection(0.8, 0.03, 0.1, 4, 1.0)})
-    truth = of_reading(truth, "yarns", "ggx")
-    found = fit_weave(*measured(truth), reading="yarns", lobe="ggx", contact=None, harness=5, confidence=None)
+def test_recovery_with_the_contact_searched():
+    truth = of_reading(CLOTHS["satin"], "shaded")
+    truth = of_reading(WeaveModel(**{**truth.__dict__, "weft": WeftSection(0.8, 0.03, 0.1, 4, 1.0)}), "shaded")
+    found = fit_weave(*measured(truth), contact=None, harness=5, confidence=None)
     for name, value in truth.parameters().items():
         assert found.model.parameters()[name] == pytest.approx(value, rel=0.01), name
 
@@ -224,9 +219,9 @@ def rotation(degrees: float):
     return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
 
 
-@pytest.mark.parametrize("reading", ["paper", "shaded", "yarns"])
+@pytest.mark.parametrize("reading", ["paper", "shaded"])
 def test_brdf_is_the_fitted_curve_in_the_planes_reciprocal_and_finite(reading, tmp_path):
-    model = of_reading(CLOTHS["satin"], reading, "ggx")
+    model = of_reading(CLOTHS["satin"], reading)
     brdf = brdf_of(model)
     for plane, name in enumerate(("weft", "warp")):
         lamp, view = directions(plane, np.full(THETA.size, 0.4)), directions(plane, -THETA)

@@ -22,6 +22,9 @@ FORMER = {
     "goniometer_samples.interpolation: thin_plate": "delete it: the spline, the default, is nearer to measured views",
     "goniometer_samples.interpolation: linear": "delete it: the spline, the default, is nearer to measured views",
     "object_brdf.method": "delete it: the width of a texel's lobe is searched, from no start value",
+    "weave.lobe": "delete it: the lobe is the paper's exp(-x²/a²)",
+    "weave.reading: yarns": "delete it: the stage fits yarns to the whole hemisphere (weave.yarns)",
+    "cloth_brdf.export: table": "choose csv: it holds the same model as rows that read back",
     "cloth_render.cloth": "delete it: the cloth is draped as it was by default",
     "normals.solver: lobes": "delete it: 'lobe' is the default and was not worse on any measured object",
     "ward": _PEER,
@@ -185,9 +188,9 @@ def _fault(model: type[Closed], path: tuple, problem: Any) -> Fault:
         near = difflib.get_close_matches(last, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
         return Fault("unknown-key", key, hint=FORMER.get(key, hint))
-    return Fault(
-        "wrong-value", key, _plain(problem["msg"]), FORMER.get(f"{key}: {value}", FORMER.get(str(value), "")), value
-    )
+    place = re.sub(r"\.\d+", "", key)
+    hint = FORMER.get(f"{place}: {value}", FORMER.get(str(value), ""))
+    return Fault("wrong-value", key, _plain(problem["msg"]), hint, value)
 
 
 def _joined(path: tuple) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.weave.intervals import Identifiability, identify, noise_variance, profile_intervals
-from nishiki.weave.model import GAUSS, GGX, PAPER, SHADED, SIZE, YARNS, columns, plane_rows, shape_of
+from nishiki.weave.model import PAPER, SHADED, SIZE, columns, plane_rows, shape_of
 from nishiki.weave.search import UNKNOWNS, Problem, at_bounds, search
 from nishiki.weave.section import HALF_PI, WarpSection, WeftSection
 
@@ -122,8 +122,7 @@ def _interpolated(reflectances, axis, region, view, views: int) -> tuple[np.ndar
     return at, np.asarray(reflectances.basic.evaluate(direction, region=region))
 
 
-READINGS = {"paper": PAPER, "shaded": SHADED, "yarns": YARNS}
-LOBES = {"gauss": GAUSS, "ggx": GGX}
+READINGS = {"paper": PAPER, "shaded": SHADED}
 START_INDEX = 1.5
 NOTHING = 1e-6  # a length over the period, or a strength, that is left out of what is told apart
 
@@ -134,8 +133,7 @@ class WeaveModel:
 
     weft, warp: sections, each scaled to a period of 1. a_weft, a_warp: widths of D = exp(-theta_h^2 / a^2) (the paper's
     e and a). index: refractive index. k_s, k_d (channels,): strengths of gloss and body (k_d stands for the paper's k_d
-    d), one pair for both planes. reading: "paper", "shaded" or "yarns" (see `reading`); lobe: "gauss" (the paper's) or
-    "ggx".
+    d), one pair for both planes. reading: "paper" or "shaded".
     """
 
     weft: WeftSection
@@ -146,7 +144,6 @@ class WeaveModel:
     k_s: np.ndarray
     k_d: np.ndarray
     reading: str = "paper"
-    lobe: str = "gauss"
 
     @property
     def f0(self) -> float:
@@ -195,7 +192,6 @@ def fit_weave(
     warp: Plane,
     *,
     reading: str = "shaded",
-    lobe: str = "gauss",
     contact: float | None = HALF_PI,
     harness: int | tuple[int, ...] | None = None,
     index: float | None = START_INDEX,
@@ -203,17 +199,17 @@ def fit_weave(
 ) -> WeaveFit:
     """Fit the weave model to both planes; deterministic.
 
-    reading : "paper" (Takeda and Tanaka, eq. 15), "shaded" or "yarns". lobe : "gauss" (the paper's) or "ggx". contact :
-    angle of the weft section's contacts; None: searched. harness : yarns of a repeat, of which one is bound, where the
-    weave is known: then n = harness - 1; several: whichever fits best; None: n is searched. index : refractive index;
-    None: searched (strongly correlated with k_s). confidence : of the intervals; None: no intervals, for speed.
+    reading : "paper" (Takeda and Tanaka, eq. 15) or "shaded". contact : angle of the weft section's contacts; None:
+    searched. harness : yarns of a repeat, of which one is bound, where the weave is known: then n = harness - 1;
+    several: whichever fits best; None: n is searched. index : refractive index; None: searched (strongly correlated
+    with k_s). confidence : of the intervals; None: no intervals, for speed.
     """
     fits = []
     for yarns in harness if isinstance(harness, tuple) else (harness,):
-        problem, start = _problem(weft, warp, READINGS[reading] + LOBES[lobe], contact, yarns, index)
+        problem, start = _problem(weft, warp, READINGS[reading], contact, yarns, index)
         fits.append((problem, *search(problem, start)))
     problem, p, cost = min(fits, key=lambda each: each[2])
-    model = model_of(p, weft, warp, reading, lobe)
+    model = model_of(p, weft, warp, reading)
     variance = noise_variance(problem, cost)
     ranges = profile_intervals(problem, p, cost, confidence=confidence, variance=variance) if confidence else {}
     rms_rel = {}
@@ -252,7 +248,7 @@ def _problem(weft: Plane, warp: Plane, reading: int, contact, harness, index) ->
     return problem, start
 
 
-def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str, lobe: str) -> WeaveModel:
+def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str) -> WeaveModel:
     """Build the model at the solver's unknowns, with non-negative strengths of each channel over both planes."""
     from scipy.optimize import nnls
 
@@ -260,7 +256,7 @@ def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str, lobe: str) -
     sigma = np.concatenate([weft.sigma, warp.sigma])[:, None]
     values = np.concatenate([weft.values, warp.values]) / sigma
     shapes, widths = (shape_of(p[:SIZE], 0), shape_of(p[SIZE:], 1)), np.exp(p[[3, SIZE + 3]])
-    matrix = columns(*shapes, widths, _rows(weft, warp), f0=f0, reading=READINGS[reading] + LOBES[lobe]) / sigma
+    matrix = columns(*shapes, widths, _rows(weft, warp), f0=f0, reading=READINGS[reading]) / sigma
     strengths = np.array([nnls(matrix, column)[0] for column in values.T])
     root = np.sqrt(f0)
     theta_a, length, radius, _, yarns, contact = shape_of(p[:SIZE], 0)
@@ -275,7 +271,6 @@ def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str, lobe: str) -
         k_s=strengths[:, 0] / f0,
         k_d=strengths[:, 1],
         reading=reading,
-        lobe=lobe,
     )
 
 
@@ -285,7 +280,7 @@ def _identifiability(model: WeaveModel, weft: Plane, warp: Plane, problem: Probl
     if 4 not in problem.free:
         known.pop("contact_weft", None)
 
-    rows, kind = _rows(weft, warp), READINGS[model.reading] + LOBES[model.lobe]
+    rows, kind = _rows(weft, warp), READINGS[model.reading]
 
     def predict(values):
         return _predict(model, values, rows, kind)
@@ -298,7 +293,7 @@ def _rows(weft: Plane, warp: Plane) -> np.ndarray:
 
 
 def _columns(model: WeaveModel, rows: np.ndarray) -> np.ndarray:
-    reading = READINGS[model.reading] + LOBES[model.lobe]
+    reading = READINGS[model.reading]
     widths = (model.a_weft, model.a_warp)
     return columns(model.weft.shape, model.warp.shape, widths, rows, f0=model.f0, reading=reading)
 

@@ -1,22 +1,16 @@
 """Evaluate the reflectance of the weave model: gloss and body, each linear in its strength; also as a BRDF.
 
 A direction in space sees a section as its projection on the section's plane does, so each column is made of a factor of
-the weft plane (x, z) and one of the warp plane (y, z). Three readings of the same sections:
+the weft plane (x, z) and one of the warp plane (y, z). Two readings of the same sections:
 
 * paper: Takeda and Tanaka, eq. 15, rho = k_s D F G / cos(theta_r) + k_d d G; a section enters by its masking alone.
 * shaded: every piece of a section that is lit and seen reflects by its own slope, the gloss by facets that scatter
   about it, D(theta_h - slope), the body by Lambert's law; integrated over these pieces in closed form.
-* yarns: shaded, and the pieces are those of yarns. In the weft section the row of yarns is the warp's, cut across, and
-  the single hump a weft yarn along its way; in the warp section the hump with the flat top is a warp yarn along its
-  way, the other one a weft yarn cut across. Fibres scatter differently along and across a yarn: the lobe's two widths
-  are those across (where the others have the weft plane's) and along (the warp plane's).
 
 Light off the normal: G is the share that is lit and seen, the gloss is divided by cos(theta_i) as well. For light and
 view along the normal both columns are 1 without the Fresnel term, so a strength is its part of rho: k_s F0, k_d d.
 
-The lobe D is the paper's exp(-x^2 / a^2), or that of GGX in the plane (Walter et al., EGSR 2007), whose tails are those
-of
-fibres: 1 / (cos^2 x + sin^2 x / a^2)^2.
+The lobe D is the paper's exp(-x^2 / a^2).
 
 A direction in space sees a section as its projection on the section's plane does. Both sections' surfaces are taken as
 crossing each other independently: gloss and body are products of a factor of the weft plane and one of the warp plane,
@@ -25,20 +19,20 @@ factor is 1 there).
 """
 
 from dataclasses import dataclass
-from math import atan2, cos, erfc, exp, pi, sin, sqrt, tan
+from math import cos, erfc, exp, pi, sin, sqrt
 from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
 from nishiki.brdf.cloth.interface import halves, off_horizon, only_above
+from nishiki.errors import UserError
 from nishiki.formats.fields import ArrayFields
 from nishiki.weave.section import HALF_PI, side_lengths, visible_share
 
 PARAMETERS = ("theta_a", "flank", "humps", "log_width", "contact")  # of one plane; see shape_of
 PLANES = ("weft", "warp")  # 0, 1
-PAPER, SHADED, YARNS = 0, 2, 4  # a reading's number is one of these plus one of the lobes'
-GAUSS, GGX = 0, 1
+PAPER, SHADED = 0, 2  # as files have them
 SIZE = len(PARAMETERS)
 TINY = 1e-150  # a gloss column that is no more along the normal stands for nothing that is seen
 
@@ -68,82 +62,55 @@ def schlick(f0, cosine):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lobe(x, width, kind):
-    """D at an angle x from the middle, 1 at 0; 0 beyond pi/2 for GGX."""
-    if kind == GAUSS:
-        return exp(-((x / width) ** 2))
-    if abs(x) >= HALF_PI:
-        return 0.0
-    c, s = cos(x), sin(x) / width
-    return 1.0 / (c * c + s * s) ** 2
+def lobe(x, width):
+    """D at an angle x from the middle, 1 at 0."""
+    return exp(-((x / width) ** 2))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lobe_integral(low, high, width, kind):
+def lobe_integral(low, high, width):
     """Integral of the lobe over low..high, never negative: on one side of the middle a difference of tails."""
     if low < 0.0 and high > 0.0:
-        total = width * sqrt(pi) if kind == GAUSS else width * (1.0 + width * width) * HALF_PI
-        return total - _beyond(high, width, kind) - _beyond(-low, width, kind)
+        return width * sqrt(pi) - _beyond(high, width) - _beyond(-low, width)
     near, far = (low, high) if low >= 0.0 else (-high, -low)
-    return max(_beyond(near, width, kind) - _beyond(far, width, kind), 0.0)
+    return max(_beyond(near, width) - _beyond(far, width), 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _beyond(x, width, kind):
-    """Integral of the lobe from x >= 0 to its end, to full relative accuracy far out.
-
-    GGX: by s = tan x / width, of (1 + width^2 s^2) / (1 + s^2)^2.
-    """
-    if kind == GAUSS:
-        return 0.5 * sqrt(pi) * width * erfc(x / width)
-    if x >= HALF_PI:
-        return 0.0
-    s = tan(x) / width
-    return 0.5 * width * ((1.0 + width * width) * atan2(1.0, s) - (1.0 - width * width) * s / (1.0 + s * s))
+def _beyond(x, width):
+    """Integral of the lobe from x >= 0 on, to full relative accuracy far out."""
+    return 0.5 * sqrt(pi) * width * erfc(x / width)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pieces(shape, first_width, second_width, kind, theta_i, theta_r, half):
+def pieces(shape, width, theta_i, theta_r, half):
     """Gloss (without Fresnel) and body of the pieces lit and seen, times cos(theta_i) cos(theta_r), over the period.
 
-    Returns (gloss, body) of the first hump with its flat top or contacts, then of the second. The lobe's width is that
-    of each hump; half: angle of the half vector, which in the plane lies midway.
+    half: angle of the half vector, which in the plane lies midway.
     """
     theta_a, length, radius, flat, yarns, contact = shape
     rows, apart, middle = yarns - 1.0, cos(theta_i - theta_r), theta_i + theta_r
     lit, seen = side_lengths(shape, theta_i), side_lengths(shape, theta_r)
-    arc, same = radius * theta_a, first_width == second_width
-    hump_gloss = other_gloss = hump_body = 0.0
-    gloss, body = flat * lobe(half, first_width, kind), flat * cos(theta_i) * cos(theta_r)
+    arc = radius * theta_a
+    hump_gloss = hump_body = 0.0
+    gloss, body = flat * lobe(half, width), flat * cos(theta_i) * cos(theta_r)
     for k in range(2):
         side = 1.0 if k == 0 else -1.0
         outer, inner = min(lit[k], seen[k]), min(lit[k + 2], seen[k + 2])
         straight, angle = max(outer - arc, 0.0), (min(outer, arc) / radius if radius > 0.0 else 0.0)
         low, high = (half - angle, half) if k == 0 else (half, half + angle)
-        steep = half - side * theta_a
-        hump_gloss += straight * lobe(steep, first_width, kind)
-        hump_gloss += radius * lobe_integral(low, high, first_width, kind)
-        if not same:
-            other_gloss += straight * lobe(steep, second_width, kind)
-            other_gloss += radius * lobe_integral(low, high, second_width, kind)
+        hump_gloss += straight * lobe(half - side * theta_a, width)
+        hump_gloss += radius * lobe_integral(low, high, width)
         hump_body += straight * cos(theta_i - side * theta_a) * cos(theta_r - side * theta_a)
         # integral of cos(theta_i - side x) cos(theta_r - side x) over 0..angle
         hump_body += 0.5 * radius * (angle * apart + sin(angle) * cos(angle - side * middle))
         if rows > 0.0:
             low, high = (half - inner, half) if k == 0 else (half, half + inner)
-            gloss += rows * radius * lobe_integral(low, high, first_width, kind)
+            gloss += rows * radius * lobe_integral(low, high, width)
             body += 0.5 * rows * radius * (inner * apart + sin(inner) * cos(inner - side * middle))
-    other_gloss = hump_gloss if same else other_gloss
     wide = 4.0 * (length * cos(theta_a) + radius * sin(theta_a)) + flat + 2.0 * rows * radius * sin(contact)
-    return (gloss + hump_gloss) / wide, (body + hump_body) / wide, other_gloss / wide, hump_body / wide
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def second_share(shape):
-    """Share of the period that the second hump takes."""
-    theta_a, length, radius, flat, yarns, contact = shape
-    hump = 2.0 * (length * cos(theta_a) + radius * sin(theta_a))
-    return hump / (2.0 * hump + flat + 2.0 * (yarns - 1.0) * radius * sin(contact))
+    # the first hump with its flat top or contacts, then the second
+    return (gloss + hump_gloss) / wide + hump_gloss / wide, (body + hump_body) / wide + hump_body / wide
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -153,51 +120,24 @@ def _plane_factor(shape, width, reading, above, i, r, half):
         return 1.0, 1.0
     if reading < SHADED:
         seen = visible_share(shape, i, r)
-        return lobe(half, width, reading % 2) * seen, seen
-    a, b, c, d = pieces(shape, width, width, reading % 2, i, r, half)
-    gloss = (a + c) / above[0] if above[0] > TINY else 0.0
-    return gloss, (b + d) / (above[1] * cos(i) * cos(r))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _yarn_factors(weft, warp, across, along, kind, row):
-    """Gloss (times cos i cos r) and body of both systems of yarns together, unscaled."""
-    x = pieces(weft, across, along, kind, row[0], row[1], row[2])
-    y = pieces(warp, along, across, kind, row[3], row[4], row[5])
-    weft_share_x, weft_share_y = second_share(weft), second_share(warp)
-    # each section tells how its own part of the surface is spread, the geometric mean of both how large that part is
-    up = sqrt(weft_share_x * weft_share_y)
-    first = (1.0 - up) / ((1.0 - weft_share_x) * (1.0 - weft_share_y))
-    second = up / (weft_share_x * weft_share_y)
-    slant = cos(row[0]) * cos(row[1]) * cos(row[3]) * cos(row[4])
-    return first * x[0] * y[0] + second * x[2] * y[2], (first * x[1] * y[1] + second * x[3] * y[3]) / slant
+        return lobe(half, width) * seen, seen
+    gloss, body = pieces(shape, width, i, r, half)
+    return gloss / above[0] if above[0] > TINY else 0.0, body / (above[1] * cos(i) * cos(r))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fill_columns(weft, warp, across, along, rows, f0, reading, out):
     """Fill out (n, 2), the gloss and body columns of two sections in the directions of `rows` (see rows_of).
 
-    A section is (theta_a, l, r, m, n, contact); across, along: widths of the lobes, in the other readings those of the
-    weft and the warp plane.
+    A section is (theta_a, l, r, m, n, contact); across, along: widths of the lobes in the weft and the warp plane.
     """
-    kind, straight = reading % 2, np.zeros(9)
-    if reading >= YARNS:
-        above = _yarn_factors(weft, warp, across, along, kind, straight)
-    elif reading >= SHADED:
-        a, b, c, d = pieces(weft, across, across, kind, 0.0, 0.0, 0.0)
-        above_x = (a + c, b + d)
-        a, b, c, d = pieces(warp, along, along, kind, 0.0, 0.0, 0.0)
-        above_y = (a + c, b + d)
-    else:
-        above_x = above_y = (1.0, 1.0)
+    above_x = above_y = (1.0, 1.0)
+    if reading == SHADED:
+        above_x = pieces(weft, across, 0.0, 0.0, 0.0)
+        above_y = pieces(warp, along, 0.0, 0.0, 0.0)
     for k in range(len(rows)):
         row = rows[k]
         fresnel = schlick(f0, row[8]) / (row[6] * row[7])
-        if reading >= YARNS:
-            gloss, body = _yarn_factors(weft, warp, across, along, kind, row)
-            out[k, 0] = fresnel * gloss / above[0] if above[0] > TINY else 0.0
-            out[k, 1] = body / above[1]
-            continue
         x = _plane_factor(weft, across, reading, above_x, row[0], row[1], row[2])
         y = _plane_factor(warp, along, reading, above_y, row[3], row[4], row[5])
         out[k, 0], out[k, 1] = fresnel * x[0] * y[0], x[1] * y[1]
@@ -240,8 +180,8 @@ class WeaveBrdf(ArrayFields):
     """Weave model in 4-D, reciprocal; see the fields of `nishiki.weave.fit.WeaveModel`.
 
     diffuse, specular (channels,): k_d and k_s F0, sr^-1. weft, warp (6,): theta_a, l, r, m, n, contact. width (2,): of
-    the lobes, weft and warp plane. index: refractive index. reading: 0, 1 the paper's reading with Gaussian or GGX
-    lobe, 2, 3 the shaded one, 4, 5 yarns.
+    the lobes, weft and warp plane. index: refractive index. reading: 0 the paper's, 2 the shaded
+    one. UserError for others, which earlier versions had.
     """
 
     KIND: ClassVar[str] = "weave"
@@ -252,6 +192,10 @@ class WeaveBrdf(ArrayFields):
     width: np.ndarray
     index: float
     reading: int
+
+    def __post_init__(self) -> None:
+        if self.reading not in (PAPER, SHADED):
+            raise UserError(f"weave model of reading {self.reading}, which is gone. Remedy: run the stage weave again")
 
     @property
     def channels(self) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 
 from nishiki.brdf.cloth.store import load_brdf
 from nishiki.errors import UserError
-from nishiki.weave.fit import LOBES, READINGS, Plane, WeaveFit, WeaveModel
+from nishiki.weave.fit import READINGS, Plane, WeaveFit, WeaveModel
 from nishiki.weave.model import WeaveBrdf
 from nishiki.weave.section import WarpSection, WeftSection
 from nishiki.weave.yarn_search import YarnSearch, parameters_of
@@ -31,7 +31,6 @@ def describe(
         "weave": weave,
         "harness": harness,
         "reading": model.reading,
-        "lobe": model.lobe,
         "weft": model.weft.as_dict(),
         "warp": model.warp.as_dict(),
         "a_weft": model.a_weft,
@@ -123,7 +122,6 @@ class Weave:
             np.array(d["k_s"]),
             np.array(d["k_d"]),
             d["reading"],
-            d["lobe"],
         )
 
     def yarns(self) -> tuple[InterlacedYarns, dict] | None:
@@ -148,5 +146,5 @@ def brdf_of(model: WeaveModel) -> WeaveBrdf:
         warp=np.array(model.warp.shape),
         width=np.array([model.a_weft, model.a_warp]),
         index=model.index,
-        reading=READINGS[model.reading] + LOBES[model.lobe],
+        reading=READINGS[model.reading],
     )

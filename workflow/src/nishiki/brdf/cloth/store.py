@@ -1,129 +1,17 @@
-"""Store the reflection model of a cloth in one `.npz` file, and sample any model as a table.
-
-The table is sampled over the half vector h and the difference between light and half vector (Rusinkiewicz, A new change
-of variables for efficient BRDF representation, 1998): a highlight moves with the light, but stays where it is in h.
-With i and o exchanged h stays and phi_d turns by pi, so a table over phi_d in 0 .. pi is reciprocal by construction;
-what is not reciprocal in the model becomes its mean over both orders.
-"""
+"""Store the reflection model of a cloth in one `.npz` file, and sample any model as rows and as a table of UTIA."""
 
 import io
 import zipfile
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from nishiki.brdf.cloth.interface import halves, only_above
 from nishiki.errors import UserError
-from nishiki.formats.fields import ArrayFields
 from nishiki.formats.merl import UTIA_PHI_DEG, UTIA_THETA_DEG
 from nishiki.formats.stored import load_arrays
 from nishiki.goniometry.directions import unit
-
-_HALF_PI = np.pi / 2
-_NEAREST_HORIZON = 1e-3  # z of the directions that stand for those at and beyond the horizon
-
-
-def pair(theta_h, phi_h, theta_d, phi_d) -> tuple[np.ndarray, np.ndarray]:
-    """Light and view (..., 3) of a half vector and of the light's angles about it (radians, broadcast).
-
-    The frame about h is the cloth's, turned by theta_h about the y axis and then by phi_h about z.
-    """
-    theta_h, phi_h, theta_d, phi_d = np.broadcast_arrays(theta_h, phi_h, theta_d, phi_d)
-    x, y, z = np.sin(theta_d) * np.cos(phi_d), np.sin(theta_d) * np.sin(phi_d), np.cos(theta_d)
-
-    def to_cloth(x, y, z):
-        x, z = x * np.cos(theta_h) + z * np.sin(theta_h), z * np.cos(theta_h) - x * np.sin(theta_h)
-        return np.stack([x * np.cos(phi_h) - y * np.sin(phi_h), x * np.sin(phi_h) + y * np.cos(phi_h), z], axis=-1)
-
-    return to_cloth(x, y, z), to_cloth(-x, -y, z)
-
-
-def pair_angles(incident, outgoing):
-    """theta_h, phi_h (0 .. 2 pi), theta_d, phi_d (0 .. pi) of directions above the horizon; the inverse of `pair`."""
-    g = halves(incident, outgoing)
-    x, y, z = np.moveaxis(np.broadcast_to(np.asarray(incident, float), g.h.shape), -1, 0)
-    flat = np.hypot(g.h[..., 0], g.h[..., 1])
-    theta_h, phi_h = np.arctan2(flat, g.h[..., 2]), np.arctan2(g.h[..., 1], g.h[..., 0])
-    x, y = x * np.cos(phi_h) + y * np.sin(phi_h), y * np.cos(phi_h) - x * np.sin(phi_h)
-    x, z = x * np.cos(theta_h) - z * np.sin(theta_h), z * np.cos(theta_h) + x * np.sin(theta_h)
-    theta_d = np.arctan2(np.hypot(x, y), z)
-    return theta_h, np.mod(phi_h, 2 * np.pi), theta_d, np.mod(np.arctan2(y, x), np.pi)
-
-
-@dataclass(frozen=True)
-class TableBrdf(ArrayFields):
-    """Linear interpolation in (theta_h, phi_h, theta_d, phi_d); theta_h denser towards the normal (square root)."""
-
-    KIND: ClassVar[str] = "table"
-    values: (
-        np.ndarray
-    )  # (nh, mh, nd, md, channels) float32, 1 / sr, at (k/(nh-1))^2 pi/2, periodic, k/(nd-1) pi/2, periodic
-
-    @property
-    def channels(self) -> int:
-        """Number of channels."""
-        return self.values.shape[-1]
-
-    @classmethod
-    def sample(cls, brdf, *, thetas_h: int = 28, phis_h: int = 48, thetas_d: int = 19, phis_d: int = 24) -> "TableBrdf":
-        """Sample any BRDF; nodes whose light or view is below the horizon take the value on the horizon.
-
-        Default: 613 000 nodes, 2.5 MB a channel.
-        """
-        theta_h, phi_h = (
-            (np.arange(thetas_h) / (thetas_h - 1)) ** 2 * _HALF_PI,
-            np.arange(phis_h) * (2 * np.pi / phis_h),
-        )
-        theta_d, phi_d = np.arange(thetas_d) / (thetas_d - 1) * _HALF_PI, np.arange(phis_d) * (np.pi / phis_d)
-        values = np.empty((thetas_h, phis_h, thetas_d, phis_d, brdf.channels), np.float32)
-        for k, theta in enumerate(theta_h):
-            incident, outgoing = pair(theta, phi_h[:, None, None], theta_d[:, None], phi_d)
-            incident, outgoing = _raised(incident), _raised(outgoing)
-            values[k] = brdf.evaluate(incident, outgoing)
-            if not getattr(brdf, "RECIPROCAL", False):
-                values[k] = (values[k] + brdf.evaluate(outgoing, incident)) / 2
-        return cls(values)
-
-    def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """BRDF, 1 / sr: (..., channels)."""
-        above = halves(incident, outgoing).above
-        theta_h, phi_h, theta_d, phi_d = pair_angles(incident, outgoing)
-        nh, mh, nd, md = self.values.shape[:4]
-        axes = (
-            _between(np.sqrt(theta_h / _HALF_PI) * (nh - 1), nh),
-            _around(phi_h / (2 * np.pi) * mh, mh),
-            _between(theta_d / _HALF_PI * (nd - 1), nd),
-            _around(phi_d / np.pi * md, md),
-        )
-        total = np.zeros((*above.shape, self.channels))
-        for corner in np.ndindex(2, 2, 2, 2):
-            weight = np.prod([axis[1][side] for axis, side in zip(axes, corner, strict=True)], axis=0)
-            index = tuple(axis[0][side] for axis, side in zip(axes, corner, strict=True))
-            total += weight[..., None] * self.values[index]
-        return only_above(above, total)
-
-
-def _raised(directions: np.ndarray) -> np.ndarray:
-    """Lift the directions below the horizon straight up to it."""
-    low = np.stack([directions[..., 0], directions[..., 1], np.maximum(directions[..., 2], _NEAREST_HORIZON)], axis=-1)
-    return low / np.linalg.norm(low, axis=-1, keepdims=True)
-
-
-def _between(place: np.ndarray, count: int):
-    """Return indices and weights of the two nodes beside a place 0 .. count - 1."""
-    first = np.clip(place.astype(int), 0, count - 2)
-    share = np.clip(place - first, 0, 1)
-    return (first, first + 1), (1 - share, share)
-
-
-def _around(place: np.ndarray, count: int):
-    """Return indices and weights of the two nodes beside a place on a circle of `count` nodes."""
-    first = np.floor(place).astype(int)
-    share = place - first
-    return (first % count, (first + 1) % count), (1 - share, share)
 
 
 def goniometer_rows(brdf, *, incident_deg, outgoing_deg) -> np.ndarray:
@@ -160,7 +48,6 @@ KINDS = {  # where the class of a kind is
     "yarn_facets": "nishiki.brdf.cloth.yarn_facets:YarnFacets",
     "yarns": "nishiki.weave.yarn_weave:InterlacedYarns",
     "weave": "nishiki.weave.model:WeaveBrdf",
-    "table": "nishiki.brdf.cloth.store:TableBrdf",
     "dyed": "nishiki.brdf.cloth.interface:Dyed",
 }
 _KIND = "kind"

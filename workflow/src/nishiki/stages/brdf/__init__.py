@@ -156,8 +156,8 @@ class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=3, limits=CLOTH_LIM
         "the others within 1 % (docs/notes/economy.md)",
     )
     index: float = Field(1.5, gt=1, le=3, description="refractive index of the model facets, which takes it as given")
-    export: tuple[Literal["table", "csv", "utia"], ...] = Field(
-        ("csv",), description="table: sampled 4-D table (npz); csv: rows of angles and values; utia: .bin of doubles"
+    export: tuple[Literal["csv", "utia"], ...] = Field(
+        ("csv",), description="csv: rows of angles and values; utia: .bin of doubles"
     )
 
 

@@ -15,7 +15,7 @@ from nishiki.brdf.cloth.interface import (
     solid_angles,
 )
 from nishiki.brdf.cloth.models import BEST, YARNS, Fitted, fit_models, left_out_error
-from nishiki.brdf.cloth.store import TableBrdf, goniometer_rows, save_brdf, utia_planes
+from nishiki.brdf.cloth.store import goniometer_rows, save_brdf, utia_planes
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import unit
@@ -135,8 +135,6 @@ def judged(measured: Measured, fit: Fitted) -> dict:
 def export(context: Context, brdf, suffix: str, channels) -> None:
     """Write the default model in the formats asked for."""
     formats = context.settings.export
-    if "table" in formats:
-        save_brdf(context.output.path(f"table{suffix}.npz"), TableBrdf.sample(brdf))
     if "utia" in formats:
         context.output.path(f"brdf{suffix}_utia.bin").write_bytes(utia_planes(brdf).tobytes())
     if "csv" in formats:

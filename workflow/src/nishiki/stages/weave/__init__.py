@@ -36,13 +36,10 @@ class WeaveSettings(Guarded, stage="weave", version=3, limits=LIMITS):
         description="fit interlaced elliptical yarns to the whole hemisphere, every harness and step in turn; "
         "false: the sections alone, in the planes of weft and warp",
     )
-    reading: Literal["paper", "shaded", "yarns"] = Field(
+    reading: Literal["paper", "shaded"] = Field(
         "shaded",
         description="what the section does with light: paper: masking alone (Takeda and Tanaka, eq. 15); shaded: each "
-        "visible piece reflects by its own slope; yarns: and warp and weft scatter along and across their own way",
-    )
-    lobe: Literal["gauss", "ggx"] = Field(
-        "gauss", description="form of the gloss: gauss: the paper's exp(-x²/a²); ggx: long tails"
+        "visible piece reflects by its own slope",
     )
     contact_deg: float | None = Field(
         90.0, gt=8.0, le=90.0, description="steepest slope where yarns touch; 90: circles, as the paper; null: fitted"

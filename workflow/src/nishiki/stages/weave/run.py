@@ -33,7 +33,6 @@ def run(context: Context) -> dict:
             *planes,
             harness=USUAL[reflectances.weave] if known is None else known,
             reading=settings.reading,
-            lobe=settings.lobe,
             contact=contact,
             index=settings.refractive_index,
             confidence=settings.confidence,
