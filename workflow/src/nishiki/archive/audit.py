@@ -208,16 +208,13 @@ def audit(
     ahead = 4 * threads
     surveys = in_threads(lambda folder: survey_artifact(FolderTree(folder)), targets.artifacts, threads, ahead)
     portions = _portions(surveys, references, counts, len(targets.artifacts), tell)
-    for damages in in_threads(_of_portion, portions, threads, ahead):
+    for damages in in_threads(
+        lambda work: read_portion(*work) if work[1] else work[0].damages, portions, threads, ahead
+    ):
         yield from _counted(damages, counts)
     yield from _counted(references.problems(), counts)
     for damages in in_threads(lambda folder: check_publication(folder, references), targets.publications, threads):
         yield from _counted(damages, counts)
-
-
-def _of_portion(work: tuple[Survey, list]) -> list[Damage]:
-    survey, portion = work
-    return read_portion(survey, portion) if portion else survey.damages
 
 
 def _portions(

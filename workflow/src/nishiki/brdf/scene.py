@@ -63,16 +63,10 @@ def thin(phi, *, bins=60, per_bin=50, seed=0):
 NO_GLOSS = "no gloss: Lambert"
 
 
-def described_profile(profile: SpecularProfile, fitted: np.ndarray) -> dict[str, list]:
-    """Angles, values and counts of a profile, and what the fit (rows,) has in their place."""
-    values = {name: getattr(profile, name).tolist() for name in ("phi", "value", "count")}
-    return {**values, "fitted": fitted.tolist()}
-
-
 def described_ladder(
     beta: np.ndarray, gamma: np.ndarray, lobes: np.ndarray, profile: SpecularProfile, refractive_index: float
 ) -> dict:
-    """Likewise for lobes of given widths (`nishiki.brdf.gloss_profile`): those of some strength, strongest first.
+    """A region's lobes of given widths (`nishiki.brdf.gloss_profile`): those of some strength, strongest first.
 
     beta, gamma : (lobes,); lobes : (rows, lobes) of the profile for strengths of 1. A region without any is Lambert's.
     """
@@ -92,7 +86,10 @@ def described_ladder(
         "rejected": float(weight @ profile.rejected),
         "flags": ["AT_BOUND"] * bool(ends),
         "at_bounds": ends,
-        "profile": described_profile(profile, fitted),
+        "profile": {
+            **{name: getattr(profile, name).tolist() for name in ("phi", "value", "count")},
+            "fitted": fitted.tolist(),
+        },
     }
 
 

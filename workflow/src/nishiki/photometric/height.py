@@ -27,15 +27,6 @@ from nishiki.errors import UserError
 from nishiki.summary import Summarised
 
 
-def edge_gradients(p, q, pitch):
-    """Height differences that the slopes ask for: to the right (rows, columns - 1) and down (rows - 1, columns).
-
-    Rows count downwards and y upwards, so that a step down is -q.
-    """
-    half = p.dtype.type(0.5 * pitch)
-    return (p[:, :-1] + p[:, 1:]) * half, (q[:-1] + q[1:]) * -half
-
-
 def divergence(differences, weights):
     """Right-hand side of the normal equations: the weighted differences that end in a pixel less those that start."""
     along, down = differences
@@ -53,13 +44,6 @@ def divergence(differences, weights):
 def laplacian(height, weights):
     """Multiply a height field by the normal equations: the weighted graph Laplacian of the grid."""
     return divergence((np.diff(height, axis=1), np.diff(height, axis=0)), weights)
-
-
-def poisson_symbol(shape, dtype):
-    """Eigenvalues of the unweighted Laplacian with natural boundaries, by cosine frequency: a column and a row."""
-    rows = 2.0 - 2.0 * np.cos(np.pi * np.arange(shape[0]) / shape[0])
-    columns = 2.0 - 2.0 * np.cos(np.pi * np.arange(shape[1]) / shape[1])
-    return rows[:, None].astype(dtype), columns[None, :].astype(dtype)
 
 
 def solve_rectangle(right, symbol):
@@ -204,9 +188,11 @@ def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", to
         method = "dct" if valid.all() and normals[..., 2].min() > np.cos(np.radians(80.0)) else "weighted"
     dtype = np.float32 if valid.size > SINGLE_ABOVE else np.float64
     p, q, weight = slopes(normals, valid, dtype)
-    gradients = edge_gradients(p, q, float(pixel_pitch))
+    half = dtype(0.5 * float(pixel_pitch))
+    gradients = (p[:, :-1] + p[:, 1:]) * half, (q[:-1] + q[1:]) * -half  # rows count downwards: a step down is -q
     del p, q
-    symbol = poisson_symbol(valid.shape, dtype)
+    down, across = (2.0 - 2.0 * np.cos(np.pi * np.arange(side) / side) for side in valid.shape)
+    symbol = down[:, None].astype(dtype), across[None].astype(dtype)  # eigenvalues of the Laplacian, free boundaries
     if method == "dct":
         height = solve_rectangle(divergence(gradients, (dtype(1), dtype(1))), symbol)
         iterations, residual = 0, 0.0

@@ -11,7 +11,6 @@ import numpy as np
 from numba import njit
 
 from nishiki.render.plane.scene import PlaneScene, View
-from nishiki.render.plane.shade import pixel_to_plane
 
 
 def screen_to_plane(view: View, scene: PlaneScene) -> np.ndarray:
@@ -39,11 +38,6 @@ def homogeneous_eye(view: View) -> np.ndarray:
     if view.eye_mm is None:
         return np.array([0.0, 0.0, 1.0, 0.0])
     return np.append(np.asarray(view.eye_mm, np.float64), 1.0)
-
-
-def is_native(view: View, scene: PlaneScene) -> bool:
-    """Whether the screen's pixels are the maps' pixels: nothing is sampled then."""
-    return view.eye_mm is None and screen_shape(view, scene) == scene.shape
 
 
 def footprint(to_map: np.ndarray, first: int, last: int, columns: int, shape: tuple[int, int]) -> tuple[float, float]:
@@ -168,8 +162,3 @@ def _sample(maps, to_map, extent, out):
                 upper = maps_v[m, r0, c0] + (maps_v[m, r0, c1] - maps_v[m, r0, c0]) * fx
                 lower = maps_v[m, r1, c0] + (maps_v[m, r1, c1] - maps_v[m, r1, c0]) * fx
                 visible[m, i, j] = upper + (lower - upper) * fy
-
-
-def map_from_plane(scene: PlaneScene) -> np.ndarray:
-    """(3, 3): (x, y, 1) on the painting to (column, row, 1) of the maps."""
-    return np.linalg.inv(pixel_to_plane(scene.pitch, scene.shape))

@@ -68,13 +68,13 @@ def render(
         visibility, shadowed = cast.visibility, tuple(cast.shadowed.tolist())
     groups = colour_groups(scene, lights, ambient)
     white = groups.whites[groups.of_light[0] if lights else groups.ambient]
-    if camera.is_native(view, scene):
+    if view.eye_mm is None and camera.screen_shape(view, scene) == scene.shape:  # the pixels of the maps
         shading = shade_xyz(scene, lights, ambient=ambient, visibility=visibility)
         coverage = np.ones(scene.shape, np.float32)
         return Rendering(shading.values, shading.flags, coverage, white, shadowed, 1, 1)
     plane = camera.screen_to_plane(view, scene)
     rows, columns = camera.screen_shape(view, scene)
-    to_map = camera.map_from_plane(scene) @ plane
+    to_map = np.linalg.inv(camera.pixel_to_plane(scene.pitch, scene.shape)) @ plane
     steps = [camera.footprint(to_map, k, min(k + 16, rows), columns, scene.shape) for k in range(0, rows, 16)]
     reduction = 1
     while max(_count(step, reduction) for step in steps) > most and reduction < max(scene.shape):

@@ -18,6 +18,7 @@ from nishiki.stages.export.gloss import region_materials, slopes_widen
 from nishiki.stages.export.scene import ExportedScene, reliefs
 
 UP = np.array([0.0, 0.0, 1.0])
+GLOSS = ("beta", "gamma", "index", "transmission")
 Texture = Callable[[slice], np.ndarray]
 """Some rows of a texture, of the picture's columns."""
 
@@ -35,6 +36,7 @@ def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
             for rows in scene.bands():
                 exr.write(read(rows).reshape(-1, scene.shape[1], len(channels)))
     count = write_relief(folder, context, scene)
+    columns = (values.tolist() for values in gloss_table(parameters))
     facts = {
         "rows": scene.shape[0],
         "columns": scene.shape[1],
@@ -43,7 +45,7 @@ def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
         "unit": scene.unit,
         "textures": list(textures),
         "shadows": not scene.has_directional_shading,
-        "gloss": gloss_facts(parameters),
+        "gloss": {"regions": [dict(zip(GLOSS, each, strict=True)) for each in zip(*columns, strict=True)]},
         "stamp": dict(context.stamp),
     }
     (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
@@ -67,13 +69,6 @@ def model_textures(scene: ExportedScene, *, facets: bool, regions: bool) -> dict
     if regions:
         textures["regions"] = scene.regions
     return textures
-
-
-def gloss_facts(parameters: dict | None) -> dict:
-    """Return lobes of each region, and the losses of the body's light at the surface."""
-    names = ("beta", "gamma", "index", "transmission")
-    columns = (values.tolist() for values in gloss_table(parameters))
-    return {"regions": [dict(zip(names, each, strict=True)) for each in zip(*columns, strict=True)]}
 
 
 def write_relief(folder: Path, context: Context, scene: ExportedScene) -> int:

@@ -1,6 +1,5 @@
 """Declaration of the stage `ingest`: settings, inputs, limits of its result, cost."""
 
-from collections.abc import Mapping
 from typing import Literal
 
 from pydantic import Field
@@ -75,11 +74,6 @@ def _ingest_cost(facts: SceneFacts) -> Cost:
     return Cost(mib=400, seconds=2.2, us_per_sample=each)
 
 
-def _no_pictures(facts: SceneFacts, settings: Mapping[str, Closed]) -> str | None:
-    decoded_elsewhere = RAW_SUFFIXES | {".exr"}
-    return None if set(facts.suffixes) - decoded_elsewhere else "no PNG, JPEG or TIFF is read"
-
-
 STAGE = Stage(
     settings=IngestSettings,
     does="photographs to linear, white-normalised observations",
@@ -88,7 +82,9 @@ STAGE = Stage(
     idle={
         "rawpy": only_files(RAW_SUFFIXES, "camera raw"),
         "OpenEXR": only_files(frozenset({".exr"}), "an EXR file"),
-        OPENCV: _no_pictures,
+        OPENCV: lambda facts, settings: (
+            None if set(facts.suffixes) - RAW_SUFFIXES - {".exr"} else "no PNG, JPEG or TIFF is read"
+        ),
     },
     cost=_ingest_cost,
 )
