@@ -23,7 +23,7 @@ from nishiki.threads import in_threads
 
 ARTIFACT_FOLDER = re.compile(r"(artifacts/[a-z_0-9]+/([0-9a-f]{12}))/")
 SEAL = "capture/manifest-sha256.txt"
-PORTION = 64
+PORTION = 64  # files of one portion
 
 
 @dataclass

@@ -45,7 +45,7 @@ def shown(text: object) -> str:
 
 
 BATCH_BYTES = 64 * 2**20
-BATCH_FILES = 256
+BATCH_FILES = 256  # of one portion
 CAPTURE = "capture"
 KEY = re.compile(r"[0-9a-f]{12}")
 

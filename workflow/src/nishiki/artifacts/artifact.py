@@ -22,7 +22,7 @@ from nishiki.errors import UserError
 from nishiki.formats.files import flush_folder
 from nishiki.processes import host, identity, is_alive, owner, owner_of
 
-FORMAT = 1
+FORMAT = 1  # of the file; readers refuse others
 MANIFEST = "artifact.json"
 RUN = "run.json"
 BESIDE = frozenset(("", ".", ".."))

@@ -140,7 +140,7 @@ def modules_of(entry: Path, folders: Iterable[Path]) -> list[Path]:
     return [entry, *sorted(modules - {entry})]
 
 
-KEY_DIGITS = 12
+KEY_DIGITS = 12  # hexadecimal: 48 bits
 PACKAGE = "nishiki"
 STAGES = SOURCE / PACKAGE / "stages"
 GEOMETRIES = ("object", "cloth")

@@ -13,7 +13,7 @@ from nishiki.geometry.camera import Camera
 
 STORE = "texels.zarr"
 ATLAS = "atlas.npz"
-FORMAT = 1
+FORMAT = 1  # of the file; readers refuse others
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ class FitFlag(IntFlag):
     NOT_FINITE = 16  # some observations were not finite and were left out
 
 
-START_GAMMA = 0.1
+START_GAMMA = 0.1  # radians, of a search without a better guess
 FARTHEST = 2000.0  # 2^-2000 is 0
 _TWO_LN2 = 2.0 * np.log(2.0)
 
@@ -80,7 +80,7 @@ def fit_lobe(phi, amplitude, attenuation, *, start=(1.0, START_GAMMA)):
 
 GAMMA_BOUNDS = (1e-3, 1.6)
 SIGNIFICANCE = 8.0  # F ratio that a lobe must reach; chance alone passes 6 for 1 in 1000 points of 36 x 3 observations
-UNDETERMINED_LOG_GAMMA = 0.5
+UNDETERMINED_LOG_GAMMA = 0.5  # standard deviation, a factor of 1.6 either way
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ HORIZON = 1e-3
 """Cosine of directions on the horizon, which models leave out."""
 LEAST_FACETS = 1e-3
 """Of D, of its largest: where a surface sends nothing back, something may still be seen from elsewhere."""
-ITERATIONS = 8
+ITERATIONS = 8  # steps of the search
 
 
 @dataclass(frozen=True)

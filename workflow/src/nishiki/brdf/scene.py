@@ -66,7 +66,7 @@ NO_GLOSS = "no gloss: Lambert"
 def described_ladder(
     beta: np.ndarray, gamma: np.ndarray, lobes: np.ndarray, profile: SpecularProfile, refractive_index: float
 ) -> dict:
-    """A region's lobes of given widths (`nishiki.brdf.gloss_profile`): those of some strength, strongest first.
+    """Describe lobes of given widths (`nishiki.brdf.gloss_profile`): those of some strength, strongest first.
 
     beta, gamma : (lobes,); lobes : (rows, lobes) of the profile for strengths of 1. A region without any is Lambert's.
     """

@@ -22,7 +22,7 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-LANES = 8
+LANES = 8  # partial sums
 
 
 @intrinsic
@@ -63,8 +63,8 @@ def _in_halves(builder, vector):
     return builder.extract_element(vector, ir.Constant(ir.IntType(32), 0))
 
 
-GRID_RATIO = 2.0
-REFINEMENTS = 24
+GRID_RATIO = 2.0  # of neighbouring widths of the coarse search
+REFINEMENTS = 24  # steps at most
 _EXP2 = (  # 2^-f on 0 .. 1 interpolated at Chebyshev nodes, relative error 2.5e-9
     np.float32(0.9999999986201363),
     np.float32(-0.6931470452096826),
@@ -79,7 +79,7 @@ _TWO_LN2 = float(2.0 * np.log(2.0))
 _GRID_FLOOR = 1e-9  # D below it is 0 on the grid: its powers would end in slow subnormal numbers
 # What is reported of a point, in this order
 GAMMA, CURVATURE, RSS, RSS_DIFFUSE, USED, NEAREST, LIT, SCALE = range(8)
-REPORT = 8
+REPORT = 8  # figures a point, by their names above
 # Rows of the scratch of a point, before one row for each channel's observations
 _PHI2, _A, _Q, _D, _LOBE, _REST, _ONES, _ROWS = range(8)
 

@@ -24,8 +24,8 @@ from nishiki.report.pictures import heat, scalar_picture
 from nishiki.report.svg import PALETTE, Axis, Drawing, draw_axes, outline
 
 SATURATION = 0.98  # of full scale: a channel with a pixel in a thousand above is not used
-SATURATED_SHARE = 1e-3
-LEAST_LEVELS = 3
+SATURATED_SHARE = 1e-3  # of the pixels of a level that is used
+LEAST_LEVELS = 3  # exposures
 WINDOW = 0.5  # share of each side, in the middle, from which means and variances are taken
 HOT_SIGMAS = 8.0  # of the dark frame's own scatter
 DEAD_SHARE = 0.5  # of the light of its neighbours

@@ -64,7 +64,7 @@ MODELS = (
     ("EUCM", 6, 4),
     ("EQUIRECTANGULAR", 2, 2),
 )
-BROWN = 5
+BROWN = 5  # numbers of a lens that are read: k1, k2, p1, p2, k3
 OTHERS = ("FISHEYE", "FOV", "DIVISION", "EUCM", "EQUIRECTANGULAR")  # words of models that are not Brown's
 NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?(nan|inf)", re.IGNORECASE)
 HEADING = re.compile(rb"Number of images:\s*([0-9]{1,9})")

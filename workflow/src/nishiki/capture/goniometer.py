@@ -110,7 +110,7 @@ TABLE = "frames.csv"
 SAME_DEG = 0.1  # directions nearer than this are one
 NORMAL_DEG = 1.0
 STEEPEST_WHITE_DEG = 85.0
-FEWEST_NORMAL = 12
+FEWEST_NORMAL = 12  # views along the normal
 
 
 def goniometer_problems(frames: tuple[Frame, ...]) -> list[Problem]:

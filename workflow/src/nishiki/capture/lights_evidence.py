@@ -17,7 +17,7 @@ from nishiki.photometric.near_lamps import NearLamps, measure_width
 
 SIDE = 40  # samples along the longer side of the picture
 MOST_PHOTOGRAPHS = 32  # read, spread over the lamps
-FEWEST_PHOTOGRAPHS = 5
+FEWEST_PHOTOGRAPHS = 5  # of a folder whose lamps are judged by them
 BRIGHT = 0.97  # of the largest value: saturation
 CLEARLY = 0.85  # ratio of misfits below which one reading is better, beyond noise and gloss
 TRIED_WIDTH = 0.5  # of the lamps' distance: near lamps that would show if there were any

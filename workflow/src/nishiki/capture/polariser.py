@@ -14,9 +14,9 @@ from nishiki.formats.problems import Problem, error, refuse, warning
 from nishiki.polarisation.series_order import fits_by_chance, series_design
 
 Kind = Literal["none", "circular", "linear", "generator"]
-FEWEST_ANGLES = 3
+FEWEST_ANGLES = 3  # a mean, a cosine and a sine are unknown
 LEAST_ALIKE = 0.3  # median correlation of photographs of one view; those of the measured badges have 0.997
-COARSE = 24
+COARSE = 24  # blocks along the longer side
 NO_SERIES = "Give the photographs other names if they are none, with --lights FILE or their cameras"
 MEANS = {
     "none": "no polariser",

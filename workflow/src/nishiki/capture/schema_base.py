@@ -14,7 +14,7 @@ from nishiki.formats.files import Refused, is_plain, read_text
 from nishiki.formats.problems import CaptureError, Problem, error, refuse
 from nishiki.formats.text_tables import refusal
 
-FORMAT = 1
+FORMAT = 1  # of the file; readers refuse others
 OBJECT_FACTS = {
     "object_kind": "Kind of object",
     "object_maker": "Maker",

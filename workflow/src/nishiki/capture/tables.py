@@ -15,7 +15,7 @@ from nishiki.geometry.turn import scale_turn
 MATRIX_COLUMNS = tuple(f"p{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3, 4))
 LENS_COLUMNS = ("k1", "k2", "p1", "p2", "k3")
 POINT_COLUMNS = ("view", "column", "row", "x", "y", "z")
-FEWEST_POINTS = 4
+FEWEST_POINTS = 4  # of a view
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from nishiki.geometry.turn import order_round, turn_of
 
 STATES = re.compile(r"(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)")
 SEVERAL = ("several files of cameras", "Keep the one that belongs to these photographs")
-FEWEST_STATES = 3
+FEWEST_STATES = 3  # photographs of a series
 LEAST_TURN = 20.0  # degrees between the outermost angles of a polariser that is turned
 
 

@@ -24,7 +24,7 @@ FLAG_SIZES = (36 * 8, 720, 36)
 GROUPS = 8 * 3 * 3
 OFFSETS = np.cumsum((0, *FLAG_SIZES, *ZERO_SIZES, *MORE_SIZES)).astype(np.int64)
 CONTEXTS = int(OFFSETS[-1])
-UNARY = 18
+UNARY = 18  # decisions of a magnitude before its code goes on otherwise
 
 
 @dataclass(frozen=True)
@@ -302,7 +302,7 @@ def code_rest(size, state, data, decoding):
 
 CONFIDENCE = np.array([0, 4, 12, 24], np.int64)
 LOGIT_STEPS = 2  # finer steps save fewer bytes of the tiles than they cost in the header
-WEIGHT_UNIT = 4096
+WEIGHT_UNIT = 4096  # by which stored weights of 8 bits are coarser than those in use
 RARE = 80  # contexts used less often in the whole object are left untrained
 
 

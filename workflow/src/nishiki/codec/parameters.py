@@ -53,7 +53,7 @@ def predict_texels(
     return out
 
 
-WIDTH_FLOOR = 1e-3
+WIDTH_FLOOR = 1e-3  # radians
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def _pace(weight: np.ndarray, largest: float) -> np.ndarray:
     return np.where(weight > 0, 0.5 / np.maximum(weight, max(0.02 * largest, 1e-20)), 0).astype(np.float32)
 
 
-ITERATIONS = 60
+ITERATIONS = 60  # of the solver
 
 
 def encode_parameters(

@@ -15,11 +15,11 @@ own, one set a context; further digits cost a bit each. The bits go through the 
 import numpy as np
 from numba import njit
 
-INPUTS = 8
-LIMIT = 250
+INPUTS = 8  # of the mixing of chances
+LIMIT = 250  # of the count that sets the rate of a chance
 LOW, HIGH, PLACE, WORD = 0, 1, 2, 3
-FULL_RANGE = 0xFFFFFFFF
-UNIT = 65536
+FULL_RANGE = 0xFFFFFFFF  # of 32 bits
+UNIT = 65536  # of a chance, 16 bits
 
 
 STRETCH = np.round(np.log((np.arange(4096) + 0.5) / (4095.5 - np.arange(4096))) * 256).astype(np.int64)
@@ -117,7 +117,7 @@ def code_mixed(bit, contexts, count, group, chance, seen, ones, weights, tables,
 CLASSES = 34  # classes of magnitude: 0, 1, 2..3, 4..7, ...
 SLOTS = 3 * CLASSES + 1  # probabilities of one context: unary part, sign, digit after the leading one
 _HALF = 1 << 15  # of 65536: an even chance
-_RATE = 5
+_RATE = 5  # bits by which the difference is shifted
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

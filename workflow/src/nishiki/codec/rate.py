@@ -11,8 +11,8 @@ from numba import njit
 from nishiki.codec.entropy import bands_of, fine_grade
 from nishiki.errors import UserError
 
-DEAD_ZONE = 0.6
-ROUNDING = 0.42
+DEAD_ZONE = 0.6  # of a step: smaller coefficients become 0
+ROUNDING = 0.42  # of a step, added before rounding down
 MOST = float(1 << 30)
 
 

@@ -171,7 +171,7 @@ def samples_of(block: Block, coefficients: np.ndarray) -> np.ndarray:
     return out.reshape(out.shape[0], -1, *out.shape[-2:])
 
 
-FLOOR = 1e-3
+FLOOR = 1e-3  # of the largest expected magnitude
 FLAT_ROUNDS = 2
 
 

@@ -18,7 +18,7 @@ from numba import njit
 
 from nishiki.errors import UserError
 
-NEGLIGIBLE = 1e-15
+NEGLIGIBLE = 1e-15  # rounding of weights near 1
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from nishiki.formats.fields import ArrayFields
 from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
 
-_PIXELS_A_THREAD = 4096
+_PIXELS_A_THREAD = 4096  # at least
 METHODS = ("paper", "wiener", "local")
 FLAG_MEANINGS = {
     OUTSIDE_UNIT: "reflectance outside [0, 1] beyond the tolerance",
@@ -339,8 +339,8 @@ def _check_settings(method, noise, white_width, centres, radius, ridge, conditio
 
 
 LIGHTS = ("D65", "A", "FL11")  # daylight, incandescent light, a fluorescent lamp of three narrow bands
-NEIGHBOURS = 24
-SAMPLE = 2000
+NEIGHBOURS = 24  # spectra of a mean
+SAMPLE = 2000  # pixels
 
 
 def colour_differences(estimated: np.ndarray, true: np.ndarray, light: str) -> np.ndarray:

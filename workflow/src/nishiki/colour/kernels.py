@@ -12,11 +12,11 @@ from numba import njit
 
 from nishiki.colour.local import DARK, TAPER_END, TAPER_START
 
-OUTSIDE_UNIT = 1
-OUTSIDE_TRAINING = 2
-NOT_FINITE = 4
-ILL_CONDITIONED = 8
-NEGATIVE_RESPONSE = 16
+OUTSIDE_UNIT = 1  # bit of a pixel's flags
+OUTSIDE_TRAINING = 2  # bit of a pixel's flags
+NOT_FINITE = 4  # bit of a pixel's flags
+ILL_CONDITIONED = 8  # bit of a pixel's flags
+NEGATIVE_RESPONSE = 16  # bit of a pixel's flags
 
 
 @njit(cache=True, error_model="numpy")

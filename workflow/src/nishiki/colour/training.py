@@ -102,7 +102,7 @@ MINOR_AMOUNT = (0.01, 3.0)  # of the second and third pigment, the first being 1
 WHITE_AMOUNT = (0.1, 30.0)
 BLACK_ABSORPTION = (0.03, 3.0)
 RUTILE = 0.8  # of the whites; the others (zinc, lead, chalk, anatase) absorb below 390 nm
-GLAZES = 0.03
+GLAZES = 0.03  # share of the training spectra with a glaze
 THROUGH_SURFACE = 0.6  # share with the inner reflections of a smooth surface
 
 

@@ -70,7 +70,7 @@ def displayed_colours(channels: np.ndarray, to_srgb: list[list[float]] | None) -
 
 LIGHT_PERCENTILE = 95
 """Percentile of a channel's reflectances at which the object's light parts are taken as grey."""
-LARGEST_FACTOR = 3.0
+LARGEST_FACTOR = 3.0  # of a channel
 
 
 def display_map(maps: Maps) -> list[list[float]] | None:

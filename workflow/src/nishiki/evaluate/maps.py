@@ -76,7 +76,7 @@ class Pool:
 
 SLOPE_EDGES_DEG = (0.0, 10.0, 20.0, 30.0, 50.0, 90.0)
 """Classes of the angle between true normal and z."""
-_BAND_ROWS = 256
+_BAND_ROWS = 256  # that are in memory as float64
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def _without_plane(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) ->
     return centred - slope[0] * x - slope[1] * y, slope, float(np.hypot(*slope))
 
 
-_ROWS = 16
+_ROWS = 16  # of spectra in memory
 
 
 @dataclass(frozen=True)

@@ -200,7 +200,7 @@ def better_prediction(summaries: dict) -> str | None:
     return max(scores, key=scores.__getitem__) if scores else None
 
 
-AMPLIFIED = 10
+AMPLIFIED = 10  # times the error as shown
 
 
 def comparison(

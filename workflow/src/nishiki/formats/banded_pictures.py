@@ -176,8 +176,8 @@ def strips(rows: int, band_rows: int) -> Iterator[slice]:
 
 
 MAGIC, VERSION, LONG_NAMES = 20000630, 2, 0x400
-BLOCK_ROWS = 16
-ZIP = 3
+BLOCK_ROWS = 16  # of ZIP compression, fixed by the format
+ZIP = 3  # number of this compression
 FLOAT = 2  # the only type of sample that is written here
 Attribute = str | float | Sequence[float]
 

@@ -109,7 +109,7 @@ class TextHeading:
 
 
 ORDER = (3, 5, 4, 1, 2, 0)  # of the file's terms among 1, u, v, u^2, u v, v^2
-ROWS_AT_A_TIME = 256
+ROWS_AT_A_TIME = 256  # in memory as float32
 PLANES = {"PTM_FORMAT_RGB": 18, "PTM_FORMAT_LRGB": 9, "PTM_FORMAT_JPEG_RGB": 18, "PTM_FORMAT_JPEG_LRGB": 9}
 PTM_REMEDY = "Save it again as PTM_FORMAT_RGB or PTM_FORMAT_LRGB, or convert the photographs that it was made from"
 

@@ -13,7 +13,7 @@ import numpy as np
 
 TILE, OVERLAP = 254, 1
 IIIF_TILE, IIIF_WHOLE = 512, 1024  # tiles without overlap; longest side of the whole picture in one file
-ROWS_AT_A_TIME = 512
+ROWS_AT_A_TIME = 512  # in memory
 Samples = np.ndarray  # (rows, columns, 3) uint8, R, G, B; may lie on the disk
 
 

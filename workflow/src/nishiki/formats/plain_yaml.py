@@ -10,7 +10,7 @@ import yaml
 
 from nishiki.formats.files import bound
 
-LONGEST_BITS = 1024
+LONGEST_BITS = 1024  # of a whole number
 SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 

@@ -31,7 +31,7 @@ LAYERS = re.compile(r"plane_\d+|materials|normals|albedo|height|depth|means?|med
 TABULATED = ("rbf", "bilinear")
 LEAST_WIDTH = 0.001  # of Gaussians and of the spans of components
 OFF_UNIT = 0.01  # of a light's length
-ROWS_AT_A_TIME = 256
+ROWS_AT_A_TIME = 256  # in memory as float32
 
 
 @dataclass(frozen=True)

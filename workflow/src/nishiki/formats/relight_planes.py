@@ -30,7 +30,7 @@ from nishiki.formats.problems import CaptureError
 CHANNELS = ("red", "green", "blue")
 ALL_PLANES = "planes.tzi"
 LEAST_TILE = 16  # pixels
-MOST_LEVELS = 24
+MOST_LEVELS = 24  # of halvings
 REMEDY = "Fit it again with relight as ptm, hsh, rbf or bilinear, or convert the photographs"
 
 

@@ -14,7 +14,7 @@ from nishiki.formats.coding import Coding, transfer_function
 from nishiki.formats.exif import exif_of_page, quiet_tifffile
 from nishiki.formats.picture_files import AS_RGB, ImageHeader, Output, Picture, Sample, Wanted, unsupported
 
-MOST_PAGES = 256
+MOST_PAGES = 256  # of a file
 PACKED_RATIO = 4000  # LZW: codes of 12 bits for at most 4096 bytes, deflate 1032
 NONE_PACKED, WHITE_IS_ZERO, GREY, RGB, PALETTE, YCBCR, LINEAR_RAW = 1, 0, 1, 2, 3, 6, 34892
 BY_JPEG = (6, 7, 34892, 33007)  # compressions that turn YCbCr into RGB themselves

@@ -21,8 +21,8 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.formats.files import read_json
 
-ZSTD_LEVEL = 1
-CHECKSUM_BYTES = 4
+ZSTD_LEVEL = 1  # the quickest
+CHECKSUM_BYTES = 4  # of CRC-32C
 REMEDY = "Run the stage that made it again"
 
 

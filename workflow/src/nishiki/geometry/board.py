@@ -8,7 +8,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.formats.fields import PlainFields
 
-LEAST_CORNERS = 4
+LEAST_CORNERS = 4  # of a pose
 
 
 @dataclass(frozen=True)
@@ -106,10 +106,10 @@ def _corners(name: str, image: np.ndarray, board, detector) -> BoardCorners | No
     return BoardCorners(name, ids[order], np.asarray(pixels, np.float64).reshape(-1, 2)[order], points)
 
 
-LEAST_PICTURES = 3
-LEAST_CALIBRATION_CORNERS = 8
+LEAST_PICTURES = 3  # of a calibration
+LEAST_CALIBRATION_CORNERS = 8  # of a picture that takes part
 LEAST_TILT_DEG = 8.0
-MOST_SIGMA = 0.04
+MOST_SIGMA = 0.04  # of focal length and centre, relative
 STARTS = (0.8, 1.5, 3.0, 8.0)  # focal lengths, of the picture's longer side
 
 

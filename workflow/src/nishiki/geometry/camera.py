@@ -15,7 +15,7 @@ from nishiki.errors import UserError
 from nishiki.formats.fields import PlainFields
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
-ROUNDING = 1e-12
+ROUNDING = 1e-12  # of a depth, relative to its terms
 
 
 @dataclass(frozen=True)

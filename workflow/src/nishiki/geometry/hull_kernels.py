@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit
 
 JIT = {"cache": True, "nogil": True, "error_model": "numpy"}
-FAR = 1e30
-MOST_MISSES = 4
+FAR = 1e30  # no distance
+MOST_MISSES = 4  # views that may wrongly see background
 
 
 @njit(**JIT)

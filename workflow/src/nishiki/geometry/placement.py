@@ -11,7 +11,7 @@ from nishiki.geometry.mesh import Mesh, face_vectors
 from nishiki.geometry.visibility import rasterise
 
 UNSURE_PX = 2.0
-CONTRADICTED = 2e-3
+CONTRADICTED = 2e-3  # share that is beyond the other outlines, or lost
 
 
 def outline_of(mesh: Mesh, camera: Camera) -> np.ndarray:
@@ -93,7 +93,7 @@ AXES = USUAL_AXES + tuple(
 )
 """The 24 turns of a cube: new axis k is `signs[k]` times the mesh's axis `order[k]`."""
 SIDE, POINTS = 96, 4000  # pixels and points of the surface with which readings are compared
-MOST_VIEWS = 6
+MOST_VIEWS = 6  # compared with each trial
 SAME_EXTENT = 0.6  # of the larger of two extents that both have in common, else their overlap is 0
 EQUAL = 0.01  # overlaps that differ by less are equal
 

@@ -15,14 +15,14 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import NO_DISTORTION, Camera, distort
 from nishiki.geometry.turn import rotation_matrix
 
-LEAST_POINTS = 4
-DRAWS = 400
-CONFIDENCE = 0.9999
+LEAST_POINTS = 4  # of a pose
+DRAWS = 400  # at most
+CONFIDENCE = 0.9999  # that some draw was without outliers
 STOP = (3, 100, 1e-15)  # of Levenberg-Marquardt: so many steps, or one that changes nothing
 # Where the second pose of a flat set fits worse by less than this many noise variances, the picture cannot tell.
 DISTINCT = 20.0
-FLAT = 0.05
-LINE = 1e-3
+FLAT = 0.05  # third over first extent of points that count as a plane
+LINE = 1e-3  # second over first extent of points that fix no pose
 SAME_POSE_DEG = 2.0
 
 
@@ -243,8 +243,8 @@ def _expect_one(sight: Sight, lens: _Lens, vector: np.ndarray, inliers: np.ndarr
     return best
 
 
-FOLDS = 3
-LEAST_FOR_FOLDS = 6
+FOLDS = 3  # of cross-validation
+LEAST_FOR_FOLDS = 6  # points of a view
 
 
 @dataclass(frozen=True)

@@ -143,8 +143,8 @@ def _poisson(points: np.ndarray, normals: np.ndarray, cells: int) -> tuple[np.nd
 
 POINTS = 4000
 """Points of a scan that are used to align it."""
-COARSE_POINTS = 400
-STARTS = 72
+COARSE_POINTS = 400  # of a scan for the first search
+STARTS = 72  # rotations
 GOOD_ENOUGH, WORST = 0.4, 1.5
 """Residual of two aligned scans, in spacings of the thinned points: below the first the given place is taken without a
 search, above the second they do not fit."""

@@ -41,7 +41,7 @@ def nearest_colour(lab, centres, inverses, lowest, out):
 
 BORDER = 0.06
 """Width of the border that is taken for background, of the picture's shorter side."""
-CLUSTERS = 8
+CLUSTERS = 8  # colours of a background
 NEAR = 1.5
 """Distance (in spreads of the background) below which a hole is background."""
 LOWEST_LEVEL, HIGHEST_LEVEL = 1.5, 6.0

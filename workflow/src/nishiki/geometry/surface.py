@@ -8,7 +8,7 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.decimation import collapse
 from nishiki.geometry.mesh import Mesh, face_vectors
 
-CANDIDATES = 6
+CANDIDATES = 6  # nearest samples whose triangles are looked at
 MEASURED = 40_000
 """Vertices, evenly taken, at which a deviation is measured."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from nishiki.goniometry.directions import angles, images, unit
 from nishiki.goniometry.table import ReflectanceSet
 
-PROBES = 4000
+PROBES = 4000  # even directions
 REACH = np.radians(7.5)  # a view stands for directions this near
 
 

@@ -42,7 +42,7 @@ IMAGES = {
     "half": ((1, 1), (-1, -1)),  # a half turn about the normal: what a twill's diagonal leaves
     "none": ((1, 1),),
 }
-ON_PLANE = 1e-9
+ON_PLANE = 1e-9  # sine
 
 
 def images(symmetry: str) -> np.ndarray:

@@ -11,7 +11,7 @@ from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
 
 MOST_POINTS = 1500  # of one eigenvalue problem; more views are averaged over small cells
 WITHIN = 0.75  # of the grid's step, a little more than half its diagonal: a view that near measures the node
-FEWEST = 6
+FEWEST = 6  # views
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,7 @@ class ReflectanceSet:
 
 
 ARRAYS, NAMES = "reflectance.npz", "reflectance.json"
-FORMAT = 1
+FORMAT = 1  # of the file; readers refuse others
 ROWS = ("incident", "outgoing", "values", "noise", "valid")
 GRID = ("theta", "phi", "values", "measured", "extrapolated")
 

@@ -27,7 +27,7 @@ def decide_gloss(finishes: Sequence[dict], kept: np.ndarray, setting: str) -> De
 
 LIMIT_DB = 0.1  # by which a lobe has to bring unseen observations nearer
 SIGMAS = tuple(np.geomspace(0.03, 0.8, 9))  # radians
-FOLDS = 3
+FOLDS = 3  # of cross-validation
 FEWEST_TEXELS = 30  # texels below which nothing is said
 
 

@@ -195,7 +195,7 @@ def moved_deg(rows: np.ndarray, samples: Sequence[LightSample], full, solve: Sol
     return float(np.degrees(np.median(values))) if values.size else 0.0
 
 
-PIXELS = 1200
+PIXELS = 1200  # of the sample
 
 
 def choose_lights(frames: Observations, lights: np.ndarray, settings) -> tuple[np.ndarray, Decision | None]:

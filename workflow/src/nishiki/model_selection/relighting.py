@@ -27,7 +27,7 @@ from nishiki.model_selection.decision import Decision
 from nishiki.observations.parcels import Parcel
 from nishiki.photometric.flags import NO_ESTIMATE
 
-FOLDS = 5
+FOLDS = 5  # of cross-validation, over lamps
 FEWEST = 8  # lights: with fewer, what the rest of them says differs too much from what all of them say
 MARGIN = 0.05  # part of the plain model's error that the directional terms must take off
 ERRORS = 3.0  # and standard errors of that gain over the lamps: one lamp of a wrong strength outweighs nine others

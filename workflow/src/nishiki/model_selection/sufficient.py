@@ -13,7 +13,7 @@ from nishiki.model_selection.decision import Decision
 from nishiki.model_selection.lights import spread_order
 
 LOSS = 0.002  # of the expected error: with ordinary cameras the measured paints ask for no less (docs/notes/economy.md)
-MOST_BASES = 16
+MOST_BASES = 16  # that a fit may have
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def _first(counts: tuple[int, ...], losses: tuple[float, ...], limit: float) -> 
 LIMIT = 0.1  # share of what is left that its neighbours tell
 MARGIN_DB = 0.2  # a sample of tiles is not the object
 REACH = 2.0  # texels to a neighbour
-NEIGHBOURS = 16
+NEIGHBOURS = 16  # texels that predict one
 MOST_PIXELS = 4000  # pixels of a tile that are looked at
 STEP = 0.5  # of the parameters' quantiser, in standard deviations of what is left: adds 2 % to it
 
@@ -187,7 +187,7 @@ def decide_residual(left: Left, target: str, amount: float, setting: str, *, lim
 
 
 VIEWS_LIMIT = 0.01  # relative error at the views not used; a sixth of what a cloth's model is expected to miss
-FEWEST = 48
+FEWEST = 48  # views
 GROWTH = 1.4  # from one number that is tried to the next
 
 

@@ -7,7 +7,7 @@ from numba.extending import overload
 from nishiki.photometric.relighting import middle
 
 SUBSAMPLE = 64  # of a block's samples, for the median and the spread
-CLIP_SIGMAS = 4.0
+CLIP_SIGMAS = 4.0  # standard deviations about the median of a block
 
 
 def linear_value(table, code):

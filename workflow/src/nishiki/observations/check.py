@@ -21,7 +21,7 @@ from nishiki.formats.files import walk
 from nishiki.formats.images import expect_channels, read_header
 from nishiki.formats.picture_files import ImageHeader
 from nishiki.formats.problems import CaptureError, Problem, error, warning
-from nishiki.observations.blocks import block_edges
+from nishiki.observations.blocks import CHECK_BLOCK, block_edges
 from nishiki.observations.consistency import Judgement, ReducedPhotographs, judgement_problems
 from nishiki.observations.frames import FrameReader, unusable_coding
 from nishiki.observations.goniometer_check import goniometer_files, look_at_windows, table_problems
@@ -34,7 +34,6 @@ from nishiki.observations.store_parts import RepeatedFiles, as_errors, attempt
 from nishiki.photometric.lambert_fit import FEWEST_LAMPS
 
 SAME_DIRECTION = np.cos(np.radians(0.1))
-CHECK_BLOCK = 16
 
 
 def check_capture(

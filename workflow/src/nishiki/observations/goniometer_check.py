@@ -13,7 +13,7 @@ from nishiki.formats.masks import label_problems, read_labels
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, refuse, warning
 from nishiki.goniometry.coverage import FEWEST_PAIRS, forward_shine, reciprocity, turned_views, typical_albedo
 from nishiki.goniometry.directions import unit
-from nishiki.observations.blocks import picture_edges
+from nishiki.observations.blocks import CHECK_BLOCK, picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField, measure_darks
 from nishiki.observations.store_parts import RepeatedFiles, as_errors
@@ -98,7 +98,6 @@ def white_level(frame: Frame, codes: np.ndarray, reader: FrameReader[GoniometerC
     return least
 
 
-CHECK_BLOCK = 16
 Tick = Callable[[str], None]
 DISAGREE = 0.2  # sound tables gave at most .13, simulated cloths .06, wrong ones .35 and more
 AGREE = 1 / 3  # of the disagreement is left by the reading that is right

@@ -21,7 +21,7 @@ from nishiki.observations.region import chosen
 from nishiki.observations.store_parts import PhotographCounter, Settings, Tick, write_small_arrays
 
 STORE, NAMES, TABLE = "goniometer.zarr", "goniometer.json", "table.npz"
-FORMAT = 1
+FORMAT = 1  # of the file; readers refuse others
 CHUNK_BYTES = 4 << 20
 
 

@@ -13,7 +13,7 @@ from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid
 from nishiki.observations.linearise import straight_scale
 from nishiki.threads import over_rows
 
-FORMAT = 1
+FORMAT = 1  # of the file; readers refuse others
 STRIP_BYTES = 8 << 20
 """Of float32 observations that are decoded at a time."""
 

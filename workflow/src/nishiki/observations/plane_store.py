@@ -18,6 +18,7 @@ from nishiki.observations.reference import Gains, measure_darks, measure_gains, 
 from nishiki.observations.region import chosen, edges_of, object_mask, region_around, region_numbers, window_of
 from nishiki.observations.resampling import subtract_room
 from nishiki.observations.store_parts import (
+    ALL_SATURATED,
     PhotographCounter,
     Settings,
     refuse_unusable,
@@ -26,8 +27,7 @@ from nishiki.observations.store_parts import (
 )
 
 STORE = "frames.zarr"
-FORMAT = 1
-ALL_SATURATED = 0.99
+FORMAT = 1  # of the file; readers refuse others
 
 
 @dataclass(frozen=True)

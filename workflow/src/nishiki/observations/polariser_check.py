@@ -12,7 +12,7 @@ from nishiki.capture.turntable import TurntableCapture
 from nishiki.errors import UserError
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning
-from nishiki.observations.blocks import picture_edges
+from nishiki.observations.blocks import CHECK_BLOCK, picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import measure_darks
@@ -137,7 +137,6 @@ def _crossed_over_parallel(pictures: dict[str, np.ndarray]) -> float | None:
     return float(crossed[lit].sum()) / bright if bright > 0 else None
 
 
-CHECK_BLOCK = 16
 Tick = Callable[[str], None]
 
 

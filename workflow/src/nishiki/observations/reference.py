@@ -18,7 +18,7 @@ from nishiki.observations.frames import FrameReader
 
 TOO_DARK = 0.02  # of full scale: below it noise and rounding are several percent of the board
 BAD_SHARE = 0.25  # of a block's samples
-MIN_GOOD_BLOCKS = 0.5
+MIN_GOOD_BLOCKS = 0.5  # share below which a board is refused
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def _unusable_board(name: str, bright_share: float, board: np.ndarray) -> Proble
 
 HOT = 0.02  # of full scale above its block in the dark; see `hot_limit` for samples without a full scale
 DEAD = 0.1  # of its block's level on the white board
-SAME_EXPOSURE = 0.01
+SAME_EXPOSURE = 0.01  # relative difference of times that count as one
 
 
 @dataclass(frozen=True)

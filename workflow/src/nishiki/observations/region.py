@@ -16,7 +16,7 @@ from nishiki.formats.masks import Mask, examine_mask, expect_size, label_problem
 from nishiki.formats.problems import Problem, refuse
 from nishiki.observations.blocks import Edges, blocks_around, edges_between
 
-MANY_REGIONS = 256
+MANY_REGIONS = 256  # labels of 8 bits
 MARGIN = 8
 """Least number of pixels that are kept around the object, where the photograph has them: pictures want a rim."""
 

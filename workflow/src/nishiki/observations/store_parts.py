@@ -17,7 +17,8 @@ from nishiki.observations.frames import FrameReader
 if TYPE_CHECKING:
     from nishiki.observations.corrections import Wishes
 
-MANY_SATURATED = 0.05
+ALL_SATURATED = 0.99  # share of the object, of a photograph that cannot be used
+MANY_SATURATED = 0.05  # share of the object
 Tick = Callable[[str], None]
 
 

@@ -15,7 +15,7 @@ from nishiki.observations.blocks import grid_of, on_one_grid, picture_edges
 from nishiki.observations.linearise import straight_scale
 
 __all__ = ["Views", "decode", "encode"]
-FORMAT = 1
+FORMAT = 1  # of the file; readers refuse others
 
 
 class Views:

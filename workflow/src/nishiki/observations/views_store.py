@@ -20,6 +20,7 @@ from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import DarkField, measure_darks
 from nishiki.observations.region import chosen
 from nishiki.observations.store_parts import (
+    ALL_SATURATED,
     PhotographCounter,
     Settings,
     Tick,
@@ -29,7 +30,7 @@ from nishiki.observations.store_parts import (
 )
 from nishiki.observations.views_white import Whites, mean_boards, measure_whites
 
-FORMAT = 1
+FORMAT = 1  # of the file; readers refuse others
 
 
 def attributes_of(
@@ -106,7 +107,6 @@ def geometry_sources(capture: TurntableCapture) -> list[tuple[Path, str]]:
 
 
 STORE = "views.zarr"
-ALL_SATURATED = 0.99
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from nishiki.lanes import LANES, choose, larger, load, smaller, splat, store
 from nishiki.small_matrices import solve_by_cofactors
 
 BLOCK = 32  # 96 lights of three float32 planes of a block fit the second-level cache, one plane the first
-TERMS = 10
+TERMS = 10  # sums of a pixel
 RIDGE = np.float32(1e-6)  # of the trace: keeps degenerate windows of lights finite; biases a fit by less than 1e-4
 FAR = np.float32(3e38)
 

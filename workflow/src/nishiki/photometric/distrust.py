@@ -15,7 +15,7 @@ import numpy as np
 from nishiki.photometric import flags as bits
 from nishiki.photometric.light_selection import distinct_sets, half_vectors
 
-SUSPECT = 40.0
+SUSPECT = 40.0  # condition of the light matrix
 WORSE, SOMEWHAT = 16.0, 1.3
 PIXELS = 1 << 14  # at a time
 

@@ -16,7 +16,7 @@ MODEL_ERROR = 0.02  # of the body's shading, relative to the pixel's mean level:
 GLOSS_ERROR = 0.15  # of the predicted gloss, relative
 TILT_ERROR = 0.02  # radians by which the mirroring surface may lean from the normal of the body
 TOLERANCE = 3.0  # standard deviations at which a sample has lost three quarters of its weight
-ITERATIONS = 15
+ITERATIONS = 15  # at most of a pixel
 SECOND_START = 1.0  # robust cost a value above which the normal that mirrors the brightest light is tried too
 
 

@@ -40,7 +40,7 @@ from nishiki.photometric.least_squares import LARGEST
 from nishiki.small_matrices import eigenvalues
 
 LARGEST_STEP = 0.3  # radians
-DAMPINGS = 5
+DAMPINGS = 5  # times at most that a step is damped more
 SETTLED = 1e-3  # radians
 NOTHING = 1e-300  # keeps sums of no weight from 0 / 0: weights are inverse squares of radiances of any unit
 FOLDS = 5  # groups of lamps that are left out in turn

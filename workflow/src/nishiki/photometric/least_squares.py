@@ -7,7 +7,7 @@ from nishiki.lanes import LANES, choose, load, root, store
 from nishiki.photometric import flags as bits
 from nishiki.small_matrices import eigenvalues, inverse
 
-BLOCK = 64
+BLOCK = 64  # pixels at a time
 LEAST_ALBEDO, LARGEST = 1e-45, 3.4028234e38  # of float32, subnormal numbers included
 TERMS = 10  # six products of the direction, three of the right-hand side, the sum of squares
 

@@ -8,7 +8,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.threads import over_rows
 
-BLOCK = 256
+BLOCK = 256  # pixels at a time
 COSINE_FLOOR = 0.02
 """Samples lit at a smaller cosine carry no usable signal and divide by almost nothing: they are left out."""
 

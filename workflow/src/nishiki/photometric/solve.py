@@ -14,7 +14,7 @@ from nishiki.threads import over_rows
 
 SOLVERS = ("default", "lobe", "least_squares")
 PRIOR = 1e-4  # least weight of b^2 and d^2, times a third of the number of samples (about their sum of c^2)
-RESELECTIONS = 1
+RESELECTIONS = 1  # of samples after the first fit
 NEAR_DEG = 0.2  # largest difference between a pixel's direction to a near light and that of its block
 LARGEST_CODE = 65535  # of 16 bits
 AT_LEAST = 6  # samples below which the gloss lobe is not tried: five unknowns and one to spare

@@ -259,7 +259,7 @@ def _between(blocks: np.ndarray, shape: tuple[int, int], block: int) -> np.ndarr
 
 
 STORE = "components.zarr"
-FORMAT = 1
+FORMAT = 1  # of the file; readers refuse others
 
 
 class ComponentWriter:

@@ -179,7 +179,7 @@ def arms_of(file: InstrumentFile | None, *, wavelength_nm: float | None) -> tupl
     return arms[0], arms[1]
 
 
-MOST_CONDITION = 1e3
+MOST_CONDITION = 1e3  # of the least squares over angles
 NEARLY = 1.0  # degrees: angles that count as parallel or crossed
 
 

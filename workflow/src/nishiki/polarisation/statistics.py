@@ -80,7 +80,7 @@ def noise_of(values: np.ndarray, valid: np.ndarray) -> float | None:
 
 
 MOST_VALUES = 1 << 19
-ROWS = 32
+ROWS = 32  # in memory
 GROUP = 64  # neighbouring values of a photograph that are averaged
 DRIFT = 0.02  # of the light: a lamp varies by as much between photographs
 

@@ -31,7 +31,7 @@ from nishiki.report.pictures import file_jpeg
 
 PLANNED = ("hold_out", "without", "truth_sha256", "training_sha256", "left_out")
 """Settings that the plan fills in; a user does not write them."""
-LONGEST_TEXT = 160
+LONGEST_TEXT = 160  # characters of a line
 THUMBNAIL, THUMBNAIL_COLUMNS = "thumbnail.jpg", 320
 
 

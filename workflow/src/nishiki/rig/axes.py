@@ -34,7 +34,7 @@ MOVE_S = 120.0
 POLL_S = 0.05
 STANDS_WITHIN = 0.02
 """Controller's units by which a position may differ from what was asked: it reports three decimals of whole steps."""
-MM_PER_INCH = 25.4
+MM_PER_INCH = 25.4  # exact
 
 ERRORS = {
     5: "Homing is switched off. Remedy: connect limit switches and set $22=1",

@@ -19,10 +19,10 @@ from nishiki.rig.records import LastPhotograph, RunState, why
 from nishiki.version import PROJECT_VERSION
 
 ADDRESS = "127.0.0.1"
-DEFAULT_PORT = 8377
+DEFAULT_PORT = 8377  # of this computer alone
 REFRESH_MS = 1000
 CLIPPED = (1.0, 0.0, 0.1)  # linear sRGB of saturated pixels
-BINS = 128
+BINS = 128  # of the histogram
 MOST_REPEATED = 50  # lines of the list of repetitions
 CELL, ACROSS = 14, 48  # size of a frame's mark and number of marks in a row
 KEPT, AGAIN, MISSING = "#3f7f4c", "#c9803f", "#dcdbd5"

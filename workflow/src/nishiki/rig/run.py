@@ -49,7 +49,7 @@ WAIT_S = 2.0
 """Seconds before the first reconnection; each further one waits twice as long."""
 GOOD_PEAK = (0.55, 0.85)
 """Of full scale: where the automatic exposure puts the brightest pixels but one in a thousand."""
-TRIALS = 12
+TRIALS = 12  # exposures of an automatic one
 SAME_COMMAND = "Nothing is lost: the same command goes on with this frame"
 
 

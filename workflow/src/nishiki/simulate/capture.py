@@ -136,7 +136,7 @@ def expose(signal: np.ndarray, camera: CameraSettings, *, key: int, first_row: i
     return codes
 
 
-DARK_FRAMES = 3
+DARK_FRAMES = 3  # photographs
 
 
 class Progress:

@@ -17,7 +17,7 @@ from nishiki.weave.section import HALF_PI, WarpSection, WeftSection
 PLANE_DEG = 1.5  # how far from the plane a view may lie
 GRAZING_DEG = 89.5  # lamps and views beyond are left out
 STEP_DEG = 3.0
-LEAST = 8
+LEAST = 8  # finite reflectances of a plane
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def _interpolated(reflectances, axis, region, view, views: int) -> tuple[np.ndar
 
 
 READINGS = {"paper": PAPER, "shaded": SHADED}
-START_INDEX = 1.5
+START_INDEX = 1.5  # refractive
 NOTHING = 1e-6  # a length over the period, or a strength, that is left out of what is told apart
 
 

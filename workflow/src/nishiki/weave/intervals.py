@@ -108,7 +108,7 @@ def _in(problem: Problem, p, rest, edges, cell, low, high):
 
 
 NULL = 1e-7  # singular value over the largest below which no measurement, however exact, would tell
-WEAK = 0.1
+WEAK = 0.1  # standard deviation of a logarithm
 LEAST = 0.05  # share of a direction's largest part from which a parameter is named
 
 

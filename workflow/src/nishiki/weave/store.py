@@ -15,7 +15,7 @@ from nishiki.weave.yarn_search import YarnSearch, parameters_of
 from nishiki.weave.yarn_weave import InterlacedYarns
 
 NAME = "weave.json"
-FORMAT = 1
+FORMAT = 1  # of the file; readers refuse others
 
 
 def describe(

@@ -257,7 +257,7 @@ POINTS_ACROSS, POINTS_ALONG = 16, 8  # points over a warp yarn's column, and fro
 COARSE = (10, 6)
 GAP = 2  # places on a gap between yarns
 TABLE = (24, 20)  # heights over a column, and from weft yarn to weft yarn
-INDEX = 1.54
+INDEX = 1.54  # of refraction
 
 
 @dataclass(frozen=True)

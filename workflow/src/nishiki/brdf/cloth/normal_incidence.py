@@ -202,7 +202,7 @@ class ScaledBard(_Bard):
 
 
 TILTS, TURNS = 61, 48  # grid of D: 1.5 by 7.5 degrees
-ROUNDS = 8
+ROUNDS = 8  # passes
 SEEN = np.radians(43.6)  # steepest facet read: views beyond 87 degrees are extrapolated
 FITTED = np.radians(12.0)  # of the seen ones, those that tell how D goes on
 _LAST = 89.0  # degrees; tan^2 beyond is not needed

@@ -120,7 +120,7 @@ MISS = 0.06  # relative deviation that the model is expected to have at normal i
 WORTH = 40.0  # independent measurements that all views of normal incidence together stand for
 MISS_OBLIQUE = 0.12  # of a single oblique measurement
 LAMBERT = 0.003  # standard deviation of the Lambert term's albedo about 0
-FEWEST = 8
+FEWEST = 8  # measurements along the normal
 TILTS, TURNS = 16, 72  # grid of the correction
 FLOOR = 0.05  # share of the whole below which a mirror reflection is not corrected
 MOST = 2.5  # largest factor of the correction
@@ -299,7 +299,7 @@ CANDIDATES = 700  # evenly thinned from all: their covariance is a full matrix
 DISCREPANCY = 0.12  # standard deviation of the model's own error, of the value
 ERROR_REACH = 0.7  # distance of pairs of unit vectors (light, view) at which these errors have nothing in common
 NOISE = 0.03, 0.01  # of a measurement, of the value and of its incidence's level
-SLOPE_STEP = 0.02
+SLOPE_STEP = 0.02  # of central differences, in units of the search
 
 
 def choose_oblique(fit: ShapeFit, incident: np.ndarray, outgoing: np.ndarray, count: int) -> np.ndarray:

@@ -20,7 +20,7 @@ from nishiki.brdf.texels.texel_fit import Tile
 from nishiki.colour.colour import encoding_slope
 from nishiki.geometry.camera import Camera
 
-ROUNDS = 12
+ROUNDS = 12  # at most
 SETTLED = 1e-4  # relative change of E
 TUKEY = 4.685  # of the scaled residual at which an observation counts nothing
 SMOOTHNESS = 1e-4  # damping of a step relative to the data: what no texel tells stays as it was

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-_BITS = 21
+_BITS = 21  # of a node along an axis: three fit into 64
 _MIDDLE = 1 << (_BITS - 1)
 
 

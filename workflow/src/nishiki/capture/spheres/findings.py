@@ -194,7 +194,7 @@ def read_crops(photographs: Sequence[Path], crops: Sequence[tuple[slice, slice]]
     return [np.array([each[k] for each in cuts]) for k in range(len(crops))]
 
 
-WIDEST = 1200
+WIDEST = 1200  # pixels, of the picture on the page
 GREEN, RED, GREY = (90, 220, 90), (255, 90, 40), (150, 150, 150)
 
 

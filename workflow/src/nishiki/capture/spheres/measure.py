@@ -39,7 +39,7 @@ FAINT = 0.15  # of the median peak: below there is no highlight
 AREA_RANGE = 2.8  # a highlight this many times larger or smaller than the others is doubtful
 POSITION_SHARE = 0.05  # relative uncertainty of a distance up to which positions are written
 BOARD_BLOCKS = 12  # along the longer side of the board's photographs
-AGREEMENT_SIGMAS = 4.0
+AGREEMENT_SIGMAS = 4.0  # standard deviations
 LEAST_MEASURED = 0.5  # of the photographs: balls that fewer have highlights on are not believed
 
 

@@ -157,13 +157,13 @@ def _gather(found: list[np.ndarray], score: float, centre: np.ndarray, radius: f
 
 
 BLOCK = 8  # pixels of the side of a block
-LEAST_BLOCKS = 40
+LEAST_BLOCKS = 40  # of the picture
 DARK = 0.05  # of the bright blocks: darker ones tell nothing
 SHADOW = 0.1  # of a block's brightest photograph: below it may lie in shadow
-SATURATED = 0.95
+SATURATED = 0.95  # of full scale
 TRIALS = 59  # orders of the lamps that are tried
-MOST_RESIDUAL = 0.3
-MOST_CHANCE = 0.05
+MOST_RESIDUAL = 0.3  # relative
+MOST_CHANCE = 0.05  # probability
 LEAST_Z = 0.2  # of normals whose slopes count
 
 

@@ -10,7 +10,7 @@ from nishiki.errors import UserError
 from nishiki.render.plane import camera
 from nishiki.render.plane.flags import BACKGROUND, UNUSABLE
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
-from nishiki.render.plane.shade import ColourGroups, Maps, colour_groups, shade_channels, shade_xyz
+from nishiki.render.plane.shade import ColourGroups, Maps, colour_groups, pixel_to_plane, shade_channels, shade_xyz
 from nishiki.render.plane.shadow import cast_shadows
 from nishiki.threads import over_rows
 
@@ -74,7 +74,7 @@ def render(
         return Rendering(shading.values, shading.flags, coverage, white, shadowed, 1, 1)
     plane = camera.screen_to_plane(view, scene)
     rows, columns = camera.screen_shape(view, scene)
-    to_map = np.linalg.inv(camera.pixel_to_plane(scene.pitch, scene.shape)) @ plane
+    to_map = np.linalg.inv(pixel_to_plane(scene.pitch, scene.shape)) @ plane
     steps = [camera.footprint(to_map, k, min(k + 16, rows), columns, scene.shape) for k in range(0, rows, 16)]
     reduction = 1
     while max(_count(step, reduction) for step in steps) > most and reduction < max(scene.shape):

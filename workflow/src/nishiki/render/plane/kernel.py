@@ -18,7 +18,7 @@ from numba import njit
 from nishiki.brdf.torrance_sparrow import phi_squared
 from nishiki.render.plane.flags import COLOUR_MISSING, NORMAL_MISSING, OVERFLOW, TURNED_AWAY, UNUSABLE
 
-BLOCK = 128
+BLOCK = 128  # pixels of a row
 # Lanes of the block's scratch array, each BLOCK values long.
 _NX, _NY, _NZ, _VX, _VY, _VZ, _COSR, _INVR = (k * BLOCK for k in range(8))
 _LX, _LY, _LZ, _E = (k * BLOCK for k in range(8, 12))

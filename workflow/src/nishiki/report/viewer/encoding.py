@@ -29,7 +29,7 @@ LAMPS = ("D65", "A", "F2", "F11")
 """Under which colours have to be right."""
 BAND_SHARE = 0.02
 """Weight of a spectrum's own squared difference, relative to that of what is seen of it: metameric parts are kept."""
-LEAST_LUMINANCE = 1e-5
+LEAST_LUMINANCE = 1e-5  # of a white
 SEEN = 0.25
 """Of a step: principal axes along which values spread by less are left out."""
 BRIGHT = 98

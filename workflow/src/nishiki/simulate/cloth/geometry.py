@@ -128,7 +128,7 @@ def _arch(t):
 
 
 POWERS = 1024  # |u|^e is stored at so many steps of |u|
-_BISECTIONS = 14
+_BISECTIONS = 14  # halvings of a spacing
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -337,7 +337,7 @@ class Solids:
         return _pack(self.warp, self.weft)
 
 
-_HEAD = 18
+_HEAD = 18  # numbers before those of the yarns
 
 
 def _pack(warp: Yarns, weft: Yarns) -> np.ndarray:

@@ -20,7 +20,7 @@ from nishiki.threads import over_rows
 _R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' sequence in two dimensions: 1/p, 1/p², p³ = p + 1
 _LEVELS_DEG = (2.0, 6.0, 15.0, 40.0, 75.0)  # elevation of the directions that test how free a point lies
 _EVERY = (1, 1, 2, 3, 3)  # of the points that are reached first at that level one in so many is kept
-_AZIMUTHS = 8
+_AZIMUTHS = 8  # directions around a point
 _LIFT = 2e-3  # of the spacing: rays start so far above the surface
 
 

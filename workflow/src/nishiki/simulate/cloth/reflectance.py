@@ -20,8 +20,8 @@ from nishiki.threads import over_rows
 _DIRECTIONS = 64  # held at a time
 _STRONG = 0.05  # ends that pass on less than this (1/sr) are traced by lot, at least one in
 _LOT = 8.0
-_GOLDEN = 0.6180339887498949
-BINS_A_YARN = 2
+_GOLDEN = 0.6180339887498949  # ratio: its multiples are even whatever their number
+BINS_A_YARN = 2  # of the openness
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from nishiki.simulate.randomness import fractal_noise, line_noise, plane_noise, 
 
 # (width mm, spacing mm, thickness mm, only where the plan wants strokes finer than this share)
 LAYERS = ((3.6, 3.0, 0.050, 9.0), (2.2, 1.75, 0.075, 9.0), (1.5, 1.20, 0.085, 0.85), (1.0, 0.85, 0.080, 0.50))
-LENGTH_TO_WIDTH = 4.5
+LENGTH_TO_WIDTH = 4.5  # of a brush stroke
 
 
 @dataclass(frozen=True)

@@ -37,9 +37,9 @@ from nishiki.simulate.painting.settings import (
 from nishiki.simulate.painting.shading import shade
 from nishiki.simulate.randomness import subkey
 
-BOARD_REFLECTANCE = 0.98
+BOARD_REFLECTANCE = 0.98  # of the white board
 WAVELENGTHS_NM = np.arange(400.0, 700.5, 5.0)
-_BAND_ROWS = 256
+_BAND_ROWS = 256  # in memory
 
 
 @dataclass(frozen=True)

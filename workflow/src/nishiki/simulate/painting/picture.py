@@ -48,7 +48,7 @@ class CanvasMap:
                 getattr(self, name)[where] = value[where] if isinstance(value, np.ndarray) else value
 
 
-HORIZON = 0.545
+HORIZON = 0.545  # height in the picture, from its lower edge
 HEM_TOP, HEM_BOTTOM, PATCH_TOP = 0.815, 0.928, 0.940
 SKY, MOUNTAIN, HILLS, WATER, MEADOW, GATE, BRANCH, HEM, PATCHES = 0, 1, 2, 3, 4, 5, 6, 20, 60
 SUN = (0.735, 0.235)  # as share of the width, and v

@@ -152,8 +152,8 @@ def visible_share(height, i, j, towards, step, ceiling, radius):
     return lit_share(elevation, math.atan(slope), radius)
 
 
-DIRECTIONS = 16
-REACH_PIXELS = 8
+DIRECTIONS = 16  # around a pixel
+REACH_PIXELS = 8  # of light from paint to paint
 
 
 def _neighbours(pitch: float) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ from nishiki.simulate.reflection import facets, fresnel, rough_matter
 from nishiki.simulate.turntable.shape import ANIMAL, BODY, FLUTES, FRUIT, HANDLES, LID, ROPE
 from nishiki.threads import over_rows
 
-NUMBERS = 15
+NUMBERS = 15  # of a material
 INDEX = 1.5  # of glazes and lacquer
 GOLD = (0.94, 0.72, 0.34)
 _ENAMELS = np.array(

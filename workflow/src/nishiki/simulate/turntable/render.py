@@ -16,7 +16,7 @@ from nishiki.threads import over_rows
 
 OFFSET_MM = 0.02  # rays start so far above the surface
 _SMOOTHEST = 0.28  # the mirror image of the surroundings is at least so blurred: there are few rays a vertex
-_FACE_SAMPLES = 4
+_FACE_SAMPLES = 4  # of a triangle's mean
 _GATHERED_RAYS = 1 << 19  # at a time
 
 
@@ -179,7 +179,7 @@ def mirrored(surface: Surface, around: Surroundings, radiosity: np.ndarray, eye:
 
 _LAMP_POINTS = 8  # lamp points a vertex, for the light that bounces
 _RAYS = 1 << 18  # at a time
-_GOLDEN = 0.6180339887498949
+_GOLDEN = 0.6180339887498949  # ratio: its multiples are even whatever their number
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ PARTS = ("body", "lid", "rope", "handles", "fruit", "animal")
 BODY, LID, ROPE, HANDLES, FRUIT, ANIMAL = range(6)
 LOW = (-104.0, -4.0, -82.0)
 HIGH = (104.0, 188.0, 90.0)
-FLUTES = 14
+FLUTES = 14  # around the jar
 
 
 @numba.njit(cache=True)

@@ -25,7 +25,7 @@ from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.sufficient import measured_choice, static_choice, with_normal_rows
 from nishiki.weave.store import Weave
 
-FORMAT = 1
+FORMAT = 1  # of the file; readers refuse others
 ALBEDO_DEG = (0, 30, 60, 80)
 EXPORT_INCIDENT_DEG = [
     (0.0, 0.0),

@@ -167,7 +167,7 @@ def write_albedo(context: Context, scene: ExportedScene) -> dict:
 
 
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-ROWS_AT_A_TIME = 32
+ROWS_AT_A_TIME = 32  # of 61 bands in memory
 
 
 def channel(wavelength_nm: float) -> str:

@@ -95,7 +95,7 @@ def sample(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 ALPHA_PER_SIGMA = float(np.sqrt(2 * np.log(2) / (np.sqrt(2) - 1)))
-INDEX = 1.5
+INDEX = 1.5  # of refraction, that of glTF
 NORMAL_REFLECTANCE = ((INDEX - 1) / (INDEX + 1)) ** 2
 METRES: dict[Any, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 PRIOR = 0.04  # squared irradiance that the model's own albedo counts as

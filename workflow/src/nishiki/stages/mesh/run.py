@@ -21,7 +21,7 @@ from nishiki.observations.views import Views
 from nishiki.render.output import write_png
 
 COARSE_CELLS, HOLLOW_CELLS = 128, 96
-PREVIEW_ROWS = 480
+PREVIEW_ROWS = 480  # pixels
 
 
 def run(context: Context) -> dict:

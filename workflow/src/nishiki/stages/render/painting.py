@@ -170,7 +170,7 @@ def film(
 
 LAMP_RADIUS_RAD = np.radians(0.75)
 """Radius of a lamp as the object sees it: the soft edge of cast shadows."""
-FIELD_OF_VIEW_MARGIN = 1.05
+FIELD_OF_VIEW_MARGIN = 1.05  # around the painting
 CENTRING_STEPS = 8  # of the camera's target; the middle of the object converges in a few
 NEAREST = 1e-3  # depth of points beside or behind the eye, in lengths of the object
 LONGER_SIDE, SHORTEST_SIDE = 1024, 16  # pixels of a picture whose size the settings leave open

@@ -166,7 +166,7 @@ def lobes_plot(parts: list[Lobe], *, width: int = 520, height: int = 330) -> str
 
 CURVES_OF = ("yarns", "yarn_facets", "bard_great_circle", "weave")
 """Models whose curves are drawn beside those of the default one."""
-MOST_CURVES = 4
+MOST_CURVES = 4  # told apart by colour
 INTRODUCTION = (
     "Predicted against measured reflectance on measurements that no fit has seen. The error is the root mean square of "
     "the difference over that of the measured values, weighted by the cosine of the view's angle and by the solid "

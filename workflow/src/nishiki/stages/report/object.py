@@ -86,7 +86,7 @@ def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Tile]:
     return [Tile(*tile) for tile in tiles if tile[0] is not None]
 
 
-MOST_PICTURES = 6
+MOST_PICTURES = 6  # on the page
 
 
 def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> Section | None:
@@ -199,7 +199,7 @@ def views_section(evaluation: dict[str, Any] | None) -> Section | None:
     ])  # fmt: skip
 
 
-MOST_SEPARATED = 2
+MOST_SEPARATED = 2  # pictures on the page
 
 
 def separation_section(polarise: Artifact | None, widest: int) -> Section | None:

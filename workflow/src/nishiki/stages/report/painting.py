@@ -78,7 +78,7 @@ def run(context: Context) -> dict:
     )
 
 
-MOST_CHARTS = 6
+MOST_CHARTS = 6  # on the page
 INTRODUCTION = (
     "What is left of the observations after the diffuse part is taken off, over the angle between the normal and the "
     "half vector of light and view. A Torrance-Sparrow lobe is fitted to it; where the dots leave the curve at large "
@@ -218,7 +218,7 @@ def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
     return [Figure(heading, LINEAR, svg=linear), Figure(f"{heading}, logarithmic", LOGARITHMIC, svg=logarithmic)]
 
 
-MOST_PICTURES = 8
+MOST_PICTURES = 8  # on the page
 
 
 def appearance_section(render: Artifact | None, widest: int, video_mb: float, ruler: Ruler | None) -> Section | None:
@@ -374,7 +374,7 @@ def at_a_glance(
 
 VISIBLE, PLAIN = 2.0, 5.0
 """Colour differences (CIEDE2000) from which most people see one, and from which everybody does."""
-FEW_LAMPS = 8
+FEW_LAMPS = 8  # that a headline warns of
 
 
 def verdict(

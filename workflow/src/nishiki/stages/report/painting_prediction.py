@@ -23,7 +23,7 @@ from nishiki.report.pictures import (
     shrink,
 )
 
-MOST_LIGHTS = 4
+MOST_LIGHTS = 4  # on the page, the worst among them
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB, IEC 61966-2-1
 LEAST_SIGNED_END = 1.0  # per cent of the white: smaller differences are the camera's noise
 LARGEST_DE00 = 10.0

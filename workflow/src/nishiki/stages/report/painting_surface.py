@@ -178,8 +178,8 @@ def _height(page: PageMaps, shape: tuple[int, int], block: int, known: np.ndarra
     ]
 
 
-CURVES = 9
-LEAST_SHARE = 0.002
+CURVES = 9  # on the page
+LEAST_SHARE = 0.002  # of the pixels, of a region that is drawn
 ILLUMINANTS = {"D65": "daylight, D65", "A": "incandescent, A", "FL11": "fluorescent of three narrow bands, FL11"}
 UNDER_D65 = "CIEDE2000 of the diffuse reflectance under D65, not under the lamp of the capture."
 EXPECTED_ERROR = "for surfaces like those of the training set; light patches are colours unlike any of them."

@@ -40,7 +40,7 @@ from nishiki.threads import threads
 SAMPLE_TILES = 24  # that decide whether the model suffices
 SEARCH_TILES = 16  # on which the step is sought before the first pass over all
 SEARCH_SHARE = 0.25  # of the tiles: with fewer in all, a search on some saves nothing
-FIRST_STEP = 0.08
+FIRST_STEP = 0.08  # of the quantiser, from which the search sets out
 DECIBELS = 20 / math.log(10)  # of a factor e in amplitude
 
 

@@ -20,7 +20,7 @@ from nishiki.stages.viewer.painting_maps import UNKNOWN_REGION, PaintingCode, Pa
 
 PAGE = Path(__file__).with_suffix(".js")
 ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5")
-BAND_ROWS = 256
+BAND_ROWS = 256  # in memory
 FINE, COARSE, FINE_PIXELS = Steps(0.35, 0.00116, 0.0046), Steps(0.95, 0.011, 0.019), 2_000_000
 """Steps of the codes, and the size of a map up to which the finer are taken. With the coarse ones each kind of code
 costs about the same difference of the picture for a bit; the steps of tilts are below the noise of the normals of
@@ -98,7 +98,7 @@ def illuminants(ingest: Artifact) -> dict[str, dict[str, list[float]]]:
     return {name: {"nm": WAVELENGTHS_NM.tolist(), "power": power.tolist()} for name, power in powers.items()}
 
 
-MOST_PIXELS = 1_000_000
+MOST_PIXELS = 1_000_000  # of a map of errors
 LARGEST, UNKNOWN = 254, 255
 """Largest code, and that of an unknown value."""
 FARTHEST = 99.5  # percentile of a measured map that its colours reach to

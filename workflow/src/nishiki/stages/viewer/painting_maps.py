@@ -38,7 +38,7 @@ from nishiki.report.viewer.pyramid import filled
 
 SAMPLES = 60_000
 """Pixels, about, that the codes are fitted to."""
-UNKNOWN_REGION = 255
+UNKNOWN_REGION = 255  # code
 FULL_TURN = 48  # nodes of the mean over the half space
 
 
