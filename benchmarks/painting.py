@@ -39,7 +39,6 @@ METHODS = {
     "paper": {
         "separate": {"method": "threshold"},
         "normals": {"refine": "none", "solver": "least_squares", "reflectance": "mean"},
-        "brdf": {"method": "paper"},
     },
 }
 STAGES = {

@@ -144,7 +144,7 @@ def _gloss(folder: Path, regions: np.ndarray | None, transmission: float) -> Art
     def fill(writer: ArtifactWriter) -> dict:
         lobes = [([0.6], [0.25]), ([40.0], [0.1])][: 1 if regions is None else 2]
         shared = {"refractive_index": 1.45, "transmission": transmission}
-        parameters = {"method": "scene", "regions": [{"beta": beta, "gamma": gamma, **shared} for beta, gamma in lobes]}
+        parameters = {"regions": [{"beta": beta, "gamma": gamma, **shared} for beta, gamma in lobes]}
         if regions is not None:
             out = MapWriter(writer.folder, rows=ROWS, columns=COLUMNS, band_rows=BAND_ROWS, stamp=STAMP)
             out.write("labels", regions.astype(np.uint8))

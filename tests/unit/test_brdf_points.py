@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from published_fits import fit_points
+from published_fits import fit_lobe, fit_points
 from scipy.optimize import minimize_scalar, nnls
 
 from nishiki.brdf import variable_projection as vp
-from nishiki.brdf.fit import FitFlag, fit_lobe, fit_torrance_sparrow
+from nishiki.brdf.fit import FitFlag, fit_torrance_sparrow
 from nishiki.errors import UserError
 
 OBSERVATIONS, CHANNELS = 36, 3

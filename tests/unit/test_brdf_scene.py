@@ -5,11 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from captures import make_capture
-from published_fits import fit_brightest_light
+from published_fits import brightest_light_samples, fit_brightest_light, thin
 
 from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.brdf.gloss_profile import LADDER, GlossProfile, SpecularHistogram, specular_samples
-from nishiki.brdf.scene import brightest_light_samples, thin
 from nishiki.brdf.torrance_sparrow import attenuation, half_vector_geometry, specular, transmittance
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError

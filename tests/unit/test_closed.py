@@ -48,6 +48,7 @@ def test_what_is_reported(name):
         ({"fabric": {"oblique": 0}}, "fabric"),
         ({"products": ["weave", "reflection"]}, "reflection"),
         ({"brdf": {"lobes": "ladder"}}, "brdf.lobes"),
+        ({"brdf": {"method": "paper"}}, "brdf.method"),
         ({"cloth_render": {"cloth": {}}}, "cloth_render.cloth"),
         ({"normals": {"solver": "lobes"}}, "normals.solver: lobes"),
         ({"cloth_brdf": {"export": ["csv", "table"]}}, "cloth_brdf.export: table"),

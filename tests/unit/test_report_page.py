@@ -121,7 +121,7 @@ def others(root: Path, ingest: Artifact) -> dict[str, Artifact]:
         lobe = (0.5 * 2.0 ** -((phi / 0.2) ** 2)).tolist()
         profile = {"phi": phi.tolist(), "value": lobe, "count": [9] * 40, "fitted": lobe}
         region = {"beta": [0.0], "gamma": [0.2], "refractive_index": 1.45, "samples": 9, "residual": 0.1, "flags": "0"}
-        parameters = {"method": "robust", "regions": [region | {"profile": profile, "transmission": 0.0}]}
+        parameters = {"regions": [region | {"profile": profile, "transmission": 0.0}]}
         writer.path("parameters.json").write_text(json.dumps(parameters))
 
     def render(writer):

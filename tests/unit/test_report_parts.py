@@ -359,7 +359,7 @@ def _parameters(gamma):
     profile = {"phi": phi.tolist(), "value": (fitted + 0.01).tolist(), "count": [100] * 60, "fitted": fitted.tolist()}
     region = {"beta": [5.0], "gamma": [gamma], "refractive_index": 1.45, "residual": 0.1, "samples": 60}
     region["flags"] = ["AT_BOUND", "no gloss: Lambert"]
-    return {"method": "robust", "regions": [region | {"profile": profile, "transmission": 0.0}]}
+    return {"regions": [region | {"profile": profile, "transmission": 0.0}]}
 
 
 def blocks_of(section, kind):

@@ -25,6 +25,8 @@ FORMER = {
     "weave.lobe": "delete it: the lobe is the paper's exp(-x²/a²)",
     "weave.reading: yarns": "delete it: the stage fits yarns to the whole hemisphere (weave.yarns)",
     "cloth_brdf.export: table": "choose csv: it holds the same model as rows that read back",
+    "brdf.method": "delete it: the published fit of the brightest light stands with the benchmarks now",
+    "brdf.smoothing_px": "delete it: it belonged to the published fit, which stands with the benchmarks now",
     "cloth_render.cloth": "delete it: the cloth is draped as it was by default",
     "normals.solver: lobes": "delete it: 'lobe' is the default and was not worse on any measured object",
     "ward": _PEER,
@@ -140,7 +142,7 @@ def faults(model: type[Closed], values: dict, error: ValidationError) -> list[Fa
         else:
             kinds = dict.fromkeys(_plain(problem["msg"]).removeprefix("input should be ") for _, problem in nearest)
             text = f"input should be {' or '.join(kinds)}"
-            result.append(Fault("wrong-value", _joined(chosen), text, value=nearest[0][1]["input"]))
+            result.append(_wrong_value(_joined(chosen), text, nearest[0][1]["input"]))
     return result
 
 
@@ -188,9 +190,13 @@ def _fault(model: type[Closed], path: tuple, problem: Any) -> Fault:
         near = difflib.get_close_matches(last, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
         return Fault("unknown-key", key, hint=FORMER.get(key, hint))
+    return _wrong_value(key, _plain(problem["msg"]), value)
+
+
+def _wrong_value(key: str, text: str, value: Any) -> Fault:
+    """Return the fault of a value, with the remedy where earlier versions took it."""
     place = re.sub(r"\.\d+", "", key)
-    hint = FORMER.get(f"{place}: {value}", FORMER.get(str(value), ""))
-    return Fault("wrong-value", key, _plain(problem["msg"]), hint, value)
+    return Fault("wrong-value", key, text, FORMER.get(f"{place}: {value}", FORMER.get(str(value), "")), value)
 
 
 def _joined(path: tuple) -> str:

@@ -1,14 +1,8 @@
 """Fit Lambert and one Torrance-Sparrow lobe to the observations of each point.
 
-Levenberg-Marquardt needs a start, and parameters of like size: here it works on the strengths and on log gamma, from a
-start that the caller may choose.  scipy's `least_squares(method="lm")` is MINPACK's lmder (More, The
-Levenberg-Marquardt algorithm: implementation and theory, 1978).
-
-The strengths (K_s, K_d, or beta) enter linearly and the half width gamma does not.  Fits of points eliminate the
-strengths and search log gamma globally (variable projection): there is no start value to choose, and beta = 164 beside
-gamma = 0.07 is no harder than beta = 1 beside gamma = 1.  Levenberg-Marquardt on everything is the published choice
-(Tominaga and Tanaka 2004, eq. 18) and stays for one lobe of a scene.  Fits over a whole scene are in
-`nishiki.brdf.scene`.
+The strengths (K_s, K_d, or beta) enter linearly and the half width gamma does not: the strengths are eliminated and
+log gamma is searched globally (variable projection). There is no start value to choose, and beta = 164 beside
+gamma = 0.07 is no harder than beta = 1 beside gamma = 1. Fits over a whole scene are in `nishiki.brdf.scene`.
 """
 
 from dataclasses import dataclass
@@ -32,50 +26,6 @@ class FitFlag(IntFlag):
         8  # fewer than two observations within two half widths, or a width known to worse than a factor e^0.5
     )
     NOT_FINITE = 16  # some observations were not finite and were left out
-
-
-START_GAMMA = 0.1  # radians, of a search without a better guess
-FARTHEST = 2000.0  # 2^-2000 is 0
-_TWO_LN2 = 2.0 * np.log(2.0)
-
-
-def _squared_ratio(phi, log_gamma):
-    """(phi / gamma)^2, held where 2^-ratio is 0 or 1 in float64: the search may pass any width."""
-    return np.minimum((phi / np.exp(np.clip(log_gamma, -50.0, 50.0))) ** 2, FARTHEST)
-
-
-def fit_lobe(phi, amplitude, attenuation, *, start=(1.0, START_GAMMA)):
-    """beta and gamma of one lobe from specular samples alone: minimise sum (amplitude - beta a D(phi; gamma))^2.
-
-    phi (radians), amplitude, attenuation a: (samples,).  start: (beta, gamma).  Returns (beta, gamma, covariance of
-    (beta, gamma), root mean square residual, converged); the covariance is infinite where it is not defined.
-    """
-    from scipy.optimize import least_squares
-
-    def residual(p):
-        return p[0] * attenuation * np.exp2(-_squared_ratio(phi, p[1])) - amplitude
-
-    def jacobian(p):
-        ratio2 = _squared_ratio(phi, p[1])
-        s = attenuation * np.exp2(-ratio2)
-        return np.stack([s, p[0] * s * _TWO_LN2 * ratio2], axis=1)
-
-    first = np.array([start[0], np.log(start[1])], float)
-    with np.errstate(over="ignore", under="ignore"):
-        solution = least_squares(residual, first, jac=jacobian, method="lm")
-    beta, gamma = solution.x[0], float(np.exp(np.clip(solution.x[1], -50.0, 50.0)))
-    variance = 2 * solution.cost / max(phi.size - 2, 1)
-    normal = solution.jac.T @ solution.jac
-    scale = np.sqrt(np.diag(normal))
-    if np.all(scale > 0) and np.linalg.cond(normal / np.outer(scale, scale)) < 1e14:
-        covariance = variance * np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
-    else:
-        covariance = np.full((2, 2), np.inf)
-    to_gamma = np.array([1.0, gamma])
-    covariance = covariance * np.outer(to_gamma, to_gamma)
-    # where the search ran off to no width, or to one so large that none is told, it stops: that is no convergence
-    converged = bool(solution.success and np.isfinite(covariance).all() and 1e-6 < gamma < 10)
-    return float(beta), gamma, covariance, float(np.sqrt(2 * solution.cost / phi.size)), converged
 
 
 GAMMA_BOUNDS = (1e-3, 1.6)

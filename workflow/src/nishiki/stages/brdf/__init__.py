@@ -15,20 +15,16 @@ PAINTING_LIMITS = (
 )
 
 
-class BrdfSettings(Guarded, stage="brdf", version=4, limits=PAINTING_LIMITS):
+class BrdfSettings(Guarded, stage="brdf", version=5, limits=PAINTING_LIMITS):
     """Torrance-Sparrow parameters of a scene or of each region."""
 
-    method: Literal["robust", "paper"] = Field("robust", description="paper: brightest light, Levenberg-Marquardt")
-    smoothing_px: float = Field(
-        0.4, ge=0, le=16, description="paper: Gaussian that smooths the normals, standard deviation"
-    )
     refractive_index: float = Field(
         1.45, gt=1, le=3, description="of the varnish or binder (Tominaga and Tanaka: 1.45)"
     )
     max_slope_deg: float = Field(50, gt=0, le=90, description="steeper pixels are left out of the fit")
     specular: Literal["auto", "keep", "drop"] = Field(
         "auto",
-        description="auto: omitted where it does not better the prediction of captured lamps; paper: always kept",
+        description="auto: omitted where it does not better the prediction of captured lamps",
     )
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
 

@@ -7,15 +7,11 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.fit import fit_lobe
 from nishiki.brdf.gloss_profile import SpecularHistogram, blurred_lobes, fit_gloss, unit_of
 from nishiki.brdf.scene import (
-    brightest_light_samples,
-    described_brightest,
     described_ladder,
     of_equal_lobes,
     parameters_at_bounds,
-    thin,
     without_gloss,
 )
 from nishiki.brdf.slopes import slope_covariance
@@ -34,14 +30,10 @@ def run(context: Context) -> dict:
     maps = Maps(context.inputs["normals"].folder)
     labels = maps.read("finish") if "finish" in maps else frames.regions
     finishes = finishes_of(context.inputs["normals"], 1 if labels is None else int(labels.max()) + 1)
-    if context.settings.method == "paper":
-        regions, decision = fit_brightest(context, frames, maps, labels), None
-    else:
-        regions, decision = fit_glossy(context, frames, maps, labels, finishes)
+    regions, decision = fit_glossy(context, frames, maps, labels, finishes)
     for region, finish in zip(regions, finishes, strict=True):
         region["transmission"] = body_transmission(finish)
-    parameters = {"method": context.settings.method, "regions": regions}
-    text = json.dumps(parameters, indent=1, sort_keys=True, allow_nan=False)
+    text = json.dumps({"regions": regions}, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("parameters.json").write_text(text + "\n")
     if labels is not None:
         rows, columns = frames.shape
@@ -97,45 +89,6 @@ def finishes_of(normals: Artifact, count: int) -> list[dict]:
 def body_transmission(finish: dict) -> float:
     """Share of the surface's loss that the body's light suffers: as the joint fit took it, 0 where there was none."""
     return float(finish["gloss_transmission"]) if finish["joint"] else 0.0
-
-
-def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> list[dict]:
-    """Fit each region as published (Tominaga and Tanaka 2004, eq. 14-18): brightest lights, one lobe."""
-    settings = context.settings
-    lights = frames.fit_lights(settings.hold_out)
-    count = 1 if labels is None else int(labels.max()) + 1
-    gathered = [[] for _ in range(count)]
-    for band in context.progress.over(frames.bands(), "band"):
-        observations, valid = frames.read(band, lights=lights, channel="mean")
-        known = (maps.read("flags", band) & NO_ESTIMATE) == 0
-        normals, albedo = shading_normals(maps, band), maps.read("reflectance", band).mean(axis=-1)
-        for region, samples in enumerate(gathered):
-            inside = known if labels is None else known & (labels[band] == region)
-            brightest = brightest_light_samples(
-                observations,
-                normals,
-                albedo,
-                frames.directions[lights],
-                usable=valid & inside,
-                refractive_index=settings.refractive_index,
-                smoothing=settings.smoothing_px,
-                shading=shading_of(maps, band),
-            )
-            kept = thin(brightest[0], per_bin=500)
-            samples.append([values[kept] for values in brightest])
-    return [published_fit(samples, settings.refractive_index) for samples in gathered]
-
-
-def published_fit(samples: list, refractive_index: float) -> dict:
-    """Return one region's samples of all bands, thinned once more and fitted by Levenberg-Marquardt."""
-    phi, value, attenuation = (np.concatenate(values) for values in zip(*samples, strict=True))
-    kept = thin(phi)
-    phi, value, attenuation = phi[kept], value[kept], attenuation[kept]
-    if phi.size < 3:
-        nothing = (0.0, 0.1, np.full((2, 2), np.inf), 0.0, False)
-        return described_brightest(phi, value, attenuation, nothing, refractive_index)
-    fitted = fit_lobe(phi, value, attenuation, start=(1.0, 0.1))
-    return described_brightest(phi, value, attenuation, fitted, refractive_index)
 
 
 def gather(

@@ -8,7 +8,7 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, MapWriter, directional_shading, shading_normals
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.scene import gloss_table, is_facets
+from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import illuminant
 from nishiki.errors import UserError
@@ -51,11 +51,11 @@ class EvaluatedScene:
         self.frames = frames
         maps = Maps(inputs["normals"].folder)
         self.flags = maps.read("flags")
-        gloss, labels, facets = read_gloss(inputs.get("brdf"))
+        gloss, labels = read_gloss(inputs.get("brdf"))
         shading = maps.read("shading") if "shading" in maps else None
         self.normals = maps.read("normals")
         normals = shading_normals(maps)
-        slopes = slope_covariance(normals) if facets else None
+        slopes = slope_covariance(normals) if "brdf" in inputs else None
         self.model = FittedModel(normals, maps.read("reflectance"), gloss, labels, shading, slopes)
         self.known = ((self.flags & NO_ESTIMATE) == 0) & np.isfinite(self.model.reflectance).all(axis=-1)
         self.casts_shadows = not directional_shading(maps)
@@ -76,17 +76,14 @@ class EvaluatedScene:
         self.camera = read_camera_colour(curves, len(self.frames.channels), self.frames.to_srgb)
 
 
-def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None, bool]:
-    """Return parameters of the brdf stage, its map of regions, and whether slopes inside a pixel blur the gloss.
-
-    A matte surface where the stage is left out.
-    """
+def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None]:
+    """Return parameters of the brdf stage and its map of regions; a matte surface where the stage is left out."""
     if brdf is None:
-        return Gloss.none(), None, False
+        return Gloss.none(), None
     parameters = json.loads(brdf.path("parameters.json").read_text())
     gloss = Gloss(*gloss_table(parameters))
     has_maps = brdf.path("maps.zarr").is_dir() and "labels" in Maps(brdf.folder)
-    return gloss, Maps(brdf.folder).read("labels") if has_maps else None, is_facets(parameters)
+    return gloss, Maps(brdf.folder).read("labels") if has_maps else None
 
 
 def read_truth(context: Context, frames: Observations) -> Truth:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.scene import gloss_table, is_facets
+from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import isotropic_lobe, widened_roughness
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.colour.colour import encode
@@ -208,9 +208,9 @@ class PaintingGloss:
 
 
 def slopes_widen(context: Context) -> bool:
-    """Return whether there is a gloss, and its lobes are those of the facets alone."""
+    """Return whether there is a gloss."""
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    return parameters is not None and is_facets(parameters) and bool(gloss_table(parameters)[0].any())
+    return parameters is not None and bool(gloss_table(parameters)[0].any())
 
 
 def painting_gloss(

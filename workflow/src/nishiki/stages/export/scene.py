@@ -7,7 +7,7 @@ import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
-from nishiki.brdf.scene import gloss_table, is_facets
+from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
 from nishiki.errors import UserError
@@ -159,7 +159,7 @@ class ExportedScene:
             Gloss.none() if parameters is None else Gloss(*gloss_table(parameters)),
             labels,
             self._maps.read("shading", rows) if "shading" in self._maps else None,
-            self.slopes(rows) if parameters is not None and is_facets(parameters) else None,
+            self.slopes(rows) if parameters is not None else None,
         )
 
     def shading(self, rows: slice) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.scene import gloss_table, is_facets
+from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.capture.tables import read_curves
 from nishiki.colour.colour import illuminant as cie_illuminant
@@ -76,8 +76,7 @@ def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool) -> PlaneScene
     if "brdf" in inputs:
         parameters = json.loads(inputs["brdf"].path("parameters.json").read_text())
         fields["gloss"] = Gloss(*gloss_table(parameters))
-        if is_facets(parameters):
-            fields["slopes"] = slope_covariance(normals)
+        fields["slopes"] = slope_covariance(normals)
         if inputs["brdf"].path("maps.zarr").is_dir():
             fields["labels"] = Maps(inputs["brdf"].folder).read("labels").astype(np.uint8)
     return PlaneScene(**fields)

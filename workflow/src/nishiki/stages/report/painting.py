@@ -288,7 +288,6 @@ PAPER_CHOICES = {
     ("normals", "solver"): ("least_squares", "normals", f"plain least squares ({PAINTINGS}, section 3.3)"),
     ("normals", "refine"): ("none", "normals and gloss together", "one after the other"),
     ("spectra", "method"): ("paper", "spectra", f"three bases and matrix inverse ({PAINTINGS}, eq. 8)"),
-    ("brdf", "method"): ("paper", "gloss", f"brightest light, Levenberg-Marquardt ({PAINTINGS}, eq. 14–18)"),
 }
 
 

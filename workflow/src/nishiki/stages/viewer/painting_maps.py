@@ -14,7 +14,7 @@ import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
-from nishiki.brdf.scene import gloss_table, is_facets
+from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.brdf.torrance_sparrow import transmittance
 from nishiki.colour.colour import srgb_matrix
@@ -191,7 +191,7 @@ def gloss_of(maps: PaintingMaps) -> dict[str, Any]:
         "refractive_index": index.tolist(),
         "transmission": transmission.tolist(),
         "entering": (1 - transmission * (1 - mean)).tolist(),
-        "blurred": is_facets(maps.parameters),
+        "blurred": True,
     }
 
 
@@ -250,7 +250,6 @@ def photographs_of(maps: PaintingMaps, frames: Observations, blocks: Blocks, pro
 def sampled_model(maps: PaintingMaps, frames: Observations, first: list[int], step: int) -> FittedModel:
     """Return the maps of the fit at the samples; slopes inside a pixel from its neighbours at full resolution."""
     gloss = Gloss.none() if maps.parameters is None else Gloss(*gloss_table(maps.parameters))
-    facets = maps.parameters is not None and is_facets(maps.parameters)
     parts: dict[str, list[np.ndarray]] = {"normals": [], "reflectance": [], "labels": [], "shading": [], "slopes": []}
     for band in frames.bands():
         chosen = slice((first[0] - band.start) % step, None, step)
@@ -266,7 +265,7 @@ def sampled_model(maps: PaintingMaps, frames: Observations, first: list[int], st
             parts["labels"].append(sampled(maps.brdf.read("labels", band)))
         if maps.terms:
             parts["shading"].append(sampled(maps.normals.read("shading", band)))
-        if facets:
+        if maps.parameters is not None:
             wider = slice(max(band.start - 1, 0), min(band.stop + 1, frames.shape[0]))
             slopes = slope_covariance(shading_normals(maps.normals, wider))
             parts["slopes"].append(sampled(slopes[band.start - wider.start :][: band.stop - band.start]))
