@@ -118,6 +118,7 @@ def test_stage_from_reflectances_to_model_mesh_and_drawings(tmp_path):
         "weave.json",
         "weave.ply",
         "weave.png",
+        "yarns_cloth.npz",
         "section_weft.svg",
         "section_warp.svg",
     }

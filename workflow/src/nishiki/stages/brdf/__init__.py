@@ -131,7 +131,7 @@ Model = Literal["yarns", "yarn_facets", "facets", "bard_linear", "bard_great_cir
 class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=3, limits=CLOTH_LIMITS):
     """The BRDF of the whole hemisphere of every region, from normal incidence and a few oblique measurements."""
 
-    model: Literal["auto"] | Model = Field(
+    model: Literal["auto", Model] = Field(
         "auto",
         description="the model that stands for the cloth; auto: yarns (of the stage weave) or yarn_facets, whichever "
         "predicts the oblique measurements better from normal incidence alone",
