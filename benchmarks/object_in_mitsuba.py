@@ -82,7 +82,8 @@ def by_texels(decoded: DecodedObject, layout: TextureAtlas, points: SeenPoints) 
     for tile, (row, column) in enumerate(layout.origin):
         kd, ks, sigma = (np.asarray(values, np.float32) for values in decoded.residual.parameters(tile))
         positions, normals, inside = (
-            values[0] for values in texel_points(decoded.mesh, decoded.atlas, decoded.surface, slice(tile, tile + 1))
+            values[0]
+            for values in texel_points(decoded.mesh, decoded.atlas, decoded.texel_triangles, slice(tile, tile + 1))
         )
         light = sum(predict(kd, ks, sigma, positions, normals, points.centre, points.lamp))
         window = (slice(row, row + len(kd)), slice(column, column + len(kd)))

@@ -18,7 +18,7 @@ from nishiki.brdf.texels.model import Lighting
 from nishiki.brdf.texels.parameters import ParameterMaps
 from nishiki.codec.allocate import principal_channels
 from nishiki.codec.design import arc_views, extent_of, view_matrix
-from nishiki.codec.parameters import Surface, predict_texels
+from nishiki.codec.parameters import TileSurface, predict_texels
 from nishiki.codec.transform import Block, plane_transform
 from nishiki.colour.colour import encode
 
@@ -50,7 +50,7 @@ def stacks(
         visible = texels.visible(tile) & inside
         maps = parameters.read(tile)
         model = predict_texels(
-            maps.kd, maps.ks, maps.sigma, Surface(positions, normals, inside), centres, lamps, texels.encoding,
+            maps.kd, maps.ks, maps.sigma, TileSurface(positions, normals, inside), centres, lamps, texels.encoding,
             component=component,
         )  # fmt: skip
         captured = np.moveaxis(encode(texels.read(component, tile), texels.encoding), -1, 0)

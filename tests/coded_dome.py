@@ -53,7 +53,7 @@ def coded_dome(folder: Path, *, encoding: str = "srgb", components: tuple[str, .
     """The object, its residual written to a folder and opened again."""
     rng, mesh, views = np.random.default_rng(7), bumpy_ball(), cameras()
     atlas = lay_out(mesh, views, TexelsSettings(tile=TILE))[1]
-    surface = texel_triangles(atlas)
+    triangles = texel_triangles(atlas)
     turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     design = Design(
         TILE,
@@ -70,7 +70,7 @@ def coded_dome(folder: Path, *, encoding: str = "srgb", components: tuple[str, .
     )
     extents, parameters, residuals = [], [], []
     for tile in range(atlas.tiles):
-        positions, normals, inside = (part[0] for part in texel_points(mesh, atlas, surface, slice(tile, tile + 1)))
+        positions, normals, inside = (part[0] for part in texel_points(mesh, atlas, triangles, slice(tile, tile + 1)))
         facing = [((camera.centre - positions) * normals).sum(-1)[inside].max(initial=-1) > 0.5 for camera in views]
         extent = extent_of(np.array(facing), inside, full_turn=True, arcs=True)
         extents.append(extent)
@@ -88,7 +88,9 @@ def coded_dome(folder: Path, *, encoding: str = "srgb", components: tuple[str, .
     coded = EncodedObject(design, models, extents, [None] * atlas.tiles, streams, 1, 0.0, 0.0, 0.0, 0, [])
     write_residual(folder, coded, stamp={}, report={})
     names = tuple(camera.name for camera in views)
-    return DecodedObject(mesh, atlas, views, Residual(folder), LIGHTING, surface, encoding, 3, True, names, ("",), 1.0)
+    return DecodedObject(
+        mesh, atlas, views, Residual(folder), LIGHTING, triangles, encoding, 3, True, names, ("",), 1.0
+    )
 
 
 def sparse(rng: np.random.Generator, shape: tuple[int, ...], share: float, spread: float) -> np.ndarray:

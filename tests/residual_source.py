@@ -4,7 +4,7 @@ import numpy as np
 from turned_sphere import camera_of
 
 from nishiki.brdf.texels.model import Lighting
-from nishiki.codec.parameters import Maps, Surface
+from nishiki.codec.parameters import TileMaps, TileSurface
 from nishiki.codec.tile_code import CodedScene, Pixels
 from nishiki.colour.colour import encode
 from nishiki.geometry.camera import Camera
@@ -25,11 +25,11 @@ class SphereSource:
 
     def surface(self, tile):
         t = self.held[tile]
-        return Surface(t.positions, t.normals, np.ones(t.kd.shape[:2], bool))
+        return TileSurface(t.positions, t.normals, np.ones(t.kd.shape[:2], bool))
 
     def maps(self, tile):
         t = self.held[tile]
-        return Maps(t.kd, t.ks, t.width)
+        return TileMaps(t.kd, t.ks, t.width)
 
 
 def scene_of(views):

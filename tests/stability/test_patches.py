@@ -142,8 +142,8 @@ def test_texels_of_degenerate_triangles():
     for faces in (triangles, np.vstack([triangles, bad]), np.array(bad)):
         mesh = Mesh.of(odd, faces)
         charts, atlas = laid_out(mesh, cameras)
-        surface = texel_triangles(atlas)
-        positions, normals, inside = texel_points(mesh, atlas, surface, slice(None))
+        nearest = texel_triangles(atlas)
+        positions, normals, inside = texel_points(mesh, atlas, nearest, slice(None))
         for values in (atlas.corners, atlas.texels_per_unit, positions, normals, charts.plane[charts.chart >= 0]):
             wrong += not np.isfinite(values).all()
         wrong += inside.any() and np.abs(np.linalg.norm(normals[inside], axis=-1) - 1).max() > 1e-5
@@ -166,8 +166,8 @@ def _sized(exponent):
         cameras = [replace(c, translation=c.translation * scale) for c in turn(6)]
         mesh = Mesh.of(vertices * scale, triangles)
         charts, atlas = laid_out(mesh, cameras)
-        surface = texel_triangles(atlas)
-        positions, _, inside = texel_points(mesh, atlas, surface, slice(None))
+        nearest = texel_triangles(atlas)
+        positions, _, inside = texel_points(mesh, atlas, nearest, slice(None))
         raster = rasterise(mesh, cameras[0])
         found.append((charts.chart, atlas.tiles, positions / scale, inside, raster.triangle))
     (chart, tiles, places, inside, shown), (chart1, tiles1, places1, inside1, shown1) = found

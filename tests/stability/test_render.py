@@ -12,7 +12,7 @@ from nishiki.render.display import display_image, normals_as_colours
 from nishiki.render.plane.flags import NORMAL_MISSING, TURNED_AWAY, UNUSABLE
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
-from nishiki.render.plane.shade import Maps, predict_observations
+from nishiki.render.plane.shade import PlaneMaps, predict_observations
 from nishiki.render.plane.shadow import cast_shadows
 
 
@@ -79,7 +79,7 @@ def _shading_error(theta_i, phi, tilt, gamma):
         return 0.0
     found = next(
         predict_observations(
-            Maps(normal.reshape(1, 1, 3), np.full((1, 1, 1), 0.5, np.float32), Gloss([[2.0]], [[gamma]], [1.45])),
+            PlaneMaps(normal.reshape(1, 1, 3), np.full((1, 1, 1), 0.5, np.float32), Gloss([[2.0]], [[gamma]], [1.45])),
             [Light(direction=tuple(light))],
         )
     )  # fmt: skip

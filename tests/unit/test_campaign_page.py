@@ -10,7 +10,7 @@ from refusals import refused
 
 from nishiki.commands.viewing import page_of, write_index
 from nishiki.errors import UserError
-from nishiki.report.page import SceneCard, Tile, campaign_page
+from nishiki.report.page import Metric, SceneCard, campaign_page
 
 
 def scenes_of(html):
@@ -35,7 +35,7 @@ def test_titles_of_strangers_are_text():
 
 
 def test_figures_can_be_sorted_by():
-    tile = Tile(2.5, "°", 'angle, to the "truth"')
+    tile = Metric(2.5, "°", 'angle, to the "truth"')
     cards = [SceneCard("a", "finished", figures=[tile]), SceneCard("b", "finished")]
     html = campaign_page("Scenes", cards, "1")
     (shown,) = scenes_of(html)[0]["figures"]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from refusals import refused
 
 from nishiki.brdf.texels.environment import fit_environment, fit_highlight, harmonics, hemisphere
-from nishiki.brdf.texels.model import DISTANT, ENVIRONMENT, GRAZING, POINT, Lamp, Lighting, factors, predict
+from nishiki.brdf.texels.model import DISTANT, ENVIRONMENT, GRAZING, POINT, Lighting, ViewLamp, factors, predict
 from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, fill, spread
 from nishiki.brdf.texels.texel_fit import Observed, observed, strengths
 from nishiki.colour.colour import encoding_slope
@@ -25,7 +25,7 @@ def unit(vectors):
 
 
 def lamp_at(*place, form=POINT, reference=0.0):
-    return Lamp(form, np.array(place, np.float32), EYE, DARK, reference)
+    return ViewLamp(form, np.array(place, np.float32), EYE, DARK, reference)
 
 
 def slow(kd, ks, sigma, positions, normals, centre, place):
@@ -114,7 +114,7 @@ def test_grazing_and_behind():
 )
 def test_never_a_nan(numbers, form):
     v = np.array(numbers, np.float32)
-    lamp = Lamp(form, np.array([0, 1, 0], np.float32), EYE, np.ones((9, 1), np.float32), 0.0)
+    lamp = ViewLamp(form, np.array([0, 1, 0], np.float32), EYE, np.ones((9, 1), np.float32), 0.0)
     with np.errstate(all="ignore"):
         found = predict(v[None, :3], v[None, 3:6], v[6:7], v[None, 7:10], v[None, 10:13], np.zeros(3), lamp)
     assert all(np.isfinite(part).all() for part in found)
@@ -125,7 +125,7 @@ def test_environment_is_a_quadratic_form_of_the_normal():
     rng = np.random.default_rng(1)
     coefficients = rng.normal(size=(9, 3)).astype(np.float32)
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0].astype(np.float32)
-    lamp = Lamp(ENVIRONMENT, np.zeros(3, np.float32), rotation, coefficients)
+    lamp = ViewLamp(ENVIRONMENT, np.zeros(3, np.float32), rotation, coefficients)
     diffuse, specular = predict(kd, ks, sigma, positions, normals, np.array([0.0, 0, 500]), lamp)
     wanted = kd * np.maximum(harmonics(normals @ rotation.T.astype(float)) @ coefficients, 0)
     np.testing.assert_allclose(diffuse, wanted, atol=1e-5)

@@ -8,7 +8,7 @@ from nishiki.brdf.torrance_sparrow import specular
 from nishiki.errors import UserError
 from nishiki.render.plane.flags import NORMAL_MISSING
 from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
-from nishiki.render.plane.shade import Maps, predict_observations
+from nishiki.render.plane.shade import PlaneMaps, predict_observations
 from nishiki.render.plane.shadow import cast_shadows
 from nishiki.render.sequence import circle_of_directions, light_sequence, moved_lights, orbit, view_sequence
 
@@ -31,7 +31,7 @@ def maps(rows=30, columns=41, channels=5):
 def test_prediction_is_the_model_in_the_channels_of_the_camera(channels):
     normals, albedo, labels, height = maps(channels=channels)
     lights = [Light(direction=(1, 2, 2)), Light(position_mm=(-20, 15, 30))]
-    predicted = list(predict_observations(Maps(normals, albedo, GLOSS, labels=labels), lights, height=height))
+    predicted = list(predict_observations(PlaneMaps(normals, albedo, GLOSS, labels=labels), lights, height=height))
     for light, prediction in zip(lights, predicted, strict=True):
         source = light.homogeneous()
         visible = cast_shadows(height, [light], pitch=1.0).visibility[0]
@@ -54,14 +54,18 @@ def test_prediction_is_the_model_in_the_channels_of_the_camera(channels):
 def test_missing_normals_and_shapes():
     normals, albedo, _, height = maps()
     normals[3, 4] = 0
-    (prediction,) = predict_observations(Maps(normals, albedo, Gloss.none()), [Light(direction=(0, 0, 1))])
+    (prediction,) = predict_observations(PlaneMaps(normals, albedo, Gloss.none()), [Light(direction=(0, 0, 1))])
     assert prediction.flags[3, 4] == NORMAL_MISSING
     assert np.all(prediction.observations[3, 4] == 0)
     assert prediction.visibility is None
     with refused(UserError, "(29, 41, 3)"):
-        next(predict_observations(Maps(normals[1:], albedo, Gloss.none()), [Light(direction=(0, 0, 1))]))
+        next(predict_observations(PlaneMaps(normals[1:], albedo, Gloss.none()), [Light(direction=(0, 0, 1))]))
     with pytest.raises(UserError, match="height"):
-        next(predict_observations(Maps(normals, albedo, Gloss.none()), [Light(direction=(0, 0, 1))], height=height[1:]))
+        next(
+            predict_observations(
+                PlaneMaps(normals, albedo, Gloss.none()), [Light(direction=(0, 0, 1))], height=height[1:]
+            )
+        )
 
 
 def small_scene():

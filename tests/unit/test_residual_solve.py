@@ -6,7 +6,7 @@ from texel_domain import keep_by_pursuit, keep_largest, largest, masked_operator
 
 from nishiki.codec.allocate import principal_channels
 from nishiki.codec.design import extent_of, view_matrix
-from nishiki.codec.parameters import Maps, Surface, model_factors, predict_texels, refine, texel_weights
+from nishiki.codec.parameters import TileMaps, TileSurface, model_factors, predict_texels, refine, texel_weights
 from nishiki.codec.solve import Footprints, Operator, samples_of, solve
 from nishiki.codec.transform import Block, plane_transform
 from nishiki.colour.colour import encoding_slope
@@ -117,7 +117,7 @@ def test_threshold_of_counts():
 def sphere_patch(size=12):
     i, j = np.meshgrid(np.linspace(-0.4, 0.4, size), np.linspace(-0.4, 0.4, size), indexing="ij")
     points = np.stack([j, -i, np.sqrt(1 - i**2 - j**2)], axis=-1).astype(np.float32)
-    return Surface(points, points, np.ones((size, size), bool))
+    return TileSurface(points, points, np.ones((size, size), bool))
 
 
 @pytest.mark.parametrize("encoding", ["linear", "srgb"])
@@ -128,12 +128,12 @@ def test_refined_parameters_make_the_pictures_right(encoding):
     surface, scene = sphere_patch(), scene_of(24)
     views = [0, 1, 2, 3, 21, 22, 23]
     centres, lamps = scene.centres[views], [scene.lamps[v] for v in views]
-    truth = Maps(*(rng.uniform(0.1, 0.6, (12, 12, 3)).astype(np.float32) for _ in range(2)), np.full((12, 12), 0.2))
-    truth = Maps(truth.kd, truth.ks * 0.3, truth.sigma.astype(np.float32))
+    truth = TileMaps(*(rng.uniform(0.1, 0.6, (12, 12, 3)).astype(np.float32) for _ in range(2)), np.full((12, 12), 0.2))
+    truth = TileMaps(truth.kd, truth.ks * 0.3, truth.sigma.astype(np.float32))
     texels = predict_texels(truth.kd, truth.ks, truth.sigma, surface, centres, lamps, encoding)
     feet = Footprints.of(rng.integers(0, 7, 3000), *rng.uniform(0, 11, (2, 3000)).astype(np.float32), (7, 12, 12))
     values = feet.look_up(texels)
-    blurred = Maps(np.full_like(truth.kd, truth.kd.mean()), np.full_like(truth.ks, truth.ks.mean()), truth.sigma)
+    blurred = TileMaps(np.full_like(truth.kd, truth.kd.mean()), np.full_like(truth.ks, truth.ks.mean()), truth.sigma)
     factors = model_factors(3, surface, centres, lamps)
     again = predict_texels(truth.kd, truth.ks, truth.sigma, surface, centres, lamps, "linear")
     lobe = factors.lobe(truth.sigma)
@@ -151,7 +151,7 @@ def test_refined_parameters_make_the_pictures_right(encoding):
     for name, change in (("kd", 1e-2), ("ks", 1e-2)):
         moved = getattr(truth, name).copy()
         moved[5, 5, 1] += change
-        changed = Maps(**{**truth.__dict__, name: moved})
+        changed = TileMaps(**{**truth.__dict__, name: moved})
         rise = error(changed) * values.size / change**2
         assert rise <= 1.1 * getattr(weights, name)[5, 5, 1]
 
@@ -165,7 +165,7 @@ def test_gloss_that_no_view_comes_near_does_not_grow():
     kd, ks = (np.full((12, 12, 3), value, np.float32) for value in (0.4, 0.3))
     factors = model_factors(3, surface, centres, lamps)
     least = float(factors.squared_angle[factors.strength > 0].min())
-    maps = Maps(kd, ks, np.full((12, 12), np.sqrt(least / 30), np.float32))
+    maps = TileMaps(kd, ks, np.full((12, 12), np.sqrt(least / 30), np.float32))
     rng = np.random.default_rng(5)
     feet = Footprints.of(rng.integers(0, 7, 3000), *rng.uniform(0, 11, (2, 3000)).astype(np.float32), (7, 12, 12))
     texels = predict_texels(kd, ks, maps.sigma, surface, centres, lamps, "linear")

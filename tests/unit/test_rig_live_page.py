@@ -15,7 +15,7 @@ from pages import parsed
 from refusals import refused
 from rig_devices import Bench, write_plan
 
-from nishiki.capture.schema_base import Camera
+from nishiki.capture.schema_base import CameraResponse
 from nishiki.errors import UserError
 from nishiki.rig.frame_check import measure
 from nishiki.rig.frames_table import PlannedFrame
@@ -23,7 +23,7 @@ from nishiki.rig.live_page import SCRIPT, page_html, serve
 from nishiki.rig.records import RunState
 from nishiki.rig.run import run_capture
 
-CAMERA = Camera(channels=CHANNELS, bits=12, black_level=100)
+CAMERA = CameraResponse(channels=CHANNELS, bits=12, black_level=100)
 
 
 @pytest.fixture

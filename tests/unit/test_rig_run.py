@@ -16,7 +16,7 @@ from rig_devices import Bench, write_plan
 from nishiki.api import read_observations
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
-from nishiki.capture.schema_base import Camera
+from nishiki.capture.schema_base import CameraResponse
 from nishiki.capture.seal import MANIFEST, read_manifest, verify_seal
 from nishiki.cli import main
 from nishiki.errors import UserError
@@ -321,10 +321,10 @@ def test_sharpness_hardly_depends_on_contrast_and_falls_with_blur():
 def test_measures_are_of_linear_light_above_the_black_level():
     codes = np.full((40, 40, 3), 128, np.uint8)
     codes[:4] = 255
-    found = measure(codes, Camera(channels=CHANNELS, encoding="srgb"), None)
+    found = measure(codes, CameraResponse(channels=CHANNELS, encoding="srgb"), None)
     assert found.saturated == pytest.approx(0.1)
     assert found.level == pytest.approx(0.1 + 0.9 * 0.2159, abs=1e-3)
-    linear = measure(codes.astype(np.uint16) * 16, Camera(channels=CHANNELS, bits=12, black_level=2048), None)
+    linear = measure(codes.astype(np.uint16) * 16, CameraResponse(channels=CHANNELS, bits=12, black_level=2048), None)
     assert linear.dark == pytest.approx(0.9)
     assert linear.peak == pytest.approx((4080 - 2048) / 4095, abs=1e-3)
 

@@ -14,7 +14,7 @@ from nishiki.simulate.turntable.materials import INDEX, NUMBERS, describe, refle
 from nishiki.simulate.turntable.photographs import components, make_optics, photograph, signal, white_board
 from nishiki.simulate.turntable.render import bounced, cosine_directions, irradiance, look_around, make_scene, see
 from nishiki.simulate.turntable.settings import BETA, BOARD_REFLECTANCE, LAMP_MM, LEAK, TurntableSettings, place_views
-from nishiki.simulate.turntable.shape import Surface, distance, make_surface, scanned
+from nishiki.simulate.turntable.shape import SimulatedSurface, distance, make_surface, scanned
 
 SMALL = TurntableSettings(rows=64, columns=64, views=4, triangles=4000, samples=3, directions=64)
 QUIET = dataclasses.replace(SMALL, camera=CameraSettings(bits=16, black_level=1024, noise=False, white_level=0.3))
@@ -164,7 +164,7 @@ def ball(inwards):
     faces = np.concatenate([np.stack([x.ravel() for x in part], axis=1) for part in (*quads, *caps)])
     sign = -1.0 if inwards else 1.0
     faces = np.ascontiguousarray(faces[:, ::-1] if inwards else faces, np.int32)
-    return Surface(10 * vertices, faces, sign * vertices, np.zeros((len(vertices), 6)))
+    return SimulatedSurface(10 * vertices, faces, sign * vertices, np.zeros((len(vertices), 6)))
 
 
 def test_light_inside_a_ball_adds_up_as_a_geometric_series():

@@ -52,7 +52,7 @@ def probe_spacing(mesh: Mesh, cameras: list[Camera], *, texels_per_pixel: float)
 
 
 @dataclass(frozen=True)
-class Frame:
+class ChartAxes:
     """Hold the axes of charts: their rows and columns, viewed from outside with the turntable's axis upright."""
 
     direction: np.ndarray  # (charts, 3) float64 away from the surface
@@ -60,7 +60,7 @@ class Frame:
     right: np.ndarray  # (charts, 3)
 
 
-def frame_along(direction: np.ndarray, *, up: np.ndarray, front: np.ndarray) -> Frame:
+def frame_along(direction: np.ndarray, *, up: np.ndarray, front: np.ndarray) -> ChartAxes:
     """Choose axes for directions (n, 3): down is as near to the turntable's foot as the chart allows.
 
     For charts that face along the axis (within 18 degrees) it is as near to `front` instead.
@@ -72,10 +72,10 @@ def frame_along(direction: np.ndarray, *, up: np.ndarray, front: np.ndarray) -> 
     down = np.where(np.abs(along) < 0.95, -upright, np.sign(along) * forward)
     down = down - (down * direction).sum(axis=1, keepdims=True) * direction
     down /= np.linalg.norm(down, axis=1, keepdims=True)
-    return Frame(direction, down, np.cross(direction, down))
+    return ChartAxes(direction, down, np.cross(direction, down))
 
 
-def flatten(corners: np.ndarray, chart: np.ndarray, frames: Frame) -> np.ndarray:
+def flatten(corners: np.ndarray, chart: np.ndarray, frames: ChartAxes) -> np.ndarray:
     """Project corners (f, 3, 3) into the planes of their charts (f,): (f, 3, 2) float64 (down, right).
 
     Values are in the world's unit, 0 where the chart is negative.
@@ -190,7 +190,7 @@ class Charts:
     """Hold the charts of a mesh."""
 
     chart: np.ndarray  # (f,) int32, -1 for triangles without area that touch no other
-    frames: Frame  # direction and axes of each chart
+    frames: ChartAxes  # direction and axes of each chart
     plane: np.ndarray  # (f, 3, 2) float64: (down, right) of the corners in the chart's plane, in the world's unit
     smoothing_rounds: int  # of `smoothed_vertices` before the projection
     degenerate: int  # triangles without area

@@ -17,7 +17,7 @@ FORMAT = 1  # of the file; readers refuse others
 
 
 @dataclass(frozen=True)
-class Samples:
+class TexelSamples:
     """Object pixels that lie in one tile, sorted by observation, then as the picture is scanned."""
 
     observation: np.ndarray  # (n,) int32
@@ -79,7 +79,7 @@ class Texels:
         normals = self._of_tiles("normals", tile)
         return self._of_tiles("positions", tile), normals, (normals != 0).any(axis=-1)
 
-    def samples(self, component: str, tile: int, *, saturated: bool = False) -> Samples:
+    def samples(self, component: str, tile: int, *, saturated: bool = False) -> TexelSamples:
         """Every valid object pixel of every observation that falls into a tile; those of held-out views too.
 
         saturated: also pixels that are not valid but hold a value, as saturated ones do.
@@ -101,10 +101,10 @@ class Texels:
         if not parts:
             nothing = np.zeros(0, np.float32), np.zeros(0, np.int32)
             empty = np.zeros((0, self.channels), np.float32)
-            return Samples(nothing[1], nothing[0], nothing[0], empty, nothing[1], nothing[1], np.zeros(0, bool))
+            return TexelSamples(nothing[1], nothing[0], nothing[0], empty, nothing[1], nothing[1], np.zeros(0, bool))
         names = ("s", "t", "row", "column", "valid")
         joined = {name: np.concatenate([place[name] for _, place, _ in parts]) for name in names}
-        return Samples(
+        return TexelSamples(
             np.concatenate([observation for observation, _, _ in parts]),
             joined["s"],
             joined["t"],

@@ -88,15 +88,8 @@ def place(triangle, weights, chart, corners, grid, cells, size):
     return tile, s, t
 
 
-@dataclass(frozen=True)
-class Surface:
-    """triangle (tiles, T, T) int32: nearest triangle of each texel, -1 where no surface point looks the texel up."""
-
-    triangle: np.ndarray
-
-
-def texel_triangles(atlas: Atlas) -> Surface:
-    """Assign triangles to texels.
+def texel_triangles(atlas: Atlas) -> np.ndarray:
+    """Find the nearest triangle of each texel, (tiles, T, T) int32, -1 where no surface point looks the texel up.
 
     A texel counts as inside where a surface point has it among the four that it is interpolated from, i.e. less than
     one row and one column away. Texels whose centre no triangle covers take the nearest one (the first of several).
@@ -104,16 +97,16 @@ def texel_triangles(atlas: Atlas) -> Surface:
     shape = (atlas.tiles, atlas.size, atlas.size)
     triangle, distance = np.full(shape, -1, np.int32), np.full(shape, np.inf, np.float32)
     assign(atlas.chart, atlas.corners, atlas.chart_grid, atlas.cells, triangle, distance)
-    return Surface(triangle)
+    return triangle
 
 
-def texel_points(mesh: Mesh, atlas: Atlas, surface: Surface, tiles: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def texel_points(mesh: Mesh, atlas: Atlas, triangles: np.ndarray, tiles: slice) -> tuple[np.ndarray, ...]:
     """Positions (n, T, T, 3) float32, unit normals (n, T, T, 3) float32 and inside (n, T, T) bool of some tiles.
 
-    Normals are interpolated from the vertices. Past a border the surface continues in the plane of its triangle, and
-    the normal is that of the nearest point. 0 outside.
+    triangles are those of `texel_triangles`. Normals are interpolated from the vertices. Past a border the surface
+    continues in the plane of its triangle, and the normal is that of the nearest point. 0 outside.
     """
-    triangle = surface.triangle[tiles]
+    triangle = triangles[tiles]
     positions, normals = np.zeros((*triangle.shape, 3), np.float32), np.zeros((*triangle.shape, 3), np.float32)
     vertices, corners = np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.triangles, np.int32)
     places = atlas.tile_place[tiles]

@@ -115,12 +115,12 @@ class TexelsWriter:
             self._create(f"pixels/values/{name}", shape, chunks, "float32", unit="linear")
 
     def _write_geometry(self) -> None:
-        surface = texel_triangles(self.atlas)
+        triangles = texel_triangles(self.atlas)
         tiles, size = self.atlas.tiles, self.atlas.size
         self.positions = np.empty((tiles, size, size, 3), np.float32)
         self.normals, self.inside = np.empty_like(self.positions), np.empty((tiles, size, size), bool)
         for part in self.groups():
-            geometry = texel_points(self.mesh, self.atlas, surface, part)
+            geometry = texel_points(self.mesh, self.atlas, triangles, part)
             self.positions[part], self.normals[part], self.inside[part] = geometry
             self.group["positions"][part], self.group["normals"][part] = geometry[:2]
         self.sums = np.zeros((tiles, size, size, self.channels), np.float32)

@@ -29,7 +29,7 @@ LEAST_STRENGTH = 0.01  # by which strengths differ that can be told from noise
 
 
 @dataclass(frozen=True)
-class Samples:
+class PhotoSamples:
     """Samples of photographs.
 
     Attributes
@@ -44,7 +44,7 @@ class Samples:
     chosen: np.ndarray
 
 
-def sample_photographs(photographs: Sequence[Path], encoding: str | None) -> Samples | None:
+def sample_photographs(photographs: Sequence[Path], encoding: str | None) -> PhotoSamples | None:
     """Read samples on a grid; None where the photographs are too few or of several sizes.
 
     CaptureError where one cannot be decoded.
@@ -61,11 +61,11 @@ def sample_photographs(photographs: Sequence[Path], encoding: str | None) -> Sam
     exposures = [(e.exposure_s or 0.0) * (e.iso or 1.0) / (e.f_number or 1.0) ** 2 for e in records]
     if all(exposures):
         values = values / np.array(exposures)[:, None, None] * np.median(exposures)
-    return Samples(values, chosen)
+    return PhotoSamples(values, chosen)
 
 
 @none_where_undetermined
-def misfit_of(samples: Samples, directions: np.ndarray) -> float | None:
+def misfit_of(samples: PhotoSamples, directions: np.ndarray) -> float | None:
     """Median misfit relative to the albedo under lamps in these directions (lights, 3)."""
     places, patches = spread_pixels(samples.values)
     values = samples.values.reshape(len(samples.values), -1)[:, places]
@@ -96,7 +96,7 @@ class Verdict:
     unit: str = ""
 
 
-def judge(samples: Samples, vectors: np.ndarray, columns: int, width_mm: float | None) -> Verdict:
+def judge(samples: PhotoSamples, vectors: np.ndarray, columns: int, width_mm: float | None) -> Verdict:
     """Compare vectors (lights, 3) as directions and as positions, of lamps of any strength.
 
     columns : of the photographs; width_mm : on the object, where the user states it.
@@ -120,7 +120,7 @@ def judge(samples: Samples, vectors: np.ndarray, columns: int, width_mm: float |
 
 
 def choose_strengths(
-    samples: Samples, vectors: np.ndarray, candidates: dict[str, np.ndarray], *, near: bool
+    samples: PhotoSamples, vectors: np.ndarray, candidates: dict[str, np.ndarray], *, near: bool
 ) -> tuple[str, dict[str, float]]:
     """Choose the strengths (lights,) of the lamps that the photographs show, by name, and tell what each leaves.
 
@@ -139,7 +139,7 @@ def choose_strengths(
 
 
 @none_where_undetermined
-def measure_gains(samples: Samples, vectors: np.ndarray, *, near: bool) -> np.ndarray | None:
+def measure_gains(samples: PhotoSamples, vectors: np.ndarray, *, near: bool) -> np.ndarray | None:
     """Strengths (photographs,) of the lamps, see `choose_strengths`."""
     lamps = vectors[samples.chosen]
     if near:

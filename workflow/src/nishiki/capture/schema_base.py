@@ -33,7 +33,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(strict=True, ge=0)]
 
 
-class Camera(Closed):
+class CameraResponse(Closed):
     """How a stored code becomes light."""
 
     channels: tuple[str, ...] = Field(("red", "green", "blue"), min_length=1, max_length=64)
@@ -71,7 +71,7 @@ class Session(Closed):
     """What capture.yaml says whatever the geometry: what was photographed, by whom, with which camera."""
 
     format: Literal[1]
-    camera: Camera = Camera()
+    camera: CameraResponse = CameraResponse()
     title: str = ""
     creator: str | None = None
     date: str | None = None

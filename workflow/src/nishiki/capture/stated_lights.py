@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.lights import Lights, from_angles, is_unicode, light_name, lights_from_vectors, read_numbers
-from nishiki.capture.lights_evidence import CLEARLY, OFF_UNIT, Samples, Verdict, choose_strengths, judge, misfit_of
+from nishiki.capture.lights_evidence import CLEARLY, OFF_UNIT, PhotoSamples, Verdict, choose_strengths, judge, misfit_of
 from nishiki.capture.options import ANGLES
 from nishiki.formats.files import same_name
 from nishiki.formats.problems import CaptureError, Problem, error, warning
@@ -19,7 +19,7 @@ from nishiki.formats.problems import CaptureError, Problem, error, warning
 CODE_PAGES = "cp932 gbk big5 cp949 euc_jp cp1251 cp1253 cp1250 cp1252 mac_roman cp850 cp437 latin-1".split()
 EVEN = 0.05  # spread of the lengths of one set of directions
 SCALED = (0.1, 10.0)  # lengths of directions that were not normalised; equal ones beyond may be the radius of a dome
-Sampler = Callable[[], Samples | None]
+Sampler = Callable[[], PhotoSamples | None]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from nishiki.codec.design import Design, Extent
 from nishiki.codec.entropy import Coded, Model, encode, pack, train
-from nishiki.codec.parameters import Maps, Surface
+from nishiki.codec.parameters import TileMaps, TileSurface
 from nishiki.codec.tile_code import (
     CodedScene,
     CodedTile,
@@ -58,10 +58,10 @@ class Source(Protocol):
     def pixels(self, tile: int) -> Pixels:
         """Object pixels of a tile, without held-out views."""
 
-    def surface(self, tile: int) -> Surface:
+    def surface(self, tile: int) -> TileSurface:
         """Geometry of a tile."""
 
-    def maps(self, tile: int) -> Maps:
+    def maps(self, tile: int) -> TileMaps:
         """Fitted reflection parameters of a tile."""
 
 

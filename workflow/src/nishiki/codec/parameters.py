@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.brdf.texels.model import Lamp, predict
+from nishiki.brdf.texels.model import ViewLamp, predict
 from nishiki.codec.design import Design, Extent
 from nishiki.codec.rate import quantise
 from nishiki.codec.solve import Footprints, Operator, solve
@@ -22,7 +22,7 @@ from nishiki.colour.colour import encode, encoding_slope
 
 
 @dataclass(frozen=True)
-class Surface:
+class TileSurface:
     """Geometry of a tile: positions, normals (T, T, 3) float32 in the object's frame, inside (T, T) bool."""
 
     positions: np.ndarray
@@ -34,9 +34,9 @@ def predict_texels(
     kd: np.ndarray,
     ks: np.ndarray,
     sigma: np.ndarray,
-    surface: Surface,
+    surface: TileSurface,
     centres: np.ndarray,
-    lamps: Sequence[Lamp],
+    lamps: Sequence[ViewLamp],
     encoding: str,
     *,
     component: str = "total",
@@ -57,7 +57,7 @@ WIDTH_FLOOR = 1e-3  # radians
 
 
 @dataclass(frozen=True)
-class Maps:
+class TileMaps:
     """kd, ks (T, T, C) float32, sigma (T, T) float32, radians."""
 
     kd: np.ndarray
@@ -92,7 +92,7 @@ class Factors:
         return self.strength * np.exp(self.squared_angle * (-0.5 / sigma.astype(np.float32) ** 2))
 
 
-def model_factors(channels: int, surface: Surface, centres, lamps: Sequence[Lamp]) -> Factors:
+def model_factors(channels: int, surface: TileSurface, centres, lamps: Sequence[ViewLamp]) -> Factors:
     """Factors of a tile for every observation, from the model itself with K_d = K_s = 1 and lobes of known width."""
     shape = surface.inside.shape
     ones = np.ones((*shape, channels), np.float32)
@@ -108,7 +108,7 @@ def model_factors(channels: int, surface: Surface, centres, lamps: Sequence[Lamp
 
 
 def refine(
-    maps: Maps,
+    maps: TileMaps,
     factors: Factors,
     feet: Footprints,
     values: np.ndarray,
@@ -117,7 +117,7 @@ def refine(
     iterations: int,
     move: tuple[bool, bool, bool] = (True, True, False),
     usable: np.ndarray | None = None,
-) -> Maps:
+) -> TileMaps:
     """Find the K_d, K_s and sigma whose picture is nearest to pixel values (C, n) in the capture's encoding.
 
     Accelerated gradient with each texel's own step; K_d, K_s stay at 0 or above. Texels that no pixel sees stay as
@@ -147,7 +147,7 @@ def refine(
         ahead = [n + factor * (n - h) for n, h in zip(new, held, strict=True)]
         ahead[2] = np.clip(ahead[2], np.log(WIDTH_FLOOR), np.log(np.float32(1e3)))
         held, momentum = new, following
-    return Maps(np.moveaxis(held[0], 0, -1), np.moveaxis(held[1], 0, -1), np.exp(held[2]))
+    return TileMaps(np.moveaxis(held[0], 0, -1), np.moveaxis(held[1], 0, -1), np.exp(held[2]))
 
 
 def _gradients(at: list[np.ndarray], factors: Factors, feet: Footprints, values: np.ndarray, encoding: str, usable):
@@ -167,7 +167,7 @@ def _gradients(at: list[np.ndarray], factors: Factors, feet: Footprints, values:
     return np.sum(back * factors.irradiance, axis=1), np.einsum("comn,omn->cmn", back, lobe), by_width
 
 
-def texel_weights(maps: Maps, factors: Factors, feet: Footprints, encoding: str) -> Weights:
+def texel_weights(maps: TileMaps, factors: Factors, feet: Footprints, encoding: str) -> Weights:
     """Diagonal of the error's curvature at the given parameters, off-diagonal terms added (so that it bounds it)."""
     density = feet.density()
     kd, ks = np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0)
@@ -193,7 +193,7 @@ ITERATIONS = 60  # of the solver
 
 
 def encode_parameters(
-    maps: Maps, weights: Weights, typical: tuple[float, ...], design: Design, extent: Extent, threshold: float
+    maps: TileMaps, weights: Weights, typical: tuple[float, ...], design: Design, extent: Extent, threshold: float
 ):
     """(C, 3, rows, columns) int32: kd, ks and log sigma (channel 0) as multiples of their steps; of cropped maps.
 
@@ -221,7 +221,7 @@ def _solve_planes(planes: np.ndarray, share: np.ndarray, block: Block, step: flo
     return quantise(solution.coefficients, step)[:, 0, 0]
 
 
-def decode_parameters(values: np.ndarray, design: Design, extent: Extent) -> Maps:
+def decode_parameters(values: np.ndarray, design: Design, extent: Extent) -> TileMaps:
     """Decode cropped maps from integers (C, 3, rows, columns).
 
     K_d and K_s are held at 0 and above, sigma above 0.001 rad and below 1e3.
@@ -235,9 +235,9 @@ def decode_parameters(values: np.ndarray, design: Design, extent: Extent) -> Map
         mixed = np.tensordot(design.parameter_mix(group).T, samples, 1) + design.parameter_mean(group)[:, None, None]
         planes.append(np.moveaxis(mixed, 0, -1).astype(np.float32))
     width = np.exp(np.clip(planes[2][..., 0], np.log(WIDTH_FLOOR), np.log(1e3)))
-    return Maps(np.maximum(planes[0], 0), np.maximum(planes[1], 0), width)
+    return TileMaps(np.maximum(planes[0], 0), np.maximum(planes[1], 0), width)
 
 
-def _planes(maps: Maps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _planes(maps: TileMaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     width = np.log(np.clip(maps.sigma, WIDTH_FLOOR, 1e3))
     return np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0), width[None]

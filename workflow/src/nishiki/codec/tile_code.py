@@ -6,11 +6,11 @@ from functools import partial
 
 import numpy as np
 
-from nishiki.brdf.texels.model import Lamp
+from nishiki.brdf.texels.model import ViewLamp
 from nishiki.codec.design import Design, Extent, extent_of
 from nishiki.codec.parameters import (
-    Maps,
-    Surface,
+    TileMaps,
+    TileSurface,
     Weights,
     decode_parameters,
     encode_parameters,
@@ -43,7 +43,7 @@ class CodedScene:
     """centres (M, 3) of the cameras and lamps of every observation, light by light."""
 
     centres: np.ndarray
-    lamps: Sequence[Lamp]
+    lamps: Sequence[ViewLamp]
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class CodedTile:
 class Refined:
     """Parameters of a tile solved for in the pictures, and what an error in them does."""
 
-    maps: Maps
+    maps: TileMaps
     weights: Weights
 
 
@@ -108,13 +108,13 @@ class Seen:
 
     extent: Extent
     observations: np.ndarray
-    surface: Surface
+    surface: TileSurface
     feet: Footprints
     values: tuple[np.ndarray, ...]
     usable: np.ndarray
 
 
-def see(pixels: Pixels, surface: Surface, design: Design) -> Seen | None:
+def see(pixels: Pixels, surface: TileSurface, design: Design) -> Seen | None:
     """Find the extent and sort the pixels; None where no pixel sees the tile."""
     seen = np.bincount(pixels.observation % design.views, minlength=design.views) > 0
     if not seen.any():
@@ -131,17 +131,17 @@ def see(pixels: Pixels, surface: Surface, design: Design) -> Seen | None:
     shape = (len(observations), extent.rows, extent.columns)
     feet = Footprints.of(place[pixels.observation], pixels.s - extent.row, pixels.t - extent.column, shape)
     values = tuple(np.ascontiguousarray(v.T[:, feet.order], np.float32) for v in pixels.values)
-    cropped = Surface(*(a[extent.texels] for a in (surface.positions, surface.normals, surface.inside)))
+    cropped = TileSurface(*(a[extent.texels] for a in (surface.positions, surface.normals, surface.inside)))
     usable = np.ones(len(feet.order), bool) if pixels.saturated is None else ~pixels.saturated[feet.order]
     return Seen(extent, observations, cropped, feet, values, usable)
 
 
-def refine_tile(seen: Seen, maps: Maps, scene: CodedScene, design: Design, effort: Effort) -> Refined:
+def refine_tile(seen: Seen, maps: TileMaps, scene: CodedScene, design: Design, effort: Effort) -> Refined:
     """Parameters of a tile such that the pictures of the model are right; zero where the design has no model."""
-    maps = Maps(*(np.nan_to_num(a[seen.extent.texels].astype(np.float32)) for a in (maps.kd, maps.ks, maps.sigma)))
+    maps = TileMaps(*(np.nan_to_num(a[seen.extent.texels].astype(np.float32)) for a in (maps.kd, maps.ks, maps.sigma)))
     if not design.model:
         zero = np.zeros_like(maps.kd)
-        return Refined(Maps(zero, zero, np.ones_like(maps.sigma)), Weights(zero, zero, zero[..., 0]))
+        return Refined(TileMaps(zero, zero, np.ones_like(maps.sigma)), Weights(zero, zero, zero[..., 0]))
     centres, lamps = scene.centres[seen.observations], [scene.lamps[o] for o in seen.observations]
     factors = model_factors(design.channels, seen.surface, centres, lamps)
     joined = seen.values[0] if len(seen.values) == 1 else sum(seen.values)
@@ -194,7 +194,7 @@ def encode_tile(
     return CodedTile(parameters, tuple(residual), seen.extent, pixels, *errors)
 
 
-def model_of(maps: Maps, seen: Seen, scene: CodedScene, design: Design, component: str) -> np.ndarray:
+def model_of(maps: TileMaps, seen: Seen, scene: CodedScene, design: Design, component: str) -> np.ndarray:
     """(C, observations, rows, columns) float32: the model's texels in a block, in the capture's encoding."""
     lamps = [scene.lamps[o] for o in seen.observations]
     arguments = (seen.surface, scene.centres[seen.observations], lamps, design.encoding)

@@ -153,7 +153,7 @@ def card_of(flow: "Workflow", scene: str, why: str):
 
 def _card(results: str, scene: str, state: str, detail: str, published: dict):
     """Build a card from the published files of a scene."""
-    from nishiki.report.page import SceneCard, Tile
+    from nishiki.report.page import Metric, SceneCard
 
     current = Path(results, scene, "current")
     there = {name: f"{scene}/current/{name}" for name in (*OPENED_FIRST, "thumbnail.jpg") if (current / name).is_file()}
@@ -168,7 +168,7 @@ def _card(results: str, scene: str, state: str, detail: str, published: dict):
         page=there.get("report.html", ""),
         viewer=next((there[name] for name in VIEWERS if name in there), ""),
         thumbnail=there.get("thumbnail.jpg", ""),
-        figures=[Tile(**entry) for entry in told.get("figures", ())],
+        figures=[Metric(**entry) for entry in told.get("figures", ())],
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from nishiki.colour.colour import white_xyz, xyz_matrix
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.render.plane.scene import Gloss, Light
-from nishiki.render.plane.shade import Maps, predict_observations
+from nishiki.render.plane.shade import PlaneMaps, predict_observations
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def predict_light(
     white board has divided it out. height : (rows, columns) in the unit of `pitch`, for cast shadows; None: none are
     cast.
     """
-    maps = Maps(model.normals, model.reflectance, model.gloss, model.shading, model.slopes, model.labels)
+    maps = PlaneMaps(model.normals, model.reflectance, model.gloss, model.shading, model.slopes, model.labels)
     (seen,) = predict_observations(maps, [light], height=height, pitch=pitch)
     white = np.ones((*model.normals.shape[:2], 1), np.float32)
     body_only = replace(model.gloss, beta=np.zeros_like(model.gloss.beta))

@@ -118,7 +118,7 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class Frame:
+class EmbeddedPage:
     """Another page inside this one, loaded at a click; `address` as seen from where this page is opened."""
 
     kind: ClassVar[str] = "frame"
@@ -135,7 +135,7 @@ class Listing:
     text: str
 
 
-Block = str | Table | Figures | Facts | Note | Heading | Fold | Frame | Listing
+Block = str | Table | Figures | Facts | Note | Heading | Fold | EmbeddedPage | Listing
 """What stands in a section; a text is a paragraph."""
 
 
@@ -150,7 +150,7 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Tile:
+class Metric:
     """A figure that matters most, its unit, and what it is."""
 
     value: float
@@ -169,7 +169,7 @@ class Page:
     footer: str  # its last line
     stamp: str = ""  # name by which the file can be told again
     facts: Sequence[tuple[str, str]] = ()
-    tiles: Sequence[Tile] = ()
+    tiles: Sequence[Metric] = ()
     verdict: Sequence[tuple[str, str]] = ()  # what is good, what is doubtful, what would improve it most
     warnings: Sequence[str] = ()
 
@@ -251,7 +251,7 @@ class SceneCard:
     page: str = ""
     viewer: str = ""
     thumbnail: str = ""
-    figures: Sequence[Tile] = ()
+    figures: Sequence[Metric] = ()
 
 
 def campaign_page(title: str, cards: Sequence[SceneCard], version: str) -> str:

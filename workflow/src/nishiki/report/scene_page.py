@@ -15,15 +15,15 @@ from nishiki.report.numbers import figure, plain
 from nishiki.report.page import (
     Block,
     Cell,
+    EmbeddedPage,
     Facts,
     Figures,
     Fold,
-    Frame,
     Listing,
+    Metric,
     Page,
     Section,
     Table,
-    Tile,
     contents,
     render_page,
 )
@@ -49,7 +49,7 @@ class Head(NamedTuple):
     title: str | None
     about: str
     facts: Sequence[tuple[str, str]]
-    tiles: Sequence[Tile]
+    tiles: Sequence[Metric]
     verdict: Sequence[tuple[str, str]]
     warnings: Sequence[str] = ()
 
@@ -85,7 +85,7 @@ def write_scene_page(
     shown = [section for section in sections if section]
     if viewer:
         address, summary = f"{viewer}/index.html", "move lamps or the object, zoom, measure, compare: loaded at a click"
-        frame = Section("viewer", "Look for yourself", [Frame(address, "Viewer", summary)], "Viewer")
+        frame = Section("viewer", "Look for yourself", [EmbeddedPage(address, "Viewer", summary)], "Viewer")
         shown = [frame, *(open_viewer(section, address) for section in shown[:1]), *shown[1:]]
     page = Page(
         title=settings.title or head.title or stamp["scene"],

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.capture.schema_base import Camera
+from nishiki.capture.schema_base import CameraResponse
 from nishiki.capture.taking import channel_names
 from nishiki.colour.colour import decode
 from nishiki.formats.images import read_codes, read_header
@@ -68,7 +68,7 @@ def read_photograph(path: Path) -> np.ndarray:
     return read_codes(path, channel_names(header), header=header)
 
 
-def measure(codes: np.ndarray, camera: Camera, exposure_s: float | None) -> Measures:
+def measure(codes: np.ndarray, camera: CameraResponse, exposure_s: float | None) -> Measures:
     """Measure codes (rows, columns, channels) of a camera; `exposure_s` is what EXIF tells."""
     step = max(1, min(codes.shape[:2]) // SAMPLES_PX)
     codes_measured = codes[::step, ::step]
@@ -88,7 +88,7 @@ def measure(codes: np.ndarray, camera: Camera, exposure_s: float | None) -> Meas
     )
 
 
-def light_of(codes: np.ndarray, camera: Camera) -> np.ndarray:
+def light_of(codes: np.ndarray, camera: CameraResponse) -> np.ndarray:
     """Linear light above the black level, of full scale; a coding that only the file states is taken to be sRGB."""
     scale, stated = full_scale(codes.dtype, camera.bits), "srgb" if codes.dtype == np.uint8 else "linear"
     encoding = stated if camera.encoding == "file" else camera.encoding

@@ -10,7 +10,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.observations.linearise import saturation_code
-from nishiki.report.page import Block, Facts, Figure, Figures, Note, Page, Section, Table, Tile, render_page
+from nishiki.report.page import Block, Facts, Figure, Figures, Metric, Note, Page, Section, Table, render_page
 from nishiki.report.pictures import colour_picture
 from nishiki.report.svg import PALETTE, Curve, Drawing, chart
 from nishiki.rig.frame_check import light_of
@@ -115,12 +115,12 @@ def _page(state: RunState, title: str) -> Page:
         Section("repeated", "What was repeated, and why", _repeated(state)),
     ]
     tiles = [
-        Tile(kept, f"of {total}", "frames are kept"),
-        Tile(round(state.seconds_left() / 60, 1), "min", "left, as it goes"),
-        Tile(len(state.repeated), "", "frames were taken again"),
+        Metric(kept, f"of {total}", "frames are kept"),
+        Metric(round(state.seconds_left() / 60, 1), "min", "left, as it goes"),
+        Metric(len(state.repeated), "", "frames were taken again"),
     ]
     if state.last:
-        tiles.append(Tile(100 * state.last.measures.saturated, "%", "of the last photograph is saturated"))
+        tiles.append(Metric(100 * state.last.measures.saturated, "%", "of the last photograph is saturated"))
     footer = f"Nishiki {PROJECT_VERSION}. This page is seen on this computer only."
     return Page(title, state.doing, sections, PROJECT_VERSION, footer, tiles=tiles)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from nishiki.capture.folder import examine
 from nishiki.capture.frames import ANGLE_COLUMNS
-from nishiki.capture.schema_base import FORMAT, Camera
+from nishiki.capture.schema_base import FORMAT, CameraResponse
 from nishiki.capture.taking import channel_names, choose_encoding, lights_text, settings_text, table_text
 from nishiki.errors import UserError
 from nishiki.formats.files import flush_folder, name_fault, put_file
@@ -105,13 +105,13 @@ class RunState:
         self.frames: tuple[PlannedFrame, ...] = ()
         self.kept: set[str] = set()
         self.repeated: list[dict[str, Any]] = []
-        self.camera = Camera()
+        self.camera = CameraResponse()
         self.last: LastPhotograph | None = None
         self.doing = "The run begins"
         self._began = time.monotonic()
         self._at_first = 0
 
-    def started(self, frames: tuple[PlannedFrame, ...], kept: set[str], camera: Camera) -> None:
+    def started(self, frames: tuple[PlannedFrame, ...], kept: set[str], camera: CameraResponse) -> None:
         """Record the start of a run, or its continuation with the remaining frames."""
         with self.lock:
             self.frames, self.kept, self.camera = frames, set(kept), camera

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from nishiki.capture.schema_base import Camera, validate
+from nishiki.capture.schema_base import CameraResponse, validate
 from nishiki.capture.seal import MANIFEST, capture_digest, read_manifest, seal, sha256_of
 from nishiki.errors import UserError
 from nishiki.formats.exif import read_exif
@@ -145,7 +145,7 @@ class CaptureRun:
         self.work = work_folder(capture)
         self.payload, self.incoming = self.work / "capture", self.work / "incoming"
         self.journal = Journal(self.work / "journal.jsonl")
-        self.camera = validate(Camera, capture_settings(plan)["camera"], "plan: capture.camera")
+        self.camera = validate(CameraResponse, capture_settings(plan)["camera"], "plan: capture.camera")
         self.kept: dict[str, dict[str, Any]] = {}
         self.exposures: dict[str, float] = {}
         self.subject: str | None = "object"

@@ -257,7 +257,7 @@ USUAL = {"plain": (2,), "twill": (3, 4), "satin": (5, 8), "unknown": None}  # ya
 
 
 @dataclass(frozen=True)
-class Surface:
+class WovenSurface:
     """Hold one repeat as a height field."""
 
     x: np.ndarray  # (columns,)
@@ -311,7 +311,7 @@ def make_surface(
     harness: int,
     samples: int = 24,
     spacing_ratio: float | None = None,
-) -> Surface:
+) -> WovenSurface:
     """Height field of one repeat from both sections, `samples` points a yarn spacing.
 
     The sections have no common scale. spacing_ratio : spacing of the weft yarns over that of the warp yarns, where it
@@ -341,7 +341,7 @@ def make_surface(
             weft_height = np.maximum(weft_height, up[:, None] + _hump(away, weft.shape, 0.0)[None])
         cap = _cap(away, weft)
         warp_height = np.where(inside[None], np.maximum(warp_height, along[:, None] + cap[None]), warp_height)
-    return Surface(x, y, np.maximum(warp_height, weft_height), warp_height >= weft_height, pattern)
+    return WovenSurface(x, y, np.maximum(warp_height, weft_height), warp_height >= weft_height, pattern)
 
 
 def _nearest(places: np.ndarray, middle: float, period: float) -> np.ndarray:
@@ -367,7 +367,7 @@ def _cap(away: np.ndarray, weft: WeftSection) -> np.ndarray:
     return -weft.r * (1.0 - np.sqrt(np.maximum(1.0 - sine**2, 0.0)))
 
 
-def shade(surface: Surface, *, repeats: int = 2, width: int = 640) -> np.ndarray:
+def shade(surface: WovenSurface, *, repeats: int = 2, width: int = 640) -> np.ndarray:
     """Picture (rows, columns, 3) uint8 of the surface from above, lit from the upper left; warp and weft tinted."""
     tiles = (repeats, repeats)
     height = np.tile(surface.height[:-1, :-1], tiles)

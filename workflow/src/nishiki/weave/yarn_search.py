@@ -50,7 +50,7 @@ OPEN, NARROW = 0.7, 0.15  # not determined: more of the prior's spread is left, 
 
 
 @dataclass(frozen=True)
-class Samples:
+class ReflectanceSamples:
     """Reflectances at normal incidence that a weave is fitted to.
 
     Directions (n, 3), values (n, channels), inverse deviations (n,).
@@ -134,7 +134,7 @@ def burden(binding: Binding) -> float:
     return UNUSUAL if one_sided or of_pairs or (over == under == 3 and binding.weave == "twill") else RARE
 
 
-def samples_of(measured: Measured, *, views: int) -> Samples:
+def samples_of(measured: Measured, *, views: int) -> ReflectanceSamples:
     """Choose evenly spread views of normal incidence of a region, weighted as in `brdf.cloth`."""
     known = np.isfinite(measured.values).all(axis=1)
     normal = np.flatnonzero(known & measured.normal & (measured.outgoing[:, 2] > np.cos(STEEPEST)))
@@ -145,7 +145,7 @@ def samples_of(measured: Measured, *, views: int) -> Samples:
         )
     chosen = measured.take(normal[spread(measured.outgoing[normal], views)])
     refuse_black(chosen)
-    return Samples(chosen.incident, chosen.outgoing, chosen.values, normal_weights(chosen))
+    return ReflectanceSamples(chosen.incident, chosen.outgoing, chosen.values, normal_weights(chosen))
 
 
 def spread(views: np.ndarray, count: int) -> np.ndarray:
@@ -160,7 +160,7 @@ def spread(views: np.ndarray, count: int) -> np.ndarray:
 
 
 def fit_binding(
-    samples: Samples, binding: Binding, *, start=None, density=(POINTS_ACROSS, POINTS_ALONG), evaluations=10
+    samples: ReflectanceSamples, binding: Binding, *, start=None, density=(POINTS_ACROSS, POINTS_ALONG), evaluations=10
 ) -> YarnFit:
     """Fit yarns of this binding to the samples; the linear parts are eliminated at every step."""
     from scipy.optimize import least_squares

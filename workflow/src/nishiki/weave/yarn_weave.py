@@ -24,7 +24,7 @@ from numba import njit
 from nishiki.brdf.cloth.yarn_facets import FEWEST_ROWS, YarnFacets, facet_reflection
 from nishiki.brdf.torrance_sparrow import fresnel_scalar
 from nishiki.threads import STRIPS_A_THREAD, over_items, threads
-from nishiki.weave.section import Surface
+from nishiki.weave.section import WovenSurface
 
 HALF_PI = 0.5 * math.pi
 HOLE = -9.0  # height where no yarn lies
@@ -407,14 +407,14 @@ class YarnWeave:
         seen = which > 0
         return points[seen], which[seen], horizons[seen]
 
-    def surface(self, samples: int = 24) -> Surface:
+    def surface(self, samples: int = 24) -> WovenSurface:
         """One repeat as a height field, `samples` points a yarn spacing; holes lie as low as the lowest yarn."""
         pattern = self.binding.pattern()
         y, x = (np.arange(count * samples + 1) / samples for count in pattern.shape)
         height, is_warp = np.empty((y.size, x.size)), np.empty((y.size, x.size), bool)
         height_field(x - 0.5, (y - 0.5) * self.spacing_ratio, self.form, height, is_warp)
         lowest = height[height > HOLE].min()
-        return Surface(x, y * self.spacing_ratio, np.maximum(height, lowest), is_warp, pattern)
+        return WovenSurface(x, y * self.spacing_ratio, np.maximum(height, lowest), is_warp, pattern)
 
     def parts(self, incident: np.ndarray, outgoing: np.ndarray, points) -> np.ndarray:
         """Evaluate gloss and white body of warp and weft at directions (n, 3): (n, 4), 1/sr; see `points`."""

@@ -1,7 +1,7 @@
 """Evaluate Lambert and the simplified Torrance-Sparrow model on a surface, under the lamps of a turntable capture.
 
 Lamps are stated in the lamp frame of the camera: x right, y up, z from the scene to the camera, origin at the camera's
-centre.  `Lighting` is what a capture has; `Lamp` is one lamp seen in one view, in the object's own frame, ready for
+centre.  `Lighting` is what a capture has; `ViewLamp` is one lamp seen in one view, in the object's own frame, ready for
 `nishiki.brdf.texels.model.predict`.
 
     I_d = K_d cos(theta_i)                                 I_s = K_s / cos(theta_r) exp(-alpha^2 / (2 sigma^2))
@@ -33,7 +33,7 @@ TO_LAMP_FRAME = np.diag([1.0, -1.0, -1.0])  # from the camera frame with y down 
 
 
 @dataclass(frozen=True)
-class Lamp:
+class ViewLamp:
     """One lamp in one view, in the object's frame, float32.
 
     form: POINT, DISTANT or ENVIRONMENT.  vector (3,): the place of a point lamp, the unit direction towards a distant
@@ -55,7 +55,7 @@ class Lighting(PlainFields):
 
     kind: "camera" (the lamp is at the camera's centre), "direction", "position" (in the world's unit), "environment"
     (fitted, see `nishiki.brdf.texels.environment`) or "unknown" (nothing can be predicted yet).  vectors: one row
-    (x, y, z) a light; harmonics: (9, channels) nested tuples a light; reference: as in `Lamp`.
+    (x, y, z) a light; harmonics: (9, channels) nested tuples a light; reference: as in `ViewLamp`.
     """
 
     kind: str
@@ -93,7 +93,7 @@ class Lighting(PlainFields):
             )
         return cls("position", _rows(vectors / UNITS_IN_MM[unit]))
 
-    def lamp(self, camera: Camera, light_index: int = 0) -> Lamp:
+    def lamp(self, camera: Camera, light_index: int = 0) -> ViewLamp:
         """Return the lamp `light_index` as it stands when the object is seen from `camera`.
 
         Raises UserError for unknown lighting (it has to be fitted first) and for a light that is not there.
@@ -112,7 +112,7 @@ class Lighting(PlainFields):
         else:
             form, vector = POINT, camera.centre + rotation.T @ vector
         vector, rotation, harmonics = (np.ascontiguousarray(a, np.float32) for a in (vector, rotation, harmonics))
-        return Lamp(form, vector, rotation, harmonics, self.reference)
+        return ViewLamp(form, vector, rotation, harmonics, self.reference)
 
 
 def _rows(values) -> tuple[tuple[float, ...], ...]:
@@ -144,7 +144,7 @@ def predict(
     positions: np.ndarray,
     normals: np.ndarray,
     camera_centre: np.ndarray,
-    lamp: Lamp,
+    lamp: ViewLamp,
     *,
     threads: int = 1,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -171,7 +171,7 @@ def predict(
 
 
 def factors(
-    positions: np.ndarray, normals: np.ndarray, camera_centre: np.ndarray, lamp: Lamp, channels: int
+    positions: np.ndarray, normals: np.ndarray, camera_centre: np.ndarray, lamp: ViewLamp, channels: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the factors of `predict` for a fit: (irradiance (..., channels), angles (..., 3)), float32.
 
@@ -186,7 +186,7 @@ def factors(
 
 
 def _view(
-    camera_centre: np.ndarray, lamp: Lamp, channels: int
+    camera_centre: np.ndarray, lamp: ViewLamp, channels: int
 ) -> tuple[np.ndarray, int, np.ndarray, np.ndarray, np.ndarray, np.float32]:
     """Return the arguments that the compiled loops share: one row of harmonics serves every channel."""
     harmonics = lamp.harmonics

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from nishiki.brdf.fit import FitFlag, fit_torrance_sparrow
-from nishiki.brdf.texels.model import ENVIRONMENT, GRAZING, POINT, Lamp, angles_at, irradiance_at, predict
+from nishiki.brdf.texels.model import ENVIRONMENT, GRAZING, POINT, ViewLamp, angles_at, irradiance_at, predict
 from nishiki.brdf.texels.parameters import Parameters
 from nishiki.colour.colour import encode, encoding_slope
 
@@ -51,7 +51,7 @@ def observed(
     positions: np.ndarray,
     normals: np.ndarray,
     centres: np.ndarray,
-    lamps: list[Lamp],
+    lamps: list[ViewLamp],
     *,
     encoding: str = "linear",
     bright: np.ndarray | None = None,
@@ -83,7 +83,7 @@ def observed(
     return Observed(texel, picked, diffuse, attenuation, alpha, weights, view)
 
 
-def _side_by_side(lamps: list[Lamp]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _side_by_side(lamps: list[ViewLamp]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Form, vectors, rotations, grey harmonics and squared references of the lamps, as arrays."""
     form = np.array([lamp.form for lamp in lamps], np.int64)
     vectors, rotations = (np.stack([getattr(lamp, name) for lamp in lamps]) for name in ("vector", "rotation"))
@@ -185,7 +185,7 @@ class Capture:
     """Of every observation: the camera's centre (M, 3) and the lamp; `encoding` in which errors count."""
 
     centres: np.ndarray
-    lamps: list[Lamp]
+    lamps: list[ViewLamp]
     encoding: str = "linear"
 
     def observe(self, tile: Tile) -> tuple[Observed, Observed | None]:

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from nishiki.geometry.visibility import GOLDEN_ANGLE, blocked
-from nishiki.render.cloth.local import LIFT, Samples
+from nishiki.render.cloth.local import LIFT, Fragments
 from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, three
 from nishiki.threads import over_items, over_rows
 
@@ -34,7 +34,7 @@ class Surroundings:
         share, from_above = (smoothed(values, corners) for values in openness(scene, light.rays, light.reach))
         return cls(light, share, from_above, corners)
 
-    def radiance(self, table: np.ndarray, samples: Samples) -> np.ndarray:
+    def radiance(self, table: np.ndarray, samples: Fragments) -> np.ndarray:
         """(n, 3): even light that samples of a material reflect to the eye; table: its `shares`.
 
         Blocked directions show cloth of the same kind: with openness a and albedo r its light comes back r (1 - a)

@@ -9,7 +9,7 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.turn import scaled
 from nishiki.geometry.visibility import rasterise
 from nishiki.render.cloth.around import Surroundings
-from nishiki.render.cloth.local import Samples, gather, lit
+from nishiki.render.cloth.local import Fragments, gather, lit
 from nishiki.render.cloth.models import share_of, together
 from nishiki.render.cloth.scene import Brdf, ClothScene, Lamp
 from nishiki.threads import over_items
@@ -123,7 +123,7 @@ def _check(scene: ClothScene, takes: list[RenderVariant], lamps: list[Lamp], sup
             )
 
 
-def _add_lamps(colours, scene, takes, lamps, samples: Samples, shadows: bool, tally: _Tally) -> None:
+def _add_lamps(colours, scene, takes, lamps, samples: Fragments, shadows: bool, tally: _Tally) -> None:
     """Add what the lamps make the samples send to the eye to colours (takes, n, 3)."""
     tally.samples += len(samples.pixel)
     tally.bent += samples.bent
@@ -165,7 +165,7 @@ def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, sampl
     return out, where.reshape(-1)
 
 
-def _add_around(colours, takes, samples: Samples, surroundings: Surroundings, tables: dict) -> None:
+def _add_around(colours, takes, samples: Fragments, surroundings: Surroundings, tables: dict) -> None:
     """Add the light from around to colours (takes, n, 3); tables: of the materials, by identity, filled as needed."""
     for k, take in enumerate(takes):
         for material, brdf in enumerate(take.materials):

@@ -17,7 +17,7 @@ LIFT = 2e-4
 
 
 @dataclass(frozen=True)
-class Samples:
+class Fragments:
     """Points that a picture shows, in the order of the picture.
 
     pixel (n,) int64 in the band; number (n,) int64: that of the pixel in the picture times a_pixel, the samples a pixel
@@ -40,10 +40,10 @@ class Samples:
     bent: int
     a_pixel: int
 
-    def take(self, rows: np.ndarray) -> "Samples":
+    def take(self, rows: np.ndarray) -> "Fragments":
         """Select some of them."""
         names = ("pixel", "number", "triangle", "weights", "material", "back", "place", "frame", "outgoing")
-        return Samples(
+        return Fragments(
             **{name: getattr(self, name)[rows] for name in names},
             stands=np.arange(len(rows)),
             bent=0,
@@ -52,7 +52,7 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Light:
+class IncidentLight:
     """A lamp at n points.
 
     incident (n, 3) in the cloth's frame; strength (n,): cosine times fall-off times visibility; before (n,): the same
@@ -64,7 +64,7 @@ class Light:
     before: np.ndarray
 
 
-def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int, *, within: float = 0.0) -> Samples:
+def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int, *, within: float = 0.0) -> Fragments:
     """Gather the points behind a band of a picture's samples and their frames.
 
     within: radians; samples of a pixel, of one material and side, share a BRDF value with one whose normal and weft are
@@ -100,12 +100,12 @@ def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int
     if within > 0 and count:
         groups = pixel * 2 * (int(material.max()) + 1) + 2 * material + back
         _share(np.argsort(groups, kind="stable"), groups, frame, np.cos(within), stands)
-    return Samples(
+    return Fragments(
         pixel, number, triangle, weights, material, back, place, frame, outgoing, stands, int(bent.sum()), a_pixel
     )
 
 
-def lit(scene: ClothScene, samples: Samples, lamp: Lamp, shadows: bool) -> Light:
+def lit(scene: ClothScene, samples: Fragments, lamp: Lamp, shadows: bool) -> IncidentLight:
     """Compute what reaches the samples from a lamp."""
     count = len(samples.pixel)
     incident, strength, before = np.empty((count, 3)), np.empty(count), np.empty(count)
@@ -122,7 +122,7 @@ def lit(scene: ClothScene, samples: Samples, lamp: Lamp, shadows: bool) -> Light
             ),
             count,
         )  # fmt: skip
-    return Light(incident, strength, before)
+    return IncidentLight(incident, strength, before)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

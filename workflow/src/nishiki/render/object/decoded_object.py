@@ -4,10 +4,12 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from nishiki.artifacts.artifact import Artifact
 from nishiki.atlas.atlas import Atlas
 from nishiki.atlas.store import Texels
-from nishiki.atlas.surface import Surface, texel_points, texel_triangles
+from nishiki.atlas.surface import texel_points, texel_triangles
 from nishiki.brdf.texels.model import Lighting
 from nishiki.codec.store import Residual
 from nishiki.errors import UserError
@@ -26,7 +28,7 @@ class DecodedObject:
     cameras: list[Camera]
     residual: Residual
     lighting: Lighting
-    surface: Surface
+    texel_triangles: np.ndarray  # (tiles, T, T) int32
     encoding: str
     channels: int
     full_turn: bool
@@ -67,7 +69,7 @@ class DecodedObject:
         mesh = mesh or self.mesh
 
         def geometry(tile: int):
-            points = texel_points(mesh, self.atlas, self.surface, slice(tile, tile + 1))
+            points = texel_points(mesh, self.atlas, self.texel_triangles, slice(tile, tile + 1))
             return tuple(values[0] for values in points)
 
         return ObjectRenderer(self, (mesh, geometry), **options)

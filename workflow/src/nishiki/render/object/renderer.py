@@ -27,6 +27,7 @@ from nishiki.geometry.visibility import interpolate, rasterise
 from nishiki.render.display import developed
 from nishiki.render.object.pixels import asked_for, by_tile, extend, look_up, mix
 from nishiki.render.object.shots import (
+    DecodedTile,
     FreeLighting,
     LampsInView,
     LitObject,
@@ -35,7 +36,6 @@ from nishiki.render.object.shots import (
     ObjectPicture,
     Prepared,
     Shot,
-    Tile,
     lit_by,
     neighbours,
 )
@@ -88,7 +88,7 @@ class ObjectRenderer:
         self.threads = given_threads()
         self.parts = coded_parts(self.residual, self.encoding)
         self.depths = DepthMaps(mesh)
-        self._cache: OrderedDict[int, Tile] = OrderedDict()
+        self._cache: OrderedDict[int, DecodedTile] = OrderedDict()
         self._held, self._dropped, self._lock = 0, False, threading.Lock()
 
     def captured(self, index: int, *, camera: Camera | None = None, light: int = 0) -> Shot:
@@ -168,7 +168,7 @@ class ObjectRenderer:
                 for part, texels in enumerate(self._texels(prepared, lamp, base, flat, chosen)):
                     look_up(texels, place, self.atlas.size, prepared.s, prepared.t, order, prepared.values[k, part])
 
-    def _texels(self, prepared: Prepared, lamp, base: int, flat: Tile, chosen: np.ndarray) -> list[np.ndarray]:
+    def _texels(self, prepared: Prepared, lamp, base: int, flat: DecodedTile, chosen: np.ndarray) -> list[np.ndarray]:
         """(m, channels) float32 of each part: chosen texels of a tile as this camera sees them under one lamp, encoded.
 
         base: number of the light's first observation.
@@ -195,7 +195,7 @@ class ObjectRenderer:
             mix(residual.values, *places, seen, weights, fallback, values)
         return coded
 
-    def _tile(self, tile: int) -> Tile:
+    def _tile(self, tile: int) -> DecodedTile:
         """Return a tile's decoded parameters and residual and its geometry; the most recent ones are kept."""
         with self._lock:
             if tile in self._cache:
@@ -206,7 +206,7 @@ class ObjectRenderer:
         residual = None
         if not self.model_only and not self.residual.empty(tile):
             residual = tuple(self._decoded(tile, part) for part in self.parts)
-        flat = Tile(
+        flat = DecodedTile(
             (kd.reshape(-1, self.channels), ks.reshape(-1, self.channels), sigma.reshape(-1)),
             positions.reshape(-1, 3),
             normals.reshape(-1, 3),

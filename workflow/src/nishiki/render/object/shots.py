@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from nishiki.brdf.texels.model import DISTANT, HARMONICS, POINT, TO_LAMP_FRAME, Lamp, predict
+from nishiki.brdf.texels.model import DISTANT, HARMONICS, POINT, TO_LAMP_FRAME, ViewLamp, predict
 from nishiki.codec.store import CodedTexels
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
@@ -147,7 +147,7 @@ class Prepared:
 
 
 @dataclass(frozen=True)
-class Tile:
+class DecodedTile:
     """A tile, its texels in one row: kd, ks (T * T, channels), sigma (T * T,), places (T * T, 3), residual or None."""
 
     parameters: tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -289,10 +289,10 @@ class LampsInView:
         middle = self.lit.centre + length * towards
         return middle, middle + length * off
 
-    def _in_object_frame(self, lamp: FreeLamp) -> Lamp:
+    def _in_object_frame(self, lamp: FreeLamp) -> ViewLamp:
         middle, _ = self._disc(lamp, 1)
         near = lamp.distance is not None
-        return Lamp(
+        return ViewLamp(
             POINT if near else DISTANT,
             np.ascontiguousarray(middle, np.float32),
             np.ascontiguousarray(self.rotation, np.float32),

@@ -10,7 +10,7 @@ from nishiki.errors import UserError
 from nishiki.render.plane import camera
 from nishiki.render.plane.flags import BACKGROUND, UNUSABLE
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
-from nishiki.render.plane.shade import ColourGroups, Maps, colour_groups, pixel_to_plane, shade_channels, shade_xyz
+from nishiki.render.plane.shade import ColourGroups, PlaneMaps, colour_groups, pixel_to_plane, shade_channels, shade_xyz
 from nishiki.render.plane.shadow import cast_shadows
 from nishiki.threads import over_rows
 
@@ -136,7 +136,7 @@ class _Painter:
         shape = ((last - first) * down, columns * across)
         samples = camera.sample_maps(self.maps, self.visibility, self.to_map @ to_screen, shape, self.extent)
         shading = shade_channels(
-            Maps(samples.normals, samples.coefficients, self.maps.gloss, samples.shading, None, samples.labels),
+            PlaneMaps(samples.normals, samples.coefficients, self.maps.gloss, samples.shading, None, samples.labels),
             self.lights,
             groups=self.groups,
             visibility=samples.visibility,

@@ -84,7 +84,7 @@ def shade_xyz(
     and 0 or position and 1.
     """
     ambient = Ambient() if ambient is None else ambient
-    maps = Maps(scene.normals, scene.coefficients, scene.gloss, scene.shading, scene.slopes, scene.labels)
+    maps = PlaneMaps(scene.normals, scene.coefficients, scene.gloss, scene.shading, scene.slopes, scene.labels)
     return shade_channels(
         maps,
         lights,
@@ -96,7 +96,7 @@ def shade_xyz(
     )
 
 
-class Maps(NamedTuple):
+class PlaneMaps(NamedTuple):
     """Maps of a flat object in any channels, each as in `PlaneScene`."""
 
     normals: np.ndarray
@@ -108,7 +108,7 @@ class Maps(NamedTuple):
 
 
 def shade_channels(
-    maps: Maps,
+    maps: PlaneMaps,
     lights: list[Light],
     *,
     groups: ColourGroups,
@@ -206,7 +206,7 @@ class Prediction:
 
 
 def predict_observations(
-    maps: Maps, lights: list[Light], *, height: np.ndarray | None = None, pitch: float = 1.0
+    maps: PlaneMaps, lights: list[Light], *, height: np.ndarray | None = None, pitch: float = 1.0
 ) -> Iterator[Prediction]:
     """Yield one prediction a light, in order, so that a stack of them need not be held in memory.
 

@@ -24,7 +24,7 @@ from nishiki.simulate.painting.objects import SimulatedObject, make_object
 from nishiki.simulate.painting.paints import REGIONS, camera_tables, make_palette, xyz_tables
 from nishiki.simulate.painting.settings import (
     PRESETS,
-    Lamp,
+    LampPose,
     LightSettings,
     SimulationSettings,
     beam_strength,
@@ -101,7 +101,7 @@ def bands(settings: SimulationSettings) -> Iterator[slice]:
         yield slice(start, min(start + _BAND_ROWS, settings.rows))
 
 
-def photograph(thing: SimulatedObject, lamp: Lamp, settings: SimulationSettings, tables: Tables) -> Photograph:
+def photograph(thing: SimulatedObject, lamp: LampPose, settings: SimulationSettings, tables: Tables) -> Photograph:
     """Photograph the object under one lamp. Truth is returned where `tables` carry it."""
     channels = settings.camera.channels
     shape = (settings.rows, settings.columns)
@@ -127,7 +127,7 @@ def photograph(thing: SimulatedObject, lamp: Lamp, settings: SimulationSettings,
     return Photograph(codes, lit, **(truth or {}))
 
 
-def white_board(lamp: Lamp, settings: SimulationSettings, tables: Tables) -> np.ndarray:
+def white_board(lamp: LampPose, settings: SimulationSettings, tables: Tables) -> np.ndarray:
     """Codes (rows, columns, channels) of the flat, matt white board in the place of the object under one lamp."""
     codes = np.empty((settings.rows, settings.columns, settings.camera.channels), np.uint16)
     key = subkey(settings.seed, f"noise white {lamp.name}")
@@ -194,7 +194,7 @@ def write_all(settings: SimulationSettings, capture: Path, truth: Path, options,
     store.finish(truth_attributes(settings, lamps), truth_readme(settings, lamps))
 
 
-def write_tables(capture: Path, settings: SimulationSettings, lamps: tuple[Lamp, ...], *, directions: bool) -> None:
+def write_tables(capture: Path, settings: SimulationSettings, lamps: tuple[LampPose, ...], *, directions: bool) -> None:
     """capture.yaml, the lamps (directions, or positions in mm), and the spectra, 380 to 780 nm every 5 nm."""
     if directions:
         lines = [f"{lamp.name} " + " ".join(f"{v:.6f}" for v in lamp.direction) for lamp in lamps]
@@ -230,7 +230,7 @@ def write_tables(capture: Path, settings: SimulationSettings, lamps: tuple[Lamp,
 class PaintingTruth(Truth):
     """The truth of a painting, filled light by light."""
 
-    def __init__(self, folder: Path, settings: SimulationSettings, thing: SimulatedObject, lamps: tuple[Lamp, ...]):
+    def __init__(self, folder: Path, settings: SimulationSettings, thing: SimulatedObject, lamps: tuple[LampPose, ...]):
         super().__init__(folder)
         self.checks = [lamp.name for lamp in lamps if lamp.role == "check"]
         self.names = [lamp.name for lamp in lamps]
@@ -251,7 +251,7 @@ class PaintingTruth(Truth):
             self.make(name, (len(self.checks), *shape, *tail), np.float32)
         self.group.attrs["label_names"] = list(palette.names)
 
-    def add(self, lamp: Lamp, shot: Photograph) -> None:
+    def add(self, lamp: LampPose, shot: Photograph) -> None:
         """Add one photograph."""
         self.group["lit"][self.names.index(lamp.name)] = shot.lit
         if lamp.role == "check":
@@ -259,7 +259,7 @@ class PaintingTruth(Truth):
                 self.group[name][self.checks.index(lamp.name)] = getattr(shot, name)
 
 
-def truth_attributes(settings: SimulationSettings, lamps: tuple[Lamp, ...]) -> dict:
+def truth_attributes(settings: SimulationSettings, lamps: tuple[LampPose, ...]) -> dict:
     """Attributes of truth.zarr: names of lights, checks and regions, lamp positions, the settings."""
     mean, largest = direction_error_deg(settings)
     return {
@@ -273,7 +273,7 @@ def truth_attributes(settings: SimulationSettings, lamps: tuple[Lamp, ...]) -> d
     }
 
 
-def truth_readme(settings: SimulationSettings, lamps: tuple[Lamp, ...]) -> str:
+def truth_readme(settings: SimulationSettings, lamps: tuple[LampPose, ...]) -> str:
     """Text of the README in a truth folder."""
     mean, largest = direction_error_deg(settings)
     checks = ", ".join(lamp.name for lamp in lamps if lamp.role == "check") or "none"

@@ -98,7 +98,7 @@ _SECOND_RADIATION_CONSTANT_NM_K = 1.438776877e7
 
 
 @dataclass(frozen=True)
-class Lamp:
+class LampPose:
     """One lamp position.
 
     name, role ("sample" or "check"). direction : (3,) unit, from the centre of the object. position_mm : (3,), origin
@@ -115,7 +115,7 @@ class Lamp:
     falloff: float
 
 
-def place_lamps(settings: SimulationSettings) -> tuple[Lamp, ...]:
+def place_lamps(settings: SimulationSettings) -> tuple[LampPose, ...]:
     """All lamp positions: the top one, the rings, then the check lights between their azimuths.
 
     One ring stands at 45° incidence, several are spread evenly from 30° to 60°; like hand-placed lamps each misses its
@@ -137,14 +137,14 @@ def place_lamps(settings: SimulationSettings) -> tuple[Lamp, ...]:
     return tuple(_lamp(settings, random, *place) for place in places)
 
 
-def _lamp(settings, random, name, role, incidence, azimuth):
-    miss = random.uniform(-1.5, 1.5, 2) if name != "top" else np.zeros(2)
+def _lamp(settings, rng, name, role, incidence, azimuth):
+    miss = rng.uniform(-1.5, 1.5, 2) if name != "top" else np.zeros(2)
     theta = math.radians(min(max(incidence + miss[0], 0.0), 88.0))
     phi = math.radians(azimuth + miss[1])
     direction = np.array([math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta)])
     position = settings.distance_mm * direction
-    tilt = tuple(random.uniform(-0.03, 0.03, 2))
-    return Lamp(name, role, direction, position, float(random.uniform(0.93, 1.07)), tilt, random.uniform(0.03, 0.07))
+    tilt = tuple(rng.uniform(-0.03, 0.03, 2))
+    return LampPose(name, role, direction, position, float(rng.uniform(0.93, 1.07)), tilt, rng.uniform(0.03, 0.07))
 
 
 def plane_coordinates(settings: SimulationSettings, rows: slice) -> tuple[np.ndarray, np.ndarray]:
@@ -154,7 +154,7 @@ def plane_coordinates(settings: SimulationSettings, rows: slice) -> tuple[np.nda
     return x, y
 
 
-def beam_strength(lamp: Lamp, settings: SimulationSettings, rows: slice) -> np.ndarray:
+def beam_strength(lamp: LampPose, settings: SimulationSettings, rows: slice) -> np.ndarray:
     """Irradiance (rows, columns) on a surface facing the lamp (1/r², beam); power 1 gives 1 at the centre."""
     x, y = plane_coordinates(settings, rows)
     dx, dy = lamp.position_mm[0] - x[None, :], lamp.position_mm[1] - y[:, None]
@@ -170,7 +170,7 @@ def vignette(settings: SimulationSettings, rows: slice) -> np.ndarray:
     return 1.0 - 0.04 * (u[None, :] ** 2 + v[:, None] ** 2)
 
 
-def board_cosine(lamp: Lamp, settings: SimulationSettings, rows: slice) -> np.ndarray:
+def board_cosine(lamp: LampPose, settings: SimulationSettings, rows: slice) -> np.ndarray:
     """Cosine of incidence (rows, columns) on a flat board in the plane of the object, for the lamp's true position."""
     x, y = plane_coordinates(settings, rows)
     dx, dy = lamp.position_mm[0] - x[None, :], lamp.position_mm[1] - y[:, None]

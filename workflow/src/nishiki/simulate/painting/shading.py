@@ -8,7 +8,7 @@ import numpy as np
 
 from nishiki.simulate.painting.objects import SimulatedObject
 from nishiki.simulate.painting.relief import REACH_PIXELS, bounced_irradiance, slopes_at, visible_share
-from nishiki.simulate.painting.settings import Lamp, SimulationSettings
+from nishiki.simulate.painting.settings import LampPose, SimulationSettings
 from nishiki.simulate.reflection import ggx_gloss, rough_body
 from nishiki.threads import over_rows
 
@@ -113,7 +113,7 @@ def _add_bounce(start, stop, label, bounced, squared, s, first, body):
 
 
 def shade(
-    thing: SimulatedObject, lamp: Lamp, settings: SimulationSettings, *, table, squared, rows: slice | None = None
+    thing: SimulatedObject, lamp: LampPose, settings: SimulationSettings, *, table, squared, rows: slice | None = None
 ) -> Shading:
     """Shading of the given rows (all if None).
 

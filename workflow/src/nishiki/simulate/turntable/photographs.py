@@ -18,7 +18,7 @@ from nishiki.simulate.capture import (
 )
 from nishiki.simulate.randomness import subkey
 from nishiki.simulate.turntable import settings as constants
-from nishiki.simulate.turntable.render import Light, SimulatedScene, make_scene, see
+from nishiki.simulate.turntable.render import Radiance, SimulatedScene, make_scene, see
 from nishiki.simulate.turntable.settings import (
     AIM_MM,
     BETA,
@@ -99,14 +99,14 @@ def backdrop(settings: TurntableSettings) -> np.ndarray:
     return (CLOTH * (1.0 - 0.4 * v + 0.1 * u))[..., None]
 
 
-def components(light: Light, settings: TurntableSettings) -> tuple[np.ndarray, np.ndarray]:
+def components(light: Radiance, settings: TurntableSettings) -> tuple[np.ndarray, np.ndarray]:
     """Depolarised and mirror-reflected light (rows, columns, 3) float64 at the sensor: blurred, stray light added."""
     bare = (1.0 - light.coverage)[..., None].astype(np.float64)
     diffuse = blurred(light.diffuse + bare * backdrop(settings))
     return diffuse + STRAY, blurred(light.specular.astype(np.float64))
 
 
-def signal(light: Light, optics: Optics, settings: TurntableSettings, state: str) -> np.ndarray:
+def signal(light: Radiance, optics: Optics, settings: TurntableSettings, state: str) -> np.ndarray:
     """Share of full scale (rows, columns, 3) in one state of the polarisers ("off", "on", or "" without any)."""
     diffuse, specular = components(light, settings)
     if state == "on":
@@ -114,7 +114,7 @@ def signal(light: Light, optics: Optics, settings: TurntableSettings, state: str
     return optics.sensitivity * (diffuse + specular)
 
 
-def photograph(light: Light, optics: Optics, settings: TurntableSettings, *, view: str, state: str) -> np.ndarray:
+def photograph(light: Radiance, optics: Optics, settings: TurntableSettings, *, view: str, state: str) -> np.ndarray:
     """Codes (rows, columns, 3) uint16 of the object."""
     key = subkey(settings.seed, f"turntable noise {view} {state}")
     return expose(signal(light, optics, settings, state).astype(np.float32), settings.camera, key=key)
@@ -245,7 +245,7 @@ class ObjectTruth(Truth):
         for name, kind in (("coverage", np.float32), ("depth", np.float32), ("part", np.uint8)):
             self.make(name, shape, kind)
 
-    def add(self, place: int, light: Light) -> None:
+    def add(self, place: int, light: Radiance) -> None:
         """Add one view."""
         diffuse, specular = components(light, self.settings)
         for name, values in (("diffuse", diffuse), ("specular", specular), ("total", diffuse + specular)):

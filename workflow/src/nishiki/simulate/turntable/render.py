@@ -11,7 +11,7 @@ from nishiki.simulate.randomness import hash_uint, subkey, uniform
 from nishiki.simulate.reflection import metal_fresnel
 from nishiki.simulate.turntable.materials import INDEX, describe, reflected
 from nishiki.simulate.turntable.settings import AIM_MM, LAMP_RADIUS_MM, TurntableSettings, Viewpoint
-from nishiki.simulate.turntable.shape import Surface, make_surface
+from nishiki.simulate.turntable.shape import SimulatedSurface, make_surface
 from nishiki.threads import over_rows
 
 OFFSET_MM = 0.02  # rays start so far above the surface
@@ -39,7 +39,7 @@ def cosine_directions(count: int) -> np.ndarray:
     return np.column_stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(1.0 - r * r)])
 
 
-def look_around(surface: Surface, tree: RayTree, *, directions: int, seed: int) -> Surroundings:
+def look_around(surface: SimulatedSurface, tree: RayTree, *, directions: int, seed: int) -> Surroundings:
     """Send rays from every vertex; average the materials about it."""
     count = len(surface.vertices)
     toward = cosine_directions(directions)
@@ -86,7 +86,7 @@ def _spread(start, stop, normals, toward, spin, out):
             out[p, d, 0], out[p, d, 1], out[p, d, 2] = _turned(toward, d, c, s, n, f)
 
 
-def _mean_materials(surface: Surface, key: int) -> tuple[np.ndarray, np.ndarray]:
+def _mean_materials(surface: SimulatedSurface, key: int) -> tuple[np.ndarray, np.ndarray]:
     """Albedo (v, 3) and (roughness, share of metal) (v, 2), means over the triangles at each vertex by area."""
     faces = np.zeros((len(surface.triangles), 5))
     random = np.random.default_rng(key)
@@ -167,7 +167,7 @@ def _mirror(start, stop, surface, around, radiosity, eye, smoothest, out):
             out[p, k] /= total
 
 
-def mirrored(surface: Surface, around: Surroundings, radiosity: np.ndarray, eye: np.ndarray) -> np.ndarray:
+def mirrored(surface: SimulatedSurface, around: Surroundings, radiosity: np.ndarray, eye: np.ndarray) -> np.ndarray:
     """(v, 3): what facets that reflect all light would show at each vertex towards the eye, of the object itself."""
     out = np.empty(around.albedo.shape)
     over_rows(
@@ -186,14 +186,14 @@ _GOLDEN = 0.6180339887498949  # ratio: its multiples are even whatever their num
 class SimulatedScene:
     """The object, ready to be seen: its triangles, the tree over them, what every vertex sees, the key of its paint."""
 
-    surface: Surface
+    surface: SimulatedSurface
     tree: RayTree
     around: Surroundings
     key: int
 
 
 @dataclass(frozen=True)
-class Light:
+class Radiance:
     """What comes from the object to the camera, relative to a perfect white at the axis that faces the lamp."""
 
     # (rows, columns, 3) float32, light that has lost its polarisation (body, bounced light, the object's mirror image
@@ -231,14 +231,14 @@ def make_scene(settings: TurntableSettings) -> SimulatedScene:
     return SimulatedScene(surface, tree, around, subkey(settings.seed, "turntable paint"))
 
 
-def see(scene: SimulatedScene, view: Viewpoint, settings: TurntableSettings) -> Light:
+def see(scene: SimulatedScene, view: Viewpoint, settings: TurntableSettings) -> Radiance:
     """Render the light of one view; pixels are means over their area, without blur and noise."""
     indirect, radiosity = bounced(scene.around, irradiance(scene, view), settings.bounces)
     mirror = np.zeros_like(indirect)
     if settings.bounces:
         mirror = mirrored(scene.surface, scene.around, radiosity, view.centre)
     shape = (settings.rows, settings.columns)
-    light = Light(
+    light = Radiance(
         np.zeros((*shape, 3), np.float32),
         np.zeros((*shape, 3), np.float32),
         np.zeros(shape, np.float32),
@@ -251,7 +251,7 @@ def see(scene: SimulatedScene, view: Viewpoint, settings: TurntableSettings) -> 
     for start in range(0, settings.rows, band):
         rows = slice(start, min(start + band, settings.rows))
         met = _aim(scene, view, settings, rows, np.hstack([indirect, mirror]))
-        _collect(met, *_shade(scene, view, settings, met), settings, Light(*(a[rows] for a in vars(light).values())))
+        _collect(met, *_shade(scene, view, settings, met), settings, Radiance(*(a[rows] for a in vars(light).values())))
     return light
 
 
@@ -360,7 +360,7 @@ def _shade(scene, view, settings, met: _Points) -> tuple[np.ndarray, np.ndarray,
     return diffuse, gloss * strength, m[:, :3]
 
 
-def _collect(met: _Points, diffuse, specular, albedo, settings, out: Light) -> None:
+def _collect(met: _Points, diffuse, specular, albedo, settings, out: Radiance) -> None:
     """Means over the pixels of some rows, into `out`."""
     shape = out.coverage.shape
     count = np.bincount(met.pixel, minlength=out.coverage.size)

@@ -158,7 +158,7 @@ _CREASE = 0.9  # cosine between the gradient and the mean normal of the triangle
 
 
 @dataclass(frozen=True)
-class Surface:
+class SimulatedSurface:
     """Hold the surface."""
 
     vertices: np.ndarray  # (v, 3) float64 mm
@@ -167,7 +167,7 @@ class Surface:
     parts: np.ndarray  # (v, parts) float64, distances from the parts, which decide the material
 
 
-def make_surface(triangles: int) -> Surface:
+def make_surface(triangles: int) -> SimulatedSurface:
     """Make the object with about this number of triangles (within some 5 %)."""
     # The number of triangles grows with 1/spacing²; two coarser rounds tell the factor well enough.
     spacing = _COARSE_MM
@@ -183,7 +183,7 @@ def make_surface(triangles: int) -> Surface:
     return _without_slivers(surface, spacing)
 
 
-def scanned(surface: Surface, *, noise_mm: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def scanned(surface: SimulatedSurface, *, noise_mm: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (v, 3) and triangles as a scanner would deliver them: vertices off along the normal."""
     from nishiki.simulate.randomness import subkey
 
@@ -207,7 +207,7 @@ def _march(spacing: float) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.ascontiguousarray(faces, np.int32)
 
 
-def _settled(vertices: np.ndarray, faces: np.ndarray) -> Surface:
+def _settled(vertices: np.ndarray, faces: np.ndarray) -> SimulatedSurface:
     points = np.ascontiguousarray(vertices, np.float64)
     normals, parts = np.empty_like(points), np.empty((len(points), len(PARTS)))
     over_rows(settle, len(points), points, normals, parts, 3)
@@ -215,7 +215,7 @@ def _settled(vertices: np.ndarray, faces: np.ndarray) -> Surface:
     mean = _triangle_normals(points, faces)
     crease = np.einsum("ij,ij->i", mean, normals) < _CREASE
     normals[crease] = mean[crease]
-    return Surface(points, faces, normals, parts)
+    return SimulatedSurface(points, faces, normals, parts)
 
 
 def _triangle_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -229,7 +229,7 @@ def _triangle_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-300)
 
 
-def _relaxed(surface: Surface) -> np.ndarray:
+def _relaxed(surface: SimulatedSurface) -> np.ndarray:
     """Vertices moved half way to the mean of their neighbours, along the surface only: evens out the triangles."""
     count = len(surface.vertices)
     ends = np.concatenate([surface.triangles[:, [a, b]] for a in range(3) for b in range(3) if a != b])
@@ -242,13 +242,13 @@ def _relaxed(surface: Surface) -> np.ndarray:
     return surface.vertices + move - np.einsum("ij,ij->i", move, surface.normals)[:, None] * surface.normals
 
 
-def _without_slivers(surface: Surface, spacing: float) -> Surface:
+def _without_slivers(surface: SimulatedSurface, spacing: float) -> SimulatedSurface:
     """Without triangles of no area worth the name, and without vertices that nothing uses."""
     a, b, c = (surface.vertices[surface.triangles[:, corner]] for corner in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     faces = surface.triangles[area > 1e-9 * spacing * spacing]
     used, faces = np.unique(faces, return_inverse=True)
-    return Surface(
+    return SimulatedSurface(
         surface.vertices[used],
         np.ascontiguousarray(faces.reshape(-1, 3), np.int32),
         surface.normals[used],

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.texels.model import DISTANT, POINT, Lamp, predict
+from nishiki.brdf.texels.model import DISTANT, POINT, ViewLamp, predict
 from nishiki.colour.colour import decode
 from nishiki.formats.banded_pictures import ExrWriter
 from nishiki.formats.picture_tiles import png_bytes
@@ -77,7 +77,7 @@ def model_textures(decoded: DecodedObject, layout: TextureAtlas) -> dict[str, np
     for tile, (row, column) in enumerate(layout.origin):
         kd, ks, sigma = decoded.residual.parameters(tile)
         window = (slice(row, row + len(kd)), slice(column, column + len(kd)))
-        inside = decoded.surface.triangle[tile] >= 0
+        inside = decoded.texel_triangles[tile] >= 0
         stacked[window][inside] = np.concatenate(
             [three_channels(kd), three_channels(ks), np.asarray(sigma)[..., None]], axis=-1
         )[inside]
@@ -159,7 +159,7 @@ def camera_facts(camera: Camera, positions: np.ndarray, unit: float) -> dict:
     }
 
 
-def lamp_facts(lamp: Lamp, middle: np.ndarray, unit: float) -> dict:
+def lamp_facts(lamp: ViewLamp, middle: np.ndarray, unit: float) -> dict:
     """Describe a lamp for scene.json.
 
     `distance` of a near one: at which a white that faces it shows 1; where it shows that at any distance (`falloff`

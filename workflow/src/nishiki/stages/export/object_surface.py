@@ -8,7 +8,7 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.slopes import isotropic_lobe
-from nishiki.brdf.texels.model import POINT, Lamp, factors
+from nishiki.brdf.texels.model import POINT, ViewLamp, factors
 from nishiki.colour.colour import decode, encode
 from nishiki.evaluate.object_photographs import Photographs
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
@@ -41,7 +41,7 @@ class SeenPoints:
     normals: np.ndarray
     places: np.ndarray
     centre: np.ndarray
-    lamp: Lamp
+    lamp: ViewLamp
     covered: np.ndarray
 
     @classmethod
@@ -134,7 +134,7 @@ def viewer_light(look: ObjectLook, points: SeenPoints, texels: np.ndarray, *, wh
     return (1 - reflected[:, None]) * texels[:, :3] * irradiance + gloss[:, None]
 
 
-def direction_to(lamp: Lamp, positions: np.ndarray) -> np.ndarray:
+def direction_to(lamp: ViewLamp, positions: np.ndarray) -> np.ndarray:
     """Return (n, 3) unit vectors to a lamp; 0 for surroundings without a highlight."""
     vectors = lamp.vector - positions if lamp.form == POINT else np.broadcast_to(lamp.vector, positions.shape)
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)

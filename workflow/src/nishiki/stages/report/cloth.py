@@ -13,10 +13,10 @@ from nishiki.report.page import (
     Figures,
     Fold,
     Heading,
+    Metric,
     Note,
     Section,
     Table,
-    Tile,
     contents,
     film,
     read_json,
@@ -63,20 +63,20 @@ def run(context: Context) -> dict:
     )
 
 
-def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any] | None, region: str) -> list[Tile]:
+def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any] | None, region: str) -> list[Metric]:
     """List the figures that matter most. samples : diagnostics of goniometer_samples; evaluation : evaluation.json."""
     tiles = []
     if samples.get("directions") is not None:
-        tiles.append(Tile(samples["directions"], "", "pairs of directions measured"))
+        tiles.append(Metric(samples["directions"], "", "pairs of directions measured"))
     if evaluation is not None:
         default = evaluation["default"]
         entry = evaluation["regions"].get(region, {}).get("models", {}).get(default) or {}
         for angle, part in (entry.get("held_out", {}).get("by_incidence") or {}).items():
             if angle in ("30", "60"):
                 text = f"error at {angle}° incidence, {model_name(default)}"
-                tiles.append(Tile(100 * part["rms_rel"], "%", text))
+                tiles.append(Metric(100 * part["rms_rel"], "%", text))
     if samples.get("noise_relative") is not None:
-        tiles.append(Tile(100 * samples["noise_relative"], "%", "noise of a measurement, median"))
+        tiles.append(Metric(100 * samples["noise_relative"], "%", "noise of a measurement, median"))
     return tiles
 
 

@@ -18,10 +18,10 @@ from nishiki.report.page import (
     Figures,
     Fold,
     Heading,
+    Metric,
     Note,
     Section,
     Table,
-    Tile,
     contents,
     film,
     read_json,
@@ -69,7 +69,7 @@ def run(context: Context) -> dict:
     )
 
 
-def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Tile]:
+def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Metric]:
     """Return the figures that matter most; diagnostics : by stage."""
     evaluation = diagnostics.get("object_evaluate") or {}
     psnr = evaluation.get("psnr") or {}
@@ -83,7 +83,7 @@ def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Tile]:
         (evaluation.get("bits_per_object_pixel"), "bit", "a pixel of the object"),
         ((diagnostics.get("mesh") or {}).get("triangles"), "", "triangles"),
     ]
-    return [Tile(*tile) for tile in tiles if tile[0] is not None]
+    return [Metric(*tile) for tile in tiles if tile[0] is not None]
 
 
 MOST_PICTURES = 6  # on the page

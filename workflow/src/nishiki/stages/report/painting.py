@@ -10,7 +10,7 @@ from nishiki.artifacts.stage import Context
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.observations.plane import Observations
 from nishiki.report.numbers import figure, plain
-from nishiki.report.page import Block, Cell, Figure, Figures, Note, Section, Table, Tile, contents, film, read_json
+from nishiki.report.page import Block, Cell, Figure, Figures, Metric, Note, Section, Table, contents, film, read_json
 from nishiki.report.pictures import Ruler, block_of, class_picture, file_picture, ruler
 from nishiki.report.scene_page import Head, text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart
@@ -319,7 +319,7 @@ def at_a_glance(
     evaluation: dict[str, Any] | None,
     height: dict[str, Any] | None = None,
     spectra: dict[str, Any] | None = None,
-) -> list[Tile]:
+) -> list[Metric]:
     """List the figures that matter most.
 
     normals, height, spectra : diagnostics of those stages, None where one is left out; evaluation : evaluation.json or
@@ -333,20 +333,20 @@ def at_a_glance(
         guessed = (evaluation.get("colour") or {}).get("rmse_xyz") is None
         lamp = "colours taken as under D65" if guessed else "under the lamp of the capture"
         tiles.append(
-            Tile(
+            Metric(
                 overall["mean"],
                 "ΔE00",
                 f"mean colour error of {count} photograph{'s' * (count > 1)} that no fit used, {lamp}",
             )
         )
-        tiles.append(Tile(overall["p90"], "ΔE00", "colour error that nine of ten pixels stay below"))
+        tiles.append(Metric(overall["p90"], "ΔE00", "colour error that nine of ten pixels stay below"))
     if evaluation.get("normals"):
-        tiles.append(Tile(evaluation["normals"]["estimated"]["mean"], "°", "mean angle of the normals to the truth"))
+        tiles.append(Metric(evaluation["normals"]["estimated"]["mean"], "°", "mean angle of the normals to the truth"))
     elif expected is not None:
-        tiles.append(Tile(expected, "°", "median expected error of a normal"))
+        tiles.append(Metric(expected, "°", "median expected error of a normal"))
     if evaluation.get("reflectance"):
         tiles.append(
-            Tile(
+            Metric(
                 evaluation["reflectance"]["de00"]["D65"]["mean"],
                 "ΔE00",
                 "mean colour difference of the reflectance to the truth, D65",
@@ -354,12 +354,12 @@ def at_a_glance(
         )
     elif colour_error := (spectra or {}).get("expected_de00"):
         tiles.append(
-            Tile(colour_error["D65"], "ΔE00", "expected mean colour error of the spectra under daylight (D65)")
+            Metric(colour_error["D65"], "ΔE00", "expected mean colour error of the spectra under daylight (D65)")
         )
     if evaluation.get("height") and evaluation["height"]["rms"] is not None:
         height = evaluation["height"]
         tiles.append(
-            Tile(
+            Metric(
                 1000 * height["rms"],
                 "µm",
                 f"rms error of the height; the relief itself has {1000 * height['relief_rms']:.0f} µm",
@@ -367,7 +367,7 @@ def at_a_glance(
         )
     share = normals["valid_pixels"] / normals["object_pixels"] if normals.get("object_pixels") else None
     if share is not None:
-        tiles.append(Tile(100 * share, "%", "of the object's pixels have a normal"))
+        tiles.append(Metric(100 * share, "%", "of the object's pixels have a normal"))
     return tiles
 
 

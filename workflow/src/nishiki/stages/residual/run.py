@@ -24,7 +24,7 @@ from nishiki.codec.allocate import (
 )
 from nishiki.codec.compact import cost_of
 from nishiki.codec.design import Design
-from nishiki.codec.parameters import Maps, Surface
+from nishiki.codec.parameters import TileMaps, TileSurface
 from nishiki.codec.solve import Pursuit
 from nishiki.codec.store import frame_bytes, write_residual
 from nishiki.codec.tile_code import CodedScene, Effort, Pixels, model_of, see
@@ -143,14 +143,14 @@ class ArtifactSource:
         values = tuple(encode(part.values[kept], self.texels.encoding).astype(np.float32) for part in parts)
         return Pixels(parts[0].observation[kept], parts[0].s[kept], parts[0].t[kept], values, ~parts[0].valid[kept])
 
-    def surface(self, tile: int) -> Surface:
+    def surface(self, tile: int) -> TileSurface:
         """Return geometry of a tile."""
-        return Surface(*self.texels.geometry(tile))
+        return TileSurface(*self.texels.geometry(tile))
 
-    def maps(self, tile: int) -> Maps:
+    def maps(self, tile: int) -> TileMaps:
         """Return parameters as the reflection stage fitted them."""
         fitted = self.parameters.read(tile)
-        return Maps(fitted.kd, fitted.ks, fitted.sigma)
+        return TileMaps(fitted.kd, fitted.ks, fitted.sigma)
 
     def counts(self) -> dict[str, int]:
         """pixels: object pixels coded; visible, samples: texel samples seen and in all, channels counted."""

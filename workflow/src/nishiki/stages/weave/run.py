@@ -10,7 +10,7 @@ from nishiki.goniometry.table import Reflectances
 from nishiki.render.output import write_png
 from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing, outline
 from nishiki.weave.fit import WeaveFit, fit_weave, planes_of
-from nishiki.weave.section import USUAL, Surface, harness_of, make_surface, shade
+from nishiki.weave.section import USUAL, WovenSurface, harness_of, make_surface, shade
 from nishiki.weave.store import describe, describe_yarns, write_weave, yarns_file
 from nishiki.weave.yarn_search import YarnSearch, search_yarns
 from nishiki.weave.yarn_weave import bindings
@@ -63,7 +63,7 @@ def search_of(context: Context, reflectances: Reflectances, region: int) -> Yarn
     return search_yarns(Measured.of(reflectances, region), candidates)
 
 
-def surface_of(context: Context, fit: WeaveFit, search: YarnSearch | None, weave: str, harness: int) -> Surface:
+def surface_of(context: Context, fit: WeaveFit, search: YarnSearch | None, weave: str, harness: int) -> WovenSurface:
     """Return the surface of the yarns, or where they were not fitted that of both sections."""
     ratio = context.settings.spacing_ratio
     if search is None:
@@ -71,7 +71,7 @@ def surface_of(context: Context, fit: WeaveFit, search: YarnSearch | None, weave
     return search.best.weave.surface()
 
 
-def picture(context: Context, fit: WeaveFit, suffix: str, surface: Surface) -> None:
+def picture(context: Context, fit: WeaveFit, suffix: str, surface: WovenSurface) -> None:
     """Write drawings of both sections, the mesh and its picture."""
     for name, section in (("weft", fit.model.weft), ("warp", fit.model.warp)):
         drawing = draw_section(section, title=f"section along the {name}")
