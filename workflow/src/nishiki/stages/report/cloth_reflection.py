@@ -97,18 +97,16 @@ def table_of_models(models: dict[str, dict], default: str) -> Table:
     rows = []
     for name in names:
         albedo = models[name].get("albedo_max") or {}
-        values = [
-            models[name].get("used"),
-            models[name].get("reciprocity_error"),
-            *(albedo.get(angle) for angle in angles),
-        ]
-        rows.append([model_name(name), *values])
-    spans = (("", 3), ("albedo by incidence", len(angles)))
+        facts = [models[name].get(key) for key in ("used", "left_out_error", "reciprocity_error")]
+        rows.append([model_name(name), *facts, *(albedo.get(angle) for angle in angles)])
+    spans = (("", 4), ("albedo by incidence", len(angles)))
     return Table(
-        ("model", "used", "reciprocity error", *(f"{angle}°" for angle in angles)), rows, "lrr" + "r" * len(angles),
-        "All models: how many measurements their fit used; difference of light and view exchanged, relative (0: "
-        "reciprocal); share of the light that they reflect in all, the greatest over warp, bias and weft (above 1: not "
-        "possible).",
+        ("model", "used", "predicted", "reciprocity error", *(f"{angle}°" for angle in angles)), rows,
+        "lrrr" + "r" * len(angles),
+        "All models: how many measurements their fit used; relative error of the oblique measurements as predicted "
+        "from light along the normal alone, by which the model is chosen; difference of light and view exchanged, "
+        "relative (0: reciprocal); share of the light that they reflect in all, the greatest over warp, bias and weft "
+        "(above 1: not possible).",
         spans if angles else (), marked={names.index(default)} if default in names else (),
     )  # fmt: skip
 
