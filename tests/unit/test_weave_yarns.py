@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 from refusals import refused
 
+from nishiki.brdf.cloth.interface import hemisphere
+from nishiki.brdf.cloth.models import BEST, fit_models, left_out_error
+from nishiki.brdf.cloth.store import load_brdf, save_brdf
+from nishiki.brdf.cloth.yarn_facets import beckmann_shadow, facet_reflection
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import unit
 from nishiki.weave.yarn_search import CENTRE, NAMES, parameters_of, search_yarns, spread, weave_of
-from nishiki.weave.yarn_weave import HOLE, Binding, bindings, free, yarn_at
+from nishiki.weave.yarn_weave import HOLE, Binding, InterlacedYarns, bindings, visibility, yarn_at
 
 SATIN, PLAIN, TWILL = Binding(4, 1, 2), Binding(1, 1), Binding(2, 1)
 
@@ -99,7 +103,7 @@ def test_what_is_seen_fills_the_view_from_everywhere(binding, theta_deg):
         towards = unit(np.radians(theta_deg), np.radians(phi_deg))
         cosine = points[:, :3] @ towards
         seen = np.empty(len(points))
-        free(horizons, towards, 0.01, seen)
+        visibility(horizons, towards, 0.01, seen)
         assert np.sum(points[:, 9] * seen * np.maximum(cosine, 0)) / towards[2] == pytest.approx(
             1, abs=0.06 if theta_deg < 70 else 0.1
         )
@@ -116,12 +120,70 @@ def test_reflection_is_reciprocal_and_dark_below_the_horizon():
     assert np.all(np.isfinite(there))
 
 
+def test_masking_of_beckmann_facets_is_smith_s():
+    """Against the integral in closed form (Walter et al. 2007, eq. 14), whose rational form is good to 0.35 % of G."""
+    from scipy.special import erf
+
+    for rough in (0.05, 0.15, 0.3, 0.8):
+        for theta in np.radians([5.0, 40.0, 70.0, 85.0]):
+            cosine, reach = np.cos(theta), np.hypot(np.cos(theta), rough * np.sin(theta))
+            a = 1 / (rough * np.tan(theta))
+            exact = 0.5 * (erf(a) - 1) + np.exp(-a * a) / (2 * a * np.sqrt(np.pi))
+            assert 1 / (1 + beckmann_shadow(cosine, reach)) == pytest.approx(1 / (1 + exact), rel=4e-3)
+
+
+@pytest.mark.parametrize("tail", [0.0, 0.4, 1.0])
+def test_facets_of_every_tail_reflect_as_much_as_their_masking_lets_through(tail):
+    """Seen along the normal, facets of a mirror send out what Smith's masking leaves: a little less than all."""
+    views, projected = hemisphere(200, 64)
+    point, up = np.concatenate([np.eye(3)[[2, 0, 1]].ravel(), [1.0]]), np.array([0.0, 0.0, 1.0])
+    half = views + up
+    half /= np.linalg.norm(half, axis=1, keepdims=True)
+    towards = zip(views, half, strict=True)
+    given = [facet_reflection(point, up, v, tuple(h), 1.0, v[2], (0.1, 0.2), tail) for v, h in towards]
+    total = projected @ (0.5 * np.array(given) / views[:, 2])
+    assert 0.95 < total <= 1.001  # long tails reflect a few per cent to below the horizon
+
+
+def test_interlaced_yarns_are_stored_and_reciprocal(tmp_path):
+    weave = InterlacedYarns(yarns(Binding(2, 2)), np.array([0.1, 0.2]), np.array([0.0, 0.01]), np.ones((2, 8)))
+    rng = np.random.default_rng(4)
+    i, o = unit(rng.uniform(0, 1.4, (2, 40)), rng.uniform(0, 6.28, (2, 40)))
+    values = weave.evaluate(i, o)
+    np.testing.assert_allclose(weave.evaluate(o, i), values, rtol=1e-9)
+    save_brdf(tmp_path / "yarns.npz", weave)
+    again = load_brdf(tmp_path / "yarns.npz")
+    assert again.shape.binding == Binding(2, 2)
+    np.testing.assert_array_equal(again.evaluate(i, o), values)
+
+
+@pytest.mark.slow
+def test_woven_light_is_predicted_better_by_its_yarns_than_by_facets():
+    """What `auto` compares: both fitted along the normal alone, both asked for the oblique measurements."""
+    truth = yarns(TWILL, aspect_warp=np.log(0.7), rough_across_warp=np.log(0.24))
+    measured = measured_of(truth)
+    best = search_yarns(measured, [PLAIN, TWILL]).best
+    found = best.brdf, {"rms_rel_normal": best.rms_rel}
+    basic = lambda views: truth_of(truth, views), None
+    fitted = fit_models(measured, basic, BEST, oblique=8, yarns=found)
+    errors = {name: left_out_error(measured, fit) for name, fit in fitted.items()}
+    assert errors["yarns"] < 0.6 * errors["yarn_facets"]
+    with refused(UserError, "weave.yarns", by="fit_models"):
+        fit_models(measured, basic, ["yarns"])
+
+
 def test_spread_samples_lie_far_from_each_other_and_from_mirror_images():
     theta, phi = np.meshgrid(np.radians(np.arange(5, 86, 10)), np.radians(np.arange(0, 360, 15)))
     views = unit(theta.ravel(), phi.ravel())
     chosen = np.abs(views[spread(views, 12)])
     distance = np.linalg.norm(chosen[:, None] - chosen, axis=-1) + 9 * np.eye(12)
     assert distance.min() > 0.25
+
+
+def truth_of(weave, views, body=0.05):
+    flat = np.ascontiguousarray(views.reshape(-1, 3))
+    terms = weave.parts(np.tile([0, 0, 1.0], (len(flat), 1)), flat, weave.points((24, 16)))
+    return (terms[:, :1] + terms[:, 2:3] + body * (terms[:, 1:2] + terms[:, 3:])).reshape(*views.shape[:-1], 1)
 
 
 def measured_of(weave, *, body=0.05, normal_only=False):

@@ -124,7 +124,7 @@ def centre_of(binding: Binding) -> np.ndarray:
     return x
 
 
-def burden(binding: Binding) -> float:
+def prior_cost(binding: Binding) -> float:
     """Return what a binding has to gain in cost, for it is woven less than others."""
     if binding in USUAL:
         return 0.0
@@ -204,7 +204,13 @@ def fit_binding(
     variation = np.sqrt(max(share @ grey**2 - (share @ grey) ** 2, 0.0) / (share @ grey**2))
     information = solution.jac.T @ solution.jac
     return YarnFit(
-        binding, solution.x, c, information, float(2 * solution.cost) + burden(binding), float(rms), float(variation)
+        binding,
+        solution.x,
+        c,
+        information,
+        float(2 * solution.cost) + prior_cost(binding),
+        float(rms),
+        float(variation),
     )
 
 

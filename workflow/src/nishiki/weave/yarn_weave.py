@@ -192,7 +192,7 @@ def points_of(form, places, table, points, which, horizons):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def free(horizons, direction, soft, out):
+def visibility(horizons, direction, soft, out):
     """Fill out (n,) with the share of each point's surroundings that lets a direction through.
 
     Everything that is a point is seen from above, so along the normal it is 1.
@@ -233,8 +233,8 @@ def weave_sums(incident, outgoing, surface, rough, tail, index, soft, out):
         length = math.sqrt(hx * hx + hy * hy + hz * hz)
         hx, hy, hz = hx / length, hy / length, hz / length
         fresnel = 0.5 * fresnel_scalar(min(0.5 * length, 1.0), index)
-        free(horizons, i, soft, lit)
-        free(horizons, o, soft, seen)
+        visibility(horizons, i, soft, lit)
+        visibility(horizons, o, soft, seen)
         for p in range(points.shape[0]):
             a = points[p]
             ci = a[0] * i[0] + a[1] * i[1] + a[2] * i[2]

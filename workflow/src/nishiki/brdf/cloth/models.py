@@ -13,9 +13,9 @@ from nishiki.brdf.cloth.yarn_fit import (
     ShapeFit,
     brdf_of,
     choose_oblique,
-    completed,
     fit_normal,
     fit_yarn_facets,
+    match_measurements,
 )
 from nishiki.errors import UserError
 
@@ -70,7 +70,10 @@ def fit_models(
             out[name] = _facets(measured, normal, chosen, basic[0], first)
         elif name == YARNS:
             if yarns is None:
-                raise UserError("model yarns: expected interlaced yarns of the stage weave. Remedy: set weave.yarns")
+                raise UserError(
+                    "cloth_brdf.model yarns: expected interlaced yarns of the stage weave, found none. Remedy: set "
+                    "weave.yarns: true, or cloth_brdf.model: yarn_facets"
+                )
             out[name] = _interlaced(measured, normal, chosen, basic[0], *yarns)
         elif name in REFERENCE:
             out[name] = Fitted(_scaled(measured, valid, basic[1]), valid)
@@ -112,15 +115,15 @@ def _facets(measured: Measured, normal: np.ndarray, chosen: np.ndarray, basic, f
         "lambert": fit.brdf.lambert.tolist(),
         "correction": [float(fit.brdf.correction.min()), float(fit.brdf.correction.max())],
     }
-    return Fitted(fit.brdf, fit.used, facts, completed(brdf_of(first), measured.take(normal), basic))
+    return Fitted(fit.brdf, fit.used, facts, match_measurements(brdf_of(first), measured.take(normal), basic))
 
 
 def _interlaced(measured: Measured, normal: np.ndarray, chosen: np.ndarray, basic, weave: YarnFacets, facts) -> Fitted:
     """Bring the weave that was found at normal incidence to the measurements."""
     used = np.concatenate([normal, chosen])
-    brdf = completed(weave, measured.take(used), basic)
+    brdf = match_measurements(weave, measured.take(used), basic)
     facts = {**facts, "oblique": len(chosen), "body": brdf.body.tolist(), "lambert": brdf.lambert.tolist()}
-    return Fitted(brdf, used, facts, completed(weave, measured.take(normal), basic))
+    return Fitted(brdf, used, facts, match_measurements(weave, measured.take(normal), basic))
 
 
 def _scaled(measured: Measured, valid: np.ndarray, grid: np.ndarray) -> ScaledBard:

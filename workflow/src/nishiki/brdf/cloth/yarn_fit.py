@@ -251,10 +251,10 @@ def fit_yarn_facets(
     weight = normal_weights(under)
     rms = np.sqrt(np.sum((weight * error) ** 2) / np.sum((weight * under.grey) ** 2))
     spread = np.sqrt(np.diag(np.linalg.inv(fit.information)))
-    return YarnFit(completed(brdf, chosen, basic), fit, rows, float(rms), spread)
+    return YarnFit(match_measurements(brdf, chosen, basic), fit, rows, float(rms), spread)
 
 
-def completed(brdf: YarnFacets, chosen: Measured, basic) -> YarnFacets:
+def match_measurements(brdf: YarnFacets, chosen: Measured, basic) -> YarnFacets:
     """Bring a model to what was measured: its mirror reflection at normal incidence, all of it at oblique images.
 
     chosen: what the fit used; basic: see `fit_yarn_facets`.
