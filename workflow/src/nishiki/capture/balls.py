@@ -106,7 +106,7 @@ def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, lamps: in
     if measured.scene is not None and measured.scene.tilt_deg > LEVEL_DEG:
         what = "the scene is tilted under the lamps measured on the balls: unless it is, they are off by that angle"
         said = f"{measured.scene.tilt_deg:.0f} degrees"
-        remedy = "Photograph again with the balls on black cloth, well inside the picture, or give --lights"
+        remedy = "Photograph again with the balls on black cloth, well inside the picture, or give --lights FILE"
         notes.append(warning("balls-tilted", source.name, what, found=said, remedy=remedy))
     notes += [warning("lamp-unmeasured", name, f"photograph left out: {why}") for name, why in found.left_out.items()]
     if mask is None:

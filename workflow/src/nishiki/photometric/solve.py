@@ -143,8 +143,9 @@ def estimate_normals(
     -------
     NormalField
         `normals` (rows, columns, 3) float32, unit vectors; `albedo` (rows, columns) float32, relative to the white
-        reference; `sigma` float32, expected error of the direction in radians; `flags` uint8, the bits of
-        `nishiki.photometric.flags`; `valid` bool: where there is an estimate.
+        reference; `sigma` float32, error of the direction in radians as the residuals imply it, without what all lamps
+        share (interreflection, wrong directions); `flags` uint8, the bits of `nishiki.photometric.flags`; `valid`
+        bool: where there is an estimate.
 
     Raises
     ------

@@ -104,9 +104,9 @@ def table_of_models(models: dict[str, dict], default: str) -> Table:
         ("model", "used", "predicted", "reciprocity error", *(f"{angle}°" for angle in angles)), rows,
         "lrrr" + "r" * len(angles),
         "All models: how many measurements their fit used; relative error of the oblique measurements as predicted "
-        "from light along the normal alone, by which the model is chosen; difference of light and view exchanged, "
-        "relative (0: reciprocal); share of the light that they reflect in all, the greatest over warp, bias and weft "
-        "(above 1: not possible).",
+        "from light along the normal alone, by which the model is chosen (where none were measured, the misfit along "
+        "the normal); difference of light and view exchanged, relative (0: reciprocal); share of the light that they "
+        "reflect in all, the greatest over warp, bias and weft (above 1: not possible).",
         spans if angles else (), marked={names.index(default)} if default in names else (),
     )  # fmt: skip
 

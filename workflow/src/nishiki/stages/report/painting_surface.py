@@ -61,8 +61,9 @@ HEIGHT = (
     "connects stand each at its own level: how one lies above the other is not known."
 )
 CALIBRATED = (
-    "root mean square angle, from the fit's residuals, from slopes around it that no surface has, and from the tilt; "
-    "calibrated on other captures with truth."
+    "root mean square angle, from the fit's residuals, from slopes around it that no surface has, and from the tilt. "
+    "Errors that all lamps share (light reflected twice, wrong directions) are not in it: of the true errors 64 to "
+    "76 % were below it on four of five paintings that were kept back, 26 and 27 % on two objects under 96 lamps."
 )
 FORMAL = "one standard deviation, from the residuals of each pixel's fit. It knows of noise, not of a wrong model."
 LIGHTS_OF_REFINED = (
