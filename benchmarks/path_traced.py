@@ -88,6 +88,29 @@ PAINTINGS = {
         "gilded-1": Painting(
             17, "strokes", 1.6, 0.2, "ggx", 1.5, "okumura", "Canon 60D", "D65", ((10, 46), (5, 24)), (GOLD,), 0.7
         ),
+        "gilded-3": Painting(
+            31,
+            "canvas",
+            1.7,
+            0.16,
+            "ggx",
+            1.5,
+            "okumura",
+            "Nikon D90",
+            "D65",
+            ((9, 47), (5, 25)),
+            (BARE, (0.28, "ggx", 0.0)),
+            0.4,
+        ),
+        "many-1": Painting(
+            41, "impasto", 1.4, 0.2, "ggx", 1.5, "okumura", "Canon 60D", "D65", ((8, 16), (16, 33), (24, 50), (24, 62))
+        ),
+        "many-2": Painting(
+            42, "strokes", 1.8, 0.4, "ggx", 1.5, "Golden_HB", "Nikon D700", "A", ((6, 18), (12, 36), (30, 54))
+        ),
+        "many-3": Painting(
+            43, "canvas", 1.8, 0.1, "ggx", 1.5, "okumura", "Nikon D90", "D65", ((12, 25), (36, 52)), (BARE,), 0.5
+        ),
         "dark-1": Painting(
             18, "impasto", 1.3, 0.0, "none", 1.0, "okumura", "Pentax K-5", "D65", ((8, 48), (4, 28)), darkness=0.25
         ),
@@ -150,6 +173,20 @@ PAINTINGS = {
         ),
         "gilded-2": Painting(
             30, "impasto", 1.4, 0.18, "ggx", 1.5, "Golden_HB", "Nikon D700", "D65", ((11, 48), (5, 26)), (GOLD,), 0.6
+        ),
+        "gilded-4": Painting(
+            32,
+            "strokes",
+            1.7,
+            0.14,
+            "beckmann",
+            0.0,
+            "KremerHistorical",
+            "Canon 40D",
+            "A",
+            ((8, 46), (4, 24), (1, 4)),
+            ((0.22, "ggx", 1.5), BARE),
+            0.3,
         ),
     },
 }

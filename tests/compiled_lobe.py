@@ -3,10 +3,19 @@
 import numpy as np
 from numba import njit
 
-from nishiki.brdf.torrance_sparrow import fresnel_scalar, masking_over_cos_r_scalar, phi_squared
+from nishiki.brdf.torrance_sparrow import fresnel_scalar, phi_squared
 
 # A facet distribution below 2^-60 (8.7e-19 of its peak) counts as 0: beyond 7.7 half widths nothing else is computed.
 _NEGLIGIBLE = 60.0
+
+
+@njit(cache=True, error_model="numpy")
+def masking_over_cos_r_scalar(cos_phi, cos_i, cos_r, cos_q):
+    """G / cos_r for cos_i, cos_r, cos_q > 0; see `torrance_sparrow.masking_over_cos_r`."""
+    groove = 2.0 * cos_phi / cos_q
+    if cos_i < cos_r:
+        groove *= cos_i / cos_r
+    return max(0.0, min(1.0 / cos_r, groove))
 
 
 @njit(cache=True, error_model="numpy")

@@ -8,7 +8,7 @@ from captures import make_capture
 from published_fits import brightest_light_samples, fit_brightest_light, thin
 
 from nishiki.artifacts.maps import Maps, MapWriter
-from nishiki.brdf.gloss_profile import LADDER, GlossProfile, SpecularHistogram, specular_samples
+from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram
 from nishiki.brdf.torrance_sparrow import attenuation, half_vector_geometry, specular, transmittance
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
@@ -45,7 +45,12 @@ def photographs(normals, lights, *, beta, gamma, noise=0.0, seed=0):
     return diffuse + gloss + noise * np.random.default_rng(seed).normal(size=diffuse.shape), albedo
 
 
-def test_tile_kernel_equals_the_array_form():
+def under(transmission):
+    """Return a body below a surface that takes this share of a dielectric's loss."""
+    return GlossProfile(np.zeros(1), np.ones(1), INDEX, transmission)
+
+
+def test_a_tile_equals_its_samples():
     normals, lights = relief(), ring()
     observations, albedo = photographs(normals, lights, beta=20.0, gamma=0.2)
     geometry = half_vector_geometry(normals[None], lights[:, None, None], VIEW)
@@ -60,25 +65,6 @@ def test_tile_kernel_equals_the_array_form():
     total = np.sum(factor**2)
     assert plain.weight.sum() == pytest.approx(total, rel=1e-12)
     assert np.sum(plain.weight * plain.value) == pytest.approx(np.sum((factor * residual)[factor > 0]), rel=1e-9)
-
-
-@pytest.mark.parametrize("terms", [3, 5])
-def test_tile_kernel_takes_the_body_shading_away(terms):
-    """Against the array form, with the terms of shadows from one side."""
-    normals, lights = relief(slope=0.2).astype(np.float32), ring()
-    observations, albedo = photographs(normals.astype(float), lights, beta=20.0, gamma=0.2)
-    shading = np.random.default_rng(1).normal([0.9, 0.1, 0.1, 0.2, -0.3][:terms], 0.05, (*normals.shape[:2], terms))
-    shading = shading.astype(np.float32)
-    observations, albedo = observations.astype(np.float32), albedo.astype(np.float32)
-    tile = SpecularHistogram.empty().add_tile(observations, normals, albedo, lights, shading=shading)
-    nothing = GlossProfile(np.zeros(LADDER.size), LADDER, INDEX, 0.0)
-    valid = np.ones(observations.shape, bool)
-    samples = specular_samples(
-        observations[..., None], lights, normals, albedo[..., None], nothing, valid=valid, shading=shading
-    )
-    plain = SpecularHistogram.empty().add_samples(*samples)
-    np.testing.assert_allclose(tile.values.sum(), plain.values.sum(), rtol=1e-3)
-    np.testing.assert_allclose(tile.rows.sum(axis=1), plain.rows.sum(axis=1), rtol=1e-3, atol=1e-3)
 
 
 def test_parts_of_a_picture_add_up():
@@ -152,7 +138,7 @@ def test_the_stage_tells_outliers_in_the_unit_of_the_observations(tmp_path, refl
     out.write("reflectance", np.full((24, 32, 3), reflectance, np.float32))
     out.write("sigma", np.full((24, 32), 0.01, np.float32))
     context = SimpleNamespace(settings=BrdfSettings(), progress=Progress("scene/brdf"))
-    histogram = gather(context, frames, Maps(tmp_path), None, np.array([True]), np.zeros(1))
+    histogram = gather(context, frames, Maps(tmp_path), None, np.array([True]), [None])
     assert histogram.value_unit == unit
     assert histogram.rows[0, :, 2].sum() > 0
 
@@ -172,9 +158,9 @@ def test_the_stage_leaves_out_pixels_of_a_capture_with_regions(tmp_path):
     context = SimpleNamespace(settings=BrdfSettings(), progress=Progress("scene/brdf"))
     labels = np.zeros((24, 32), np.uint8)
     labels[:, 16:] = 1
-    two = gather(context, frames, Maps(tmp_path), labels, np.array([True, True]), np.array([0.0, 1.0]))
+    two = gather(context, frames, Maps(tmp_path), labels, np.array([True, True]), [under(0.0), under(1.0)])
     lossless, lossy = (
-        gather(context, frames, Maps(tmp_path), None, np.array([True]), np.full(1, loss)) for loss in (0.0, 1.0)
+        gather(context, frames, Maps(tmp_path), None, np.array([True]), [under(loss)]) for loss in (0.0, 1.0)
     )
     np.testing.assert_allclose(two.rows.sum(axis=0), lossless.rows[0], rtol=1e-6)
     assert not np.array_equal(two.values.sum(axis=0), lossless.values[0])  # the body of one region loses light
@@ -196,7 +182,7 @@ def test_the_ladder_of_each_region_is_the_distribution_of_its_facets():
     body = albedo * cosine * transmittance(cosine, INDEX) * transmittance(view, INDEX)
     shine = np.where(region == 0, facets(geometry.phi) * attenuation(geometry, INDEX), 0)
     histogram = SpecularHistogram.empty(regions=2).add_tile(
-        body + shine, normals, albedo, lights, regions=region, transmission=1.0
+        body + shine, normals, albedo, lights, regions=region, gloss=under(1.0)
     )
     glossy, matt = fit_regions(histogram)
     phi = np.array([0.0, 0.03, 0.08, 0.16, 0.3])

@@ -17,7 +17,7 @@ from nishiki.brdf.gloss_profile import (
     light_table,
     specular_samples,
 )
-from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry
+from nishiki.brdf.torrance_sparrow import MIRROR, attenuation, fresnel, half_vector_geometry
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss import JointScene, JointSettings, channel_rotation, refine_normals
@@ -299,6 +299,30 @@ def test_two_finishes_are_told_apart_and_one_is_not_divided():
         assert [part.profile.transmission for part in finishes] == [1.0, 0.0]
         assert np.array_equal(labels, np.arange(80) >= 50)
         assert 0.4 < clear.mean() < 0.6
+
+
+def test_gilding_is_found_beside_varnish_with_its_colour():
+    """A mirror of GGX facets in the colour of gold, without a body, on half of the cells."""
+    lights = np.concatenate([ring(8, 48)[1:], ring(5, 25)[1:]])
+    normals, colour = tilted(1600, 15), np.array([0.95, 0.75, 0.42])
+    reflectance = np.random.default_rng(3).uniform(0.05, 0.6, (1, 1600, 3))
+    observations = render(normals, reflectance, lights, VARNISH)
+    geometry = half_vector_geometry(normals, lights[:, None, None], VIEW)
+    facets = 0.25 / 0.17**2 / (np.cos(geometry.phi) ** 2 * (1 + (np.tan(geometry.phi) / 0.17) ** 2)) ** 2
+    mirror = np.where(geometry.cos_i > 0, facets * attenuation(geometry, MIRROR), 0)
+    observations[:, :, 800:] = (mirror[..., None] * colour)[:, :, 800:]
+    cells = np.arange(1600)[None] // 100
+    field, start = start_of(observations, lights)
+    valid = np.ones(observations.shape[:3], bool)
+    tile = GlossTile(observations, valid, lights, field.normals, field.flags, field.sigma, start, cells)
+    finishes, labels, _ = next(find_finishes([tile], fit_scene_gloss([tile]).found))
+    gold = finishes[labels[-1]].found
+    assert np.array_equal(labels == labels[-1], np.arange(16) >= 8)
+    assert [each.found.colour is None for each in finishes].count(False) == 1
+    np.testing.assert_allclose(gold.colour / gold.colour[0], colour / colour[0], rtol=0.02)
+    fit = refine_normals(observations[:, :, 800:], lights, normals=field.normals[:, 800:], gloss=gold)
+    assert np.median(degrees(fit.normals, normals[:, 800:])) < 1
+    assert np.allclose(fit.reflectance, gold.colour, rtol=1e-6)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])

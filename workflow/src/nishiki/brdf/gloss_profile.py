@@ -25,12 +25,7 @@ from numba import njit
 from nishiki.brdf.torrance_sparrow import (
     GAMMA_PER_SIGMA,
     body_factor,
-    body_factor_scalar,
-    fresnel_scalar,
-    masking_over_cos_r_scalar,
-    phi_squared,
     transmittance,
-    transmittance_scalar,
 )
 from nishiki.errors import UserError
 
@@ -100,44 +95,44 @@ class SpecularHistogram:
         lights,
         *,
         usable=None,
-        view=(0.0, 0.0, 1.0),
-        sigma=None,
+        sigma=0.0,
         regions=None,
         shading=None,
-        transmission=0.0,
+        gloss=None,
     ) -> "SpecularHistogram":
         """Add every usable observation of a tile: all lights, lit and seen pixels.
 
         observations: (light, row, column), relative to the white reference, one channel or the mean of several.
         normals: (row, column, 3) unit; diffuse_albedo: (row, column), of the same channel or mean; lights: (light, 3)
-        unit, towards the lamp; usable: bool (light, row, column), e.g. neither saturated nor in cast shadow; view: (3,)
-        unit; sigma: (row, column), deviation of the normals per tangent axis, radians (0 if None); regions: integer
-        (row, column), -1 leaves a pixel out (all region 0 if None).
-        shading: (row, column, 3 or 5) as of `body_shading`, or None for Lambert's law; transmission: share
-        of the loss of a dielectric surface (`transmittance` there) that the body's light suffers on its way in and out.
+        unit, towards the lamp; usable: bool (light, row, column), e.g. neither saturated nor in cast shadow; sigma:
+        (row, column), deviation of the normals per tangent axis, radians; regions: integer (row, column), -1 leaves a
+        pixel out (all region 0 if None); shading: (row, column, 3 or 5) as of `specular_samples`; gloss: GlossProfile
+        whose transmission, index and colour count (colour: of the same channel), None: Lambert's law.
         """
         shape = np.shape(observations)
-        real = np.float32
-        usable = np.ones(shape, bool) if usable is None else np.asarray(usable, bool)
-        sigma = np.zeros(shape[1:], real) if sigma is None else np.asarray(sigma, real)
-        regions = np.zeros(shape[1:], np.int32) if regions is None else np.asarray(regions, np.int32)
+        regions = np.zeros(shape[1:], int) if regions is None else regions
         if np.max(regions, initial=-1) >= self.weights.shape[0]:
             count = self.weights.shape[0]
             raise UserError(
                 f"regions: expected indices below {count}, found {regions.max()}; make empty(regions=...) larger"
             )
-        if usable.shape != shape or np.shape(normals) != (*shape[1:], 3) or len(lights) != shape[0]:
-            shapes = f"{usable.shape}, {np.shape(normals)}, {len(lights)} lights"
-            raise UserError(
-                f"usable, normals, lights: expected them to agree with observations {shape}, found {shapes}"
-            )
-        new = replace(self, weights=self.weights.copy(), values=self.values.copy(), rows=self.rows.copy())
-        shading = np.empty((0, 0, 3), real) if shading is None else np.asarray(shading, real)
-        maps = (np.asarray(observations, real), np.asarray(normals, real), np.asarray(diffuse_albedo, real), shading)
-        directions = (np.asarray(lights, float), np.asarray(view, float))
-        settings = (self.refractive_index, self.value_unit, float(transmission))
-        sums = (new.weights, new.values, new.rows)
-        _add_tile(*maps, *directions, usable, sigma, regions, *settings, *sums)
+        if np.shape(normals) != (*shape[1:], 3) or len(lights) != shape[0]:
+            shapes = f"{np.shape(normals)} and {len(lights)} lights"
+            raise UserError(f"normals, lights: expected them to agree with observations {shape}, found {shapes}")
+        gloss = GlossProfile(np.zeros(1), np.ones(1), self.refractive_index, 0.0) if gloss is None else gloss
+        samples = specular_samples(
+            np.asarray(observations)[..., None],
+            lights,
+            normals,
+            np.asarray(diffuse_albedo)[..., None],
+            gloss,
+            valid=True if usable is None else usable,
+            shading=shading,
+        )
+        new, sigma = self, np.broadcast_to(sigma, shape[1:])
+        for region in np.unique(regions[regions >= 0]):
+            here = regions == region
+            new = new.add_samples(*(values[:, here] for values in samples), sigma=sigma[here], region=region)
         return new
 
     def profile(self, *, region=0, reject=6.0) -> SpecularProfile:
@@ -190,58 +185,6 @@ def _add_samples(phi, residual, attenuation, sigma, value_unit, weights, values,
             _put(phi[k] * phi[k], residual[k] / a, a, sigma[k], value_unit, weights, values, rows)
 
 
-@njit(cache=True, error_model="numpy")
-def _add_tile(
-    observations,
-    normals,
-    albedo,
-    shading,
-    lights,
-    view,
-    usable,
-    sigma,
-    regions,
-    refractive_index,
-    value_unit,
-    transmission,
-    weights,
-    values,
-    rows,
-):
-    """Loop over lights and pixels; one thread, because all samples meet in the same cells."""
-    for k in range(lights.shape[0]):
-        hx, hy, hz = lights[k, 0] + view[0], lights[k, 1] + view[1], lights[k, 2] + view[2]
-        length2 = hx * hx + hy * hy + hz * hz
-        length = np.sqrt(length2)
-        cos_q = min(1.0, 0.5 * length)
-        f = fresnel_scalar(cos_q, refractive_index)
-        for r in range(observations.shape[1]):
-            for c in range(observations.shape[2]):
-                region = regions[r, c]
-                if region < 0 or not usable[k, r, c]:
-                    continue
-                nx, ny, nz = np.float64(normals[r, c, 0]), np.float64(normals[r, c, 1]), np.float64(normals[r, c, 2])
-                cos_i = nx * lights[k, 0] + ny * lights[k, 1] + nz * lights[k, 2]
-                cos_r = nx * view[0] + ny * view[1] + nz * view[2]
-                if not (cos_i > 0.0 and cos_r > 0.0):
-                    continue
-                cx, cy, cz = ny * hz - nz * hy, nz * hx - nx * hz, nx * hy - ny * hx
-                cos_phi = (cos_i + cos_r) / length
-                sin2 = (cx * cx + cy * cy + cz * cz) / length2
-                phi2 = phi_squared(min(0.5, 0.5 * sin2 / (1.0 + cos_phi)))
-                a = f * masking_over_cos_r_scalar(cos_phi, cos_i, cos_r, cos_q)
-                body = cos_i
-                if shading.shape[0] > 0:
-                    body *= body_factor_scalar(shading[r, c], cos_i, cos_phi, lights[k])
-                if transmission > 0.0:
-                    body *= 1.0 - transmission * (1.0 - transmittance_scalar(cos_i, refractive_index))
-                    body *= 1.0 - transmission * (1.0 - transmittance_scalar(cos_r, refractive_index))
-                z = (np.float64(observations[k, r, c]) - np.float64(albedo[r, c]) * body) / a
-                s = np.float64(sigma[r, c])
-                if np.isfinite(z + s) and a > 0.0:
-                    _put(phi2, z, a, s, value_unit, weights[region], values[region], rows[region])
-
-
 def _profile(weights, values, rows, reject) -> SpecularProfile:
     """Means of the rows inside the fences."""
     seen = rows[:, ATTENUATION] > 0
@@ -292,9 +235,13 @@ EVIDENCE = 4.0  # fall of the squared error, in those of a row, from which the n
 class GlossProfile:
     """beta (lobes,) relative to the white reference, gamma (lobes,) radians; F and G are not in it.
 
+    A metal has refractive_index MIRROR and no body; its reflectance is that of the mirror, so that its facets' strength
+    is one.
+
     transmission: share (0 to 1) of the loss 1 - T(c) that the body's light suffers at the surface on its way in and
     out, T of `nishiki.brdf.torrance_sparrow.transmittance`: 1 below a dielectric, 0 without one;
-    unit: what counts as 1 in the observations, where that is not the white reference (noise is relative to it).
+    unit: what counts as 1 in the observations, where that is not the white reference (noise is relative to it);
+    colour: (channels,) reflectance of a metal along the normal, None of a dielectric.
     """
 
     beta: np.ndarray
@@ -302,6 +249,7 @@ class GlossProfile:
     refractive_index: float = 1.45
     transmission: float = 1.0
     unit: float = 1.0
+    colour: np.ndarray | None = None
 
     def __post_init__(self):
         good = self.beta.shape == self.gamma.shape and (self.beta >= 0).all() and (self.gamma > 0).all()
@@ -324,6 +272,26 @@ class GlossProfile:
         with np.errstate(under="ignore"):
             return np.exp2(-exponent) @ factors
 
+    def with_strengths(self, beta: np.ndarray) -> "GlossProfile":
+        """Return the same with other strengths; those of a metal go into its colour, up to the reflectance of white.
+
+        A surface that reflects all light from facets of distribution D, the integral of D cos phi being one, has
+        z = pi D / 4.
+        """
+        if self.colour is None or not beta.any():
+            return replace(self, beta=beta)
+        total = min(4 * float(beta @ self.gamma**2) / np.log(2), self.unit / float(self.colour.max()))
+        return replace(self, beta=beta / total, colour=self.colour * total)
+
+    def bare(self) -> "GlossProfile":
+        """Return the body without a gloss or a surface."""
+        index = 1.45 if self.colour is not None else self.refractive_index
+        return replace(self, beta=np.zeros(self.gamma.size), transmission=0.0, refractive_index=index, colour=None)
+
+    def balanced(self, observations: np.ndarray) -> np.ndarray:
+        """Return light (..., channels) relative to a metal's colour, in which its gloss is white."""
+        return observations if self.colour is None else observations / self.colour.astype(np.float32)
+
     def wider(self, steps: int) -> "GlossProfile":
         """Return the same gloss with every lobe so many steps of the ladder wider, its power kept."""
         places = np.clip(np.arange(self.gamma.size) + steps, 0, self.gamma.size - 1)
@@ -343,7 +311,7 @@ class GlossProfile:
         """Made once: lamps that stand near ask for it at every small parcel of the picture."""
         steps = np.arange(NODES) / NODES_PER_UNIT
         phi = 2 * np.arcsin(np.minimum(steps / 2, 1))
-        passed = 1 - self.transmission * (1 - transmittance(steps, self.refractive_index))
+        passed = body_shading(np.ones(NODES), steps, self)
         return np.stack([self.value(phi), self.slope(phi), passed, np.gradient(passed, 1 / NODES_PER_UNIT)])
 
     @property
@@ -355,6 +323,7 @@ class GlossProfile:
             "gloss_gamma_deg": np.degrees(self.gamma[there]).tolist(),
             "gloss_transmission": self.transmission,
             "at_bounds": self.ends(),
+            **({} if self.colour is None else {"gloss_colour": self.colour.tolist()}),
         }
 
     def ends(self) -> list[str]:
@@ -383,8 +352,8 @@ def light_table(directions: np.ndarray, refractive_index: float) -> np.ndarray:
 
 
 def body_shading(cosine: np.ndarray, normal_z: np.ndarray, gloss: GlossProfile) -> np.ndarray:
-    """Shading of the body below a dielectric: cos times the transmittance in and out, relative to frontal."""
-    shading = np.clip(cosine, 0, 1)
+    """Shading of the body below a dielectric: cos times the transmittance in and out, relative to frontal; 0: metal."""
+    shading = np.clip(cosine, 0, 1) * (gloss.colour is None)
     for angle in (cosine, normal_z) if gloss.transmission else ():
         shading = shading * (1 - gloss.transmission * (1 - transmittance(angle, gloss.refractive_index)))
     return shading
@@ -404,7 +373,7 @@ def specular_samples(observations, directions, normals, reflectance, gloss, *, v
     nz = normals[..., 2]
     across = lights[:, :2].reshape(*shape, 2)
     body = body_shading(cosine, nz, gloss) * body_factor(shading, cosine, x, across)
-    residual = observations.mean(axis=-1) - body * np.asarray(reflectance, np.float64).mean(axis=-1)
+    residual = gloss.balanced(observations).mean(axis=-1) - body * np.asarray(reflectance, np.float64).mean(axis=-1)
     fresnel, cos_q = lights[:, 6].reshape(shape), lights[:, 7].reshape(shape)
     usable = valid & (cosine > 0.05) & (nz > 0.5)
     safe = np.where(nz > 0.5, nz, 1)
@@ -422,7 +391,8 @@ def predicted_radiance(directions, normals, reflectance, gloss, *, shading=None)
     phi, below, attenuation = specular_samples(
         black, directions, normals, np.ones_like(reflectance), gloss, valid=True, shading=shading
     )
-    return -below[..., None] * reflectance + (gloss.value(phi) * attenuation)[..., None]
+    shine = (gloss.value(phi) * attenuation)[..., None]
+    return shine * reflectance if gloss.colour is not None else shine - below[..., None] * reflectance
 
 
 def fit_gloss(

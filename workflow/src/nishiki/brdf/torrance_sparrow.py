@@ -35,6 +35,8 @@ from numba import njit
 from nishiki.errors import UserError
 
 GAMMA_PER_SIGMA = float(np.sqrt(2.0 * np.log(2.0)))
+MIRROR = 1e4
+"""Refractive index of a metal: its facets reflect all light, in the colour of `reflectance`; it has no body."""
 
 
 @dataclass(frozen=True)
@@ -275,15 +277,6 @@ def fresnel_scalar(cos_theta, refractive_index):
     return 0.5 * (d / s) ** 2 * (1.0 + parallel * parallel)
 
 
-@njit(cache=True, error_model="numpy")
-def masking_over_cos_r_scalar(cos_phi, cos_i, cos_r, cos_q):
-    """G / cos_r for cos_i, cos_r, cos_q > 0; see `torrance_sparrow.masking_over_cos_r`."""
-    groove = 2.0 * cos_phi / cos_q
-    if cos_i < cos_r:
-        groove *= cos_i / cos_r
-    return max(0.0, min(1.0 / cos_r, groove))
-
-
 LAMBERT = (1.0, 0.0, 0.0)
 
 
@@ -304,12 +297,6 @@ def transmittance(cosine: np.ndarray, refractive_index: float) -> np.ndarray:
     (...,) float, 0 at grazing to 1 at normal incidence.
     """
     return (1 - fresnel(np.clip(cosine, 0, 1), refractive_index)) / (1 - fresnel(1.0, refractive_index))
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def transmittance_scalar(cosine, refractive_index):
-    """`transmittance` of one sample, 0 <= cosine <= 1; compiled."""
-    return (1.0 - fresnel_scalar(cosine, refractive_index)) / (1.0 - fresnel_scalar(1.0, refractive_index))
 
 
 def body_factor(
@@ -334,14 +321,3 @@ def body_factor(
     if e:
         factor = factor + e[0] * across[..., 0] + e[1] * across[..., 1]
     return np.maximum(factor, 0)
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def body_factor_scalar(shading, cosine, half_cosine, light):
-    """`body_factor` of one sample: shading (3,) or (5,), cosine and half_cosine >= 0, light (3,); compiled."""
-    x2 = half_cosine * half_cosine
-    x4 = x2 * x2
-    factor = shading[0] + shading[1] * cosine + shading[2] * x4 * x4
-    if shading.size > 3:
-        factor += shading[3] * light[0] + shading[4] * light[1]
-    return max(factor, 0.0)

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
+from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.colour.colour import white_xyz, xyz_matrix
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.render.plane.scene import Gloss, Light
@@ -57,8 +58,9 @@ def predict_light(
     maps = PlaneMaps(model.normals, model.reflectance, model.gloss, model.shading, model.slopes, model.labels)
     (seen,) = predict_observations(maps, [light], height=height, pitch=pitch)
     white = np.ones((*model.normals.shape[:2], 1), np.float32)
-    body_only = replace(model.gloss, beta=np.zeros_like(model.gloss.beta))
-    matte_maps = maps._replace(coefficients=white, gloss=body_only, slopes=None)
+    metal = model.gloss.refractive_index >= MIRROR  # sends back its reflectance like a body
+    body_only = replace(model.gloss, beta=model.gloss.beta * metal[:, None])
+    matte_maps = maps._replace(coefficients=white, gloss=body_only)
     (matte,) = predict_observations(matte_maps, [light], pitch=pitch)
     body = matte.observations[..., 0]
     lit = (body > 0).astype(np.float32)

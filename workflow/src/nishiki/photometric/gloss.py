@@ -8,6 +8,7 @@ import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile, light_table
 from nishiki.errors import UserError
+from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss_kernel import refine_pixels
 from nishiki.threads import over_rows
 
@@ -86,7 +87,8 @@ def refine_normals(
     """Fit I'_jk = rho_k b(n . l_j) + s_j(n) at every pixel from the given normals (see `gloss_kernel`).
 
     observations (lights, rows, columns, channels), relative to white; directions (lights, 3) unit; valid (lights, rows,
-    columns) bool, None for all; normals (rows, columns, 3) unit, of any solver, to start from; flags (rows, columns)
+    columns) bool, None for all; normals (rows, columns, 3) unit, of any solver, to start from (a metal starts from
+    the half vectors, weighted by the light); flags (rows, columns)
     uint8: where a bit of NO_ESTIMATE is set nothing is done; reflectance (rows, columns, channels) kept there and where
     the fit fails, zeros if None; gloss: of `nishiki.brdf.gloss_profile`; noise, of an observation (0.002 of the
     gloss' unit if None); model_error, relative to a pixel's mean level; second_start: cost a value above which a second
@@ -94,7 +96,7 @@ def refine_normals(
 
     Raises UserError where shapes do not fit.
     """
-    observations = np.ascontiguousarray(observations, dtype=np.float32)
+    observations = np.ascontiguousarray(gloss.balanced(observations), dtype=np.float32)
     shape = observations.shape
     if observations.ndim != 4 or np.shape(normals) != (*shape[1:3], 3) or len(directions) != shape[0]:
         raise UserError(
@@ -104,12 +106,21 @@ def refine_normals(
     count, pixels, channels = shape[0], shape[1] * shape[2], shape[3]
     valid = np.isfinite(observations).all(axis=-1) & (True if valid is None else valid)
     noise = NOISE * gloss.unit if noise is None else noise
+    noise = noise if gloss.colour is None else noise / gloss.colour.mean()
+    lights = light_table(directions, gloss.refractive_index)
+    if gloss.colour is not None:  # Lambert's normals say nothing
+        normals = np.moveaxis(np.where(valid, observations.mean(axis=-1), 0), 0, -1) @ lights[:, 3:6]
+        normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), np.finfo(float).tiny)
     fields = empty_fields(pixels, channels, normals, reflectance, flags)
-    scene = JointScene(light_table(directions, gloss.refractive_index), gloss.table(), channel_rotation(channels))
+    scene = JointScene(lights, gloss.table(), channel_rotation(channels))
     settings = JointSettings(float(noise), float(model_error), float(second_start), float(max_condition))
     known = np.ascontiguousarray(np.broadcast_to(valid, shape[:3]).reshape(count, pixels))
     over_rows(refine_pixels, pixels, observations.reshape(count, pixels, channels), known, scene, settings, fields)
     refined, rho, scalars, used, marks, cost = fields
+    if gloss.colour is not None:
+        fitted = (marks & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
+        rho[fitted], scalars[0, fitted] = gloss.colour, gloss.colour.mean()
+        scalars[3, fitted] *= gloss.colour.mean()
     albedo, sigma, condition, residual = scalars.reshape(4, *shape[1:3])
     return RefinedNormals(
         normals=refined.reshape(*shape[1:3], 3),

@@ -9,6 +9,9 @@ least, and each profile is fitted again to its cells, like the means and members
 quantization in PCM, IEEE Trans. Inf. Theory 28, 1982). Two finishes start from the gloss of the whole scene and from
 no gloss; a further one splits a gloss into a narrower and a wider one (Y. Linde, A. Buzo and R. M. Gray, An algorithm
 for vector quantizer design, IEEE Trans. Commun. 28, 1980).
+
+Gold and other coloured metals mirror in their colour and have no body. Where the brightest light of the scene is not
+white, a metal of that colour is tried as a further finish.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, fit_gloss, specular_samples, unit_of
+from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss import RefinedNormals, refine_normals
 from nishiki.photometric.gloss_equations import LARGEST_SIGMA, step
@@ -29,6 +33,9 @@ WORTHWHILE = 0.03  # gain of robust cost a value, from which gloss counts as sho
 SIDE = 15  # pixels: of a cell of the picture that has one finish
 FEWEST_CELLS = 4  # of a finish
 MOST_FINISHES = 4
+BRIGHTEST = 1e-3  # share of the samples whose mean is the colour of a metal
+COLOURED = 0.8  # least channel of a metal, relative to its largest: others mirror like a dielectric of no body
+METAL_LEVEL, METAL_WIDTH = 0.7, 7  # of a metal to start from: reflectance, and place of its lobe among WIDTHS
 
 
 @dataclass(frozen=True)
@@ -98,16 +105,13 @@ def fit_scene_gloss(
     profile = nothing if start is None else replace(start, unit=unit)
     fits: Sequence[RefinedNormals | None] = [None] * len(tiles)
     for _ in range(ROUNDS if start is None else 0):
-        histogram = SpecularHistogram.empty(refractive_index=refractive_index, value_unit=unit)
-        for tile, fit in zip(tiles, fits, strict=True):
-            histogram = add_tile(histogram, tile, fit, profile)
-        profile = fit_gloss(histogram, transmission=profile.transmission, ladder=WIDTHS)
+        profile = strengthened(profile, tiles, fits)
         fits = [refined(tile, profile) for tile in tiles]
     if start is not None:
         fits = [refined(tile, profile) for tile in tiles]
     first = profile
     for _ in range(ROUNDS):
-        profile = step(tiles, fits, profile)
+        profile = step(tiles, fits, profile) if profile.colour is None else strengthened(profile, tiles, fits)
         fits = [refined(tile, profile) for tile in tiles]
     nothing = replace(nothing, transmission=profile.transmission)
     without = [refined(tile, nothing) for tile in tiles]
@@ -132,9 +136,9 @@ def find_finishes(
     (finishes, labels, clear): the gloss of each, its number for every cell (cells,), and which cells are clearly its
     own (cells,) bool: those whose cost under any other exceeds their own by the median of the finish or more.
     """
-    nothing = replace(gloss, beta=np.zeros(gloss.beta.size), transmission=0.0)
+    nothing, metal = gloss.bare(), brightest_metal(tiles, gloss)
     few, cells = [tile.only(np.s_[::THIN]) for tile in tiles], 1 + max(int(tile.cells.max()) for tile in tiles)
-    starts = [[replace(gloss, transmission=1.0), nothing]]
+    starts = [[replace(gloss, transmission=1.0), other] for other in (nothing, metal) if other is not None]
     while starts and len(starts[0]) <= MOST_FINISHES:
         tries = [_settle(few, start, cells) for start in starts]
         tries = [each for each in tries if np.bincount(each[1], minlength=len(each[0])).min() >= FEWEST_CELLS]
@@ -151,8 +155,26 @@ def find_finishes(
         starts = [
             [*profiles[:k], profile.wider(-1), profile.wider(1), *profiles[k + 1 :]]
             for k, profile in enumerate(profiles)
-            if profile.beta.any()
+            if profile.beta.any() and profile.colour is None
         ]
+        missing = [] if any(not profile.beta.any() for profile in profiles) else [nothing]
+        if metal is not None and all(profile.colour is None for profile in profiles):
+            missing.append(metal)
+        starts += [[*profiles, other] for other in missing]
+
+
+def brightest_metal(tiles: Sequence[GlossTile], gloss: GlossProfile) -> GlossProfile | None:
+    """Return a metal of the colour of the brightest light; None where that is about white, as gloss of a dielectric."""
+    samples = np.concatenate([tile.observations[tile.valid] for tile in tiles])
+    count = max(1, int(BRIGHTEST * len(samples)))
+    colour = samples[np.argpartition(samples.mean(axis=-1), -count)[-count:]].mean(axis=0).astype(np.float64)
+    if not 0 < colour.min() < COLOURED * colour.max():
+        return None
+    colour *= METAL_LEVEL * gloss.unit / colour.mean()
+    metal = replace(gloss, refractive_index=MIRROR, transmission=0.0, colour=colour)
+    lobe = np.zeros(WIDTHS.size)
+    lobe[METAL_WIDTH] = np.log(2) / (4 * WIDTHS[METAL_WIDTH] ** 2)
+    return replace(metal, beta=lobe, gamma=WIDTHS)
 
 
 def fit_glosses(
@@ -179,11 +201,8 @@ def _settle(tiles, profiles, cells: int) -> tuple[list[GlossProfile], np.ndarray
         if number == MOST_ROUNDS - 1 or (before is not None and np.array_equal(labels, before)):
             break
         for k, profile in enumerate(profiles):
-            histogram = SpecularHistogram.empty(refractive_index=profile.refractive_index, value_unit=profile.unit)
-            for tile, fit in zip(tiles, fits[k], strict=True):
-                histogram = add_tile(histogram, tile, fit, profile, labels[tile.cells] == k)
-            if profile.beta.any() and histogram.rows.any():
-                profiles[k] = fit_gloss(histogram, transmission=profile.transmission, ladder=WIDTHS)
+            if profile.beta.any() and (labels == k).any():
+                profiles[k] = strengthened(profile, tiles, fits[k], [labels[tile.cells] == k for tile in tiles])
     return profiles, labels, costs
 
 
@@ -197,20 +216,24 @@ def cell_costs(tiles: Sequence[GlossTile], fits: Sequence[RefinedNormals], count
     return total / np.maximum(values, 1)
 
 
-def add_tile(
-    histogram, tile: GlossTile, fit: RefinedNormals | None, profile: GlossProfile, where: np.ndarray | bool = True
-) -> SpecularHistogram:
-    """Add a tile's specular samples, by the last round's fit or by what the tile came with.
+def strengthened(
+    profile: GlossProfile,
+    tiles: Sequence[GlossTile],
+    fits: Sequence[RefinedNormals | None],
+    where: Sequence[np.ndarray | bool] | None = None,
+) -> GlossProfile:
+    """Fit the lobes to specular samples, by the last round's fits or, for None, by what the tiles came with.
 
-    where: (rows, columns) bool, pixels that count.
+    where : of each tile, (rows, columns) bool, pixels that count.
     """
-    source = tile if fit is None else fit
-    valid = tile.valid & ((tile.flags & bits.NO_ESTIMATE) == 0) & where
-    samples = specular_samples(
-        tile.observations, tile.directions, source.normals, source.reflectance, profile, valid=valid
-    )
-    sigma = np.minimum(source.sigma, LARGEST_SIGMA) / np.sqrt(2)
-    return histogram.add_samples(*samples, sigma=sigma)
+    histogram = SpecularHistogram.empty(refractive_index=profile.refractive_index, value_unit=profile.unit)
+    for tile, fit, here in zip(tiles, fits, where or [True] * len(tiles), strict=True):
+        source = tile if fit is None else fit
+        valid = tile.valid & ((tile.flags & bits.NO_ESTIMATE) == 0) & here
+        given = tile.observations, tile.directions, source.normals, source.reflectance, profile
+        sigma = np.minimum(source.sigma, LARGEST_SIGMA) / np.sqrt(2)
+        histogram = histogram.add_samples(*specular_samples(*given, valid=valid), sigma=sigma)
+    return profile.with_strengths(fit_gloss(histogram, ladder=profile.gamma).beta)
 
 
 def refined(tile: GlossTile, profile: GlossProfile) -> RefinedNormals:

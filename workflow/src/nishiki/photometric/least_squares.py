@@ -97,13 +97,6 @@ def write_block(solved, condition, count, max_condition, start, width, estimates
         flags[p] = flag
 
 
-@njit(cache=True, error_model="numpy")
-def block_work():
-    """Make sums (4, BLOCK), solutions, matrices and inverses (6, BLOCK), conditions and counts (BLOCK,)."""
-    memory = np.zeros((24, BLOCK))
-    return memory[:4], memory[4:10], memory[10:16], memory[16:22], memory[22], memory[23]
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_weighted(begin, end, observations, weights, products, max_condition, estimates):
     """Least squares with weights of its own at every pixel of the blocks begin .. end - 1; a mask is 0 or 1.
@@ -116,7 +109,8 @@ def solve_weighted(begin, end, observations, weights, products, max_condition, e
     lights, pixels = observations.shape
     # One flat array of sums: with a single pair of arrays to tell apart the compiler makes SIMD code of the loop.
     sums = np.zeros((TERMS + 2) * BLOCK)
-    _, solved, _, inverses, conditions, _ = block_work()
+    memory = np.zeros((13, BLOCK))
+    solved, inverses, conditions = memory[:6], memory[6:12], memory[12]
     for block in range(begin, end):
         start = block * BLOCK
         width = min(BLOCK, pixels - start)
@@ -147,32 +141,3 @@ def solve_weighted(begin, end, observations, weights, products, max_condition, e
         condition_block(rows, rows[11], conditions, inverses)
         solve_block(rows[6:10], inverses, rows[11], rows[10], solved)
         write_block(solved, conditions, rows[11], max_condition, start, width, estimates)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def solve_shared(begin, end, observations, products, max_condition, estimates):
-    """Least squares where every light is usable everywhere: one normal matrix serves all pixels."""
-    lights, pixels = observations.shape
-    sums, solved, matrices, inverses, conditions, counts = block_work()
-    for p in range(BLOCK):
-        counts[p] = lights
-        for j in range(lights):
-            for k in range(6):
-                matrices[k, p] += products[j, k]
-    condition_block(matrices, counts, conditions, inverses)
-    for block in range(begin, end):
-        start = block * BLOCK
-        width = min(BLOCK, pixels - start)
-        for k in range(4):
-            for p in range(BLOCK):
-                sums[k, p] = 0.0
-        for j in range(lights):
-            x, y, z = products[j, 6], products[j, 7], products[j, 8]
-            for p in range(width):
-                value = np.float64(observations[j, start + p])
-                sums[0, p] += value * x
-                sums[1, p] += value * y
-                sums[2, p] += value * z
-                sums[3, p] += value * value
-        solve_block(sums, inverses, counts, counts, solved)
-        write_block(solved, conditions, counts, max_condition, start, width, estimates)

@@ -326,12 +326,12 @@ def shading_of_mean(intensity, mean, directions, field, *, usable, valid, least_
 
 def lambertian(stack, directions, factors, max_condition) -> Estimates:
     """Lambertian least squares into new outputs; factors (lights, pixels) uint8 or float32, or None for all."""
-    from nishiki.photometric.least_squares import BLOCK, solve_shared, solve_weighted
+    from nishiki.photometric.least_squares import BLOCK, solve_weighted
 
     outputs = empty_outputs(stack.shape[1])
-    kernel, given = (solve_shared, (stack,)) if factors is None else (solve_weighted, (stack, factors))
+    factors = np.ones(stack.shape, np.uint8) if factors is None else factors
     blocks, products = -(-stack.shape[1] // BLOCK), direction_products(directions)
-    over_rows(kernel, blocks, *given, products, float(max_condition), outputs)
+    over_rows(solve_weighted, blocks, stack, factors, products, float(max_condition), outputs)
     return outputs
 
 

@@ -15,7 +15,7 @@ All of it is one file, because the cache of the compiler watches only the file o
 import numpy as np
 from numba import njit
 
-from nishiki.brdf.torrance_sparrow import phi_squared
+from nishiki.brdf.torrance_sparrow import MIRROR, phi_squared
 from nishiki.render.plane.flags import COLOUR_MISSING, NORMAL_MISSING, OVERFLOW, TURNED_AWAY, UNUSABLE
 
 BLOCK = 128  # pixels of a row
@@ -34,6 +34,7 @@ _AMBIENT_SKIRT = 0.5375
 _LN2_64 = np.log(2.0) / 64.0
 _TWO_LN2 = 2.0 * np.log(2.0)
 _FLOAT32_MAX = 3.4028234663852886e38
+_METAL = 0.5 * MIRROR**2  # contrast of an index of refraction
 
 
 @njit(cache=True, error_model="numpy")
@@ -386,7 +387,7 @@ def _add_light(buf, light, visibility, widest, shaded, blurred, lossy, n):
     if lossy:
         _transmit(buf, n)
     for i in range(n):
-        c = buf[_COSI + i]
+        c = buf[_COSI + i] if buf[_CONTRAST + i] < _METAL else 0.0
         buf[_WD + i] += (c if c > 0.0 else 0.0) * buf[_E + i]
 
 
@@ -396,6 +397,10 @@ def _flush(buf, total, sigma, matrix, offset, white, n):
 
     Four coefficients at a time (their number is padded with zeros), to pass over the block less often.
     """
+    for i in range(n):
+        if buf[_CONTRAST + i] >= _METAL:  # its gloss has the colour of the coefficients
+            buf[_WD + i] += buf[_WS + i]
+            buf[_WS + i] = 0.0
     for c in range(total.shape[0]):
         base, gloss = offset[c], white[c]
         for k in range(0, sigma.shape[0], 4):
@@ -461,7 +466,8 @@ def _mark_bad(buf, flags, total, sigma, n):
 def shade(first, last, maps, finish, lamps, colours, view, pictures):
     """Fill rows first .. last - 1 of: sum over the lights of (A sigma + a0) E c f + white E beta D F G / cos_r.
 
-    c = max(n.l, 0), f the factor of the body shading. maps: normals (R, C, 3), coefficients (R, C, K), shading (R, C, 3
+    c = max(n.l, 0), f the factor of the body shading; of a metal (index MIRROR) A sigma E beta D G / cos_r. maps:
+    normals (R, C, 3), coefficients (R, C, K), shading (R, C, 3
     or 5) or (0, 0, 0): f = 1, and slopes (R, C, 3), covariance of the slopes in a pixel, or (0, 0, 0): none, float32;
     labels (R, C) uint8 or (0, 0): all pixels row 0; finish: gloss (regions, 2 lobes): beta, 1 / gamma^2 of each lobe;
     index (regions,); transmission (regions,): share of the surface's loss that the body's light suffers, entering

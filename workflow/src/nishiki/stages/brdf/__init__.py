@@ -15,7 +15,7 @@ PAINTING_LIMITS = (
 )
 
 
-class BrdfSettings(Guarded, stage="brdf", version=5, limits=PAINTING_LIMITS):
+class BrdfSettings(Guarded, stage="brdf", version=6, limits=PAINTING_LIMITS):
     """Torrance-Sparrow parameters of a scene or of each region."""
 
     refractive_index: float = Field(

@@ -1,13 +1,14 @@
 """Brdf: Torrance-Sparrow parameters of the scene or of each of its regions."""
 
 import json
+from collections.abc import Sequence
 
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.gloss_profile import SpecularHistogram, blurred_lobes, fit_gloss, unit_of
+from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, blurred_lobes, fit_gloss, unit_of
 from nishiki.brdf.scene import (
     described_ladder,
     of_equal_lobes,
@@ -15,6 +16,7 @@ from nishiki.brdf.scene import (
     without_gloss,
 )
 from nishiki.brdf.slopes import slope_covariance
+from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.gloss import decide_gloss
 from nishiki.observations.parcels import parcels
@@ -61,8 +63,10 @@ def fit_glossy(
     context.progress.tell(str(decision))
     regions = [without_gloss(settings.refractive_index, 0) for _ in finishes]
     if kept.any():
-        transmissions = np.array([body_transmission(finish) for finish in finishes])
-        fitted = fit_regions(gather(context, frames, maps, labels, kept, transmissions))
+        glosses = [body_of(finish, settings.refractive_index) for finish in finishes]
+        fitted = fit_regions(gather(context, frames, maps, labels, kept, glosses))
+        for region, gloss in zip(fitted, glosses, strict=True):
+            region["refractive_index"] = gloss.refractive_index
         regions = [glossy if keep else none for glossy, none, keep in zip(fitted, regions, kept, strict=True)]
     return of_equal_lobes(regions), decision
 
@@ -91,17 +95,25 @@ def body_transmission(finish: dict) -> float:
     return float(finish["gloss_transmission"]) if finish["joint"] else 0.0
 
 
+def body_of(finish: dict, refractive_index: float) -> GlossProfile:
+    """Return the body below the gloss, which is looked for; a metal has none, and the mean of its colour."""
+    lobe = np.zeros(1), np.ones(1)
+    if finish["joint"] and "gloss_colour" in finish:
+        return GlossProfile(*lobe, MIRROR, 0.0, colour=np.array([np.mean(finish["gloss_colour"])]))
+    return GlossProfile(*lobe, refractive_index, body_transmission(finish))
+
+
 def gather(
     context: Context,
     frames: Observations,
     maps: Maps,
     labels: np.ndarray | None,
     glossy: np.ndarray,
-    transmissions: np.ndarray,
+    glosses: Sequence[GlossProfile],
 ) -> SpecularHistogram:
     """Specular samples of every usable observation of the glossy regions, by angle between normal and half vector.
 
-    glossy, transmissions (regions,): bool, and share of the surface's loss that the body suffers.
+    glossy (regions,): bool; glosses: of each, as `add_tile` takes it.
     """
     settings = context.settings
     lights = frames.fit_lights(settings.hold_out)
@@ -121,8 +133,10 @@ def gather(
         shading = shading_of(maps, band)
         for parcel in parcels(frames, band, lights):
             area = parcel.rows, parcel.columns
-            for transmission in np.unique(transmissions[glossy]):
-                here = np.where(transmissions[region[area]] == transmission, region[area], -1)
+            for number in np.flatnonzero(glossy):
+                here = np.where(region[area] == number, number, -1)
+                if (here < 0).all():
+                    continue
                 histogram = histogram.add_tile(
                     observations[:, *area] * parcel.scale[:, None, None],
                     normals[area],
@@ -132,7 +146,7 @@ def gather(
                     sigma=sigma[area],
                     regions=here,
                     shading=None if shading is None else shading[area],
-                    transmission=transmission,
+                    gloss=glosses[number],
                 )
     return histogram
 

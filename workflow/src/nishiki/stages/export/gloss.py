@@ -21,7 +21,7 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import isotropic_lobe, widened_roughness
-from nishiki.brdf.torrance_sparrow import specular
+from nishiki.brdf.torrance_sparrow import MIRROR, specular
 from nishiki.colour.colour import encode
 from nishiki.report.page import read_json
 from nishiki.stages.export.scene import ExportedScene
@@ -29,6 +29,7 @@ from nishiki.stages.export.scene import ExportedScene
 ROUGHNESS = np.geomspace(1, 0.05, 90)
 STRENGTH = np.append(0, np.geomspace(1e-3, 20, 120))
 """Grid of the fit: roughness, and the factor of the reflectance at normal incidence (weight where below 1)."""
+LARGEST_INDEX = 3.0  # of a dielectric
 ANGLES = np.radians(np.arange(0.5, 75, 1))  # of the light from the normal, seen along the normal
 
 
@@ -121,7 +122,8 @@ def best_material(errors: np.ndarray, index: float) -> GltfMaterial:
 def coded_errors(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: float) -> np.ndarray:
     """(roughness, strength) weighted sums of squared differences of coded brightness from our lobes, over the grid.
 
-    beta, gamma : (lobes,); albedo : mean of the object, over which the gloss is seen along the normal.
+    beta, gamma : (lobes,); albedo : mean of the object, over which the gloss is seen along the normal. A metal is shown
+    as a dielectric that comes nearest.
     """
     cos_i, cos_q = np.cos(ANGLES), np.cos(ANGLES / 2)
     up = np.array([0.0, 0.0, 1.0])
@@ -129,7 +131,8 @@ def coded_errors(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: floa
     lobes = np.zeros_like(cos_i)
     for strength, width in zip(beta, gamma, strict=True):
         lobes += specular(up, lights, up, beta=strength, gamma=width, refractive_index=index)
-    true = np.clip(encode(albedo * cos_i + lobes, "srgb"), 0, 1)
+    shown = albedo * lobes if index >= MIRROR else albedo * cos_i + lobes
+    true, index = np.clip(encode(shown, "srgb"), 0, 1), min(index, LARGEST_INDEX)
     errors = np.empty((len(ROUGHNESS), len(STRENGTH)))
     for number, roughness in enumerate(ROUGHNESS):
         material = GltfMaterial(roughness, STRENGTH[:, None], index)
@@ -230,20 +233,21 @@ def painting_gloss(
     if parameters is None:
         return _one_region(MATTE)
     beta, gamma, index, _ = gloss_table(parameters)
+    common = min(float(index.min()), LARGEST_INDEX)
     if labels is None or len(beta) == 1:
         mean = float(albedo[known].mean()) if known.any() else 0.5
-        material = best_material(coded_errors(beta[0], gamma[0], float(index[0]), mean), float(index[0]))
+        material = best_material(coded_errors(beta[0], gamma[0], float(index[0]), mean), common)
         return _one_region(material, _widened([material], None, variance))
     errors, counts = [], []
     for region in range(len(beta)):
         texels = known & (labels == region)
         mean = float(albedo[texels].mean()) if texels.any() else 0.5
-        errors.append(coded_errors(beta[region], gamma[region], float(index[0]), mean))
+        errors.append(coded_errors(beta[region], gamma[region], float(index[region]), mean))
         counts.append(np.count_nonzero(texels))
-    free = [best_material(each, float(index[0])) for each in errors]
+    free = [best_material(each, common) for each in errors]
     together = sum(count * each.min(axis=0) for count, each in zip(counts, errors, strict=True))
     only = np.where(np.arange(together.size) == np.argmin(together), 0, np.inf)
-    alike = [best_material(each + only, float(index[0])) for each in errors]
+    alike = [best_material(each + only, common) for each in errors]
     gltf, usd = (RegionGloss(_stored(each), labels, _widened(each, labels, variance)) for each in (free, alike))
     return PaintingGloss(gltf, _white(gltf), _white(usd))
 
@@ -263,8 +267,8 @@ def region_materials(context: Context, scene: ExportedScene) -> tuple[GltfMateri
         counts += np.bincount(numbers[known], minlength=len(beta))
     means = np.where(counts > 0, totals / np.maximum(counts, 1), 0.5)
     materials = [
-        best_material(coded_errors(strength, width, float(index[0]), mean), float(index[0]))
-        for strength, width, mean in zip(beta, gamma, means, strict=True)
+        best_material(coded_errors(strength, width, float(each), mean), min(float(index.min()), LARGEST_INDEX))
+        for strength, width, each, mean in zip(beta, gamma, index, means, strict=True)
     ]
     factor = max(1.0, *(float(material.strength) for material in materials))
     return tuple(replace(material, least_factor=factor) for material in materials)

@@ -114,6 +114,8 @@ def define():
             masked = dr.minimum(1 / r, 2 * dr.maximum(along, 0) * dr.minimum(c / r, 1) / q)
             gloss = self.lobes(si, normal, half, region, active) * self.fresnel(q, index) * masked
             gloss = dr.select(faces_the_view, gloss, 0)
+            metal = index > 1e3  # mirrors in its colour, without a body
+            body, gloss = dr.select(metal, gloss, body), dr.select(metal, 0, gloss)
             value = (mi.Color3f(self.texel("albedo", si, active)) * body + mi.Color3f(gloss)) / math.pi
             return dr.select(lit, dr.maximum(value, 0), mi.Color3f(0))  # colours outside of sRGB
 

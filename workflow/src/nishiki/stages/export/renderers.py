@@ -8,7 +8,7 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.scene import gloss_table
-from nishiki.brdf.torrance_sparrow import body_factor, specular, transmittance
+from nishiki.brdf.torrance_sparrow import MIRROR, body_factor, specular, transmittance
 from nishiki.formats.banded_pictures import ExrWriter
 from nishiki.formats.merl import MERL_HIDDEN, merl_bytes, merl_directions
 from nishiki.formats.textured_surface import faces, heading, vertices
@@ -151,5 +151,8 @@ def brdf_of(light, view, colour, shading, beta, gamma, index, transmission) -> n
     gloss = sum(
         specular(normal, light, view, beta=b, gamma=g, refractive_index=index) for b, g in zip(beta, gamma, strict=True)
     )
-    values = (body[..., None] * colour + (gloss / np.maximum(towards_light, 1e-9))[..., None]) / np.pi
+    gloss = gloss / np.maximum(towards_light, 1e-9)
+    if index >= MIRROR:  # a metal mirrors in its colour
+        body, gloss = gloss, 0 * gloss
+    values = (body[..., None] * colour + gloss[..., None]) / np.pi
     return np.where(seen[..., None], values, MERL_HIDDEN)

@@ -144,8 +144,7 @@ def fitted_finish(
     from nishiki.brdf.gloss_profile import GlossProfile
     from nishiki.model_selection.relighting import Fitted, joint_fit_counts, left_out_errors
 
-    nothing = None if gloss is None else replace(gloss.found, beta=0 * gloss.found.beta, transmission=0.0)
-    joint = {} if gloss is None else {"joint": gloss.found, "first": gloss.first, "bare": nothing}
+    joint = {} if gloss is None else {"joint": gloss.found, "first": gloss.first, "bare": gloss.found.bare()}
 
     def fit(piece: Sampled) -> dict[str, Fitted]:
         given = piece.observations, piece.usable, piece.valid, piece.parcel

@@ -103,7 +103,11 @@ def finish_names(finishes: list[dict[str, Any]]) -> list[str]:
         profile = np.exp2(-((phi[:, None] / np.maximum(gamma, 1e-9)) ** 2)) @ beta
         half = float(phi[profile >= 0.5 * profile[0]].max())
         shiny = "glossy" if half < GLOSSY_DEG else "satin" if half < SATIN_DEG else "sheen"
-        names.append(shiny if beta.any() and finish.get("gloss_counts", True) else "matt")
+        name = shiny if beta.any() and finish.get("gloss_counts", True) else "matt"
+        if finish["joint"] and "gloss_colour" in finish:
+            colour = finish["gloss_colour"]
+            name = "gilding" if len(colour) == 3 and colour[0] >= colour[1] > colour[2] else "metal"
+        names.append(name)
     return [f"{name} {names[: k + 1].count(name)}" if names.count(name) > 1 else name for k, name in enumerate(names)]
 
 

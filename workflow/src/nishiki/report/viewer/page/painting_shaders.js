@@ -238,6 +238,7 @@ void main() {
       w *= bodyShare();
     }
     diffuse = w * gain;
+    if (contrast > 5e7) { diffuse = specular; specular = 0.0; } // a metal mirrors in its colour
     ${colourOf("j", CHROMA)}
   }`)}
   diffuse = gain * ambient * 0.5 * (1.0 + n.z) * table.y * leave;
