@@ -11,9 +11,9 @@ and G:
     I_s = K_s / cos(theta_r) exp(-phi^2 / (2 sigma^2)),      gamma = sigma sqrt(2 ln 2).
 
 Everything here is relative to the white reference: a perfect white diffuser that faces the lamp has the value 1.  The
-array functions are the readable form and the reference of the compiled scalar ones.  Those compute in float64 whatever
-they are given, allocate nothing, call no library function, and are inlined by the compiler into the loop that calls
-them; they check no bounds: gamma > 0 and refractive_index >= 1 are the caller's to ensure.
+array functions are the readable form and the reference of the compiled ones, of single numbers or of lanes
+(`nishiki.lanes`), in float64. Those allocate nothing, call no library function, and are inlined by the compiler into
+the loop that calls them; they check no bounds: gamma > 0 and refractive_index >= 1 are the caller's to ensure.
 
 The body shading of a pixel is Lambert's cosine with the fall-off and the gloss skirt that the solver `lobe` fitted:
 
@@ -33,6 +33,7 @@ import numpy as np
 from numba import njit
 
 from nishiki.errors import UserError
+from nishiki.lanes import choose, root
 
 GAMMA_PER_SIGMA = float(np.sqrt(2.0 * np.log(2.0)))
 MIRROR = 1e4
@@ -269,12 +270,10 @@ def phi_squared(sin2_half):
 def fresnel_scalar(cos_theta, refractive_index):
     """Reflectance of a dielectric; see `torrance_sparrow.fresnel`."""
     contrast = (refractive_index - 1.0) * (refractive_index + 1.0)
-    s = np.sqrt(contrast + cos_theta * cos_theta) + cos_theta
-    if s <= 0.0:
-        return 0.0
+    s = root(contrast + cos_theta * cos_theta) + cos_theta
     d = contrast / s
-    parallel = (cos_theta * s - 1.0) / (cos_theta * d + 1.0)
-    return 0.5 * (d / s) ** 2 * (1.0 + parallel * parallel)
+    ratio, parallel = d / s, (cos_theta * s - 1.0) / (cos_theta * d + 1.0)
+    return choose(s > 0.0, 0.5 * ratio * ratio * (1.0 + parallel * parallel), 0.0)
 
 
 LAMBERT = (1.0, 0.0, 0.0)

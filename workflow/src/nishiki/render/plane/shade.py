@@ -124,36 +124,32 @@ def shade_channels(
     expected = (len(lights), *normals.shape[:2])
     if visibility is not None and visibility.shape != expected:
         raise UserError(f"visibility: expected (lights, rows, columns) = {expected}, found {visibility.shape}")
-    # the kernel starts with the ambient term's group: number the groups so that it comes first
-    order = np.argsort(_first(groups.ambient, len(groups.matrices)), kind="stable")
-    rank = np.argsort(order)[groups.of_light]
-    sequence = np.argsort(rank, kind="stable")
     lamps = np.array([_lamp(light) for light in lights]).reshape(-1, 6)
-    if visibility is None:
-        visible = np.zeros((0, 0, 0), np.float32)
-    else:
-        moved = np.any(sequence != np.arange(len(lights)))
-        visible = np.ascontiguousarray(visibility[sequence] if moved else visibility, np.float32)
+    visible = np.zeros((0, 0, 0), np.float32) if visibility is None else np.ascontiguousarray(visibility, np.float32)
     values = np.empty((*normals.shape[:2], groups.matrices.shape[1]), np.float32)
     flags = np.empty(normals.shape[:2], np.uint8)
-    table, widest = _gloss_table(gloss)
+    table = _gloss_table(gloss)
     arrays = (
         np.ascontiguousarray(normals, np.float32),
         np.ascontiguousarray(coefficients, np.float32),
         np.zeros((0, 0, 0), np.float32) if shading is None else np.ascontiguousarray(shading, np.float32),
         np.zeros((0, 0, 0), np.float32) if slopes is None else np.ascontiguousarray(slopes, np.float32),
-        np.zeros((0, 0), np.uint8) if labels is None else np.ascontiguousarray(labels),
+        np.zeros((1, 1), np.uint8) if labels is None else np.ascontiguousarray(labels),
     )
     entering = _entering(gloss) if ambient_level else np.ones(len(gloss.refractive_index))
-    matrices = np.pad(groups.matrices[order], ((0, 0), (0, 0), (0, -groups.matrices.shape[2] % 4)))
     over_rows(
         kernel.shade,
         len(values),
         arrays,
-        (table, gloss.refractive_index, gloss.transmission, entering, widest),
-        (lamps[sequence], rank[sequence], visible),
-        (matrices, groups.offsets[order], groups.whites[order]),
-        (np.ascontiguousarray(plane, np.float64), np.asarray(eye, np.float64), float(ambient_level)),
+        (table, gloss.refractive_index, gloss.transmission, entering),
+        (lamps, groups.of_light, visible),
+        (groups.matrices, groups.offsets, groups.whites),
+        (
+            np.ascontiguousarray(plane, np.float64),
+            np.asarray(eye, np.float64),
+            float(ambient_level),
+            groups.ambient,
+        ),
         (values, flags),
     )
     return Shading(values, flags)
@@ -163,12 +159,6 @@ def pixel_to_plane(pitch: float, shape: tuple[int, int]) -> np.ndarray:
     """(3, 3): (column, row, 1) of maps (rows, columns) to (x, y, 1) on the painting; (0, 0) at its centre, y up."""
     left, top = -(shape[1] - 1) / 2, (shape[0] - 1) / 2
     return np.array([[pitch, 0, pitch * left], [0, -pitch, pitch * top], [0, 0, 1]], dtype=np.float64)
-
-
-def _first(index: int, count: int) -> np.ndarray:
-    keys = np.arange(count)
-    keys[index] = -1
-    return keys
 
 
 def _lamp(light: Light) -> np.ndarray:
@@ -186,14 +176,11 @@ def _entering(gloss: Gloss) -> np.ndarray:
     return 1 - gloss.transmission * (1 - np.array(mean))
 
 
-def _gloss_table(gloss: Gloss) -> tuple[np.ndarray, float]:
-    """(regions, 2 lobes) beta and 1 / gamma^2, and the largest sin^2 phi that counts; lobes that are 0 are dropped."""
-    used = np.flatnonzero(gloss.beta.max(axis=0) > 0)
-    if used.size == 0 or gloss.refractive_index.max() == 1:
-        return np.zeros((len(gloss.refractive_index), 0)), -1.0
-    beta, gamma = gloss.beta[:, used], gloss.gamma[:, used]
-    table = np.stack([beta, gamma**-2.0], axis=-1).reshape(len(beta), -1)
-    return np.ascontiguousarray(table), float(60.0 * np.max(np.where(beta > 0, gamma, 0.0)) ** 2)
+def _gloss_table(gloss: Gloss) -> np.ndarray:
+    """(regions, 2 lobes) beta and 1 / gamma^2 of each lobe; lobes that are 0 are dropped."""
+    used = gloss.beta.max(axis=0) > 0 if gloss.refractive_index.max() > 1 else np.zeros(gloss.beta.shape[1], bool)
+    table = np.stack([gloss.beta[:, used], gloss.gamma[:, used] ** -2.0], axis=-1)
+    return np.ascontiguousarray(table.reshape(len(gloss.beta), -1))
 
 
 @dataclass(frozen=True)
