@@ -5,13 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.colour.colour import xyz_to_srgb_linear
-from nishiki.evaluate import kernels
+from nishiki.colour.colour import delta_e_2000, srgb_encode, xyz_to_lab, xyz_to_srgb_linear
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.evaluate.classes import NAMES
-from nishiki.evaluate.kernels import add_blocks
 from nishiki.evaluate.maps import Summary, summarise
-from nishiki.threads import over_rows
+from nishiki.threads import over_items
 
 
 @dataclass
@@ -24,7 +22,7 @@ class SquaredError:
     bias: float = 0.0
 
     def add(self, sums: np.ndarray) -> None:
-        """Add sums (SUMS,) of the comparison kernel."""
+        """Add sums (4,) of `difference_of`."""
         self.samples += int(sums[0])
         self.linear += float(sums[1])
         self.coded += float(sums[2])
@@ -139,23 +137,32 @@ def truth_difference(
 def difference_of(
     first: np.ndarray, second: np.ndarray, matrix: np.ndarray, white: np.ndarray, classes: np.ndarray, de00: np.ndarray
 ) -> np.ndarray:
-    """CIEDE2000 of two pictures (rows, columns, C) into de00 where classes is not 0; sums (classes, SUMS) of errors.
+    """CIEDE2000 of two pictures (rows, columns, C) into de00 where classes is not 0; sums of errors (classes, 4).
 
-    matrix : (3, C) from channels to XYZ; white : (3,). Rows are summed one by one and then in order, so that the result
-    is the same for any number of threads.
+    matrix : (3, C) from channels to XYZ; white : (3,). The sums are of samples, squared linear differences, squared
+    coded differences, and differences. Rows are summed one by one and then in order, so that the result is the same for
+    any number of threads.
     """
-    sums = np.zeros((len(classes), max(NAMES) + 1, kernels.SUMS))
-    first, second = (np.ascontiguousarray(picture, np.float32) for picture in (first, second))
-    matrix = np.ascontiguousarray(matrix, np.float64)
-    white = np.ascontiguousarray(white, np.float64)
+    sums = np.zeros((len(classes), max(NAMES) + 1, 4))
+    first, second = (np.asarray(picture, np.float32) for picture in (first, second))
+    at_once = max(PIXELS // classes.shape[1], 1)
 
-    def rows(start: int, stop: int) -> None:
-        kernels.compare_rows(start, stop, first, second, classes, (matrix, white), de00, sums)
+    def compare(start: int) -> None:
+        rows = slice(start, start + at_once)
+        used = classes[rows] > 0
+        one, other = (picture[rows][used].astype(np.float64) for picture in (first, second))
+        de00[rows][used] = delta_e_2000(*(xyz_to_lab(values @ matrix.T, white) for values in (one, other)))
+        difference, coded = one - other, srgb_encode(one) - srgb_encode(other)
+        part = sums[rows]
+        places = (np.arange(len(part))[:, None] * part.shape[1] + classes[rows])[used]
+        for k, values in enumerate((np.ones_like(one), difference**2, coded**2, difference)):
+            part[..., k] = np.bincount(places, values.sum(axis=1), part[..., k].size).reshape(part.shape[:2])
 
-    over_rows(rows, len(classes))
+    over_items(compare, range(0, len(classes), at_once))
     return sums.sum(axis=0)
 
 
+PIXELS = 1 << 14  # of two pictures that are compared at a time
 COLUMNS = 720
 """Largest width of a preview, pixels."""
 
@@ -168,7 +175,7 @@ class PreviewPair:
         self.size = tuple(-(-n // self.block) for n in shape)
         self.colour = colour
         self.sums = None
-        self.counts = np.zeros((2, *self.size))
+        self.counts = np.zeros(self.size)
 
     def add(self, rows: slice, predicted: np.ndarray, observed: np.ndarray, *, inside: np.ndarray) -> None:
         """predicted, observed : (rows, columns, channels) relative to white; pixels outside the object are left out.
@@ -177,9 +184,13 @@ class PreviewPair:
         """
         if self.sums is None:
             self.sums = np.zeros((2, *self.size, predicted.shape[2]))
-        for k, picture in enumerate((predicted, observed)):
-            values = np.ascontiguousarray(picture, np.float32)
-            add_blocks(values, inside, rows.start, self.block, self.sums[k], self.counts[k])
+        down = np.arange(rows.start, rows.start + len(inside)) // self.block
+        across = np.arange(inside.shape[1]) // self.block
+        places = (down[:, None] * self.size[1] + across)[inside]
+        self.counts += np.bincount(places, minlength=self.counts.size).reshape(self.size)
+        for sums, picture in zip(self.sums, (predicted, observed), strict=True):
+            for channel, values in enumerate(np.where(np.isfinite(picture), picture, 0)[inside].T):
+                sums[..., channel] += np.bincount(places, values, self.counts.size).reshape(self.size)
 
     def arrays(self) -> dict[str, Any]:
         """predicted, observed: (rows, columns, 3) float16 linear sRGB, the lamp's white at 1, 1, 1; inside: bool."""
@@ -187,4 +198,4 @@ class PreviewPair:
             means = np.where(self.counts[..., None] > 0, self.sums / self.counts[..., None], 0.0)
         rgb = xyz_to_srgb_linear(self.colour.xyz(means), white=self.colour.white)
         rgb = np.clip(rgb, -60000, 60000).astype(np.float16)
-        return {"predicted": rgb[0], "observed": rgb[1], "inside": self.counts[0] > 0}
+        return {"predicted": rgb[0], "observed": rgb[1], "inside": self.counts > 0}
