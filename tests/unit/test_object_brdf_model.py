@@ -67,13 +67,6 @@ def test_a_distant_lamp_and_any_shape():
         np.testing.assert_allclose(a, b, atol=4e-6)
 
 
-def test_threads_give_the_same():
-    values = [np.repeat(a, 60, axis=0) for a in points()]
-    one, two = (predict(*values, np.array([0.0, 0, 500]), lamp_at(0, 90, 500), threads=k) for k in (1, 3))
-    for a, b in zip(one, two, strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
 def test_known_values():
     flat = dict(positions=np.zeros((1, 3)), normals=np.array([[0.0, 0, 1]]), camera_centre=np.array([0.0, 0, 9]))
     half, fifth = np.full((1, 3), 0.5), np.full((1, 3), 0.2)

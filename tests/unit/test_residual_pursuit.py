@@ -123,8 +123,7 @@ def test_neighbourhoods_are_those_of_the_definition():
 
 
 def test_magnitudes_are_in_steps():
-    out = np.empty(6, np.uint8)
-    magnitudes(np.array([0, 0.1, -0.6, 1.6, -9, 1000], np.float32), 1.0, out)
+    out = magnitudes(np.array([0, 0.1, -0.6, 1.6, -9, 1000], np.float32), 1.0)
     np.testing.assert_array_equal(out, [0, 1, 1, 2, 9, 15])
 
 
@@ -167,7 +166,7 @@ def test_choices():
         mine, taken = held.copy(), chosen.copy()
         best = held + gradient / curvature if adding else held
         worth = (curvature * best**2 > np.float32(0.4) * cost) & ((chosen == 1) | adding)
-        assert choose(mine, gradient, curvature, cost, taken, np.float32(0.4), adding) == worth.sum()
+        choose(mine, gradient if adding else None, curvature, cost, taken, np.float32(0.4))
         np.testing.assert_array_equal(taken, worth)
         np.testing.assert_array_equal(mine, np.where(worth, held, 0))
 

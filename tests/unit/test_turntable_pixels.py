@@ -66,8 +66,7 @@ def test_mixing_heeds_what_each_view_sees():
     weights, fallback = np.float32([-1 / 16, 9 / 16, 9 / 16, -1 / 16]), np.float32([0, 0.5, 0.5, 0])
     want = slow_mix(residual, views, visible, weights, fallback).reshape(-1, 2)
     chosen = rng.permutation(49)[:40]
-    out = np.zeros((40, 2), np.float32)
-    mix(residual.reshape(6, 49, 2), views, chosen, visible.reshape(4, 49)[:, chosen], weights, fallback, out)
+    out = mix(residual.reshape(6, 49, 2), views, chosen, visible.reshape(4, 49)[:, chosen], weights, fallback)
     np.testing.assert_allclose(out, want[chosen], atol=1e-5)
 
 

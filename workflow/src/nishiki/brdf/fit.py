@@ -7,13 +7,11 @@ gamma = 0.07 is no harder than beta = 1 beside gamma = 1. Fits over a whole scen
 
 from dataclasses import dataclass
 from enum import IntFlag
-from itertools import pairwise
 
 import numpy as np
 
 from nishiki.brdf import variable_projection as vp
 from nishiki.errors import UserError
-from nishiki.threads import over_items
 
 
 class FitFlag(IntFlag):
@@ -60,7 +58,6 @@ def fit_torrance_sparrow(
     attenuation=None,
     diffuse=None,
     gamma_bounds=GAMMA_BOUNDS,
-    threads=1,
 ) -> PointFits:
     """Fit K_d q + K_s a D(phi; gamma) to the observations of many points; K per channel, gamma per point.
 
@@ -70,8 +67,7 @@ def fit_torrance_sparrow(
     cos theta_r (Miyazaki et al. 2007, eq. 8); ones if None.  diffuse q: (points, observations), the Lambert term
     max(cos theta_i, 0); no diffuse term if None.
     weights: (points, observations), >= 0, inverse variances up to a factor; 0 leaves an observation out, as does any
-    value that is not finite.  gamma_bounds: radians, the range searched.   threads: that work on
-    the points; the result does not depend on it.
+    value that is not finite.  gamma_bounds: radians, the range searched.
 
     Fitted in float32 if amplitude is float32, else in float64.  Raises UserError for shapes that do not agree, negative
     weights, or bounds that are not 0 < low < high.
@@ -83,24 +79,8 @@ def fit_torrance_sparrow(
     points, _, channels = arrays[1].shape
     strengths = np.zeros((points, channels, 2), arrays[1].dtype)
     reports = np.zeros((points, vp.REPORT), arrays[1].dtype)
-    _in_threads(arrays, float(np.log(low)), float(np.log(high)), strengths, reports, threads)
+    vp.project_points(*arrays, float(np.log(low)), float(np.log(high)), strengths, reports)
     return _judged(arrays, strengths, reports, low, high)
-
-
-def _in_threads(arrays, log_low, log_high, strengths, reports, threads):
-    """Fit slices of the points side by side."""
-    points = len(strengths)
-    edges = np.linspace(0, points, max(min(threads, points // 256), 1) + 1).astype(int)
-
-    def work(edge):
-        first, last = edge
-        part = slice(first, last)
-        angles, amplitude, attenuation, diffuse, weights = (array[part] for array in arrays)
-        vp.project_points(
-            angles, amplitude, attenuation, diffuse, weights, log_low, log_high, strengths[part], reports[part]
-        )
-
-    over_items(work, pairwise(edges), threads)
 
 
 def _prepared(

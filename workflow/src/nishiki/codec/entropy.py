@@ -114,9 +114,8 @@ def code_block(values, bands, count, chance, seen, tally, weights, tables, data,
         for k in range(frequencies):
             for c in range(channels):
                 band = bands[b]
-                some = 0
-                if not decoding:
-                    some = _any(values[c, k], band)
+                inside = values[c, k, band[0] : band[0] + band[2], band[1] : band[1] + band[3]]
+                some = 0 if decoding or not inside.any() else 1
                 some = code_flag(
                     some, filled, bands, b, k, c, chance, seen, tally, weights, tables, state, data, decoding
                 )
@@ -127,15 +126,6 @@ def code_block(values, bands, count, chance, seen, tally, weights, tables, data,
                     )
         ends[b] = state[PLACE] + 4
     return state[PLACE] if decoding else finish(state, data)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _any(plane, band):
-    for i in range(band[0], band[0] + band[2]):
-        for j in range(band[1], band[1] + band[3]):
-            if plane[i, j] != 0:
-                return 1
-    return 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -16,21 +16,6 @@ ROUNDING = 0.42  # of a step, added before rounding down
 MOST = float(1 << 30)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _quantise(values, step, dead, rounding, out):
-    """Fill `out`; return the first index of a value that is not finite or above MOST steps, or -1."""
-    for n in range(values.shape[0]):
-        size = abs(values[n]) / step
-        if size < dead:
-            out[n] = 0
-            continue
-        if not size <= MOST:
-            return n
-        steps = max(int(size + rounding), 1)
-        out[n] = steps if values[n] > 0 else -steps
-    return -1
-
-
 def quantise(
     values: np.ndarray, step: float, *, dead_zone: float = DEAD_ZONE, rounding: float = ROUNDING
 ) -> np.ndarray:
@@ -42,39 +27,24 @@ def quantise(
     """
     if not 0 < step < np.inf:
         raise ValueError(f"quantiser: expected a finite step above 0, found {step}")
-    flat = np.ascontiguousarray(values).reshape(-1)
-    out = np.empty(flat.shape, np.int32)
-    wrong = _quantise(flat, step, dead_zone, rounding, out)
-    if wrong >= 0 and not np.isfinite(flat[wrong]):
-        raise ValueError(f"quantiser: value {wrong} is {flat[wrong]}")
-    if wrong >= 0:
+    with np.errstate(over="ignore"):
+        size = np.abs(values) / step
+    wrong = ~(size < dead_zone) & ~(size <= MOST)
+    if wrong.any():
+        value = float(values[wrong][0])
+        if not np.isfinite(value):
+            raise ValueError(f"quantiser: expected finite values, found {value}")
         raise UserError(
-            f"the step {step:.3g} is too fine for the value {abs(float(flat[wrong])):.3g} (more than 2^30 steps). "
+            f"the step {step:.3g} is too fine for the value {abs(value):.3g} (more than 2^30 steps). "
             "Remedy: a larger residual.amount for the target step, a lower psnr, or fewer bytes"
         )
-    return out.reshape(values.shape)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def threshold_and_go_on(ahead, gradient, pace, level, momentum, held, following):
-    """One proximal step on all coefficients, in place.
-
-    A gradient step from `ahead`, hard threshold at `level` (the proximal operator of a price on every coefficient that
-    is not zero); `held` becomes the result, `following` the extrapolated point. Returns how many are not zero.
-    """
-    count = 0
-    for n in range(ahead.shape[0]):
-        value = ahead[n] + pace * gradient[n]
-        if abs(value) <= level:
-            value = type(value)(0)
-        else:
-            count += 1
-        following[n] = value + momentum * (value - held[n])
-        held[n] = value
-    return count
+    steps = np.where(size < dead_zone, 0, np.maximum((size + rounding).astype(np.int32), 1))
+    return np.where(values > 0, steps, -steps).astype(np.int32)
 
 
 GRADES, LEVELS = 24, 8
+GRADE_OF = np.array([fine_grade(amount) for amount in range(128)])
+"""Grade of a sum of magnitudes; larger sums have the last one."""
 MORE = 3.5  # bits: the sign, the magnitude, and neighbours' zeros made less likely
 
 
@@ -84,16 +54,17 @@ def expected_bits(coefficients: np.ndarray, step: float, levels: int) -> np.ndar
     coefficients: of that shape, float32; step: of the quantiser; levels: of the planes.
     """
     shape = coefficients.shape
-    values = np.empty((shape[0], shape[1] * shape[2], *shape[3:]), np.uint8)
-    magnitudes(np.ascontiguousarray(coefficients).reshape(-1), step, values.reshape(-1))
+    values = magnitudes(coefficients, step).reshape(shape[0], shape[1] * shape[2], *shape[3:])
     bands = bands_of(shape[-2], shape[-1], levels)
+    first = np.empty(shape[-2:], np.int64)
+    for top, left, height, width, level, _, _ in bands:
+        first[top : top + height, left : left + width] = min(level, LEVELS - 1) * GRADES
     amounts = np.zeros(values.shape, np.int32)
     neighbourhoods(values, bands, amounts)
-    tally = np.zeros((LEVELS, GRADES, 2), np.int64)
-    count_grades(values, amounts, bands, tally)
-    out = np.empty(values.shape, np.float32)
-    look_up_bits(amounts, bands, bits_of(tally), out)
-    return out.reshape(shape)
+    place = first + GRADE_OF[np.minimum(amounts, len(GRADE_OF) - 1)]
+    others = np.bincount(place[values > 0], minlength=LEVELS * GRADES)
+    zeros = np.bincount(place.ravel(), minlength=LEVELS * GRADES) - others
+    return bits_of(np.stack([zeros, others], axis=-1).reshape(LEVELS, GRADES, 2)).ravel()[place].reshape(shape)
 
 
 def bits_of(tally: np.ndarray) -> np.ndarray:
@@ -104,12 +75,10 @@ def bits_of(tally: np.ndarray) -> np.ndarray:
     return np.maximum(np.log2((1 - share) / share) + MORE, 1).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def magnitudes(coefficients, step, out):
-    """uint8 magnitudes in steps, at least 1 where not zero, at most 15."""
-    for n in range(coefficients.shape[0]):
-        size = abs(coefficients[n])
-        out[n] = 0 if size == 0 else min(max(int(size / step + 0.5), 1), 15)
+def magnitudes(coefficients: np.ndarray, step: float) -> np.ndarray:
+    """Return uint8 magnitudes in steps, at least 1 where not zero, at most 15."""
+    size = np.minimum(np.abs(coefficients) / np.float32(step) + np.float32(0.5), 15).astype(np.uint8)
+    return np.maximum(size, coefficients != 0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -166,27 +135,3 @@ def spread_to_bands(amounts, bands, b, c, k, i, j, size):
     parent = bands[b, 6]
     if parent >= 0:
         amounts[c, k, bands[parent, 0] + (i >> 1), bands[parent, 1] + (j >> 1)] += 2 * size
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def count_grades(values, amounts, bands, tally):
-    """Count zeros and others under each level and grade."""
-    for b in range(bands.shape[0]):
-        top, left, level = bands[b, 0], bands[b, 1], min(bands[b, 4], 7)
-        for c in range(values.shape[0]):
-            for k in range(values.shape[1]):
-                for i in range(top, top + bands[b, 2]):
-                    for j in range(left, left + bands[b, 3]):
-                        tally[level, fine_grade(amounts[c, k, i, j]), 1 if values[c, k, i, j] > 0 else 0] += 1
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def look_up_bits(amounts, bands, table, out):
-    """out: the table's bits at each coefficient's level and grade."""
-    for b in range(bands.shape[0]):
-        top, left, level = bands[b, 0], bands[b, 1], min(bands[b, 4], 7)
-        for c in range(amounts.shape[0]):
-            for k in range(amounts.shape[1]):
-                for i in range(top, top + bands[b, 2]):
-                    for j in range(left, left + bands[b, 3]):
-                        out[c, k, i, j] = table[level, fine_grade(amounts[c, k, i, j])]

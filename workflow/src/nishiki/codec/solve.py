@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from nishiki.codec.rate import threshold_and_go_on
 from nishiki.codec.transform import Block, Plane, squared_lengths
 
 
@@ -130,6 +129,9 @@ class Operator:
         return cls(feet.look_up, feet.spread, float(feet.density().max(initial=0)))
 
 
+DESCENT = 4.0  # first threshold of `solve` over the last
+
+
 def solve(
     data: np.ndarray,
     operator: Operator,
@@ -138,29 +140,27 @@ def solve(
     *,
     threshold: float,
     iterations: int,
-    start: np.ndarray | None = None,
-    descent: float = 4.0,
 ) -> Solution:
     """Coefficients of `data` (channels, n) or (channels, lights * views, T, T).
 
-    threshold: smallest coefficient worth its price. shape: of the block (channels, lights, views, T, T). start:
-    coefficients of an earlier solution. descent: the first threshold over the last.
+    threshold: smallest coefficient worth its price. shape: of the block (channels, lights, views, T, T).
     """
     dtype = data.dtype
-    held = np.zeros(shape, dtype) if start is None else start.astype(dtype, copy=True)
+    held = np.zeros(shape, dtype)
     if not iterations or operator.norm == 0:
         left = data - operator.look(samples_of(block, held))
         return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), 0)
-    ahead, momentum = held.copy(), 1.0
+    ahead, momentum = held, 1.0
     pace = dtype.type(1 / (operator.norm * block.bound()))
     for step in range(iterations):
         left = data - operator.look(samples_of(block, ahead))
         gradient = block.adjoint(operator.spread(left).reshape(shape))
         following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
-        level = threshold * descent ** max(0.0, 1 - step / (0.6 * iterations))
-        arguments = (pace, dtype.type(level), dtype.type((momentum - 1) / following))
-        threshold_and_go_on(ahead.ravel(), gradient.ravel(), *arguments, held.ravel(), ahead.ravel())
-        momentum = following
+        level = threshold * DESCENT ** max(0.0, 1 - step / (0.6 * iterations))
+        stepped = ahead + pace * gradient
+        new = np.where(np.abs(stepped) <= dtype.type(level), dtype.type(0), stepped)
+        ahead = new + dtype.type((momentum - 1) / following) * (new - held)
+        held, momentum = new, following
     left = data - operator.look(samples_of(block, held))
     return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), iterations)
 
@@ -242,7 +242,6 @@ def pursue(
         return Solution(np.zeros(shape, np.float32), float(np.sum(data.astype(np.float64) ** 2)), 0)
     left = data if start is None else data - operator.look(samples_of(block, held))
     chosen, cost = (held != 0).astype(np.uint8), np.ones(shape, np.float32)
-    flat = (held.reshape(shape[0], -1), curvature.reshape(-1), cost.reshape(shape[0], -1), chosen.reshape(shape[0], -1))
     if start is None:
         prices = [price * effort.descent ** max(0.0, 1 - k / max(1, effort.rounds - 2)) for k in range(effort.rounds)]
     else:
@@ -251,8 +250,8 @@ def pursue(
     for turn, (level, adding) in enumerate([*((p, True) for p in (*prices, price)), (price, False)]):
         if start is not None or turn >= FLAT_ROUNDS:
             cost[:] = bits(held)
-        gradient = _downhill(left, held, operator, block, effort.ridge) if adding else held
-        choose(flat[0], gradient.reshape(shape[0], -1), *flat[1:], np.float32(level), adding)
+        gradient = _downhill(left, held, operator, block, effort.ridge) if adding else None
+        choose(held, gradient, curvature, cost, chosen, np.float32(level))
         left = settle(held, chosen, data, operator, block, effort)
     return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), effort.rounds)
 
@@ -263,24 +262,26 @@ def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit
     The gradient is computed only where coefficients are chosen.
     """
     left = data - operator.look(samples_of(block, held))
+    kept = chosen.astype(np.float32)
     ahead = _downhill(left, held, operator, block, effort.ridge, chosen)
-    ahead *= chosen
-    energy = first = dot(ahead.reshape(-1), ahead.reshape(-1))
+    ahead *= kept
+    energy = first = dot(ahead, ahead)
     for step in range(effort.inner):
         if energy <= 1e-6 * first:
             break
         seen = operator.look(samples_of(block, ahead))
-        flat = ahead.reshape(-1)
-        bend = dot(seen.reshape(-1), seen.reshape(-1)) + effort.ridge * dot(flat, flat)
+        bend = dot(seen, seen) + effort.ridge * dot(ahead, ahead)
         if not bend:  # a gradient that is rounding alone can cancel against the last direction
             break
         stride = energy / bend
-        add_scaled(held.reshape(-1), np.float32(stride), flat)
-        add_scaled(left.reshape(-1), np.float32(-stride), seen.reshape(-1))
+        held += np.float32(stride) * ahead
+        left -= np.float32(stride) * seen
         if step + 1 < effort.inner:
             gradient = _downhill(left, held, operator, block, effort.ridge, chosen)
-            before, energy = energy, masked_energy(gradient.reshape(-1), chosen.reshape(-1))
-            go_on(gradient.reshape(-1), chosen.reshape(-1), np.float32(energy / before), flat)
+            gradient *= kept
+            before, energy = energy, dot(gradient, gradient)
+            ahead *= np.float32(energy / before)
+            ahead += gradient
     return left
 
 
@@ -288,58 +289,33 @@ def _downhill(
     left: np.ndarray, held: np.ndarray, operator: Operator, block: Block, ridge: float, chosen: np.ndarray | None = None
 ) -> np.ndarray:
     out = block.adjoint(operator.spread(left).reshape(held.shape), chosen)
-    add_scaled(out.reshape(-1), np.float32(-ridge), held.reshape(-1))
+    out -= np.float32(ridge) * held
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def choose(held, gradient, curvature, cost, chosen, level, adding):
-    """Keep the coefficients (channels, n) that are worth `level` times their cost, zero the others, and count.
+def choose(
+    held: np.ndarray,
+    gradient: np.ndarray | None,
+    curvature: np.ndarray,
+    cost: np.ndarray,
+    chosen: np.ndarray,
+    level: np.float32,
+) -> None:
+    """Keep the coefficients that are worth `level` times their cost, zero the others, in place.
 
-    adding: False only removes.
+    held, gradient, cost, chosen: of the coefficients' shape; curvature: of all channels. Without a gradient
+    coefficients are only removed.
     """
-    count = 0
-    for c in range(held.shape[0]):
-        for n in range(held.shape[1]):
-            chosen[c, n] = chosen[c, n] if not adding else 1
-            if chosen[c, n]:
-                best = held[c, n] + gradient[c, n] / curvature[n] if adding else held[c, n]
-                if curvature[n] * best * best > level * cost[c, n]:
-                    count += 1
-                    continue
-                chosen[c, n] = 0
-            held[c, n] = 0
-    return count
+    best = held if gradient is None else held + gradient / curvature
+    worth = curvature * best * best > level * cost
+    chosen[:] = worth if gradient is not None else worth & (chosen > 0)
+    held[chosen == 0] = 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def dot(one, other):
     """Inner product in double precision, in a fixed order."""
     total = 0.0
-    for n in range(one.shape[0]):
-        total += one[n] * other[n]
+    for n in range(one.size):
+        total += one.flat[n] * other.flat[n]
     return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def add_scaled(values, factor, other):
-    """values += factor * other, in place."""
-    for n in range(values.shape[0]):
-        values[n] += factor * other[n]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def masked_energy(values, chosen):
-    """Sum of the squares of the chosen values."""
-    total = 0.0
-    for n in range(values.shape[0]):
-        if chosen[n]:
-            total += values[n] * values[n]
-    return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def go_on(gradient, chosen, factor, ahead):
-    """Return the next direction: the gradient where chosen, conjugate to the last."""
-    for n in range(ahead.shape[0]):
-        ahead[n] = (gradient[n] if chosen[n] else type(factor)(0)) + factor * ahead[n]

@@ -15,7 +15,6 @@ infinity a lobe without end (1 everywhere).  Parameters and normals that are not
 """
 
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -23,7 +22,6 @@ from numba import njit
 from nishiki.errors import UserError
 from nishiki.formats.fields import PlainFields
 from nishiki.geometry.camera import Camera
-from nishiki.threads import over_items
 
 KINDS = ("camera", "direction", "position", "environment", "unknown")
 POINT, DISTANT, ENVIRONMENT = 0, 1, 2
@@ -120,7 +118,6 @@ def _rows(values) -> tuple[tuple[float, ...], ...]:
 
 
 GRAZING = 0.05  # cos(theta_r) of 87 degrees
-_SLICE = 1 << 15  # points that a thread takes at once, at least
 _GRAZING = np.float32(GRAZING)
 _FAR = np.float32(40.0)  # exp(-40) = 4e-18 of the peak counts as 0
 _TINY = np.float32(1e-30)
@@ -145,8 +142,6 @@ def predict(
     normals: np.ndarray,
     camera_centre: np.ndarray,
     lamp: ViewLamp,
-    *,
-    threads: int = 1,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Diffuse and specular radiance of points under one lamp, seen by one camera; both (..., channels) float32.
 
@@ -162,11 +157,7 @@ def predict(
     diffuse, specular = np.empty_like(flat_kd), np.empty_like(flat_kd)
     view = _view(camera_centre, lamp, channels)
 
-    def work(part: slice) -> None:
-        _predict(flat_kd[part], flat_ks[part], sigma[part], places[part], facing[part], *view, diffuse[part],
-                 specular[part])  # fmt: skip
-
-    _in_slices(work, len(sigma), threads)
+    _predict(flat_kd, flat_ks, sigma, places, facing, *view, diffuse, specular)
     return diffuse.reshape(kd.shape), specular.reshape(kd.shape)
 
 
@@ -195,15 +186,6 @@ def _view(
     reference = np.float32(lamp.reference) ** 2 if lamp.form == POINT else _ZERO
     centre = np.ascontiguousarray(camera_centre, np.float32)
     return centre, lamp.form, lamp.vector, lamp.rotation, np.ascontiguousarray(harmonics, np.float32), reference
-
-
-def _in_slices(work, points: int, threads: int) -> None:
-    if threads < 2 or points < 2 * _SLICE:
-        work(slice(0, points))
-        return
-    parts = max(threads, points // (4 * _SLICE))
-    edges = [points * k // parts for k in range(parts + 1)]
-    over_items(work, [slice(a, b) for a, b in pairwise(edges)], threads)
 
 
 @njit(cache=True, error_model="numpy")

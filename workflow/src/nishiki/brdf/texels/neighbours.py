@@ -10,10 +10,11 @@ chart borders.  Cost and memory are linear in the texels, and texels come tile b
 push.)
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
-from numba import njit
 
 _BITS = 21  # of a node along an axis: three fit into 64
 _MIDDLE = 1 << (_BITS - 1)
@@ -91,16 +92,20 @@ class Field:
 
 def _shared(places: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Share sums (n, s) at places (n, 3), in cells, among the nodes around by tent weights; merge them by node."""
-    low = np.floor(places).astype(np.int64)
-    share = places - low
     keys, parts = [], []
-    for corner in range(8):
-        bits = np.array([corner >> 2, corner >> 1 & 1, corner & 1])
-        weight = np.prod(np.where(bits, share, 1 - share), axis=1)
+    for corner, weight in _nodes_around(places):
         there = weight > 0
-        keys.append(_packed(low[there] + bits))
+        keys.append(corner[there])
         parts.append(weight[there, None] * sums[there])
     return _merged(np.concatenate(keys), np.concatenate(parts))
+
+
+def _nodes_around(places: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the eight nodes around places (n, 3) by their keys (n,), with their tent weights (n,)."""
+    low = np.floor(places).astype(np.int64)
+    share = places - low
+    for corner in product((0, 1), repeat=3):
+        yield _packed(low + corner), np.prod(np.where(corner, share, 1 - share), axis=1)
 
 
 def _merged(keys: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -123,32 +128,14 @@ def _unpacked(keys: np.ndarray) -> np.ndarray:
 
 
 def _looked_up(places: np.ndarray, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
-    out = np.empty((len(places), values.shape[1]))
-    _interpolate(np.ascontiguousarray(places), keys, np.ascontiguousarray(values, np.float64), out)
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _interpolate(places, keys, values, out):
-    for p in range(len(places)):
-        x, y, z = np.floor(places[p, 0]), np.floor(places[p, 1]), np.floor(places[p, 2])
-        fx, fy, fz = places[p, 0] - x, places[p, 1] - y, places[p, 2] - z
-        out[p] = 0.0
-        total = 0.0
-        for corner in range(8):
-            bi, bj, bk = corner >> 2, corner >> 1 & 1, corner & 1
-            weight = (fx if bi else 1 - fx) * (fy if bj else 1 - fy) * (fz if bk else 1 - fz)
-            if not weight > 0.0:
-                continue
-            i, j, k = int(x) + bi + _MIDDLE, int(y) + bj + _MIDDLE, int(z) + bk + _MIDDLE
-            key = (i << 2 * _BITS) | (j << _BITS) | k
-            row = np.searchsorted(keys, key)
-            if row < len(keys) and keys[row] == key:
-                total += weight
-                for c in range(out.shape[1]):
-                    out[p, c] += weight * values[row, c]
-        for c in range(out.shape[1]):
-            out[p, c] = out[p, c] / total if total > 0.0 else values[0, c]
+    """Interpolate values (keys, s) at places (n, 3) among the nodes that are there, or take the first node's."""
+    out, total = np.zeros((len(places), values.shape[1])), np.zeros((len(places), 1))
+    for corner, weight in _nodes_around(places):
+        row = np.minimum(np.searchsorted(keys, corner), len(keys) - 1)
+        share = (weight * (keys[row] == corner))[:, None]
+        total += share
+        out += share * values[row]
+    return np.where(total > 0, out / np.where(total > 0, total, 1), values[0])
 
 
 def fill(values: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -63,21 +63,15 @@ def observed(
     values themselves if None.  Observations that are not finite are left out.  Weighted by cos(theta_r) (Miyazaki et
     al. 2007, section 3.1).
     """
-    texel, view = _slots(np.ascontiguousarray(visible))
-    points, slots = view.shape
-    channels = values.shape[-1]
+    texel, view = _slots(visible)
     places = np.ascontiguousarray(positions, np.float32).reshape(-1, 3)
     facing = np.ascontiguousarray(normals, np.float32).reshape(-1, 3)
-    picked = np.zeros((points, slots, channels), np.float32)
-    _pick(np.ascontiguousarray(values, np.float32), texel, view, picked)
-    diffuse, attenuation, alpha, weights = (np.zeros((points, slots), np.float32) for _ in range(4))
+    picked = _pick(values, texel, view)
+    diffuse, attenuation, alpha, weights = (np.zeros(view.shape, np.float32) for _ in range(4))
     centres = np.ascontiguousarray(centres, np.float32)
     _look(places, facing, texel, view, centres, *_side_by_side(lamps), diffuse, attenuation, alpha, weights)
     if encoding == "srgb":
-        level = picked
-        if bright is not None:
-            level = np.zeros_like(picked)
-            _pick(np.ascontiguousarray(bright, np.float32), texel, view, level)
+        level = picked if bright is None else _pick(bright, texel, view)
         weights *= encoding_slope(level.mean(axis=-1), "srgb") ** 2
     weights[~np.isfinite(picked).all(axis=-1)] = 0
     return Observed(texel, picked, diffuse, attenuation, alpha, weights, view)
@@ -99,31 +93,16 @@ def _slots(visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     texel = np.flatnonzero(count).astype(np.int32)
     slots = -(-max(int(count.max(initial=0)), 1) // MULTIPLE) * MULTIPLE
     view = np.full((texel.size, slots), -1, np.int32)
-    _fill_slots(flat, texel, view)
+    point, observation = np.nonzero(flat[:, texel].T)
+    first = np.cumsum(count[texel]) - count[texel]
+    view[point, np.arange(len(point)) - first[point]] = observation
     return texel, view
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fill_slots(visible, texel, view):
-    for p in range(texel.size):
-        slot = 0
-        for o in range(visible.shape[0]):
-            if visible[o, texel[p]]:
-                view[p, slot] = o
-                slot += 1
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _pick(stack, texel, view, out):
-    columns = stack.shape[2]
-    for p in range(texel.size):
-        row, column = texel[p] // columns, texel[p] % columns
-        for slot in range(view.shape[1]):
-            o = view[p, slot]
-            if o < 0:
-                break
-            for c in range(out.shape[2]):
-                out[p, slot, c] = stack[o, row, column, c]
+def _pick(stack: np.ndarray, texel: np.ndarray, view: np.ndarray) -> np.ndarray:
+    """Values (points, slots, channels) float32 of a stack (M, T, T, channels), 0 in empty slots."""
+    flat = np.asarray(stack, np.float32).reshape(len(stack), -1, stack.shape[-1])
+    return np.where((view >= 0)[..., None], flat[view, texel[:, None]], np.float32(0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -242,7 +221,7 @@ class FirstFit:
     flags: np.ndarray
 
 
-def first_fit(total: Observed, specular: Observed | None = None, *, threads: int = 1) -> FirstFit:
+def first_fit(total: Observed, specular: Observed | None = None) -> FirstFit:
     """Fit each texel alone.
 
     total: observations of Lambert + lobe; where `specular` (the same slots) is given, `total` holds the diffuse
@@ -257,7 +236,6 @@ def first_fit(total: Observed, specular: Observed | None = None, *, threads: int
         attenuation=data.attenuation,
         diffuse=basis,
         gamma_bounds=(low, high),
-        threads=threads,
     )
     known = ((fit.flags & LOST) == 0) & np.isfinite(fit.gamma) & (fit.sigma_log_gamma > 0)
     log_sigma = np.log(np.where(known, fit.gamma / WIDTH_OF_SIGMA, 1)).astype(np.float32)

@@ -131,7 +131,7 @@ class ObjectRenderer:
         pixels = np.flatnonzero(raster.triangle.reshape(-1) >= 0)
         tile, s, t = self.atlas.locate(raster.triangle.reshape(-1)[pixels], raster.barycentric.reshape(-1, 2)[pixels])
         present = np.flatnonzero(np.bincount(tile[tile >= 0], minlength=1))
-        places = np.full(int(tile.max(initial=0)) + 2, len(present), np.int32)  # tile -1 reads the last place
+        places = np.full(int(tile.max(initial=0)) + 2, len(present), np.uint16)  # tile -1 reads the last place
         places[present] = np.arange(len(present))
         first, order = by_tile(places[tile], len(present) + 1)
         slots = {int(number): k for k, number in enumerate(present)}
@@ -192,7 +192,7 @@ class ObjectRenderer:
         seen = np.stack([self.depths.visible(positions, normals, self.cameras[v]) for v in views])
         for values, residual in zip(coded, flat.residual, strict=True):
             places = residual.observation[base + views], residual.texel[chosen]
-            mix(residual.values, *places, seen, weights, fallback, values)
+            values += mix(residual.values, *places, seen, weights, fallback)
         return coded
 
     def _tile(self, tile: int) -> DecodedTile:

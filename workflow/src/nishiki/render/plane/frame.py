@@ -4,15 +4,21 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from nishiki.errors import UserError
 from nishiki.render.plane import camera
-from nishiki.render.plane.flags import BACKGROUND, UNUSABLE
+from nishiki.render.plane.flags import BACKGROUND, TURNED_AWAY, UNUSABLE
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
-from nishiki.render.plane.shade import ColourGroups, PlaneMaps, colour_groups, pixel_to_plane, shade_channels, shade_xyz
+from nishiki.render.plane.shade import (
+    ColourGroups,
+    PlaneMaps,
+    Shading,
+    colour_groups,
+    pixel_to_plane,
+    shade_channels,
+    shade_xyz,
+)
 from nishiki.render.plane.shadow import cast_shadows
-from nishiki.threads import over_rows
 
 _SAMPLES_AT_ONCE = 1 << 19  # bounds the memory of a band of the screen
 
@@ -89,11 +95,7 @@ def render(
     while first < rows:
         last, across, down = painter.band(first, xyz.shape, least, most)
         inside, shading = painter.paint(first, last, columns, across, down)
-        arguments = (
-            (shading.values, shading.flags, inside), (across, down), backdrop,
-            (xyz[first:last], flags[first:last], coverage[first:last]),
-        )  # fmt: skip
-        over_rows(_resolve, last - first, *arguments)
+        xyz[first:last], flags[first:last], coverage[first:last] = _resolve(shading, inside, across, down, backdrop)
         largest, first = max(largest, across * down), last
     return Rendering(xyz, flags, coverage, white, shadowed, largest, reduction)
 
@@ -183,27 +185,23 @@ def _block_means(values, factor):
     return (sums / (sizes[0][:, None] * sizes[1])[..., None]).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _resolve(first, last, samples, grid, background, out):
-    """Average the samples of each pixel; unusable samples (missing normal or colour, overflow) are left out."""
-    (values, sample_flags, inside), (across, down), (xyz, flags, coverage) = samples, grid, out
-    for row in range(first, last):
-        for column in range(xyz.shape[1]):
-            x, y, z, usable, on, marks = 0.0, 0.0, 0.0, 0, 0, 0
-            for i in range(row * down, (row + 1) * down):
-                for j in range(column * across, (column + 1) * across):
-                    if not inside[i, j]:
-                        continue
-                    on += 1
-                    marks |= sample_flags[i, j]
-                    if sample_flags[i, j] & UNUSABLE == 0:
-                        usable += 1
-                        x, y, z = x + values[i, j, 0], y + values[i, j, 1], z + values[i, j, 2]
-            share = on / (across * down)
-            scale = share / usable if usable > 0 else 0.0
-            xyz[row, column, 0] = x * scale + (1.0 - share) * background[0]
-            xyz[row, column, 1] = y * scale + (1.0 - share) * background[1]
-            xyz[row, column, 2] = z * scale + (1.0 - share) * background[2]
-            coverage[row, column] = share
-            mark = marks & (4 if usable > 0 else 23)
-            flags[row, column] = mark if on > 0 else BACKGROUND
+def _resolve(
+    shading: Shading, inside: np.ndarray, across: int, down: int, backdrop: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Average the samples of each pixel; unusable samples (missing normal or colour, overflow) are left out.
+
+    Returns XYZ (rows, columns, 3), flags and coverage (rows, columns) of the pixels, each down x across samples.
+    """
+
+    def samples(values: np.ndarray) -> np.ndarray:
+        rows, columns = inside.shape
+        return values.reshape(rows // down, down, columns // across, across, *values.shape[2:])
+
+    usable = inside & (shading.flags & UNUSABLE == 0)
+    on, count = (np.sum(samples(chosen), axis=(1, 3)) for chosen in (inside, usable))
+    share = on / (across * down)
+    sums = np.sum(samples(np.where(usable[..., None], shading.values, 0)), axis=(1, 3), dtype=np.float64)
+    xyz = sums * (share / np.maximum(count, 1))[..., None] + (1 - share)[..., None] * backdrop
+    marks = np.bitwise_or.reduce(samples(np.where(inside, shading.flags, 0)), axis=(1, 3))
+    marks = np.where(count > 0, marks & TURNED_AWAY, marks)
+    return xyz, np.where(on > 0, marks, BACKGROUND), share
