@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nishiki.photometric import expected_error as module
-from nishiki.photometric.expected_error import WINDOW, correction_error, expected_error, slope_error
+from nishiki.photometric.expected_error import WINDOW, correction_error, direction_groups, expected_error, slope_error
 
 
 def relief(rows=40, columns=56, steep=0.5):
@@ -55,11 +55,11 @@ def test_a_surface_has_less_than_normals_that_no_surface_has():
     normals = relief()
     valid = np.ones(normals.shape[:2], bool)
     sigma = np.full(valid.shape, 0.005, np.float32)
-    good = expected_error(normals, sigma, valid, True)
+    good = expected_error(normals, sigma, valid)
     y, x = np.mgrid[: valid.shape[0], : valid.shape[1]]
     patch = np.exp(-((x - 28.0) ** 2 + (y - 20.0) ** 2) / 60)  # a smooth error of 6 degrees, which no residual shows
     p, q = -normals[..., 0] / normals[..., 2], -normals[..., 1] / normals[..., 2]
-    bad = expected_error(from_slopes(p + 0.1 * patch, q), sigma, valid, True)
+    bad = expected_error(from_slopes(p + 0.1 * patch, q), sigma, valid)
     assert bad[16:24, 24:32].mean() > 1.5 * good[16:24, 24:32].mean()
     assert np.allclose(bad[:, :4], good[:, :4], rtol=0.02)
 
@@ -67,9 +67,26 @@ def test_a_surface_has_less_than_normals_that_no_surface_has():
 def test_is_the_mean_square_of_sigma_where_no_curl_adds_to_it():
     flat, valid = from_slopes(np.zeros((20, 20)), np.zeros((20, 20))), np.ones((20, 20), bool)
     sigma = np.where(np.arange(20) % 2, 0.01, 0.03) * np.ones((20, 1))
-    joint, selected = (expected_error(flat, sigma, valid, fitted) for fitted in (True, False))
-    assert np.allclose(joint[5:15, 5:15], np.sqrt((0.01**2 + 0.03**2) / 2), rtol=0.1)
-    assert np.allclose(selected, module.MISFIT * joint)
+    found = expected_error(flat, sigma, valid)
+    assert np.allclose(found[5:15, 5:15], np.sqrt((0.01**2 + 0.03**2) / 2), rtol=0.1)
+
+
+def test_groups_hold_neighbouring_lamps():
+    """Of a dome every group is compact; a few lamps are a group each, also where two are alike."""
+    random = np.random.default_rng(4)
+    directions = random.normal([0, 0, 2], 1, (96, 3))
+    directions[:, 2] = np.abs(directions[:, 2])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    groups = direction_groups(directions)
+    assert sorted(set(groups)) == list(range(module.GROUPS))
+    means = np.array([directions[groups == k].mean(axis=0) for k in range(module.GROUPS)])
+    own = (directions * means[groups]).sum(axis=1)
+    assert own.mean() > (directions @ means.T).mean() + 0.1
+    assert (
+        np.mean(own >= (directions @ (means / np.linalg.norm(means, axis=1, keepdims=True)).T).max(axis=1) - 0.1) > 0.9
+    )
+    assert len(set(direction_groups(directions[:5]))) == 5
+    assert len(set(direction_groups(directions[[0, 1, 2, 2]]))) == 3
 
 
 def test_pixels_without_an_estimate_are_unknown_and_touch_no_others():
@@ -77,12 +94,12 @@ def test_pixels_without_an_estimate_are_unknown_and_touch_no_others():
     valid = np.ones(normals.shape[:2], bool)
     valid[:, 30:] = False
     sigma = np.full(valid.shape, 0.005, np.float32)
-    found = expected_error(normals, sigma, valid, True)
+    found = expected_error(normals, sigma, valid)
     spoilt = normals.copy()
     spoilt[:, 30:] = [0, 0, 1]
-    assert np.array_equal(found, expected_error(spoilt, sigma, valid, True))
+    assert np.array_equal(found, expected_error(spoilt, sigma, valid))
     assert (found[~valid] == np.float32(module.UNKNOWN)).all()
-    assert np.isfinite(expected_error(normals, sigma, np.zeros_like(valid), True)).all()
+    assert np.isfinite(expected_error(normals, sigma, np.zeros_like(valid))).all()
 
 
 def test_slope_error_is_finite_beside_rough_ground():

@@ -1,6 +1,6 @@
 """Expected error of the normals: what lamps left out say, and what the integrability says.
 
-`sigma` of the joint fit is a jackknife over the lamps: it holds errors that change with the lamp. Errors that all
+`sigma` is a jackknife over the lamps: it holds errors that change with the lamp. Errors that all
 lamps share leave another trace: the slopes of a surface have no curl (B. K. P. Horn and M. J. Brooks, The variational
 approach to shape from shading, Computer Vision, Graphics, and Image Processing 33, 1986), and errors that change from
 place to place do. With
@@ -11,11 +11,10 @@ place to place do. With
 delta is the error of the slopes along the border of the window that explains the circulation around it. The expected
 error is
 
-    E^2 = mean of (m sigma)^2 over a window + c^3 d^2
+    E^2 = mean of sigma^2 over a window + c^3 d^2
 
 d the root mean square of delta over a window, c = n_z, c^1.5 the mean factor from slopes to angles along and across the
-tilt; m = 1 where normals were fitted together with gloss, MISFIT where they come from selected lamps alone, whose sigma
-is that of the residual only (measured: docs/notes/stages/height.md).
+tilt.
 
 Errors of what ingest put right are shared by all pixels and leave no curl. To first order, with lights l_j and
 M = sum l_j l_j^T, a relative error e_j of the strength of lamp j turns the normal n by the part of M^-1 l_j (l_j . n)
@@ -28,12 +27,32 @@ from typing import Any
 import numpy as np
 
 WINDOW = 7  # pixels
-MISFIT = 2.0
+GROUPS = 8  # of neighbouring lamps that are left out in turn
+LLOYD_ROUNDS = 20
 LEAST_NZ, LARGEST_SIGMA = 0.15, 0.5  # slopes beyond, and radians beyond, count as these
 UNKNOWN = 0.5 * np.pi  # as sigma of pixels without an estimate
 
 
-def expected_error(normals: np.ndarray, sigma: np.ndarray, valid: np.ndarray, joint: np.ndarray | bool) -> np.ndarray:
+def direction_groups(directions: np.ndarray) -> np.ndarray:
+    """Divide lamps (n, 3) into GROUPS of neighbours; fewer lamps are a group each.
+
+    Returns
+    -------
+    (n,) int, numbers of the groups: nearest of GROUPS centres, which start as far from one another as lamps are and
+    become the means of their groups (S. P. Lloyd, IEEE Trans. Inf. Theory 28, 1982).
+    """
+    chosen = [int(np.argmax(directions[:, 2]))]
+    while len(chosen) < min(GROUPS, len(directions)):
+        chosen.append(int(np.argmin((directions @ directions[chosen].T).max(axis=1))))
+    centres = directions[chosen]
+    for _ in range(LLOYD_ROUNDS):
+        groups = np.argmax(directions @ centres.T, axis=1)
+        sums = np.array([directions[groups == number].sum(axis=0) for number in range(len(chosen))])
+        centres = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), np.finfo(float).tiny)
+    return np.unique(groups, return_inverse=True)[1]
+
+
+def expected_error(normals: np.ndarray, sigma: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Root mean square angle by which the normals are likely to be off.
 
     Parameters
@@ -44,8 +63,6 @@ def expected_error(normals: np.ndarray, sigma: np.ndarray, valid: np.ndarray, jo
         Radians, of the stage `normals`.
     valid : (rows, columns) bool
         Pixels with an estimate.
-    joint : (rows, columns) bool
-        Pixels whose normals were fitted together with gloss.
 
     Returns
     -------
@@ -53,7 +70,7 @@ def expected_error(normals: np.ndarray, sigma: np.ndarray, valid: np.ndarray, jo
         Radians, at most pi / 2, which it is where a pixel is not valid.
     """
     known = valid.astype(np.float32)
-    square = (np.minimum(sigma, LARGEST_SIGMA) * np.where(joint, 1, MISFIT)).astype(np.float32) ** 2
+    square = np.minimum(sigma, LARGEST_SIGMA).astype(np.float32) ** 2
     circulation = slope_error(normals, valid) * np.clip(normals[..., 2], LEAST_NZ, 1) ** 1.5
     error = np.sqrt(np.maximum(window_mean(square * known, known), 0) + circulation**2)
     return np.where(valid, np.minimum(error, UNKNOWN), UNKNOWN).astype(np.float32)

@@ -35,9 +35,7 @@ def run(context: Context) -> dict:
     sigma, correction = maps.read("sigma"), maps.read("correction_sigma") if "correction_sigma" in maps else None
     if correction is not None:
         sigma = np.sqrt(np.maximum(sigma**2 - correction**2, 0))
-    fitted = np.array([finish["joint"] for finish in context.inputs["normals"].diagnostics["finishes"]])
-    joint = fitted[maps.read("finish")] if "finish" in maps else fitted[0]
-    error = expected_error(normals, sigma, valid, joint)
+    error = expected_error(normals, sigma, valid)
     if correction is not None:
         error = np.minimum(np.hypot(error, correction), UNKNOWN)
     out.write("expected_error", error, unit="radians, rms angle of the normal; pi / 2 where there is no estimate")

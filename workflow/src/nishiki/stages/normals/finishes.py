@@ -12,6 +12,7 @@ from nishiki.artifacts.maps import Maps
 from nishiki.model_selection.decision import Decision
 from nishiki.observations.parcels import STRIDE, parcels, sample
 from nishiki.observations.plane import Observations
+from nishiki.photometric.expected_error import LARGEST_SIGMA, direction_groups
 from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.relighting import MODELS
@@ -261,8 +262,35 @@ def finish_labels(
         values = correlate1d(values, window, axis=axis, mode="constant")
         costs = correlate1d(costs, window, axis=axis + 1, mode="constant")
     cheapest = (costs / np.maximum(values, 1)).argmin(axis=0).astype(np.uint8)
-    whole = cheapest.repeat(STRIDE, axis=0).repeat(STRIDE, axis=1)
-    return whole[band.start - wide.start :][: band.stop - band.start, :columns]
+    return of_band(cheapest, band, wide.start, columns)
+
+
+def of_band(strided: np.ndarray, band: slice, first: int, columns: int) -> np.ndarray:
+    """Return values of every STRIDE-th pixel from row `first` on at all pixels of a band."""
+    whole = strided.repeat(STRIDE, axis=0).repeat(STRIDE, axis=1)
+    return whole[band.start - first :][: band.stop - band.start, :columns]
+
+
+def refitted_sigma(
+    frames: Observations, selection: Maps | None, lights: np.ndarray, band: slice, settings: NormalsSettings
+) -> np.ndarray:
+    """Return the error of the normals of a band (rows, columns), radians, that lamps left out show.
+
+    Neighbouring lamps see the same wrong model, so that groups of them are left out in turn (delete-a-group jackknife;
+    R. G. Miller, Biometrika 61, 1974), at every STRIDE-th pixel of every STRIDE-th row; 0 where that has no estimate.
+    """
+    columns = frames.shape[1]
+    first, groups = band.start // STRIDE, direction_groups(frames.directions[lights])
+    count = int(groups.max()) + 1
+    sigma = np.zeros((-(-band.stop // STRIDE) - first, -(-columns // STRIDE)), np.float32)
+    wide = slice(first * STRIDE, band.stop)
+    for piece, (row, column) in strided_pieces(frames, selection, lights, wide):
+        parts = (piece.under(np.flatnonzero(groups != number)) for number in range(count))
+        fits = [solve(part.observations, part.usable, part.valid, part.parcel, settings, None) for part in parts]
+        normals = np.stack([maps["normals"][0] for maps in fits])
+        apart = np.minimum(np.square(normals - normals.mean(axis=0)).sum(axis=-1), LARGEST_SIGMA**2)
+        sigma[row // STRIDE - first, column // STRIDE] = np.sqrt((count - 1) / count * apart.sum(axis=0))
+    return of_band(sigma, band, wide.start, columns)
 
 
 def strided_pieces(

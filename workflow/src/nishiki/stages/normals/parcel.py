@@ -30,7 +30,7 @@ MAPS = {
     "normals": ("float32", "unit vector, x right, y up, z to the camera"),
     "reflectance": ("float32", "relative to white, per channel"),
     "albedo": ("float32", "relative to white, intensity"),
-    "sigma": ("float32", "radians, rms error of the direction"),
+    "sigma": ("float32", "radians, expected error of the direction by lamps left out"),
     "correction_sigma": ("float32", "radians, the part of sigma that comes from what ingest put right"),
     "lights_used": ("uint16", "lights"),
     "condition": ("float32", "of the weighted 3 x 3 normal matrix"),

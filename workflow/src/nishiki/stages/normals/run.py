@@ -19,7 +19,7 @@ from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.relighting import TERMS
 from nishiki.stages.normals import NormalsSettings
-from nishiki.stages.normals.finishes import choose_finishes, finish_labels
+from nishiki.stages.normals.finishes import choose_finishes, finish_labels, refitted_sigma
 from nishiki.stages.normals.parcel import MAPS, fit_finishes, relit, solve
 
 
@@ -64,6 +64,11 @@ def map_tiles(context: Context) -> dict:
                     maps.update(relit(observations[area], valid[area], parcel, maps, model, together))
                 for name in maps.keys() & arrays.keys():
                     tile_maps[name][strip][area[1:]] = maps[name]
+        apart = np.array([gloss is None for gloss in glosses])[labels]
+        if len(lights) > 3 and apart.any():
+            sigma = refitted_sigma(frames, selection, lights, band, context.settings)
+            apart &= (sigma > 0) & ((tile_maps["flags"] & (bits.NO_ESTIMATE | bits.NO_REDUNDANCY)) == 0)
+            tile_maps["sigma"] = np.where(apart, sigma, tile_maps["sigma"])
         if frames.uncertainty:
             add_correction_error(tile_maps, frames, lights)
         for name, array in arrays.items():
