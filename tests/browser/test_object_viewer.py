@@ -16,7 +16,10 @@ from nishiki.report.viewer.page import Blocks
 from nishiki.stages.render.painting import direction
 from nishiki.stages.viewer.object import write_object
 
-pytestmark = pytest.mark.skipif(viewer_pages.missing() is not None, reason=str(viewer_pages.missing()))
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(viewer_pages.missing() is not None, reason=str(viewer_pages.missing())),
+]
 
 
 @pytest.fixture(scope="module", params=[("srgb", ("total",)), ("srgb", ("diffuse", "specular"))], ids=["sum", "parts"])

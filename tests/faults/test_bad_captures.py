@@ -289,6 +289,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BROKEN)
 def test_each_kind_has_its_own_clear_error(tmp_path, name):
     folder = make_capture(tmp_path / "c")
@@ -332,6 +333,7 @@ WARNED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WARNED)
 def test_what_is_only_odd_is_a_warning(tmp_path, name):
     folder = make_capture(tmp_path / "c")

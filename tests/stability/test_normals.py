@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import mpmath
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 from stability.cases import case, relative, worst_over
 from stability.samples import EXTREME, dome, matt_pixels, same, tilted, turned_cone
@@ -253,6 +254,7 @@ def _anything(seed, share, sizes, count):
     return bad
 
 
+@pytest.mark.slow
 @case(
     "Samples of any size, NaN and infinity among them",
     hazard="squares and quotients beyond float32; albedos that float32 cannot hold",

@@ -1,5 +1,6 @@
 """Every case of stability is on the page, and the list of what failed at first names cases that exist."""
 
+import pytest
 from stability.page import PAGE, TITLES, found, load
 
 
@@ -8,6 +9,7 @@ def test_every_case_is_on_the_page():
     assert not [item.name for item in load() if not any(line.startswith(f"| {item.name} |") for line in lines)]
 
 
+@pytest.mark.slow
 def test_every_case_belongs_to_a_section():
     assert {item.area for item in load()} <= set(TITLES)
 

@@ -33,6 +33,7 @@ ORDERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rings", "options"),
     [(RINGS, {"gloss": 0.5}), (((4, 45),), {}), (((6, 30),), {"albedo": (0.01, 0.03)}), (RINGS, {"steep": 0.1})],
@@ -45,6 +46,7 @@ def test_sound_sets_are_left_as_they_are(rings, options):
     assert not found.mirror_undecided
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gloss", ["matte", "satin", "varnish"])
 def test_nothing_is_said_of_the_order_for_a_flat_painting(gloss, tmp_path):
     size = ["--rows", "72", "--columns", "96", "--supersampling", "1"]
@@ -56,6 +58,7 @@ def test_nothing_is_said_of_the_order_for_a_flat_painting(gloss, tmp_path):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ORDERS)
 def test_the_order_of_the_lamps_is_found(name):
     directions = dome(RINGS)
@@ -68,6 +71,7 @@ def test_the_order_of_the_lamps_is_found(name):
     np.testing.assert_allclose(listed[list(found.order)], directions)
 
 
+@pytest.mark.slow
 def test_an_exchanged_pair_is_found_where_gloss_hides_it_from_the_other_tests():
     directions = dome(((12, 30), (8, 55)))
     values = photographs(directions, seed=1, gloss=0.5, steep=16.0, noise=0.05)
@@ -76,6 +80,7 @@ def test_an_exchanged_pair_is_found_where_gloss_hides_it_from_the_other_tests():
     assert arrange(values, directions[order]).order == tuple(order)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", AXES)
 def test_axes_are_found_but_for_a_half_turn(axes):
     directions = dome(RINGS)
@@ -89,6 +94,7 @@ def test_axes_are_found_but_for_a_half_turn(axes):
     assert found.curl[1] < 0.8 * found.curl[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_no_order_is_named_that_the_test_refuses_again(seed):
     """The lamps of another dome, in any order: no order of them explains the photographs."""
@@ -102,6 +108,7 @@ def test_no_order_is_named_that_the_test_refuses_again(seed):
         assert not found.rearranged
 
 
+@pytest.mark.slow
 def test_no_random_order_is_named_under_lamps_that_a_half_turn_leaves_alike():
     """Hills under one order are hollows under another one; neither can be told from the photographs."""
     directions = dome(((6, 35), (6, 60)))
@@ -149,6 +156,7 @@ def examine(folder):
     return check_capture(folder, level="full")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "kind"),
     [
@@ -181,6 +189,7 @@ def test_convert_passes_on_what_photographs_say_of_each_other(tmp_path):
     assert [(w.kind, w.file) for w in made.warnings] == [("lamp-failed", "frames/03.png")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "kind", "file"),
     [
@@ -197,6 +206,7 @@ def test_captures_as_people_make_them(tmp_path, data, case, kind, file):
     assert [(p.kind, p.file) for p in found] == [(kind, file)]
 
 
+@pytest.mark.slow
 def test_slopes_of_no_surface_leave_the_mirrored_axis_undecided_aloud(data, tmp_path):
     """The relief of the sample is no gradient: its curl is the same with y mirrored, in the sound set as well."""
     made = convert(data / "faulty_captures/photographs/09-y-down", tmp_path / "c", examine=examine)

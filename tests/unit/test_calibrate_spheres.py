@@ -90,6 +90,7 @@ def test_one_sphere_gives_directions(tmp_path, radius, most_deg):
         write_calibration(tmp_path / "out", result)
 
 
+@pytest.mark.slow
 def test_three_spheres_give_positions_that_a_capture_uses(tmp_path, three_spheres):
     paths, _, truth, focal = three_spheres
     result = calibrate_spheres(SphereInput(paths, count=3, focal_px=focal, radius_mm=15))
@@ -111,6 +112,7 @@ def test_three_spheres_give_positions_that_a_capture_uses(tmp_path, three_sphere
     assert (tmp_path / "open" / "lamps_mm.lp").is_file()
 
 
+@pytest.mark.slow
 def test_falloff_on_a_board_refines_positions(three_spheres):
     paths, boards, truth, focal = three_spheres
     column, row = 379.5 - 3200 * 80 / 985, 259.5 + 3200 * 40 / 985

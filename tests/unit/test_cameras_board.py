@@ -54,6 +54,7 @@ def test_boards_of_the_older_layout_are_recognised():
     ).legacy
 
 
+@pytest.mark.slow
 def test_pictures_without_a_board_are_named():
     found = detect_boards([("empty", np.full((ROWS, COLUMNS), 90, np.uint8)), pictures()[0]], SHAPE)
     assert found.unseen == ("empty",)

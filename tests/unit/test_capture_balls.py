@@ -85,6 +85,7 @@ def test_photographs_without_balls_are_refused(tmp_path):
     assert [problem.kind for problem in caught.value.problems] == ["layout-unknown"]
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(("kind", "left_out"), [("sound", []), ("window", ["IMG_2007"]), ("on-velvet", [])])
 def test_balls_of_captures_as_people_make_them(data, tmp_path, kind, left_out):

@@ -132,6 +132,7 @@ def test_photographs_that_are_missing_or_of_another_size_are_named(tmp_path):
         convert(tmp_path / "s", tmp_path / "capture")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["text", "binary"])
 def test_files_that_end_anywhere_are_read_or_refused(tmp_path, kind):
     write_model(tmp_path, kind)

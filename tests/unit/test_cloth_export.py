@@ -37,6 +37,8 @@ from nishiki.stages.render import ClothRenderSettings
 from nishiki.stages.render.draping import lights_of
 from nishiki.stages.report.capture import export_section
 
+pytestmark = pytest.mark.slow
+
 STAMP = {"scene": "small", "stage": "cloth_export", "key": "0" * 12, "version": "0.1.0"}
 WARD = Ward(diffuse=np.array([0.05, 0.04, 0.1]), specular=np.full(3, 0.2), alpha_x=0.5, alpha_y=0.2)
 SHINY = GltfCloth(

@@ -50,6 +50,7 @@ def test_room_light_is_measured(room, gloss):
     assert result.ambient > 5 * result.ambient_sigma
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rings", [((9, 40), (6, 60), (3, 75)), ((8, 30), (8, 60)), ((12, 45),)])
 @pytest.mark.parametrize("steep", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("gloss", [0.0, 0.3])
@@ -60,6 +61,7 @@ def test_no_room_light_is_found_on_shallow_reliefs(rings, steep, gloss):
     assert result.ambient <= max(LEAST_AMBIENT, 5 * result.ambient_sigma)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cat", "horse"])
 def test_room_light_in_measured_photographs(data, name):
     """A share of their albedo is added to all photographs; that of least squares is .94 of the fitted one."""

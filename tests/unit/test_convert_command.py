@@ -209,6 +209,7 @@ REFUSED = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", REFUSED)
 def test_what_cannot_be_used_is_named_with_a_remedy(tmp_path, kind, capsys):
     write, named, remedy = REFUSED[kind]

@@ -114,6 +114,7 @@ def digest_of(store):
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 
+@pytest.mark.slow
 def test_a_sound_capture_is_stored_as_without_corrections(tmp_path):
     source = write_set(tmp_path / "s", [seen(light) for light in lamps()])
     convert(source, tmp_path / "c")
@@ -138,6 +139,7 @@ MOVEMENTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", MOVEMENTS)
 def test_a_moved_camera_is_registered(clean, tmp_path, kind):
     moves = [MOVEMENTS[kind](j) for j in range(LAMPS)]
@@ -150,6 +152,7 @@ def test_a_moved_camera_is_registered(clean, tmp_path, kind):
     assert difference(field, clean, margin=14) < ACCURATE
 
 
+@pytest.mark.slow
 def test_a_movement_may_be_left_as_it_is(tmp_path):
     source = write_set(tmp_path / "s", [seen(light, **MOVEMENTS["bumped"](j)) for j, light in enumerate(lamps())])
     convert(source, tmp_path / "c")
@@ -188,6 +191,7 @@ def test_unconnected_photographs_are_not_moved():
     assert not movement.moved.any()
 
 
+@pytest.mark.slow
 def test_room_light_of_a_frame_without_lamp_is_taken_off(clean, tmp_path):
     room = 0.12 * np.array([1.0, 0.8, 0.6]) * seen(None, albedo_only=True)
     source = write_set(tmp_path / "s", [0.8 * seen(light) + room for light in lamps()])
@@ -198,6 +202,7 @@ def test_room_light_of_a_frame_without_lamp_is_taken_off(clean, tmp_path):
     assert difference(digitise(source, tmp_path, "plain", {"ambient": "never"})[0], clean) > 1
 
 
+@pytest.mark.slow
 def test_recorded_exposures_are_divided_out(clean, tmp_path):
     times = [(1 / 100, 1 / 50, 1 / 25)[j % 3] for j in range(LAMPS)]
     sensitivities = [100 if j % 2 else 50 for j in range(LAMPS)]
@@ -211,6 +216,7 @@ def test_recorded_exposures_are_divided_out(clean, tmp_path):
     assert not any(diagnostics.corrections["done"].values())
 
 
+@pytest.mark.slow
 def test_lamps_of_unequal_strength_are_calibrated_by_the_photographs(clean, tmp_path):
     strengths = np.random.default_rng(5).uniform(0.6, 1.0, LAMPS)
     source = write_set(tmp_path / "s", [s * seen(light) for s, light in zip(strengths, lamps(), strict=True)])
@@ -220,6 +226,7 @@ def test_lamps_of_unequal_strength_are_calibrated_by_the_photographs(clean, tmp_
     assert difference(field, clean) < ACCURATE
 
 
+@pytest.mark.slow
 def test_failed_lamps_and_repeated_photographs_are_left_out(clean, tmp_path):
     pictures = [seen(light) for light in lamps()]
     pictures[4] = np.zeros_like(pictures[4])
@@ -279,6 +286,7 @@ def test_subtracted_light_leaves_codes_of_the_rest(dtype, curve):
     assert np.abs(left - expected).max() <= 0.51 * step + 2e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "done"),
     [

@@ -35,6 +35,8 @@ from nishiki.stages.export import ExportSettings, Format
 from nishiki.stages.export.painting import run
 from nishiki.stages.report.capture import export_section
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):

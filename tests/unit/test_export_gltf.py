@@ -94,6 +94,7 @@ def test_usd_and_materialx_have_the_mesh_the_textures_and_the_error_of_gltf(expo
             assert figures["all"] == pytest.approx(losses["gltf"]["kinds"]["gltf"]["psnr_db"][lights]["all"], abs=0.05)
 
 
+@pytest.mark.slow
 def test_reliefs_that_were_flattened_are_exported_with_their_normals(tmp_path):
     """The mesh is flat, so vertex normals that still lean would shade it as the bowl that was taken off."""
     painting = small_painting(tmp_path)

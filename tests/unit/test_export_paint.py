@@ -21,6 +21,8 @@ from nishiki.stages.export.painting import run
 from nishiki.stages.export.scene import ExportedScene
 from nishiki.stages.render.painting import load_scene
 
+pytestmark = pytest.mark.slow
+
 LABELS = np.zeros((ROWS, COLUMNS), np.uint8)
 LABELS[10:30, 20:51] = 1
 TURNED_AWAY = np.s_[20:23, 30:34]  # facets that lean further than the view sees

@@ -73,6 +73,7 @@ def linear(coded):
     return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", ["exported", "coarse"])
 def test_a_viewer_of_gltf_shows_the_error_that_is_stated(request, size):
     """The dielectric of glTF 2.0, appendix B, with KHR_materials_specular, written out for light and view."""

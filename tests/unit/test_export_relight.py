@@ -25,6 +25,8 @@ from nishiki.stages.export.light_models import (
 from nishiki.stages.export.photographs import GridPictures, Photographs
 from nishiki.stages.export.scene import ExportedScene
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):

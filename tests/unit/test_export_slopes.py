@@ -95,6 +95,7 @@ def test_a_texel_shows_the_mean_gloss_of_its_pixels(painting, step):
     assert squares["wide"] < 0.3 * squares["narrow"]
 
 
+@pytest.mark.slow
 def test_matte_surfaces_are_not_widened(tmp_path):
     painting = small_painting(tmp_path)
     file = painting.inputs["brdf"].folder / "parameters.json"

@@ -84,6 +84,7 @@ def boards_of(directions, seed, unequal, shape):
     return np.exp(level + side[0] * x + side[1] * y)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lamps", DOMES)
 @pytest.mark.parametrize("matter", RELIEFS)
 def test_lamps_of_any_strengths_are_no_reason_to_report(matter, lamps):
@@ -164,6 +165,7 @@ def test_too_little_to_tell_is_not_judged():
     assert pair(photographs * np.nan, boards, cosines, directions) is None
 
 
+@pytest.mark.slow
 def test_photographs_that_have_the_lamps_of_each_other_with_their_boards_are_told_by_the_order():
     directions = rings(DOMES["two rings"])
     listed = directions.copy()
@@ -183,6 +185,7 @@ def rename_boards(folder, order):
     (folder / "frames.csv").write_text("".join(",".join(row) + "\n" for row in rows))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options", [{}, {"dark": False}, {"exposure_s": 0.25}, {"mask": np.eye(24, 32)[..., None] + 1}]
 )

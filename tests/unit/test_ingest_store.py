@@ -182,6 +182,7 @@ def test_what_may_not_be_used_is_marked(tmp_path):
     assert diagnostics.mask_pixels == mask.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", ["none", "zstd"])
 def test_any_part_is_the_part_of_the_whole(tmp_path, compression):
     folder = make_capture(tmp_path / "c", rows=70, columns=40)
@@ -248,6 +249,7 @@ def test_a_folder_without_a_store_is_refused(tmp_path):
         Observations(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels", ["luminance", "green", "red", "blue"])
 def test_one_channel_is_what_the_channels_give(tmp_path, channels):
     folder = make_capture(tmp_path / "c")
@@ -404,6 +406,7 @@ def test_measured_sets(data, tmp_path, name):
     assert len(diagnostics.saturated) == len(observations.lights) == len(values)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_diligent_values_are_codes_over_intensities(data, tmp_path):
     convert(data / "diligent_cat", tmp_path / "c")

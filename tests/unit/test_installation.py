@@ -66,12 +66,14 @@ def call(site, *arguments, cwd):
     )
 
 
+@pytest.mark.slow
 def test_code_digests_are_those_of_the_checkout(site, tmp_path):
     done = call(site, "-c", f"PROGRAMS = {PROGRAMS}\n{DIGESTS}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == {name: code_digest(program_of(name)) for name in PROGRAMS}
 
 
+@pytest.mark.slow
 def test_a_run_is_planned_from_any_folder(site, tmp_path):
     seal(make_capture(tmp_path / "plane"))
     (tmp_path / "scenes.tsv").write_text("scene\tcapture\nplane\tplane\n")

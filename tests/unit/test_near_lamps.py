@@ -19,6 +19,7 @@ RINGS = {"dome": ((8, 35), (4, 65)), "ring": ((12, 45),), "low": ((8, 30),), "th
 WIDTH_MM = 200.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rings", RINGS)
 @pytest.mark.parametrize("options", [{}, {"gloss": 0.5}, {"steep": 1.0}], ids=["matt", "glossy", "flat"])
 def test_the_distance_is_measured_and_far_lamps_are_silent(rings, options):
@@ -53,6 +54,7 @@ def write_set(folder, stack, directions):
     return folder
 
 
+@pytest.mark.slow
 def test_a_list_of_unit_directions_is_warned_of_and_its_remedy_works(tmp_path):
     directions, width = dome(((5, 35), (3, 65))), 0.5
     source = write_set(tmp_path / "near", photographs(directions, seed=3, width=width), directions)

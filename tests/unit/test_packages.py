@@ -83,6 +83,7 @@ def test_importing_a_stage_loads_no_package_that_it_has_not_declared(stage):
     assert not {package: where for package, where in found.items() if package not in {*stage.libraries, *LIGHT}}
 
 
+@pytest.mark.slow
 def test_only_compiled_kernels_and_stores_are_imported_before_they_are_needed():
     modules = [*SOURCE.rglob("*.py"), *(PROJECT / "scripts").glob("*.py")]
     eager = {path.name: imported(path, at_start=True) - LIGHT - {"numba", "zarr"} for path in modules}

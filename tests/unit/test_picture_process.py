@@ -55,6 +55,7 @@ def fresh_decoder(monkeypatch):
     picture_process._end_all()
 
 
+@pytest.mark.slow
 def test_a_strip_that_unpacks_to_a_gigabyte_is_refused_in_bounded_memory(tmp_path, fresh_decoder):
     """tifffile alone held it all: the file has a megabyte and claims 20 x 30 pixels."""
     path = tmp_path / "bomb.tif"

@@ -60,6 +60,7 @@ def test_public_names_are_documented_in_full(name):
         assert "Returns" in found or inspect.signature(thing).return_annotation in (None, "None")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in nishiki.__all__ if name not in DIGITISED])
 def test_examples_run(name, folder, tmp_path, monkeypatch):
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)

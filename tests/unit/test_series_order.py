@@ -67,6 +67,7 @@ def test_too_few_states_tell_nothing():
     assert find_order(remove_nuisance(photographs("four")[:3]), series_design(ANGLES["four"][:3])) is None
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_measured_series(data):
     """64 states of an instrument that turns retarders, and choices of them: sound, and with exchanged pairs."""

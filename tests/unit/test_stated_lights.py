@@ -86,6 +86,7 @@ def test_positions_are_known_by_the_fall_off_and_so_is_the_width(tmp_path, posit
     np.testing.assert_allclose(capture.lights.vectors, positions, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit_mm", [10, 25.4, 1000, WIDTH_MM / COLUMNS], ids=["cm", "inch", "m", "pixels"])
 def test_the_unit_of_positions_is_asked_for_and_found_from_the_width(tmp_path, unit_mm):
     source = with_file(tmp_path, listed(DOME / unit_mm), positions=DOME)
@@ -145,6 +146,7 @@ def test_the_wrong_kind_of_angle_is_contradicted_by_the_photographs(tmp_path):
     assert "--lights-kind azimuth_polar" in problem.remedy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("positions", [None, UNEVEN], ids=["far", "near"])
 @pytest.mark.parametrize("power", [1, -1], ids=["strengths", "factors"])
 def test_a_fourth_number_is_a_strength_or_a_factor_by_what_the_photographs_show(tmp_path, positions, power):
@@ -276,6 +278,7 @@ def test_a_dome_with_a_diameter_whose_lamps_are_far_by_the_photographs(tmp_path)
     np.testing.assert_allclose(capture.directions, DIRECTIONS, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("region", [None, (5, 8, 20, 20)], ids=["whole", "cut"])
 def test_normals_under_near_lamps_are_those_of_the_relief(tmp_path, region):
     source = with_file(tmp_path, listed(UNEVEN), positions=UNEVEN)

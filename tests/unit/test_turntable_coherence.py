@@ -65,6 +65,7 @@ def rearrange(masks, order):
     return [masks[k] for k in order]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", BALLS)
 @pytest.mark.parametrize("count", [5, 6, 12])
 @pytest.mark.parametrize("noise", [0.0, 0.5])
@@ -82,6 +83,7 @@ def exchanged(count, first, second):
     return order
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["figure", "handle"])
 @pytest.mark.parametrize(
     ("fault", "named"),

@@ -58,6 +58,7 @@ def test_packed_cameras_see_the_same(distortion):
         np.testing.assert_allclose(after.project(points)[0], before.project(points)[0], atol=2e-3)
 
 
+@pytest.mark.slow
 def test_charts_cost_by_their_changes():
     order = np.arange(1000)
     one, few = np.zeros(1000, int), np.repeat(np.arange(4), 250)
