@@ -104,7 +104,7 @@ def rendered(mi, shape, view: int, views: int, samples: int, depth: int) -> np.n
     """(rows, columns, 4) float32: linear light and cover."""
     _, rotation, translation = camera_of(view, views)
     centre = -rotation.T @ translation
-    lamp = centre + 0.5 * LAMP_OFFSET * (-0.8 * rotation[1] + 0.6 * rotation[0])
+    lamp = centre + 0.5 * (LAMP_OFFSET[0] * rotation[0] - LAMP_OFFSET[1] * rotation[1])
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "pixel_format": "rgba",
             "rfilter": {"type": "gaussian", "stddev": 0.5}}  # fmt: skip
     sensor = {

@@ -1,6 +1,7 @@
 """Objects on a turntable, path-traced by Mitsuba: captures whose shape, outlines and light are known exactly.
 
-    python benchmarks/path_traced_turntable.py FOLDER [--objects NAME ...] [--samples 128] [--views 36]
+    python benchmarks/path_traced_turntable.py FOLDER [--objects NAME ...] [--samples 128] [--views 36] [--size 384]
+        [--lamp 0.21 0.28]
 
 Mitsuba 3 renders bodies before black, from all round, with one small lamp beside the camera. They are painted with the
 principled material (Burley's diffuse lobe and a GGX coat): interreflection, cast shadows, gloss, and rims that shade to
@@ -23,7 +24,7 @@ import _project  # noqa: F401
 
 SIZE = 384  # pixels a side
 DISTANCE, FIELD_DEG = 5.0, 30.0  # of the camera from the object, whose radius is about 1
-LAMP_OFFSET, LAMP_RADIUS = 0.35, 0.12
+LAMP_OFFSET, LAMP_RADIUS = (0.21, 0.28), 0.12  # right and up from the camera
 FULL_SCALE, ELECTRONS, READ_NOISE = 4095, 20_000, 5.0  # 12 bits; shot noise of 0.7 % at full scale
 CELLS = 160  # of the grid that the shapes are polygonised on
 
@@ -35,8 +36,12 @@ OBJECTS = {  # name: kind, seed, roughness
     "figure": ("tuned", 12, 0.5),
     "knot": ("unseen", 13, 0.45),
     "boat": ("unseen", 14, 0.45),
+    "jug": ("tuned", 15, 0.4),
+    "stool": ("tuned", 16, 0.5),
+    "teapot": ("unseen", 17, 0.35),
+    "chair": ("unseen", 18, 0.5),
 }
-HOLES = {"ring": 1, "mug": 1}
+HOLES = {"ring": 1, "mug": 1, "jug": 1, "stool": 4, "teapot": 1, "chair": 1}
 
 
 def inside_of(name: str, points: np.ndarray, seed: int) -> np.ndarray:
@@ -74,6 +79,36 @@ def inside_of(name: str, points: np.ndarray, seed: int) -> np.ndarray:
         outer = 0.6 * (1 - np.sqrt((x / 1.0) ** 2 + (y / 0.65) ** 2 + (z / 0.6) ** 2))
         inner = 0.6 * (np.sqrt((x / 0.82) ** 2 + (y / 0.5) ** 2 + ((z - 0.12) / 0.45) ** 2) - 1)
         return smaller(smaller(outer, inner), 0.15 - z) + 0.3 * bumps
+    if name == "jug":  # a belly with a dent and a shallow mouth; the handle casts a shadow on it, and it on the handle
+        x, y, z = (points := points / 1.15).T
+        body = smaller(0.44 + 0.12 * np.cos(3.4 * (z + 0.15)) - np.hypot(x, y), 0.75 - np.abs(z))
+        body = smaller(body, np.linalg.norm((points - [-0.1, 0.62, -0.1]) / [1, 1, 1.3], axis=1) - 0.26)
+        body = smaller(body, np.linalg.norm((points - [0, 0, 0.9]) / [1, 1, 0.8], axis=1) - 0.3)
+        handle = smaller(0.085 - np.hypot(np.hypot(x - 0.5, z - 0.05) - 0.46, y), x - 0.2)
+        return larger(body, handle) + 0.3 * bumps
+    if name == "stool":  # a seat on four thin legs with thin rungs
+        seat = smaller(0.6 - np.hypot(x, y), 0.05 - np.abs(z - 0.45))
+        feet = [np.array([0.62 * np.cos(a), 0.62 * np.sin(a), -0.75]) for a in np.pi / 2 * np.arange(4)]
+        tops = [np.array([0.66, 0.66, 1]) * foot + [0, 0, 1.2] for foot in feet]
+        middles = [0.6 * foot + 0.4 * top for foot, top in zip(feet, tops, strict=True)]
+        rods = [(0.032, foot, top) for foot, top in zip(feet, tops, strict=True)]
+        rods += [(0.022, middle, middles[(k + 1) % 4]) for k, middle in enumerate(middles)]
+        return larger(seat, np.max([r - to_segment(points, a, b) for r, a, b in rods], axis=0), 0.01) + 0.05 * bumps
+    if name == "teapot":
+        body = 0.5 - 0.9 * np.linalg.norm(points / [1.0, 1.0, 0.85], axis=1)
+        lid = smaller(0.14 - np.linalg.norm(points - [0, 0, 0.55], axis=1), z)
+        start, end = np.array([-0.4, 0, -0.1]), np.array([-0.95, 0.1, 0.4])
+        share = np.clip((points - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+        spout = 0.16 - 0.09 * share - to_segment(points, start, end)
+        handle = smaller(0.065 - np.hypot(np.hypot((x - 0.55) / 1.2, z - 0.05) - 0.36, y), x - 0.4)
+        return larger(larger(body, lid), larger(spout, handle)) + 0.4 * bumps
+    if name == "chair":
+        seat = smaller(0.45 - np.abs(x), smaller(0.42 - np.abs(y), 0.05 - np.abs(z + 0.1)))
+        ends = [(sx * 0.38, sy * 0.36, -0.1) for sx in (-1, 1) for sy in (-1, 1)]
+        rods = [(0.04, np.array(end), np.array(end) * [1.1, 1.15, 0] - [0, 0, 0.85]) for end in ends]
+        posts = [(np.array([-0.4, sy * 0.34, -0.1]), np.array([-0.55, sy * 0.36, 0.85])) for sy in (-1, 1)]
+        rods += [(0.035, *post) for post in posts] + [(0.06, posts[0][1], posts[1][1])]
+        return larger(seat, np.max([r - to_segment(points, a, b) for r, a, b in rods], axis=0), 0.01) + 0.1 * bumps
     raise ValueError(name)
 
 
@@ -133,7 +168,7 @@ def paint_of(vertices: np.ndarray, seed: int) -> np.ndarray:
     return share[:, None] * two[0] + (1 - share[:, None]) * two[1]
 
 
-def camera_of(view: int, views: int):
+def camera_of(view: int, views: int, size: int = SIZE):
     """K (3, 3), R (3, 3), t (3,): x right, y down, z into the scene."""
     turn, height = 2 * np.pi * view / views, np.radians(22)
     centre = DISTANCE * np.array([np.cos(turn) * np.cos(height), np.sin(turn) * np.cos(height), np.sin(height)])
@@ -141,17 +176,18 @@ def camera_of(view: int, views: int):
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    focal = 0.5 * SIZE / np.tan(np.radians(FIELD_DEG / 2))
-    middle = (SIZE - 1) / 2
+    focal = 0.5 * size / np.tan(np.radians(FIELD_DEG / 2))
+    middle = (size - 1) / 2
     return np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1]]), rotation, -rotation @ centre
 
 
-def rendered(mi, scene_mesh, roughness: float, view: int, views: int, samples: int) -> np.ndarray:
+def rendered(mi, scene_mesh, arguments, view: int) -> np.ndarray:
     """(rows, columns, 4) float32: linear light and cover."""
-    _, rotation, translation = camera_of(view, views)
+    size = arguments.size
+    _, rotation, translation = camera_of(view, arguments.views, size)
     centre = -rotation.T @ translation
     up, right = -rotation[1], rotation[0]
-    lamp = centre + LAMP_OFFSET * (0.8 * up + 0.6 * right)
+    lamp = centre + arguments.lamp[0] * right + arguments.lamp[1] * up
     radiance = 0.9 * DISTANCE**2 / LAMP_RADIUS**2
     scene = mi.load_dict(
         {
@@ -163,9 +199,9 @@ def rendered(mi, scene_mesh, roughness: float, view: int, views: int, samples: i
                 "to_world": mi.ScalarTransform4f().look_at(
                     origin=centre.tolist(), target=[0, 0, 0], up=[0, 0, 1]
                 ),
-                "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "pixel_format": "rgba",
+                "film": {"type": "hdrfilm", "width": size, "height": size, "pixel_format": "rgba",
                          "rfilter": {"type": "gaussian", "stddev": 0.5}},
-                "sampler": {"type": "independent", "sample_count": samples},
+                "sampler": {"type": "independent", "sample_count": arguments.samples},
             },
             "lamp": {
                 "type": "sphere",
@@ -187,18 +223,22 @@ def main() -> None:
     parser.add_argument("--objects", nargs="+", default=list(OBJECTS), choices=list(OBJECTS))
     parser.add_argument("--samples", type=int, default=128)
     parser.add_argument("--views", type=int, default=36)
+    parser.add_argument("--size", type=int, default=SIZE, help="pixels a side")
+    parser.add_argument("--lamp", type=float, nargs=2, default=LAMP_OFFSET, help="right and up from the camera")
     arguments = parser.parse_args()
     os.environ.setdefault("DRJIT_LIBLLVM_PATH", next(iter(glob("/usr/lib/x86_64-linux-gnu/libLLVM*.so*")), ""))
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")
     for name in arguments.objects:
-        make(mi, name, arguments.folder, arguments.samples, arguments.views)
+        make(mi, name, arguments)
 
 
-def make(mi, name: str, folder: Path, samples: int, views: int) -> None:
+def make(mi, name: str, arguments) -> None:
     """One capture with its truth."""
     import cv2
+
+    folder, views = arguments.folder, arguments.views
 
     _, seed, roughness = OBJECTS[name]
     mesh = mesh_of(name, seed)
@@ -218,7 +258,7 @@ def make(mi, name: str, folder: Path, samples: int, views: int) -> None:
     random = np.random.default_rng(seed)
     light, cover = [], []
     for view in range(views):
-        picture = rendered(mi, shape, roughness, view, views, samples)
+        picture = rendered(mi, shape, arguments, view)
         light.append(picture[..., :3])
         cover.append(picture[..., 3])
         print(f"\r{name}: view {view + 1} of {views}", end="", file=sys.stderr, flush=True)
@@ -233,7 +273,7 @@ def make(mi, name: str, folder: Path, samples: int, views: int) -> None:
         codes = np.clip(np.round(electrons / ELECTRONS * FULL_SCALE), 0, FULL_SCALE).astype(np.uint16)
         cv2.imwrite(str(capture / f"{view:03d}.png"), codes[..., ::-1])
         rows.append(f"{view:03d}.png,sample,{view:03d}")
-        intrinsics, rotation, translation = camera_of(view, views)
+        intrinsics, rotation, translation = camera_of(view, views, arguments.size)
         matrix = intrinsics @ np.column_stack([rotation, translation])
         matrices.append(f"{view:03d}," + ",".join(f"{value:.12g}" for value in matrix.ravel()))
     (capture / "frames.csv").write_text("\n".join(rows) + "\n")
