@@ -16,6 +16,7 @@ from nishiki.evaluate.object_quality import (
     compare,
     comparison,
     figures,
+    jpeg2000_psnr,
 )
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
@@ -181,3 +182,16 @@ def test_comparisons_are_cut_to_the_object():
     assert comparison(photograph, rendered, photograph, inside, "srgb", 10)["error"].shape[1] <= 10
     nothing = comparison(photograph, rendered, photograph, np.zeros_like(inside), "linear", 480)
     assert nothing["photograph"].shape == (50, 60, 3)
+
+
+def test_jpeg_2000_gets_better_with_its_bytes_and_pays_for_no_edge():
+    y, x = np.mgrid[:90, :100]
+    inside = (y - 40) ** 2 + (x - 50) ** 2 < 900
+    waves = 0.5 + 0.2 * np.sin(x / 3)[..., None] * np.cos(y[..., None] / np.array([4, 5, 6]))
+    noise = np.random.default_rng(3).normal(0, 0.01, waves.shape)
+    photograph = (waves + noise).astype(np.float32)
+    found = [jpeg2000_psnr(photograph, inside, size) for size in (600, 1200, 4800)]
+    assert found[0] < found[1] - 2 < found[2] - 6
+    assert abs(jpeg2000_psnr(np.where(inside[..., None], photograph, 0), inside, 1200) - found[1]) < 1e-6
+    assert jpeg2000_psnr(photograph, inside, 20) is None
+    assert jpeg2000_psnr(photograph, np.zeros_like(inside), 600) is None

@@ -7,6 +7,7 @@ import numpy as np
 
 from nishiki.colour.colour import decode
 from nishiki.render.display import developed, three_channels
+from nishiki.render.object.pixels import extend
 from nishiki.render.object.renderer import block_mean
 
 PEAK = 1.0  # full scale of the camera's codes
@@ -198,6 +199,41 @@ def better_prediction(summaries: dict) -> str | None:
         if key in summaries and summaries[key]["mean_psnr_db"] is not None
     }
     return max(scores, key=scores.__getitem__) if scores else None
+
+
+CODE_BITS, HALVINGS = 12, 7  # of pictures for JPEG 2000; of the span of its qualities
+LOWEST_DB, HIGHEST_DB = 16.0, 80.0  # that span: PSNR over the whole picture
+FILLED_PX = 16  # around the object; beyond, its mean
+
+
+def jpeg2000_psnr(photograph: np.ndarray, inside: np.ndarray, size: float) -> float | None:
+    """Return PSNR in dB over the pixels inside of one photograph coded as JPEG 2000 in `size` bytes at most.
+
+    photograph (rows, columns, channels) in the capture's encoding, full scale 1; inside (rows, columns) bool. What lies
+    outside continues the object, so that nothing is spent on an edge. None where no quality is as small.
+    """
+    import imagecodecs
+
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    if not len(rows):
+        return None
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    mask, values = inside[box], photograph[box].astype(np.float32)
+    filled = np.where(mask[..., None], values, values[mask].mean(axis=0))
+    extend(filled, mask, rings=FILLED_PX)
+    codes = np.rint(filled.clip(0, 1) * (2**CODE_BITS - 1)).astype(np.uint16)
+    low, high, found = LOWEST_DB, HIGHEST_DB, None
+    for _ in range(HALVINGS):
+        level = 0.5 * (low + high)
+        coded = imagecodecs.jpeg2k_encode(
+            codes, level=level, bitspersample=CODE_BITS, reversible=False, codecformat="j2k"
+        )
+        low, high = (level, high) if len(coded) <= size else (low, level)
+        found = coded if len(coded) <= size else found
+    if found is None:
+        return None
+    decoded = imagecodecs.jpeg2k_decode(found).reshape(values.shape) / np.float32(2**CODE_BITS - 1)
+    return difference(decoded, values, mask, mask, mask).psnr_db
 
 
 AMPLIFIED = 10  # times the error as shown

@@ -1,10 +1,12 @@
 """Declare the stages that compare paintings, objects and cloths with truth and with unseen photographs."""
 
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
+from nishiki.artifacts.limits import Limit, at
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, SceneFacts, Stage, photographs_or_states
 
 
@@ -42,7 +44,27 @@ PAINTING = Stage(
 )
 
 
-class ObjectEvaluateSettings(Guarded, stage="object_evaluate", version=2):
+def _below_jpeg2000(diagnostics: Mapping[str, Any]) -> float | None:
+    """Compute by how many dB captured views come back below JPEG 2000 at equal bytes."""
+    peer, decoded = at("jpeg2000.psnr_db")(diagnostics), at("jpeg2000.decoded_psnr_db")(diagnostics)
+    return None if peer is None or decoded is None else peer - decoded
+
+
+OBJECT_LIMITS = (
+    Limit(
+        "below_jpeg2000",
+        "dB by which captured views come back below JPEG 2000 at equal bytes",
+        _below_jpeg2000,
+        most=4,
+        warns=True,
+        remedy="look where the surface misses the outlines and where views contradict each other on it: silhouettes, "
+        "cameras, hollows; give masks or a scan, or more bytes (residual.amount)",
+        why="objects whose surface is right come back above JPEG 2000; a jug whose handle was cut came back 4.5 below",
+    ),
+)
+
+
+class ObjectEvaluateSettings(Guarded, stage="object_evaluate", version=3, limits=OBJECT_LIMITS):
     """The decoded object against its photographs, and what it costs."""
 
     pictures: int = Field(3, ge=0, le=64, description="captured views shown beside their photographs, evenly spread")
@@ -70,7 +92,7 @@ OBJECT = Stage(
     wants=lambda settings: ("polarise",),
     needs_colour=True,
     looks_at=photographs_or_states,
-    libraries=(*ARRAYS, "pywavelets", OPENCV, "dracopy"),
+    libraries=(*ARRAYS, "pywavelets", OPENCV, "dracopy", "imagecodecs"),
     cost=lambda facts: Cost(mib=380, bytes_per_sample=90, seconds=5, us_per_sample=3),
 )
 

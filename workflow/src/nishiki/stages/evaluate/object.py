@@ -19,6 +19,7 @@ from nishiki.evaluate.object_quality import (
     compare,
     comparison,
     figures,
+    jpeg2000_psnr,
 )
 from nishiki.evaluate.tables import planned_truth, write_tables
 from nishiki.geometry.mesh import Mesh
@@ -35,7 +36,8 @@ def run(context: Context) -> dict:
     decoded = DecodedObject.open(context.inputs)
     charts = decoded.atlas.chart
     cost = cost_of(decoded.mesh, charts, decoded.cameras, decoded.lighting.as_dict(), decoded.residual.bytes)
-    work = Work(context, decoded, cost.mesh.restored(decoded.mesh), photographs, truth)
+    captured = len(decoded.lights) * (len(decoded.views) - len(decoded.numbers(settings.hold_out)))
+    work = Work(context, decoded, cost.mesh.restored(decoded.mesh), photographs, truth, cost.total / max(1, captured))
     rows = [row for light in range(len(decoded.lights)) for row in work.light(light)]
     summaries = figures(rows)
     used = settings.left_out if settings.left_out != "best" else better_prediction(summaries)
@@ -44,6 +46,9 @@ def run(context: Context) -> dict:
         "encoding": decoded.encoding,
         "peak": 1.0,
         "figures": summaries,
+        "jpeg2000": dict(zip(("psnr_db", "decoded_psnr_db"), np.mean(work.peers, axis=0).tolist(), strict=True))
+        if work.peers
+        else None,
         "left_out": {"views": sorted(settings.hold_out), "used": used},
         "bytes": {**cost.parts, "total": cost.total},
         "object_pixels": work.pixels,
@@ -60,13 +65,13 @@ def run(context: Context) -> dict:
 class Work:
     """The pictures of one object and their counterparts."""
 
-    def __init__(self, context: Context, decoded: DecodedObject, mesh: Mesh, photographs: Photographs, truth):
+    def __init__(self, context: Context, decoded: DecodedObject, mesh: Mesh, photographs: Photographs, truth, size):
         self.context, self.decoded, self.settings = context, decoded, context.settings
         self.without = decoded.numbers(self.settings.hold_out)
         options = {"mesh": mesh, "without": self.without, "rim": self.settings.rim_px}
         self.renderer = decoded.renderer(method=self.settings.interpolation, **options)
         self.model = decoded.renderer(model_only=True, **options)
-        self.photographs, self.truth = photographs, truth
+        self.photographs, self.truth, self.size, self.peers = photographs, truth, size, []  # bytes a picture
         count = len(decoded.views)
         spread = {k * count // max(1, self.settings.pictures) for k in range(min(self.settings.pictures, count))}
         self.to_show = spread | set(sorted(self.without)[: self.settings.pictures])
@@ -112,6 +117,9 @@ class Work:
                     against="photograph", **named)
             for label, values in coded.items()
         ]  # fmt: skip
+        if view in self.to_show and light == 0 and not left_out:
+            pair = jpeg2000_psnr(photograph, inside & valid, self.size), rows[0].judged.psnr_db
+            self.peers += [pair] if None not in pair else []
         if self.truth is not None and light == 0:
             true = encode(self.truth.read(name), encoding)
             named |= {"outline": self.truth.silhouette(name), "valid": np.ones(inside.shape, bool)}
@@ -157,5 +165,5 @@ def headlines(evaluation: dict) -> dict:
         }
         for name, part in summaries.items()
     }
-    names = ("left_out", "bytes", "object_pixels", "bits_per_object_pixel", "vertex_shift_px", "silhouettes")
+    names = "left_out bytes object_pixels bits_per_object_pixel vertex_shift_px silhouettes jpeg2000".split()
     return {"psnr": kept, **{name: evaluation[name] for name in names}}
