@@ -47,6 +47,20 @@ def test_the_figures_of_a_registration_that_failed_stop_the_run():
     check("texels", LIMITS["texels"], texels, ("visible_share", "uncovered_share"))
 
 
+def test_what_the_outlines_or_the_bytes_do_not_bear_out_warns():
+    mesh = {"genus": 3, "silhouettes": {"overruled": {"genus": 1}}}
+    assert [each.limit.name for each in limit_checks(LIMITS["mesh"], mesh) if each.beyond] == ["unsure_handles"]
+    assert limit_warnings("mesh", LIMITS["mesh"], mesh)
+    assert not limit_warnings("mesh", LIMITS["mesh"], {**mesh, "genus": 1})
+    assert not limit_warnings("mesh", LIMITS["mesh"], {**mesh, "silhouettes": {}})
+    limits = LIMITS["object_evaluate"]
+    for decoded, warned in ((22.3, True), (25.0, False), (33.7, False)):
+        figures = {"jpeg2000": {"psnr_db": 26.8, "decoded_psnr_db": decoded}}
+        assert bool(limit_warnings("object_evaluate", limits, figures)) == warned
+        check("object_evaluate", limits, figures)
+    assert not limit_warnings("object_evaluate", limits, {"jpeg2000": None})
+
+
 def test_the_report_shows_every_figure_beside_its_limit():
     manifest = {"stage": "height", "settings": {"allow": ["convergence"]}, "diagnostics": {"residual": 0.5, "parts": 2}}
     rows = {meaning: rest for _, meaning, *rest in conditions(manifest, LIMITS["height"])}

@@ -3,11 +3,11 @@
 import cv2
 import numpy as np
 import pytest
-from turned_cameras import box, sphere, turn
+from turned_cameras import box, torus, turn
 
 from nishiki.geometry.hull import carve
-from nishiki.geometry.placement import agreement, contradicted, known_from, outline_of, shaded
-from nishiki.geometry.silhouettes import at_half_cover, display, live_area, nearest_colour, possible_shadow, segment
+from nishiki.geometry.placement import agreement, outline_of, overruled, shaded
+from nishiki.geometry.silhouettes import at_half_cover, display, live_area, nearest_colour, segment
 
 ROWS, COLUMNS = 240, 320
 
@@ -84,19 +84,6 @@ def test_a_black_background_has_no_black_strips():
     assert segment(picture, background="dark").mask[truth].mean() > 0.99
 
 
-def test_a_narrow_dark_gap_may_be_shadow_a_wide_or_a_bright_one_is_not():
-    mask = np.zeros((80, 90), bool)
-    mask[10:70, 5:40] = mask[10:70, 45:60] = mask[10:70, 80:] = True  # gaps of 5 and 20 pixels
-    picture = np.where(mask[..., None], 200, 10).astype(np.uint8).repeat(3, axis=-1)
-    picture[40:, 40:45, 2] = 150  # a blue cloth
-    shadow = possible_shadow(picture, mask, 8)
-    assert shadow[15:40, 40:45].all()
-    assert not shadow[40:].any()
-    assert not shadow[:, 60:80].any()
-    assert not (shadow & mask).any()
-    assert not possible_shadow(picture, mask, 1).any()
-
-
 def test_dust_goes_and_large_pictures_keep_their_detail():
     picture, _truth = photograph(*CASES["blue"])
     picture[20:23, 30:34] = 250
@@ -105,15 +92,6 @@ def test_dust_goes_and_large_pictures_keep_their_detail():
     assert not found.mask[15:30, 25:40].any()
     large, whole = photograph(*CASES["blue"], times=4)
     assert agreement(segment(large).mask, whole) > 0.995
-
-
-def test_what_other_views_know_is_heeded():
-    picture, truth = photograph(*CASES["blue"])
-    picture[150:200, 20:60] = (200, 180, 40)  # another thing in the picture
-    outside = np.zeros(truth.shape, bool)
-    outside[140:210, 10:66] = True
-    assert segment(picture).mask[160:190, 30:50].all()
-    assert agreement(segment(picture, outside=outside).mask, truth) > 0.985
 
 
 def test_half_cover_moves_an_outline_that_was_drawn_too_wide():
@@ -144,17 +122,19 @@ def test_display_of_one_channel_and_of_darkness():
     assert (grey[..., 0] == grey[..., 2]).all()
 
 
-def test_hull_that_forgives_finds_the_view_that_is_wrong():
-    cameras = turn()
-    masks = [sphere(camera, radius=0.5) for camera in cameras]
-    masks[5][40:60, 5:25] = True  # a thing that no other view confirms
+def test_background_that_a_view_sees_alone_is_overruled():
+    cameras = turn(elevation=0.9)
+    true = [torus(camera) for camera in cameras]
+    masks = [mask.copy() for mask in true]
+    masks[5][:4, :4] = True  # a thing that no other view confirms
     masks[8][:, 80:] &= False  # half of the body missed
-    loose = carve(masks, cameras, cells=48, misses=2)
-    told = [known_from(loose.mesh, camera, mask, loose.cell) for camera, mask in zip(cameras, masks, strict=True)]
-    assert [place for place, wrong in enumerate(contradicted(told)) if wrong] == [5, 8]
-    assert told[5].outside[45:55, 8:22].all()
-    assert not (told[5].inside & told[5].outside).any()
-    assert told[8].inside[60, 90]
+    loose = carve(masks, cameras, cells=64, misses=1)
+    more = [overruled(loose.mesh, camera, mask, loose.cell) for camera, mask in zip(cameras, masks, strict=True)]
+    lost = true[8] & ~masks[8]
+    assert (more[8] & lost).sum() > 0.9 * lost.sum()
+    for each, mask, body in zip(more, masks, true, strict=True):
+        assert not (each & mask).any()
+        assert (each & ~body).sum() < 0.04 * body.sum()  # the hole stays open, and the outline where it is
 
 
 def test_outline_and_shading_of_a_mesh():

@@ -22,6 +22,7 @@ FORMER = {
     "goniometer_samples.interpolation: thin_plate": "delete it: the spline, the default, is nearer to measured views",
     "goniometer_samples.interpolation: linear": "delete it: the spline, the default, is nearer to measured views",
     "object_brdf.method": "delete it: the width of a texel's lobe is searched, from no start value",
+    "mesh.narrow_gap": "delete it: the other views decide on dark gaps of any width (mesh.misses)",
     "weave.lobe": "delete it: the lobe is the paper's exp(-x²/a²)",
     "weave.reading: yarns": "delete it: the stage fits yarns to the whole hemisphere (weave.yarns)",
     "cloth_brdf.export: table": "choose csv: it holds the same model as rows that read back",

@@ -27,12 +27,8 @@ MARGIN_PX = 3
 
 @dataclass(frozen=True)
 class Field:
-    """Silhouettes of several views as signed distances, ready to be asked at any point.
+    """Hold silhouettes of several views as signed distances, laid out as `nishiki.geometry.hull_kernels` says."""
 
-    The arrays are laid out as `nishiki.geometry.hull_kernels` says; names: of the views that have a silhouette.
-    """
-
-    names: tuple[str, ...]
     poses: np.ndarray
     lenses: np.ndarray
     frames: np.ndarray
@@ -60,7 +56,6 @@ class Hull:
     cell: float  # side of a grid cell, world's unit
     shape: tuple[int, ...]  # grid points along x, y, z
     box: np.ndarray  # (2, 3) lowest and highest corner
-    asked: float  # fraction of the cubes whose points were evaluated one by one
 
 
 def signed_distance(silhouette: np.ndarray) -> np.ndarray:
@@ -102,8 +97,7 @@ def field_of(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, fin
         start += distance.size
         placed.append(camera)
     _expect_two(len(placed))
-    names = tuple(camera.name for camera in placed)
-    return Field(names, *Field.geometry_of(placed), np.array(frames, np.int64), np.concatenate(maps))
+    return Field(*Field.geometry_of(placed), np.array(frames, np.int64), np.concatenate(maps))
 
 
 def _expect_two(count: int) -> None:
@@ -263,15 +257,15 @@ def carve(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, cells:
     shape = tuple(int(n) for n in np.ceil((box[1] - box[0]) / cell) + 6)
     field = field_of(silhouettes, cameras, finest_px=_pixels_of(cell, box, cameras) / 4)
     volume = np.empty(shape, np.float32)
-    asked = _fill(field, volume, origin, cell, misses)
+    views = field.poses, field.lenses, field.frames, field.buffer
+    fill = partial(fill_slab, views, (origin, cell), BLOCK, misses, BAND * cell)
+    list(in_threads(lambda s: fill(s, min(s + BLOCK, shape[0]), volume), range(0, shape[0], BLOCK)))
     if not (volume > 0).any():
         raise UserError(
             f"nothing is left of the hull on a grid of {cells} cells, since silhouettes contradict each other. Remedy: "
             "check silhouettes and camera matrices, or omit the wrong view"
         )
-    mesh = surface_of(volume, origin, cell)
-    cubes = np.prod([-(-n // BLOCK) for n in shape])
-    return Hull(mesh, cell, shape, box, asked / float(cubes))
+    return Hull(surface_of(volume, origin, cell), cell, shape, box)
 
 
 def _pixels_of(cell: float, box: np.ndarray, cameras: list[Camera]) -> float:
@@ -280,14 +274,6 @@ def _pixels_of(cell: float, box: np.ndarray, cameras: list[Camera]) -> float:
     depths = [(camera.rotation @ middle + camera.translation)[2] for camera in cameras]
     focal = [np.sqrt(abs(np.linalg.det(camera.intrinsics))) for camera in cameras]
     return min(cell * f / max(depth, 1e-12) for f, depth in zip(focal, depths, strict=True))
-
-
-def _fill(field: Field, volume: np.ndarray, origin: np.ndarray, cell: float, misses: int) -> int:
-    """Fill the grid, cubes of 8 x 8 x 8 points at once, in threads over slabs of x; the number of cubes asked."""
-    starts = range(0, volume.shape[0], BLOCK)
-    views = field.poses, field.lenses, field.frames, field.buffer
-    one = partial(fill_slab, views, (origin, cell), BLOCK, misses)
-    return sum(in_threads(lambda s: one(BAND * cell, s, min(s + BLOCK, volume.shape[0]), volume), starts))
 
 
 def surface_of(volume: np.ndarray, origin: np.ndarray, cell: float) -> Mesh:

@@ -133,7 +133,7 @@ def _block(field, lowest, side, margin, misses, spot):
 
 @njit(**JIT)
 def fill_slab(field, grid, block, misses, band, first, last, volume):
-    """Fill the clipped signed distance at the points first <= i < last of volume (i, j, k); count cubes asked fully.
+    """Fill the clipped signed distance at the points first <= i < last of volume (i, j, k).
 
     field: poses, lenses, frames, buffer; grid: origin and cell, point (i, j, k) lies at origin + cell (i, j, k); volume
     (x, y, z) float32 of values within [-band, band].
@@ -141,7 +141,6 @@ def fill_slab(field, grid, block, misses, band, first, last, volume):
     origin, cell = grid
     spot, worst, lowest = np.empty(3), np.empty(MOST_MISSES + 1), np.empty(3)
     _, ny, nz = volume.shape
-    asked = 0
     for i0 in range(first, last, block):
         for j0 in range(0, ny, block):
             for k0 in range(0, nz, block):
@@ -149,7 +148,6 @@ def fill_slab(field, grid, block, misses, band, first, last, volume):
                 lowest[1] = origin[1] + cell * j0
                 lowest[2] = origin[2] + cell * k0
                 kind = _block(field, lowest, cell * (block - 1), 2.0 * cell, misses, spot)
-                asked += kind == 0
                 for i in range(i0, min(i0 + block, last)):
                     for j in range(j0, min(j0 + block, ny)):
                         for k in range(k0, min(k0 + block, nz)):
@@ -159,7 +157,6 @@ def fill_slab(field, grid, block, misses, band, first, last, volume):
                             x, y, z = origin[0] + cell * i, origin[1] + cell * j, origin[2] + cell * k
                             value = _at_point(field, x, y, z, misses, band, spot, worst)
                             volume[i, j, k] = min(max(value, -band), band)
-    return asked
 
 
 @njit(**JIT)

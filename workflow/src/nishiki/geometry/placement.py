@@ -11,7 +11,6 @@ from nishiki.geometry.mesh import Mesh, face_vectors
 from nishiki.geometry.visibility import rasterise
 
 UNSURE_PX = 2.0
-CONTRADICTED = 2e-3  # share that is beyond the other outlines, or lost
 
 
 def outline_of(mesh: Mesh, camera: Camera) -> np.ndarray:
@@ -37,49 +36,29 @@ def shaded(mesh: Mesh, camera: Camera) -> np.ndarray:
     return np.where(seen >= 0, 30 + 225 * np.sqrt(light[seen]), 20).astype(np.uint8)
 
 
-@dataclass(frozen=True)
-class Known:
-    """Compare one view's mask with the other views.
+def overruled(loose: Mesh, camera: Camera, mask: np.ndarray, cell: float) -> np.ndarray:
+    """Find the background of a view's mask that the other views say is the object, (rows, columns) bool.
 
-    inside, outside (rows, columns) bool: pixels on the object, off it; beyond: share of the mask's pixels that lie
-    outside; lost: share of pixels inside that the mask lacks.
-    """
-
-    inside: np.ndarray
-    outside: np.ndarray
-    beyond: float
-    lost: float
-
-
-def known_from(loose: Mesh, camera: Camera, mask: np.ndarray, cell: float) -> Known:
-    """Compare a mask (rows, columns) bool with the hull that forgives single views.
-
-    loose: hull carved with one miss allowed at least, which holds the object whatever one mask says. Both bounds leave
-    room for its grid (cell, world's unit) and for the outline itself.
+    loose: hull that forgives some views, with grid cells of side `cell` (world's unit), which holds the object whatever
+    single masks (rows, columns) bool say. Where background lies deeper within its outline than the grid and the outline
+    are unsure, all of it up to the outline counts: a shadow that the object casts on itself is as black as a dark
+    background.
     """
     import cv2
 
     covered = outline_of(loose, camera)
     depth = float(np.median(camera.project(loose.vertices)[1]))
     cell_px = cell * float(np.sqrt(abs(np.linalg.det(camera.intrinsics)))) / max(depth, 1e-300)
-    reach = int(np.ceil(UNSURE_PX + 2 * cell_px))
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    outside = cv2.dilate(covered.astype(np.uint8), kernel) == 0
-    inside = cv2.erode(covered.astype(np.uint8), kernel) > 0
-    size = max(1, int(mask.sum()))
-    return Known(inside, outside, int((mask & outside).sum()) / size, int((~mask & inside).sum()) / size)
+    reach = int(np.ceil(UNSURE_PX + cell_px))
+    lost = (covered & ~mask).astype(np.uint8)
+    deep = cv2.erode(covered.astype(np.uint8), _disc(reach)) & lost
+    return (cv2.dilate(deep, _disc(reach + 1)) & lost) > 0
 
 
-def contradicted(known: list[Known]) -> list[bool]:
-    """Decide which masks the other views contradict.
+def _disc(radius: int) -> np.ndarray:
+    import cv2
 
-    A mask is contradicted where more than 2 in 1000 of its pixels are confirmed by no other view, or where it lacks
-    that much and four times the median of all views more.
-
-    Between few views the forgiving hull is thicker than the object in every one of them: only the odd one is wrong.
-    """
-    usual = float(np.median([each.lost for each in known])) if known else 0.0
-    return [each.beyond > CONTRADICTED or each.lost > CONTRADICTED + 4 * usual for each in known]
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
 
 
 SCALES = (1.0, 1000.0, 100.0, 10.0, 0.1, 0.01, 0.001, 25.4, 1 / 25.4, 12.0, 1 / 12, 304.8, 1 / 304.8)

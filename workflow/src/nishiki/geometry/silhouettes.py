@@ -51,8 +51,6 @@ DARKEST_RIM = 0.1
 RIM_ROOT, LEAST_VARIANCE = 0.5, 0.02  # square root of the rim's depth, pixels; where all depths inside are alike
 SHADOW = 0.55
 """Cube root of the smallest share of the light that a shadow leaves."""
-DARK = 60
-"""sRGB code (of 255) below which a pixel may lie in shadow: 4.5 % of white."""
 WORKING_PIXELS = 1_000_000
 """Larger pictures are segmented at a coarser scale, then refined along the outline only."""
 
@@ -83,18 +81,10 @@ def display(linear: np.ndarray) -> np.ndarray:
     return np.round(255 * encode(np.clip(channels * scale, 0, 1).astype(np.float32), "srgb")).astype(np.uint8)
 
 
-def segment(
-    picture: np.ndarray,
-    *,
-    background: str = "auto",
-    inside: np.ndarray | None = None,
-    outside: np.ndarray | None = None,
-) -> Silhouette:
-    """Silhouette of the object in picture (rows, columns, 3) uint8 sRGB.
+def segment(picture: np.ndarray, *, background: str = "auto") -> Silhouette:
+    """Find the silhouette of the object in picture (rows, columns, 3) uint8 sRGB.
 
-    background: what is behind it: 'dark', 'bright', 'blue', 'green', or 'auto' for whatever the border shows. inside
-    (rows, columns) bool: pixels that show the object unless they look like background; outside (rows, columns) bool:
-    pixels that do not show it, whatever they look like.
+    background: what is behind it: 'dark', 'bright', 'blue', 'green', or 'auto' for whatever the border shows.
     """
     import cv2
 
@@ -103,23 +93,14 @@ def segment(
     if shrink < 1:
         size = (round(picture.shape[1] * shrink), round(picture.shape[0] * shrink))
         small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    seeds = [None if known is None else _resized(known, small.shape[:2]) for known in (inside, outside)]
     colours = background_colours(small, background)
     distance = background_distance(small, colours)
-    mask, dropped = _cut(small, distance, *seeds)
+    mask, dropped = _cut(small, distance)
     mask, parts, crumbs, holes = tidy(mask, distance)
     separation = _separation(mask, distance)
     if shrink < 1:
         mask = _finer(picture, mask, shrink)
     return Silhouette(mask, separation, parts, dropped + crumbs, holes)
-
-
-def _resized(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    import cv2
-
-    if mask.shape == shape:
-        return mask
-    return cv2.resize(mask.astype(np.float32), shape[::-1], interpolation=cv2.INTER_LINEAR) > 0.5
 
 
 def live_area(picture: np.ndarray) -> tuple[slice, slice]:
@@ -244,17 +225,11 @@ def best_level(distance: np.ndarray) -> float:
     return float(np.exp(levels[int(np.argmax(steepness))]) - 0.5)
 
 
-def _cut(picture: np.ndarray, distance: np.ndarray, inside: np.ndarray | None, outside: np.ndarray | None):
+def _cut(picture: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int]:
     """Object pixels by the distance, then along the outline by how they mix the colours of its two sides."""
     import cv2
 
-    smooth = cv2.GaussianBlur(distance, (0, 0), 0.8)
-    mask = smooth > best_level(distance)
-    if outside is not None:
-        mask &= ~outside
-    if inside is not None:
-        mask |= inside & (smooth > NEAR)
-    mask, _, dropped, _ = tidy(mask, distance)
+    mask, _, dropped, _ = tidy(cv2.GaussianBlur(distance, (0, 0), 0.8) > best_level(distance), distance)
     return at_half_cover(picture, mask), dropped
 
 
@@ -319,24 +294,6 @@ def _around(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
         slice(max(0, rows[0] - margin), rows[-1] + 1 + margin),
         slice(max(0, columns[0] - margin), columns[-1] + 1 + margin),
     )
-
-
-def possible_shadow(picture: np.ndarray, mask: np.ndarray, widest_px: float) -> np.ndarray:
-    """(rows, columns) bool: dark pixels in gaps of a mask that are at most so wide; shadow or background.
-
-    One part of an object throws its shadow onto another that lies behind it. Where the lamp is beside the camera this
-    is a black sliver along the outline of the part in front, which looks like a gap with a dark background behind it.
-    Gaps: what morphological closing by a disc fills. picture (rows, columns, 3) uint8 sRGB.
-    """
-    import cv2
-
-    radius = int(widest_px / 2)
-    if radius < 1:
-        return np.zeros_like(mask)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    padded = np.pad(mask.astype(np.uint8), radius + 1)
-    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc)[radius + 1 : -radius - 1, radius + 1 : -radius - 1]
-    return (closed > 0) & ~mask & (picture.max(axis=-1) < DARK)
 
 
 def tidy(mask: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int, int, int]:

@@ -17,6 +17,12 @@ def _scan_residual(diagnostics: Mapping[str, Any]) -> float | None:
     return None if worst is None or not area else worst / area**0.5
 
 
+def _unsure_handles(diagnostics: Mapping[str, Any]) -> float | None:
+    """Count the holes through the body that are closed where some views are forgiven."""
+    genus, forgiving = at("genus")(diagnostics), at("silhouettes.overruled.genus")(diagnostics)
+    return None if genus is None or forgiving is None else max(0.0, genus - forgiving)
+
+
 LIMITS = (
     Limit(
         "contradiction",
@@ -48,13 +54,23 @@ LIMITS = (
         remedy="scans that overlap more, or mesh.overlap",
         why="scans gave 5e-5; a hundredth of the object is no registration",
     ),
+    Limit(
+        "unsure_handles",
+        "holes through the body that rest on one view, or on as few as mesh.misses says",
+        _unsure_handles,
+        most=0,
+        warns=True,
+        remedy="look at the surface, and at the silhouettes of the views that see through it: a shadow that is as dark "
+        "as the background looks like a hole; a brighter background, a second lamp, or more views",
+        why="objects whose true number of holes is known gave 0",
+    ),
     Limit("open_edges", "edges of one triangle only", at("open_edges")),
     Limit("crowded_edges", "edges of more than two triangles", at("crowded_edges")),
     Limit("degenerate_triangles", "triangles without area that were left out", at("cleaned.degenerate")),
 )
 
 
-class MeshSettings(Guarded, stage="mesh", version=6, limits=LIMITS):
+class MeshSettings(Guarded, stage="mesh", version=7, limits=LIMITS):
     """Where the object's surface comes from, and how many triangles it gets."""
 
     source: Literal["auto", "file", "scans", "silhouettes"] = Field(
@@ -64,18 +80,15 @@ class MeshSettings(Guarded, stage="mesh", version=6, limits=LIMITS):
         "capture", description="silhouettes: what is behind the object; capture: as the capture says"
     )
     cells: int = Field(256, ge=16, le=768, description="silhouettes: grid cells along the object's longest side")
-    misses: int = Field(
-        0, ge=0, le=4, description="silhouettes: views that may wrongly see background where the object is"
+    misses: int | None = Field(
+        None,
+        ge=0,
+        le=4,
+        description="silhouettes: views that may wrongly see background where all others see the object; by default "
+        "one in 30 (rounded) of silhouettes that are found, none of given ones",
     )
     consistency: bool = Field(
-        True, description="silhouettes: segment once more with what the other views say (not for given masks)"
-    )
-    narrow_gap: float = Field(
-        0.06,
-        ge=0,
-        le=0.5,
-        description="silhouettes: dark gaps between parts of the object up to this width, of the root of the "
-        "silhouette's area, may be shadow: the other views decide (not for given masks)",
+        True, description="silhouettes: let the other views decide where few see background (see misses)"
     )
     smooth: float = Field(
         0.5, ge=0, le=10, description="silhouettes: pixels by which smoothing may move the hull's surface; 0: none"
