@@ -1,5 +1,7 @@
 """Atlas and store: every surface point has one place, and what is read there is what the pictures show."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +14,6 @@ from nishiki.atlas.charts import make_charts
 from nishiki.atlas.quality import atlas_picture, sampling_density, texels_per_pixel, texels_per_unit
 from nishiki.atlas.store import Texels
 from nishiki.atlas.surface import (
-    by_tile,
     nearest_weights,
     object_pixels,
     pixel_places,
@@ -159,9 +160,12 @@ def test_nearest_point_in_a_sliver():
 
 
 def test_pixels_by_tile():
-    order, offsets = by_tile(np.array([2, 0, -1, 2, 0], np.int32), 4)
-    np.testing.assert_array_equal(order, [1, 4, 0, 3])
-    np.testing.assert_array_equal(offsets, [0, 2, 2, 4, 4])
+    tile = np.array([2, 0, -1, 2, 0], np.int32)
+    atlas = SimpleNamespace(tiles=4, locate=lambda *points: (tile, np.arange(5.0), np.arange(5.0)))
+    raster = SimpleNamespace(triangle=np.zeros((1, 5), np.int32), barycentric=np.zeros((1, 5, 2)))
+    places = pixel_places(atlas, raster, np.ones((1, 5), bool))
+    np.testing.assert_array_equal(places.column, [1, 4, 0, 3])
+    np.testing.assert_array_equal(places.offsets, [0, 2, 2, 4, 4])
 
 
 def pictures_of(mesh, camera, raster):

@@ -83,29 +83,20 @@ def half_way(vertices, corners):
     return sums
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def components(labels, neighbours):
+def components(labels: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     """Count the connected triangles of equal label: (f,) int32 in the order of their first triangles.
 
     Triangles with a negative label get -1.
     """
-    count = len(labels)
-    numbers = np.full(count, -1, np.int32)
-    stack = np.empty(count, np.int32)
-    number = 0
-    for seed in range(count):
-        if numbers[seed] >= 0 or labels[seed] < 0:
-            continue
-        numbers[seed], stack[0], top = number, seed, 1
-        while top > 0:
-            top -= 1
-            here = stack[top]
-            for k in range(3):
-                there = neighbours[here, k]
-                if there >= 0 and numbers[there] < 0 and labels[there] == labels[seed]:
-                    numbers[there], stack[top] = number, there
-                    top += 1
-        number += 1
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    named = labels >= 0
+    joined = named[:, None] & (neighbours >= 0) & (labels[neighbours] == labels[:, None])
+    places = np.nonzero(joined)[0], neighbours[joined]
+    graph = coo_array((np.ones(len(places[0]), bool), places), shape=(len(labels), len(labels)))
+    numbers = np.full(len(labels), -1, np.int32)
+    numbers[named] = np.unique(connected_components(graph, directed=False)[1][named], return_inverse=True)[1]
     return numbers
 
 

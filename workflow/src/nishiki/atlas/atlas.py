@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from nishiki.formats.fields import ArrayFields
 from nishiki.formats.stored import load_arrays
 
 MARGIN = 0.5
@@ -13,7 +14,7 @@ MARGIN = 0.5
 
 
 @dataclass(frozen=True)
-class Atlas:
+class Atlas(ArrayFields):
     """Charts cut into tiles of size x size texels; neighbouring tiles share a row or column (stride size - 1)."""
 
     size: int
@@ -45,14 +46,13 @@ class Atlas:
 
     def save(self, path: Path) -> None:
         """Write as .npz, deterministic."""
-        arrays: dict[str, Any] = {name: np.asarray(getattr(self, name)) for name in self.__dataclass_fields__}
+        arrays: dict[str, Any] = self.as_arrays()
         np.savez_compressed(path, **arrays)
 
     @classmethod
     def load(cls, path: Path) -> "Atlas":
         """Read what `save` wrote."""
-        arrays = load_arrays(path)
-        return cls(int(arrays.pop("size")), **arrays)
+        return cls.from_arrays(load_arrays(path))
 
 
 def build_atlas(plane: np.ndarray, chart: np.ndarray, texels_per_unit: np.ndarray, *, size: int) -> Atlas:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from nishiki.atlas.atlas import Atlas
@@ -25,53 +24,32 @@ def sampling_density(mesh: Mesh, plane: np.ndarray, cameras: list[Camera], *, pe
 
     plane (f, 3, 2): as of `flatten`. Occlusion is not asked: whoever faces a triangle counts.
     """
-    corners = np.ascontiguousarray(mesh.triangles, np.int32)
-    seen = np.empty((len(cameras), len(corners)), np.float32)
-    for index, camera in enumerate(cameras):
-        pixels, depths = camera.project(mesh.vertices)
-        facing_areas(np.ascontiguousarray(pixels), depths, corners, camera.rows, camera.columns, seen[index])
+    seen = np.array([facing_areas(mesh, camera) for camera in cameras])
     place = round(percentile / 100 * (len(cameras) - 1))
-    chosen = np.argpartition(seen, place, axis=0)[place] if len(corners) else np.zeros(0, np.int64)
-    fields = np.zeros(len(corners)), np.zeros((len(corners), 2))
+    chosen = np.argpartition(seen, place, axis=0)[place]
+    down, right = np.moveaxis(plane[:, 1:] - plane[:, :1], 2, 0)  # of two edges each
+    det = down[:, 0] * right[:, 1] - down[:, 1] * right[:, 0]
+    areas, along = np.zeros(len(mesh.triangles)), np.zeros((len(mesh.triangles), 2))
     for index, camera in enumerate(cameras):
-        pixels, _ = camera.project(mesh.vertices)
-        metric(np.ascontiguousarray(pixels), corners, plane, seen[index], chosen == index, *fields)
-    return Density(*fields)
+        some = np.flatnonzero((chosen == index) & (seen[index] > 0) & (det != 0))
+        corners = camera.project(mesh.vertices)[0][mesh.triangles[some]]
+        first, second = (corners[:, k] - corners[:, 0] for k in (1, 2))
+        (d1, d2), (r1, r2), area = down[some].T[..., None], right[some].T[..., None], det[some, None]
+        areas[some] = seen[index, some]
+        along[some, 0] = (((first * r2 - second * r1) / area) ** 2).sum(axis=1)
+        along[some, 1] = (((second * d1 - first * d2) / area) ** 2).sum(axis=1)
+    return Density(areas, along)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def facing_areas(pixels, depths, corners, rows, columns, areas):
-    """Areas in pixels of the triangles that face the camera and have their middle in the picture; 0 of the others."""
-    for i in range(len(corners)):
-        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
-        areas[i] = 0
-        if depths[a] > 0 and depths[b] > 0 and depths[c] > 0:
-            x = (pixels[a, 0] + pixels[b, 0] + pixels[c, 0]) / 3
-            y = (pixels[a, 1] + pixels[b, 1] + pixels[c, 1]) / 3
-            area = (pixels[c, 0] - pixels[a, 0]) * (pixels[b, 1] - pixels[a, 1])
-            area -= (pixels[c, 1] - pixels[a, 1]) * (pixels[b, 0] - pixels[a, 0])
-            if area > 0 and -0.5 <= x < columns - 0.5 and -0.5 <= y < rows - 0.5:
-                areas[i] = area / 2
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def metric(pixels, corners, plane, seen, chosen, areas, along):
-    """Area and squared lengths in pixels of the chosen triangles: the columns of the map from plane to picture."""
-    for i in range(len(corners)):
-        if not chosen[i] or not seen[i] > 0:
-            continue
-        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
-        d1, r1 = plane[i, 1, 0] - plane[i, 0, 0], plane[i, 1, 1] - plane[i, 0, 1]
-        d2, r2 = plane[i, 2, 0] - plane[i, 0, 0], plane[i, 2, 1] - plane[i, 0, 1]
-        det = d1 * r2 - d2 * r1
-        if det == 0:
-            continue
-        areas[i] = seen[i]
-        for k in range(2):
-            p1, p2 = pixels[b, k] - pixels[a, k], pixels[c, k] - pixels[a, k]
-            down, right = (p1 * r2 - p2 * r1) / det, (p2 * d1 - p1 * d2) / det
-            along[i, 0] += down * down
-            along[i, 1] += right * right
+def facing_areas(mesh: Mesh, camera: Camera) -> np.ndarray:
+    """(f,) float32: areas in pixels of triangles that face a camera and have their middle in the picture, else 0."""
+    pixels, depths = camera.project(mesh.vertices)
+    a, b, c = (pixels[mesh.triangles[:, corner]] for corner in range(3))
+    x, y = ((a + b + c) / 3).T
+    area = (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1]) - (c[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+    inside = (-0.5 <= x) & (x < camera.columns - 0.5) & (-0.5 <= y) & (y < camera.rows - 0.5)
+    shown = inside & (area > 0) & (depths[mesh.triangles] > 0).all(axis=1)
+    return np.where(shown, area / 2, 0).astype(np.float32)
 
 
 def texels_per_unit(
@@ -121,23 +99,12 @@ def stretch_percentiles(mesh: Mesh, atlas: Atlas, percentiles=(50, 90, 99, 100))
     half, product = (metric[:, 0, 0] + metric[:, 1, 1]) / 2, np.linalg.det(metric)
     root = np.sqrt(np.maximum(half**2 - product, 0))
     ratio = np.sqrt((half + root) ** 2 / np.maximum(product, 1e-300))
-    return weighted_percentiles(ratio, area[usable], percentiles)
-
-
-def weighted_percentiles(values: np.ndarray, weights: np.ndarray, percentiles) -> list[float]:
-    """Smallest values that at least so many percent of the weight do not exceed."""
-    order = np.argsort(values, kind="stable")
-    below = np.cumsum(weights[order])
-    places = np.searchsorted(below, np.asarray(percentiles) / 100 * below[-1] * (1 - 1e-12))
-    return [float(values[order[min(k, len(order) - 1)]]) for k in places]
+    return np.percentile(ratio, percentiles, weights=area[usable], method="inverted_cdf").tolist()
 
 
 def texels_per_pixel(mesh: Mesh, atlas: Atlas, camera: Camera, triangle: np.ndarray) -> float | None:
     """Median over pixels of the linear number of texels that a pixel covers; triangle (n,): what the pixels show."""
-    pixels, depths = camera.project(mesh.vertices)
-    areas = np.empty(len(mesh.triangles), np.float32)
-    corners = np.ascontiguousarray(mesh.triangles, np.int32)
-    facing_areas(np.ascontiguousarray(pixels), depths, corners, camera.rows, camera.columns, areas)
+    areas = facing_areas(mesh, camera)
     texels = atlas.corners.astype(np.float64)
     first, second = texels[:, 1] - texels[:, 0], texels[:, 2] - texels[:, 0]
     in_texels = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2

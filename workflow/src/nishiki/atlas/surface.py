@@ -261,26 +261,10 @@ def pixel_places(atlas: Atlas, raster: Raster, shown: np.ndarray) -> PixelPlaces
     """Places of the pixels `shown` (rows, columns) in the atlas."""
     row, column = np.nonzero(shown)
     tile, s, t = atlas.locate(raster.triangle[row, column], raster.barycentric[row, column])
-    order, offsets = by_tile(tile, atlas.tiles)
-    row, column = row.astype(np.int32), column.astype(np.int32)
-    return PixelPlaces(row[order], column[order], s[order], t[order], offsets)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def by_tile(tile, tiles):
-    """Stable order (n,) of the points by tile, and where each tile starts; points of tile -1 are left out."""
-    offsets = np.zeros(tiles + 1, np.int64)
-    for k in tile:
-        if k >= 0:
-            offsets[k + 1] += 1
-    for k in range(tiles):
-        offsets[k + 1] += offsets[k]
-    order, place = np.empty(offsets[tiles], np.int64), offsets.copy()
-    for i in range(len(tile)):
-        if tile[i] >= 0:
-            order[place[tile[i]]] = i
-            place[tile[i]] += 1
-    return order, offsets
+    order = np.argsort(tile, kind="stable")
+    offsets = np.searchsorted(tile[order], np.arange(atlas.tiles + 1))
+    order, row, column = order[offsets[0] :], row.astype(np.int32), column.astype(np.int32)
+    return PixelPlaces(row[order], column[order], s[order], t[order], offsets - offsets[0])
 
 
 @dataclass(frozen=True)

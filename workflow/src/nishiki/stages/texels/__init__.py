@@ -4,7 +4,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at
-from nishiki.stages.base import OPENCV, Cost, Stage, photographs_or_states
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, photographs_or_states
 
 LIMITS = (
     Limit(
@@ -67,7 +67,7 @@ STAGE = Stage(
     wants=lambda settings: ("polarise",),
     needs_colour=True,
     looks_at=photographs_or_states,
-    libraries=("numpy", "numba", "zarr", OPENCV),
+    libraries=(*ARRAYS, OPENCV),
     # with polarisers all light, diffuse and specular part
     cost=lambda facts: Cost(mib=320, bytes_per_sample=16, seconds=4.5, us_per_sample=5 if len(facts.states) > 1 else 2),
 )
