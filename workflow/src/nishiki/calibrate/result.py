@@ -1,8 +1,6 @@
 """Read the photographs of a calibration, and write its result: numbers, files for captures, and a page."""
 
 import json
-import os
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +12,7 @@ from nishiki.capture.schema_base import read_mapping
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.taking import settings_text
 from nishiki.errors import UserError
-from nishiki.formats.files import put_file
+from nishiki.formats.files import put_file, whole_folder
 from nishiki.formats.images import read_header
 from nishiki.report.page import Facts, Listing, Page, Section, render_page
 from nishiki.version import PROJECT_VERSION
@@ -110,21 +108,14 @@ def write_calibration(folder: Path, result: Calibration) -> None:
         footer=f"Nishiki {PROJECT_VERSION}, calibration of {result.kind}. All numbers: {NUMBERS}.",
         warnings=[*([result.failure] if result.failure else []), *result.warnings],
     )
-    partial = folder.with_name(f".{folder.name}.partial")
-    if partial.exists():
-        shutil.rmtree(partial)
-    partial.mkdir(parents=True)
-    try:
+    with whole_folder(folder) as partial:
+        partial.mkdir(parents=True)
         for name, data in result.files.items():
             (partial / name).write_bytes(data.encode() if isinstance(data, str) else data)
         (partial / NUMBERS).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         (partial / PAGE).write_text(render_page(page), encoding="utf-8")
         if lines:
             (partial / LINES).write_text(lines, encoding="utf-8")
-        os.rename(partial, folder)
-    finally:
-        if partial.exists():
-            shutil.rmtree(partial)
 
 
 def put_into_capture(capture: Path, result: Calibration) -> None:

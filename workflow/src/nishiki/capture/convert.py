@@ -1,7 +1,6 @@
 """An existing folder of photographs and lamps made into a capture folder; the sources are only read."""
 
 import os
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from nishiki.capture.options import ConvertOptions, file_problems, folder_proble
 from nishiki.capture.registry import read_source
 from nishiki.capture.relightable import Rendering, write_rendered
 from nishiki.capture.turntable_layouts import RoundLayout
+from nishiki.formats.files import whole_folder
 from nishiki.formats.problems import Problem, raise_errors, refuse
 
 JUDGED = (
@@ -78,27 +78,14 @@ def convert(source: Path | str, target: Path | str, options: ConvertOptions | No
         options.refuse("They belong to tables of reflectances; leave them out", "values", "azimuths")
     if getattr(layout, "matrices", None) is None:
         options.refuse("Nothing here has camera matrices to arrange; leave the option out", "turn", "camera_of")
-    notes = _write_complete(target, lambda partial: WRITERS[type(layout)](partial, layout, source, options), options)
+    with whole_folder(target) as partial:
+        notes = WRITERS[type(layout)](partial, layout, source, options)
+        found = options.examine(partial) if options.examine else []
+        raise_errors(found)
+    notes += [problem for problem in found if problem.kind in JUDGED]
     return Conversion(target, layout.name, layout.count, (*layout.warnings, *notes), layout.geometry, layout.channels)
 
 
 def named(source: Path) -> Path:
     """Return a path that ends in the source's name, from which titles are taken; `.` and `..` have none."""
     return Path(os.path.abspath(source)) if source.name in ("", "..") else source
-
-
-def _write_complete(target: Path, write: Callable[[Path], list[Problem]], options: ConvertOptions) -> list[Problem]:
-    """Write into a folder beside the target and rename it when it is whole, and nothing is wrong with it."""
-    partial = target.with_name(f".{target.name}.partial")
-    if partial.exists():
-        shutil.rmtree(partial)
-    try:
-        notes = write(partial)
-        found = options.examine(partial) if options.examine else []
-        raise_errors(found)
-        notes = [*notes, *(problem for problem in found if problem.kind in JUDGED)]
-        os.rename(partial, target)
-    finally:
-        if partial.exists():
-            shutil.rmtree(partial)
-    return notes

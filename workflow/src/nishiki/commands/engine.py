@@ -20,7 +20,7 @@ from nishiki.engine.finished import set_aside_unsound, unfinished_scenes
 from nishiki.engine.plan import Plan
 from nishiki.engine.running_lock import registered
 from nishiki.engine.workflow import LEAVE_OUT, Workflow
-from nishiki.installation import INSTALLED, SOURCE
+from nishiki.installation import INSTALLED, SNAKEFILE, SOURCE
 
 LOOKS_ONLY = {
     *("-n", "--dry-run", "--dryrun", "-S", "--summary", "-D", "--detailed-summary", "--dag", "--d3dag", "--rulegraph"),
@@ -85,13 +85,14 @@ def engine_environment() -> dict[str, str]:
 
 def call_engine(
     flow: Workflow,
-    command: list[str],
+    options: list[str],
     *,
+    configfile: str,
     gone: Iterable[str] = (),
     unfinished_only: bool = False,
     failures: list[dict[str, str]] | None = None,
 ) -> int:
-    """Run Snakemake on the scenes of a workflow; its exit status.
+    """Run Snakemake with some options on the scenes of a workflow; its exit status.
 
     failures: gets each failed job: scene, stage, name, why, log.
 
@@ -103,8 +104,10 @@ def call_engine(
     of the scenes is alive.
     """
     environment = engine_environment() | ({LEAVE_OUT: "1"} if flow.refused else {})
-    if LOOKS_ONLY & set(command):
-        return subprocess.run([*command[:3], "--nolock", *QUIET, *command[3:]], check=False, env=environment).returncode
+    snakemake = [sys.executable, "-m", "snakemake", "--nolock"]
+    rest = ["--snakefile", str(SNAKEFILE), "--configfile", configfile, *options]
+    if LOOKS_ONLY & set(options):
+        return subprocess.run([*snakemake, *QUIET, *rest], check=False, env=environment).returncode
     with registered(Path(flow.results), flow.plans, gone=gone, tell=_tell) as held:
         scenes = list(flow.plans)
         if unfinished_only:
@@ -121,11 +124,11 @@ def call_engine(
         set_aside_unsound(dict(_plans(flow, scenes)), _tell, contents=held.unclean)
         with tempfile.TemporaryFile() as failed:
             counted = len(scenes) if unfinished_only else None
-            shown = QUIET if ITS_OWN_OUTPUT & set(command) else _display(flow, scenes, counted, failed.fileno())
+            shown = QUIET if ITS_OWN_OUTPUT & set(options) else _display(flow, scenes, counted, failed.fileno())
             if not INSTALLED:  # Snakemake looks for its plugins on the path of Python
                 path = (str(SOURCE), environment.get("PYTHONPATH"))
                 environment["PYTHONPATH"] = os.pathsep.join(filter(None, path))
-            status = held.call([*command[:3], "--nolock", *shown, *command[3:]], environment, keep=(failed.fileno(),))
+            status = held.call([*snakemake, *shown, *rest], environment, keep=(failed.fileno(),))
             failed.seek(0)
             if failures is not None:
                 failures += [json.loads(line) for line in failed]

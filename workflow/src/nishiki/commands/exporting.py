@@ -21,7 +21,6 @@ from nishiki.commands.declare import (
 from nishiki.commands.inspecting import expect_packages, planned_workflow
 from nishiki.commands.running import profile_arguments
 from nishiki.errors import UserError
-from nishiki.installation import SNAKEFILE
 from nishiki.packages import optional
 
 FORMATS = """\
@@ -52,10 +51,8 @@ def export(scene, formats, output, configfile, cores, gone) -> int:
     expect_packages(flow)
     stage = next(name for name in flow.plans[scene].stages if name.endswith("export"))
     target = flow.artifact(scene, stage)
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--configfile", configfile]
-    command += profile_arguments("default", cores)
-    command += ["--config", f"exports={json.dumps(asked)}", "--", target]
-    if call_engine(flow, command, gone=gone):
+    options = [*profile_arguments("default", cores), "--config", f"exports={json.dumps(asked)}", "--", target]
+    if call_engine(flow, options, configfile=configfile, gone=gone):
         return 1
     made = Path(target).parent / "exports"
     if output:
@@ -131,10 +128,9 @@ def _one(named: str, configfile: str | None, where: tuple, gone: tuple[str, ...]
     flow = Workflow({**values, "sweep": named}, file=configfile)
     tell_plan(flow)
     target = flow.sweep_path("sweep.json")
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--configfile", configfile]
-    command += profile_arguments(*where)
-    command += ["--keep-going", *rest, "--config", f"sweep={json.dumps(named)}", "--", target]
-    status = call_engine(flow, command, gone=gone)
+    options = [*profile_arguments(*where), "--keep-going", *rest]
+    options += ["--config", f"sweep={json.dumps(named)}", "--", target]
+    status = call_engine(flow, options, configfile=configfile, gone=gone)
     if status or LOOKS_ONLY & set(rest):
         return 1 if status else 0
     return tell_result(Path(target))

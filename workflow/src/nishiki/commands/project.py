@@ -1,6 +1,5 @@
 """Commands for the folder of a project: init, add, status; and how `run` finds the scene of what it is given."""
 
-import hashlib
 import re
 import sys
 import unicodedata
@@ -228,14 +227,12 @@ def _add_scene(configfile: str, name: str, capture: Path) -> str:
 
 def _holds_photographs(capture: Path, source: Path) -> bool:
     """Whether the photographs of a sealed capture are those of a folder, by their digests."""
+    from nishiki.artifacts.provenance import file_digest
+
     try:
         lines = (capture / "manifest-sha256.txt").read_text(encoding="utf-8").splitlines()
     except OSError:
         return False
     kept = {line.split()[0] for line in lines if "data/frames/" in line}
     files = [path for path in sorted(source.rglob("*")) if path.is_file()] if source.is_dir() else [source]
-    there = set()
-    for path in files:
-        with path.open("rb") as file:
-            there.add(hashlib.file_digest(file, "sha256").hexdigest())
-    return bool(kept) and kept <= there
+    return bool(kept) and kept <= {file_digest(path) for path in files}

@@ -20,7 +20,7 @@ from nishiki.commands.declare import (
     with_profile,
 )
 from nishiki.errors import UserError
-from nishiki.installation import PROFILES, SNAKEFILE
+from nishiki.installation import PROFILES
 
 NAMED = 20
 """Scenes that are told by name: unfinished ones, failed ones."""
@@ -127,8 +127,7 @@ def run_scenes(
     targets_named = names_targets(passed, load_yaml(profile_folder(profile) / "config.yaml"))
     # Snakemake hears of unfinished scenes by itself; where it decides, the named scenes are its targets.
     targets = [f"{flow.results}/{scene}/current/index.json" for scene in flow.plans] if scenes else []
-    command = [
-        *(sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--configfile", configfile),
+    options = [
         *by_name,
         *([] if stop_at_first_failure else ["--keep-going"]),
         *passed,
@@ -138,7 +137,9 @@ def run_scenes(
         _announce(flow)
     start = time.monotonic()
     failures: list[dict[str, str]] = []
-    status = call_engine(flow, command, gone=gone, unfinished_only=not targets_named, failures=failures)
+    status = call_engine(
+        flow, options, configfile=configfile, gone=gone, unfinished_only=not targets_named, failures=failures
+    )
     status = status or (1 if flow.refused else 0)
     if not LOOKS_ONLY & set(passed):
         seconds = time.monotonic() - start

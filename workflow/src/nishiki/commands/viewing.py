@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from nishiki.commands.declare import any_scene_argument, command, option, with_configuration
 from nishiki.commands.inspecting import planned_workflow
 from nishiki.errors import UserError, unknown_scene
+from nishiki.formats.files import put_file
 from nishiki.processes import owner
 
 if TYPE_CHECKING:
@@ -200,9 +201,7 @@ class ResultsHandler(http.server.SimpleHTTPRequestHandler):
         own = self.headers.get("Host", "").startswith("127.0.0.1:")
         if not own or place.name != NOTES or not place.with_name("current").is_dir():
             return self.send_error(403)
-        partial = place.with_name(f".{NOTES}.{owner()}.partial")
-        partial.write_bytes(content)
-        os.replace(partial, place)
+        put_file(place, content)
         self.send_response(204)
         self.end_headers()
 

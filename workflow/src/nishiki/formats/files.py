@@ -6,9 +6,11 @@ NISHIKI_BOUNDS="name=value,name=value" raises (or lowers) some for one run."""
 
 import json
 import os
+import shutil
 import stat
 import unicodedata
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
@@ -278,6 +280,20 @@ def put_file(path: Path, content: str | bytes) -> None:
         file.flush()
         os.fsync(file.fileno())
     os.replace(partial, path)
+
+
+@contextmanager
+def whole_folder(target: Path) -> Iterator[Path]:
+    """Give the path of a folder to make and fill, which becomes the target when nothing went wrong."""
+    partial = target.with_name(f".{target.name}.partial")
+    if partial.exists():
+        shutil.rmtree(partial)
+    try:
+        yield partial
+        os.rename(partial, target)
+    finally:
+        if partial.exists():
+            shutil.rmtree(partial)
 
 
 def flush_folder(folder: Path) -> None:

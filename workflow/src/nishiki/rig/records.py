@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -198,9 +197,7 @@ def write_tables(
         if not name_fault(name) and source.is_file():
             target = folder / name
             target.parent.mkdir(parents=True, exist_ok=True)
-            partial = target.with_name(f".{target.name}.part")
-            shutil.copyfile(source, partial)
-            os.replace(partial, target)
+            put_file(target, source.read_bytes())
 
 
 def refuse_unusable_settings(folder: Path) -> None:

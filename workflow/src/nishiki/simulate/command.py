@@ -14,8 +14,6 @@ that of a cloth small photographs from a gonioreflectometer.
 """
 
 import argparse
-import os
-import shutil
 import sys
 from collections.abc import Mapping
 from importlib import import_module
@@ -24,6 +22,7 @@ from typing import Any
 
 from nishiki.capture.seal import seal
 from nishiki.errors import UserError
+from nishiki.formats.files import whole_folder
 from nishiki.installation import COMMAND
 from nishiki.simulate.capture import Progress
 from nishiki.simulate.cloth.settings import DYES, FILAMENTS
@@ -177,17 +176,10 @@ def simulate(kind, options: argparse.Namespace) -> None:
             raise UserError(f"{folder}: expected no such folder yet, found one; remove it or choose another name")
     if truth.resolve().is_relative_to(output.resolve()):
         raise UserError(f"{truth}: the truth must lie outside the capture {output}; choose another folder")
-    drafts, report = [], Progress()
-    try:
-        for folder in (output, truth):
-            folder.parent.mkdir(parents=True, exist_ok=True)
-            drafts.append(folder.with_name(f".{folder.name}.{os.getpid()}.part"))
-            drafts[-1].mkdir()
-        kind.write_all(settings, *drafts, options, report)
-        seal(drafts[0])
-        drafts[1].rename(truth)
-        drafts[0].rename(output)
-        report("capture and truth written", end="\n")
-    finally:
-        for draft in drafts:
-            shutil.rmtree(draft, ignore_errors=True)
+    report = Progress()
+    with whole_folder(output) as capture, whole_folder(truth) as known:
+        for draft in (capture, known):
+            draft.mkdir(parents=True)
+        kind.write_all(settings, capture, known, options, report)
+        seal(capture)
+    report("capture and truth written", end="\n")
