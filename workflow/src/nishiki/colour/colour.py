@@ -22,9 +22,12 @@ import numpy as np
 
 from nishiki.colour.sampling import WAVELENGTHS_NM, checked_spectra, normalised
 from nishiki.errors import UserError
+from nishiki.formats.coding import BRADFORD, BT709_XY, D65
 
 TABLES = Path(__file__).with_name("cie.csv")
 """Columns by wavelength: colour-matching functions x, y, z, then relative powers of the illuminants."""
+WHITE = np.array([D65[0] / D65[1], 1.0, (1.0 - D65[0] - D65[1]) / D65[1]])
+"""XYZ of the white of sRGB."""
 
 
 @functools.cache
@@ -33,12 +36,7 @@ def _tables() -> dict[str, np.ndarray]:
     return dict(zip(names, np.loadtxt(TABLES, delimiter=",", skiprows=1).T, strict=True))
 
 
-# IEC 61966-2-1: primaries and the D65 white (0.3127, 0.3290); the matrix is derived below, not copied rounded.
-_SRGB_PRIMARIES_XY = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]])
-_SRGB_WHITE_XY = np.array([0.3127, 0.3290])
 LEAST_CONE = 0.01  # response of a lamp's white, relative to that of the white that it is brought to
-# Bradford cone responses: Lam 1985, as in ICC.1:2022 annex E.
-_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 
 
 def cie_1931_cmfs() -> np.ndarray:
@@ -97,10 +95,8 @@ def white_xyz(illuminant: np.ndarray) -> np.ndarray:
 
 def srgb_matrix() -> np.ndarray:
     """(3, 3) from XYZ (relative to D65, white Y = 1) to linear sRGB, IEC 61966-2-1 primaries."""
-    xyz = np.column_stack([_SRGB_PRIMARIES_XY, 1.0 - _SRGB_PRIMARIES_XY.sum(axis=1)]).T
-    x, y = _SRGB_WHITE_XY
-    white = np.array([x / y, 1.0, (1.0 - x - y) / y])
-    return np.linalg.inv(xyz * np.linalg.solve(xyz, white))
+    xyz = np.column_stack([BT709_XY, 1.0 - np.sum(BT709_XY, axis=1)]).T
+    return np.linalg.inv(xyz * np.linalg.solve(xyz, WHITE))
 
 
 def adaptation_matrix(white_from: np.ndarray, white_to: np.ndarray) -> np.ndarray:
@@ -110,10 +106,10 @@ def adaptation_matrix(white_from: np.ndarray, white_to: np.ndarray) -> np.ndarra
     Bradford's quotients have no meaning: only the luminance is then brought to that of `white_to`.
     """
     white_from, white_to = np.asarray(white_from, float), np.asarray(white_to, float)
-    source, target = _BRADFORD @ white_from, _BRADFORD @ white_to
+    source, target = BRADFORD @ white_from, BRADFORD @ white_to
     if not (source * white_to[1] > LEAST_CONE * target * white_from[1]).all():
         return np.eye(3) * (white_to[1] / white_from[1])
-    return np.linalg.solve(_BRADFORD, (target / source)[:, None] * _BRADFORD)
+    return np.linalg.solve(BRADFORD, (target / source)[:, None] * BRADFORD)
 
 
 def xyz_to_srgb_linear(xyz: np.ndarray, *, white: np.ndarray | None = None) -> np.ndarray:
@@ -124,8 +120,7 @@ def xyz_to_srgb_linear(xyz: np.ndarray, *, white: np.ndarray | None = None) -> n
     """
     matrix = srgb_matrix()
     if white is not None:
-        x, y = _SRGB_WHITE_XY
-        matrix = matrix @ adaptation_matrix(white, np.array([x / y, 1.0, (1.0 - x - y) / y]))
+        matrix = matrix @ adaptation_matrix(white, WHITE)
     return np.asarray(xyz) @ matrix.T.astype(np.result_type(np.asarray(xyz).dtype, np.float32))
 
 

@@ -159,33 +159,20 @@ def synthetic_reflectances(count: int = 2000, *, seed: int = 20240) -> np.ndarra
     return np.clip(np.where(draw.chance(THROUGH_SURFACE, count, 1), seen, body), 1e-4, 1.0 - 1e-4)
 
 
-def through_surface(
-    body: np.ndarray,
-    *,
-    external: float | np.ndarray,
-    internal: float | np.ndarray,
-    transmission: np.ndarray | float = 1.0,
-) -> np.ndarray:
-    """Diffuse reflectance of paint seen through its surface or a varnish, without the gloss.
+def through_surface(body: np.ndarray, *, external: float, internal: float | np.ndarray) -> np.ndarray:
+    """Diffuse reflectance of paint seen through its surface, without the gloss.
 
-    `R = (1 - external) (1 - internal) t^2 body / (1 - internal t^2 body)`
+    `R = (1 - external) (1 - internal) body / (1 - internal body)`
 
     Parameters
     ----------
     body : (..., 61) reflectance below the surface.
     external : share of the incident light that the surface reflects outside (0.04 at index 1.5, near normal).
     internal : share of diffuse light that it reflects back inside (0.6 at index 1.5).
-    transmission : t, (61,) or a number: of one way through the varnish, averaged over directions.
 
-    Returns
-    -------
-    (..., 61). To train on spectra as they are seen through a varnish, divide by the same expression of a perfect white
-    only where the white reference lies under the varnish as well.
-
-    Source: Saunderson, J. Opt. Soc. Am. 32 (1942) 727-736, with absorption on the way in, out and at every inner turn.
+    Source: Saunderson, J. Opt. Soc. Am. 32 (1942) 727-736.
     """
-    passing = transmission**2 * body
-    return (1.0 - external) * (1.0 - internal) * passing / (1.0 - internal * passing)
+    return (1.0 - external) * (1.0 - internal) * body / (1.0 - internal * body)
 
 
 def reflectance_of_thick_layer(absorption: np.ndarray, scattering: np.ndarray) -> np.ndarray:

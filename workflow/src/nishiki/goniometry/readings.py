@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
-from numba import njit
 
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import between, unit
@@ -84,37 +83,19 @@ def regions_in_view(
     middle of every photograph; scale: size of the photograph's pixel over that of the label picture's. A pixel has a
     label only where its centre and its corners, a whole pixel out, fall on that label: borders belong to none.
     """
+    labels = np.asarray(labels, np.uint16)
     right, up = axes_of(theta_r, phi_r, upright)
-    to_cloth = np.linalg.inv(np.array([right[:2], up[:2]]))  # (right, up) of the picture to (weft, warp) of the cloth
-    projected = np.empty(shape, np.uint16)
-    _project(np.ascontiguousarray(labels, np.uint16), scale * to_cloth, projected)
-    return projected
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _project(labels, to_cloth, out):
-    """Fill out (rows, columns) with the label that a pixel and its four corners fall on, 0 where they differ."""
-    rows, columns = out.shape
-    for row in range(rows):
-        for column in range(columns):
-            u, w = column - (columns - 1) / 2, (rows - 1) / 2 - row
-            label = _label_at(labels, to_cloth, u, w)
-            for across in (-1, 1):
-                for up in (-1, 1):
-                    if label != 0 and _label_at(labels, to_cloth, u + across, w + up) != label:
-                        label = 0
-            out[row, column] = label
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _label_at(labels, to_cloth, u, w):
-    """Label at a place of the picture, in its pixels to the right and up from the middle; 0 outside the labels."""
-    rows, columns = labels.shape
-    row = np.floor((rows - 1) / 2 - (to_cloth[1, 0] * u + to_cloth[1, 1] * w) + 0.5)
-    column = np.floor((columns - 1) / 2 + to_cloth[0, 0] * u + to_cloth[0, 1] * w + 0.5)
-    if 0 <= row < rows and 0 <= column < columns:
-        return np.int64(labels[int(row), int(column)])
-    return np.int64(0)
+    to_cloth = scale * np.linalg.inv(np.array([right[:2], up[:2]]))  # (right, up) of the picture to (weft, warp)
+    u = np.arange(-1, shape[1] + 1) - (shape[1] - 1) / 2  # pixels from the middle, one beyond each border
+    w = (shape[0] - 1) / 2 - np.arange(-1, shape[0] + 1)[:, None]
+    (last_row, last_column), (weft, warp) = np.subtract(labels.shape, 1), to_cloth
+    row = np.floor(last_row / 2 - (warp[0] * u + warp[1] * w) + 0.5).astype(np.int64)
+    column = np.floor(last_column / 2 + weft[0] * u + weft[1] * w + 0.5).astype(np.int64)
+    inside = (row >= 0) & (row <= last_row) & (column >= 0) & (column <= last_column)
+    found = np.where(inside, labels[row.clip(0, last_row), column.clip(0, last_column)], 0)
+    middle = found[1:-1, 1:-1]
+    whole = [found[top:, left:][: shape[0], : shape[1]] == middle for top in (0, 2) for left in (0, 2)]
+    return np.where(np.all(whole, axis=0), middle, 0).astype(np.uint16)
 
 
 SAME = np.radians(0.1)

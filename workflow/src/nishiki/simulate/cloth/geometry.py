@@ -4,11 +4,8 @@ After Peirce, The geometry of cloth structure, J. Textile Institute 28(3), 1937:
 crosses and is straight between them. Floats may arch above.
 
 The compiled functions take `Solids.numbers` (everything about the yarns in one row) and `Solids.free` (free distances
-by voxel). x along the weft, y along the warp, z up; lengths in mm; the cloth is periodic in x and y.
-
-x along the weft, y along the warp, z up; lengths in mm. A yarn's section in a plane across it is the set
-|ζ|² + |u|^e < 1 with u = v/a (v from the centre line) and ζ = (z − z_c − roll·v)/b. The compiled functions take the
-solids as `Solids.numbers` and `Solids.free`.
+by voxel). x along the weft, y along the warp, z up; lengths in mm; the cloth is periodic in x and y. A yarn's section
+in a plane across it is the set |ζ|² + |u|^e < 1 with u = v/a (v from the centre line) and ζ = (z − z_c − roll·v)/b.
 """
 
 import math

@@ -20,6 +20,7 @@ from nishiki.simulate.capture import (
     write_description,
     write_image,
 )
+from nishiki.simulate.cloth.points import R2
 from nishiki.simulate.cloth.reflectance import Cloth, blocks, cell_maps, make_cloth
 from nishiki.simulate.cloth.settings import PRESETS, GoniometerSettings, preset, unit
 from nishiki.simulate.randomness import subkey, uniform
@@ -30,7 +31,6 @@ STOPS = (-3, 8)  # exposures are base · 2^k
 BRIGHTEST = 0.85  # share of full scale that the brightest pixel of a photograph may reach
 TINT = (0.86, 1.0, 0.78)  # what a white gives in each channel, the largest = 1
 _SAMPLES = 24  # a pixel
-_R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' sequence in two dimensions: 1/p, 1/p², p³ = p + 1
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def _project(start, stop, key, to_cloth, pitch, sizes, cells, out):
             place = np.uint64(2 * (row * columns + column))
             a, b = uniform(key, place), uniform(key, place + np.uint64(1))
             for _ in range(_SAMPLES):
-                a, b = a + _R2[0], b + _R2[1]
+                a, b = a + R2[0], b + R2[1]
                 a, b = a - math.floor(a), b - math.floor(b)
                 u, w = pitch * (column + a - 0.5 * columns), pitch * (0.5 * rows - row - b)
                 x, y = to_cloth[0, 0] * u + to_cloth[0, 1] * w, to_cloth[1, 0] * u + to_cloth[1, 1] * w

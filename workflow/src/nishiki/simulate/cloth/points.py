@@ -17,7 +17,7 @@ from nishiki.simulate.randomness import subkey, uniform
 from nishiki.simulate.reflection import body, in_frame, reflect_filament
 from nishiki.threads import over_rows
 
-_R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' sequence in two dimensions: 1/p, 1/p², p³ = p + 1
+R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' sequence in two dimensions: 1/p, 1/p², p³ = p + 1
 _LEVELS_DEG = (2.0, 6.0, 15.0, 40.0, 75.0)  # elevation of the directions that test how free a point lies
 _EVERY = (1, 1, 2, 3, 3)  # of the points that are reached first at that level one in so many is kept
 _AZIMUTHS = 8  # directions around a point
@@ -93,7 +93,7 @@ def _on_yarn(yarns: Yarns, yarn: int, kind: int, count: int, random):
     contour, length, total = _contour(yarns.exponent, yarns.shape[yarn])
     start = random.uniform(0.0, 1.0, 2)
     index = np.arange(count)
-    s, t = ((start[axis] + index * _R2[axis]) % 1.0 for axis in range(2))
+    s, t = ((start[axis] + index * R2[axis]) % 1.0 for axis in range(2))
     offset, a, b = yarns.shape[yarn]
     u, zeta = (np.interp(s * total, length, contour[:, axis]) for axis in range(2))
     # Rate along the contour from the neighbours, half a degree on either side.
