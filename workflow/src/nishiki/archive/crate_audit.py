@@ -198,13 +198,14 @@ def _capture(
 
 def parse_seal(data: bytes) -> dict[str, str]:
     """Digest by name from the manifest of a bag. Raises ValueError where a line is none or a name leads outside."""
+    from nishiki.capture.seal import manifest_entry
+
     digests = {}
     for number, line in enumerate(data.decode("utf-8").splitlines(), start=1):
-        match = re.fullmatch(r"([0-9a-fA-F]{64})[ \t]+\*?(.+)", line)
-        if match is None or not is_inside(match[2]):
+        entry = manifest_entry(line)
+        if entry is None or not is_inside(entry[0]):
             raise ValueError(f"line {number}: expected 64 hexadecimal digits and a name inside the bag")
-        name = re.sub(r"%(25|0[dD]|0[aA])", lambda code: chr(int(code[1], 16)), match[2])
-        digests[name] = match[1].lower()
+        digests[entry[0]] = entry[1]
     return digests
 
 

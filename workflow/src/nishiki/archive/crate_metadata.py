@@ -49,8 +49,9 @@ class PackedCapture:
 
 def metadata(scene: str, version: str, capture: PackedCapture, stages: list[PackedStage], others: list[str]) -> Entity:
     """Build the whole description. stages: in the order of the flow; others: names of further files of the crate."""
+    profiles = ids([RO_CRATE, WORKFLOW])
     graph = [
-        _descriptor(),
+        {"@id": METADATA, "@type": "CreativeWork", "about": {"@id": "./"}, "conformsTo": profiles},
         _root(scene, capture, stages, others),
         *(
             {"@id": name, "@type": "CreativeWork", "name": title, "version": number}
@@ -79,10 +80,6 @@ def _other(name: str) -> Entity:
 def last_end(stages: list[PackedStage]) -> str:
     """When the last stage ended, ISO 8601."""
     return max(ended(stage) for stage in stages)
-
-
-def _descriptor() -> Entity:
-    return {"@id": METADATA, "@type": "CreativeWork", "about": {"@id": "./"}, "conformsTo": ids([RO_CRATE, WORKFLOW])}
 
 
 def _root(scene: str, capture: PackedCapture, stages: list[PackedStage], others: list[str]) -> Entity:

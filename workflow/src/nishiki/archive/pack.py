@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -107,7 +107,10 @@ def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool,
     partial.mkdir(parents=True)
     try:
         crate = Crate(partial)
-        stages = [_copy_artifact(crate, scene, item, project) for item in _reporting(scene.artifacts, tell)]
+        stages = []
+        for number, item in enumerate(scene.artifacts):
+            tell(number, len(scene.artifacts), f"copying {item.stage}")
+            stages.append(_copy_artifact(crate, scene, item, project))
         capture = _copy_capture(crate, scene, with_capture, tell)
         _copy_code(crate, project)
         crate.write("scene.json", _json({"scene": scene.name, **scene.facts}))
@@ -122,12 +125,6 @@ def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool,
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return crate.files[MANIFEST][1]
-
-
-def _reporting(artifacts: list[Artifact], tell: Tell) -> Iterator[Artifact]:
-    for number, item in enumerate(artifacts):
-        tell(number, len(artifacts), f"copying {item.stage}")
-        yield item
 
 
 def _copy_artifact(crate: Crate, scene: PackedScene, item: Artifact, project: Path) -> PackedStage:

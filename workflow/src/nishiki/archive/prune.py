@@ -62,12 +62,15 @@ class Finished:
 
 
 def folders_in(parent: Path, pruning: Pruning) -> Iterator[Path]:
-    """Real folders inside a folder, by name; links are noted and left alone."""
+    """Real folders inside a folder, by name; links are noted and left alone, what a removal left is to be removed."""
     with os.scandir(parent) as entries:
         inner = sorted(entries, key=lambda entry: entry.name)
     for entry in inner:
         if entry.is_symlink():
             pruning.left_alone.append(Item(parent / entry.name, f"a link, to {os.readlink(entry.path)}"))
+        elif entry.name.endswith(PRUNED):
+            folder = parent / entry.name
+            pruning.remove.append(Item(folder, "left by an interrupted removal", size_of(folder)))
         elif entry.is_dir(follow_symlinks=False) and entry.name != RUNS:
             yield parent / entry.name
 
@@ -116,9 +119,7 @@ def _judge_finished(folder: Path, finished: list[Finished], pruning: Pruning) ->
 def judge_unfinished(folder: Path, pruning: Pruning, hosts: set[str]) -> None:
     """Sort a folder that is being written or removed; hosts: machines of which no process lives any more."""
     at, process = owner_of(folder.name)
-    if folder.name.endswith(PRUNED):
-        pruning.remove.append(Item(folder, "left by an interrupted removal", size_of(folder)))
-    elif at in ("", host()) and is_alive(process):
+    if at in ("", host()) and is_alive(process):
         pruning.keep.append(Item(folder, f"process {process.split('-')[0]} is writing it", size_of(folder)))
     elif at not in ("", host(), *hosts):
         pruning.keep.append(Item(folder, f"of {at}; --host-is-gone {at} lists it", size_of(folder)))
@@ -146,9 +147,7 @@ def judge_sweeps(results: Path, kept: set[Place], sweeps: set[str], unnamed: boo
     if root.is_symlink() or not root.is_dir():
         return
     for folder in folders_in(root, pruning):
-        if folder.name.endswith(PRUNED):
-            pruning.remove.append(Item(folder, "left by an interrupted removal", size_of(folder)))
-        elif folder.name == TIMINGS:
+        if folder.name == TIMINGS:
             for scene in folders_in(folder, pruning):
                 for stage in folders_in(scene, pruning):
                     for timing in folders_in(stage, pruning):
@@ -161,9 +160,6 @@ def judge_sweeps(results: Path, kept: set[Place], sweeps: set[str], unnamed: boo
 
 def _judge_timing(folder: Path, kept: set[Place], pruning: Pruning) -> None:
     scene, stage, key = folder.parts[-3:]
-    if key.endswith(PRUNED):
-        pruning.remove.append(Item(folder, "left by an interrupted removal", size_of(folder)))
-        return
     if (scene, stage, key) in kept or not FINISHED.fullmatch(key):
         return
     listing = FolderTree(folder).listing()

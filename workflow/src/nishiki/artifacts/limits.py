@@ -84,12 +84,17 @@ def at(path: str) -> Figure:
     """Read the diagnostic at a dotted path; None where it is missing."""
 
     def figure(diagnostics: Mapping[str, Any]) -> float | None:
-        value: Any = diagnostics
-        for part in path.split("."):
-            value = value.get(part) if isinstance(value, Mapping) else None
+        value = _part(diagnostics, path)
         return None if value is None else float(value)
 
     return figure
+
+
+def _part(diagnostics: Mapping[str, Any], path: str) -> Any:
+    value: Any = diagnostics
+    for part in path.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
 
 
 def share(part: str, total_path: str) -> Figure:
@@ -106,10 +111,7 @@ def extreme(path: str, of: Callable[[Iterable[float]], float] = max) -> Figure:
     """Return the largest (or smallest) number in the list or block at a dotted path."""
 
     def figure(diagnostics: Mapping[str, Any]) -> float | None:
-        value: Any = diagnostics
-        for part in path.split("."):
-            value = value.get(part) if isinstance(value, Mapping) else None
-        numbers = [float(each) for each in _leaves(value) if each is not None]
+        numbers = [float(each) for each in _leaves(_part(diagnostics, path)) if each is not None]
         return of(numbers) if numbers else None
 
     return figure

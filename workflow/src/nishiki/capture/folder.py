@@ -29,7 +29,7 @@ from nishiki.capture.turntable import TurntableCapture, examine_turntable
 from nishiki.capture.turntable_rules import TurntableFile
 from nishiki.formats.files import bound, leads_out
 from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, refuse, warning
-from nishiki.formats.text_tables import expect_rows, reading, table_rows
+from nishiki.formats.text_tables import expect_rows, number_of, reading, table_rows
 
 MIRROR_BALLS = "mirror_balls.png"
 """Picture in a capture whose lamps were measured on mirror balls, in the axes of the photographs."""
@@ -224,10 +224,7 @@ def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> n
         if place is None:
             problems.append(error("intensities-light", where, f"no light '{light}'"))
             continue
-        try:
-            table[place] = [float(row[c]) for c in channels]
-        except (KeyError, ValueError):
-            table[place] = -1
+        table[place] = [number_of(row.get(channel, "")) for channel in channels]
         if not all(0 < v < math.inf for v in table[place]):
             problems.append(error("intensities-invalid", where, "intensity", expected="numbers above 0"))
     missing = [lights.names[i] for i in np.flatnonzero(np.isnan(table).any(axis=1))]

@@ -14,7 +14,7 @@ from nishiki.capture.lights import Lights, light_name
 from nishiki.capture.polariser import parse_state
 from nishiki.formats.files import bound, leads_out, name_fault
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse
-from nishiki.formats.text_tables import expect_rows, label_problems, reading, table_rows
+from nishiki.formats.text_tables import expect_rows, label_problems, number_of, reading, table_rows
 
 ROLES = ("sample", "check", "white", "dark", "flat", "ambient")
 LIT_ROLES = ("sample", "check", "white")
@@ -200,21 +200,14 @@ def _frame(
     exposure: dict[str, float | None] = dict.fromkeys(EXPOSURE_COLUMNS)
     for column, expected in EXPOSURE_COLUMNS.items():
         if text := row.get(column, ""):
-            try:
-                value = float(text)
-            except ValueError:
-                value = math.nan
+            value = number_of(text)
             if 0 < value < math.inf:
                 exposure[column] = value
             else:
                 problems.append(error("exposure-invalid", where, column, expected=expected, found=text))
-    shifts = []
-    for column in SHIFT_COLUMNS:
-        try:
-            shifts.append(float(row.get(column) or 0))
-        except ValueError:
-            shifts.append(math.nan)
-        if not abs(shifts[-1]) < LARGEST_SHIFT:
+    across, down = (number_of(row.get(column) or "0") for column in SHIFT_COLUMNS)
+    for column, shift in zip(SHIFT_COLUMNS, (across, down), strict=True):
+        if not abs(shift) < LARGEST_SHIFT:
             expected = f"pixels, less than {LARGEST_SHIFT:g}"
             problems.append(error("shift-invalid", where, column, expected=expected, found=row[column]))
     path = payload
@@ -222,8 +215,8 @@ def _frame(
         path = inside(payload, row["file"], where)
     except CaptureError as e:
         problems.extend(e.problems)
-    shift = (shifts[0], shifts[1])
-    return Frame(row["file"], path, role, light, view=row.get("view", ""), row=number, shift_px=shift, **exposure)
+    view, shift_px = row.get("view", ""), (across, down)
+    return Frame(row["file"], path, role, light, view=view, row=number, shift_px=shift_px, **exposure)
 
 
 def _round_about(frame: Frame, row: dict[str, str], payload: Path, where: str, problems: list[Problem]) -> Frame:
@@ -247,10 +240,7 @@ def _angle(row: dict[str, str], key: str, unit_deg: float, where: str, problems:
     if not text:
         return None
     least, most = (0.0, 90.0) if key.startswith("theta") else (-360.0, 360.0)
-    try:
-        value = float(text) * unit_deg
-    except ValueError:
-        value = math.nan
+    value = number_of(text) * unit_deg
     if least <= value <= most and (value < 90 or not key.startswith("theta")):
         return value
     expected = "degrees from the normal, 0 to below 90" if key.startswith("theta") else "degrees, -360 to 360"

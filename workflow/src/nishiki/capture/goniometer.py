@@ -127,7 +127,7 @@ def goniometer_problems(frames: tuple[Frame, ...]) -> list[Problem]:
     problems += exposure_problems(frames)
     angles = [f.angles_deg for f in samples if None not in f.angles_deg]
     if angles and in_radians(np.array(angles, np.float64)):
-        problems.append(radians_problem(TABLE, "Name the columns theta_i_rad, phi_i_rad, theta_r_rad, phi_r_rad"))
+        problems.append(radians_problem(TABLE))
     if not any(p.severity == "error" for p in problems):
         problems += _spread_problems(samples, whites)
     return problems

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from nishiki.capture.frames import ANGLE_COLUMNS as ANGLES
+from nishiki.capture.frames import RADIAN_COLUMNS
 from nishiki.formats.files import bound
 from nishiki.formats.merl import MERL_BYTES, UTIA_BYTES, merl_values, read_merl, read_utia
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading, table_lines, table_rows
 from nishiki.goniometry.directions import unit
 
-ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 ANGLE = re.compile(
     r"(?P<kind>theta|phi)[ _]?(?P<way>i|in|inc|incident|l|light|r|o|out|refl|reflected|v|view)"
     r"([ _]*[\[(]?(?P<unit>deg|degrees?|°|rad|radians?)[\])]?)?"
@@ -167,7 +168,7 @@ def _to_degrees(rows: np.ndarray, units: dict[str, str], name: str) -> list[Prob
         remedy = "If they are the others, name the columns theta_i_deg or theta_i_rad, and so on"
         notes.append(warning("angles-unit", name, what, found="radians" if radians else "degrees", remedy=remedy))
     elif radians and "rad" not in units.values():
-        raise CaptureError(radians_problem(name, "Name the columns theta_i_rad, phi_i_rad, theta_r_rad, phi_r_rad"))
+        raise CaptureError(radians_problem(name))
     for place, angle in enumerate(ANGLES):
         if units[angle] == "rad" or (not units[angle] and radians):
             rows[:, place] = np.degrees(rows[:, place])
@@ -284,7 +285,8 @@ def in_radians(angles: np.ndarray) -> bool:
     return bool(within and len(angles) >= FEWEST_ANGLES and theta.max() > LEAST_SPREAD)
 
 
-def radians_problem(file: str, remedy: str) -> Problem:
+def radians_problem(file: str) -> Problem:
     """angles-radians, for angles named in degrees of which none is above a turn in radians."""
     what, expected = "the angles are radians: no theta is above pi / 2, no phi above 2 pi", "degrees"
+    remedy = f"Name the columns {', '.join(RADIAN_COLUMNS)}"
     return error("angles-radians", file, what, expected=expected, remedy=remedy)

@@ -11,6 +11,7 @@ import numpy as np
 
 from nishiki.formats.images import read_coarse
 from nishiki.formats.problems import Problem, error, refuse, warning
+from nishiki.formats.text_tables import number_of
 from nishiki.polarisation.series_order import fits_by_chance, series_design
 
 Kind = Literal["none", "circular", "linear", "generator"]
@@ -42,11 +43,7 @@ def parse_state(text: str, where: str = "polariser") -> State:
         return State("", "none")
     if text in ("off", "on"):
         return State(text, "circular")
-    parts = text.split("/")
-    try:
-        angles = tuple(float(part) for part in parts)
-    except ValueError:
-        angles = ()
+    angles = tuple(number_of(part) for part in text.split("/"))
     if len(angles) in (1, 2) and all(math.isfinite(a) and abs(a) <= 360 for a in angles):
         return State("/".join(f"{a + 0.0:g}" for a in angles), "linear" if len(angles) == 1 else "generator", angles)
     near = difflib.get_close_matches(text.casefold(), ("off", "on"), n=1, cutoff=0.6)

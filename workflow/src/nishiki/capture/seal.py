@@ -15,7 +15,6 @@ from nishiki.formats.text_tables import refusal
 MANIFEST, TAG_MANIFEST = "manifest-sha256.txt", "tagmanifest-sha256.txt"
 TAGS = ("bagit.txt", "bag-info.txt", MANIFEST)
 BAGIT = "BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n"
-BLOCK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -29,11 +28,8 @@ class Entry:
 
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file, 64 hexadecimal digits."""
-    digest = hashlib.sha256()
     with os.fdopen(open_regular(path, path.name), "rb") as file:
-        while block := file.read(BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def payload_files(folder: Path) -> Iterator[Path]:
@@ -90,16 +86,23 @@ def read_manifest(path: Path) -> dict[str, str]:
     """Digest by name from a manifest. CaptureError (seal-manifest) where a line is none, or it cannot be read."""
     entries, problems = {}, []
     for number, line in enumerate(_manifest_lines(path), start=1):
-        match = re.fullmatch(r"([0-9a-fA-F]{64})[ \t]+\*?([^\s*].*)", line)
-        wrong = match is None or match[2].startswith("/") or ".." in match[2].split("/")
-        if wrong or _decode(match[2]) in entries:
+        entry = manifest_entry(line)
+        if entry is None or entry[0] in entries:
             expected = "64 hexadecimal digits and a name inside the bag, each name once"
             where = f"{path.name} line {number}"
             problems.append(error("seal-manifest", where, "line", expected=expected, found=line[:80]))
             continue
-        entries[_decode(match[2])] = match[1].lower()
+        entries[entry[0]] = entry[1]
     raise_errors(problems)
     return entries
+
+
+def manifest_entry(line: str) -> tuple[str, str] | None:
+    """Name and digest that a line of a manifest states; None where it states none, or the name leads outside."""
+    match = re.fullmatch(r"([0-9a-fA-F]{64})[ \t]+\*?([^\s*].*)", line)
+    if match is None or match[2].startswith("/") or ".." in match[2].split("/"):
+        return None
+    return re.sub(r"%(25|0[dD]|0[aA])", lambda code: chr(int(code[1], 16)), match[2]), match[1].lower()
 
 
 def _manifest_lines(path: Path) -> list[str]:
@@ -266,9 +269,3 @@ def _refuse_links(root: Path) -> None:
 
 def _encode(name: str) -> str:
     return name.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-
-
-def _decode(name: str) -> str:
-    return re.sub(
-        r"%(25|0D|0A)", lambda m: {"25": "%", "0D": "\r", "0A": "\n"}[m[1].upper()], name, flags=re.IGNORECASE
-    )

@@ -21,7 +21,7 @@ from nishiki.formats.images import read_header
 from nishiki.formats.matlab import read_matlab
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
 from nishiki.formats.problems import CaptureError, Problem, error, expect_one, left_out, raise_errors, refuse, warning
-from nishiki.formats.text_tables import expect_rows, reading
+from nishiki.formats.text_tables import expect_rows, number_of, reading
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.turn import order_round, turn_of
 
@@ -187,12 +187,9 @@ def read_middlebury(source: Path, path: Path, options: ConvertOptions) -> RoundL
     present = {p.name: p for p in source.iterdir() if p.is_file()}
     for number, cells in enumerate(lines[1:], start=2):
         where = f"{path.name} line {number}"
-        try:
-            values = np.array([float(cell) for cell in cells[1:]])
-        except ValueError:
-            values = np.zeros(0)
-        if len(values) != 21:
-            found = f"{len(cells) - 1} values" if len(values) or len(cells) != 22 else "a value that is no number"
+        values = np.array([number_of(cell) for cell in cells[1:]])
+        if len(values) != 21 or np.isnan(values).any():
+            found = f"{len(values)} values" if len(values) != 21 else "a value that is no number"
             expected = "a name and 21 numbers"
             problems.append(error("camera-values", where, "camera", expected=expected, found=found))
             continue

@@ -73,14 +73,14 @@ def exif_of_page(page: Any) -> Exif:
     if isinstance(place, int):  # a directory whose first field, of 12 bytes after the count, ends in the index
         page.parent.filehandle.seek(place + 10)
         index = page.parent.filehandle.read(3)
-    orientation = _number(values.get("Orientation"))
+    orientation = positive_number(values.get("Orientation"))
     space = "srgb" if values.get("ColorSpace") == 1 else "adobe" if index == _ADOBE_RGB else ""
     taken, fraction = (str(values.get(key) or "").strip() for key in ("DateTimeOriginal", "SubsecTimeOriginal"))
     return Exif(
-        exposure_s=_number(values.get("ExposureTime")),
-        f_number=_number(values.get("FNumber")),
-        iso=_number(values.get("ISOSpeedRatings")),
-        focal_35mm=_number(values.get("FocalLengthIn35mmFilm")),
+        exposure_s=positive_number(values.get("ExposureTime")),
+        f_number=positive_number(values.get("FNumber")),
+        iso=positive_number(values.get("ISOSpeedRatings")),
+        focal_35mm=positive_number(values.get("FocalLengthIn35mmFilm")),
         orientation=int(orientation) if orientation and orientation <= 8 else 1,
         colour_space=space,
         model=str(values.get("Model") or "").strip()[:100],
@@ -93,7 +93,7 @@ def quiet_tifffile() -> None:
     logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)
 
 
-def _number(value: Any) -> float | None:
+def positive_number(value: Any) -> float | None:
     """Read a positive finite number from a whole number, a rational (numerator, denominator) or a list of one."""
     if isinstance(value, tuple) and len(value) == 2 and value[1]:
         value = value[0] / value[1]

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from nishiki.formats.coding import D65, LINEAR, Coding, Matrix, primaries_xyz
-from nishiki.formats.exif import Exif
+from nishiki.formats.exif import Exif, positive_number
 from nishiki.formats.picture_files import ImageHeader, Output, Picture, Wanted, unsupported
 
 _COLOURS = {"red": ("R", "red"), "green": ("G", "green"), "blue": ("B", "blue"), "grey": ("Y", "L"), "gray": ("Y", "L")}
@@ -60,7 +60,7 @@ def open_exr(file: BinaryIO, name: str) -> Picture:
     if sum(stored[1:]) > 8 * max(stored[0], 1):
         raise ValueError("the file's further parts are much larger than its first")
     coding = Coding("linear, OpenEXR", LINEAR, _primaries(headers[0].get("chromaticities")))
-    exposure, aperture, speed = (_positive(headers[0].get(key)) for key in ("expTime", "aperture", "isoSpeed"))
+    exposure, aperture, speed = (positive_number(headers[0].get(key)) for key in ("expTime", "aperture", "isoSpeed"))
     header = ImageHeader(
         "exr", window[2], window[3], len(channels) + len(alpha), "float32", bool(alpha), names=_names(channels),
         stored_bytes=_LEAST_SAMPLE * sum(stored), ratio=_RATIO.get(headers[0]["compression"].name, 0), coding=coding,
@@ -171,7 +171,3 @@ def _primaries(corners: Any) -> Matrix | None:
         return None
     pairs = tuple((float(x), float(y)) for x, y in xy)
     return primaries_xyz(pairs[:3], pairs[3] if pairs[3][1] > 0 else D65) if (xy[:, 1] != 0).all() else None
-
-
-def _positive(value: Any) -> float | None:
-    return float(value) if isinstance(value, (int, float)) and 0 < value < float("inf") else None

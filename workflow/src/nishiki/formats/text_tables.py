@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -75,6 +76,14 @@ def cells_of(lines: Iterator[tuple[int, str]]) -> Iterator[tuple[int, list[str]]
         if mark != ",":
             cells = [cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
         yield number, cells
+
+
+def number_of(cell: str) -> float:
+    """Read a number; NaN where the cell holds none."""
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
 
 
 def expect_rows(count: int, limit: str, name: str, kind: str) -> None:
