@@ -17,7 +17,7 @@ from nishiki.calibrate.result import Calibration, finite, list_photographs
 from nishiki.capture.taking import channel_names, full_scale_of, read_channels
 from nishiki.errors import UserError
 from nishiki.formats.images import read_header
-from nishiki.formats.text_tables import table_rows
+from nishiki.formats.text_tables import number_of, table_rows
 from nishiki.observations.linearise import check_linearity
 from nishiki.report.page import Figure, Figures, Section, Table
 from nishiki.report.pictures import heat, scalar_picture
@@ -78,10 +78,7 @@ def read_series(table: Path) -> dict[float, list[Path]]:
     series: dict[float, list[Path]] = {}
     for cells in rows:
         row = dict(zip(columns, cells, strict=False))
-        try:
-            exposure = float(row["exposure_s"])
-        except (KeyError, ValueError):
-            exposure = -1.0
+        exposure = number_of(row.get("exposure_s", ""))
         if not (0 <= exposure < 1e6) or not row.get("file"):
             raise UserError(f"{table}: expected a file and an exposure time in seconds, found {cells}")
         series.setdefault(exposure, []).append(table.parent / row["file"])

@@ -10,6 +10,7 @@ leave open is the axis. For two axes or more that meet, c is the one point where
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -41,18 +42,12 @@ def print_board(shape: BoardShape) -> tuple[str, bytes]:
     if not done:
         raise RuntimeError("the board could not be encoded as PNG")
     scale_x, scale_y = width / picture.shape[1], height / picture.shape[0]
-    bars = []
-    for line in picture < 128:
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], line.astype(np.int8), [0]])))
-        bars.append([(int(a), int(b)) for a, b in edges.reshape(-1, 2)])
-    parts, start = [], 0
-    for row in range(1, len(bars) + 1):  # equal rows are one bar
-        if row == len(bars) or bars[row] != bars[start]:
-            for a, b in bars[start]:
-                parts.append(
-                    f"M{a * scale_x:.4f} {start * scale_y:.4f}H{b * scale_x:.4f}V{row * scale_y:.4f}H{a * scale_x:.4f}z"
-                )
-            start = row
+    dark, parts = picture < 128, []
+    starts = [0, *(np.flatnonzero((dark[1:] != dark[:-1]).any(axis=1)) + 1), len(dark)]
+    for top, end in pairwise(starts):  # equal rows are one bar
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], dark[top], [0]]))).reshape(-1, 2)
+        up, down = f"{top * scale_y:.4f}", f"{end * scale_y:.4f}"
+        parts += [f"M{a * scale_x:.4f} {up}H{b * scale_x:.4f}V{down}H{a * scale_x:.4f}z" for a, b in edges]
     svg = (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm" '
         f'viewBox="0 0 {width:g} {height:g}"><path d="{"".join(parts)}"/></svg>\n'

@@ -1,7 +1,6 @@
 """From photographs of mirror spheres to the result of their calibration: files, numbers, and the page to judge by."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from nishiki.capture.lights import read_lights
 from nishiki.capture.spheres.findings import Findings, SphereInput, SpheresError, draw_findings, draw_sphere
 from nishiki.capture.spheres.lamps import LampFit
 from nishiki.capture.spheres.measure import MeasuredSpheres, measure_spheres
+from nishiki.capture.taking import lights_text
 from nishiki.errors import UserError
 from nishiki.report.page import Figure, Figures, Section, Table
 from nishiki.report.pictures import encoded
@@ -35,11 +35,12 @@ def calibrate_spheres(given: SphereInput) -> Calibration:
     if given.compare is not None:
         numbers["comparison"], section = _comparison(fit, names, given.compare)
         sections.insert(1, section)
-    photographs = [path.name for path in measured.photographs]
-    files = {"lamps.lp": lp_text(photographs, fit.directions)}
+    files_named = [path.name for path in measured.photographs]
+    photographs = [f'"{name}"' if " " in name else name for name in files_named]
+    files = {"lamps.lp": lights_text(photographs, fit.directions)}
     lines: dict = {"lights": {"file": "lamps.lp"}}
     if measured.positioned:
-        files["lamps_mm.lp"] = lp_text(photographs, fit.positions)
+        files["lamps_mm.lp"] = lights_text(photographs, fit.positions)
         lines = {"lights": {"file": "lamps_mm.lp", "kind": "position_mm"}, "pixel_pitch_mm": finite(fit.pitch)}
     if not measured.findings.left_out:  # its lamps have no names, so that none may be missing
         width_mm = fit.pitch * camera.columns if given.radius_mm else 0.0
@@ -52,13 +53,6 @@ def calibrate_spheres(given: SphereInput) -> Calibration:
         f"{kind}; directions to {sigma:.2g} degrees."
     )
     return Calibration("spheres", numbers, inputs, lines, sections, subtitle, files, measured.warnings)
-
-
-def lp_text(files: Sequence[str], vectors: np.ndarray) -> str:
-    """Format an .lp file: the number of lamps, then file name and vector of each."""
-    quoted = [f'"{file}"' if " " in file else file for file in files]
-    rows = [f"{file} {x:.9g} {y:.9g} {z:.9g}\n" for file, (x, y, z) in zip(quoted, vectors, strict=True)]
-    return f"{len(rows)}\n" + "".join(rows)
 
 
 def dome_text(names: list[str], directions: np.ndarray, positions: np.ndarray | None, width_mm: float) -> str:

@@ -17,7 +17,7 @@ from nishiki.calibrate.target import (
     verdict,
 )
 from nishiki.capture.tables import read_curves
-from nishiki.capture.taking import full_scale_of
+from nishiki.capture.taking import full_scale_of, table_text
 from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_to_srgb_linear
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
@@ -79,11 +79,11 @@ def calibrate_target(given: TargetInput) -> Calibration:
     light = None if given.light is None else _spectrum(given.light)
     names, reflectances = chart_reflectances()
     if given.reflectances:
-        curves = read_curves(given.reflectances)
-        if len(curves.names) != len(names):
-            found = f"expected {len(names)} columns after wavelength_nm, found {len(curves.names)}"
+        table = read_curves(given.reflectances)
+        if len(table.names) != len(names):
+            found = f"expected {len(names)} columns after wavelength_nm, found {len(table.names)}"
             raise UserError(f"{given.reflectances}: {found}")
-        reflectances = np.array([np.interp(WAVELENGTHS_NM, curves.wavelengths_nm, each) for each in curves.values.T])
+        reflectances = np.array([np.interp(WAVELENGTHS_NM, table.wavelengths_nm, each) for each in table.values.T])
     header = read_header(given.photograph)
     assumed = "srgb" if header.sample == "uint8" and header.kind != "raw" else "linear"
     coding = header.coding_used(given.encoding or ("file" if header.coding else assumed))
@@ -123,11 +123,9 @@ def calibrate_target(given: TargetInput) -> Calibration:
     if recovered is not None:
         numbers["sensitivities"] = {"residual": recovered.residual, "left_out": recovered.left_out}
         lines["camera"] = {"channels": ["red", "green", "blue"], "sensitivities": "sensitivities.csv"}
-        rows = [
-            ",".join([f"{nm:g}", *(f"{value:.5f}" for value in values)])
-            for nm, values in zip(WAVELENGTHS_NM, recovered.curves.T, strict=True)
-        ]
-        files["sensitivities.csv"] = "\n".join(["wavelength_nm,red,green,blue", *rows]) + "\n"
+        curves = zip(WAVELENGTHS_NM, recovered.curves.T, strict=True)
+        rows = [[f"{nm:g}", *(f"{value:.5f}" for value in values)] for nm, values in curves]
+        files["sensitivities.csv"] = table_text([["wavelength_nm", "red", "green", "blue"], *rows])
     left_out = ", ".join(names[k] for k in np.flatnonzero(~patches.usable))
     warnings = [f"Saturated and left out: {left_out}. Photograph the target with less light."] if left_out else []
     if given.encoding is None:

@@ -174,7 +174,7 @@ def write_tables(
     columns = ("file", "role", "light", "band")[: len(rows[0])]
     lines = [(*columns, *further), *zip(*zip(*rows, strict=True), *further.values(), strict=True)]
     (folder / "frames.csv").write_text(table_text(lines), encoding="utf-8")
-    (folder / "lights.lp").write_text(lights_text(lights), encoding="utf-8")
+    (folder / "lights.lp").write_text(lights_text(lights.names, lights.vectors), encoding="utf-8")
 
 
 def _write_intensities(path: Path, layout: Layout, channels: tuple[str, ...]) -> None:

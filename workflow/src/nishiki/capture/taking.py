@@ -13,7 +13,6 @@ import numpy as np
 import yaml
 
 from nishiki.capture.frames import EXPOSURE_COLUMNS, LIT_ROLES
-from nishiki.capture.lights import Lights
 from nishiki.formats.coding import coding_used
 from nishiki.formats.exif import Exif, read_exif
 from nishiki.formats.exr import several_layers
@@ -153,16 +152,16 @@ def settings_text(settings: dict[str, Any]) -> str:
     return f"# Capture folder: see docs/capture-folder.md\n{text}"
 
 
-def table_text(rows: Iterable[Sequence[str]]) -> str:
+def table_text(rows: Iterable[Iterable[Any]]) -> str:
     """Content of a table of comma-separated values, its heading the first row."""
     buffer = io.StringIO()
     csv.writer(buffer, lineterminator="\n").writerows(rows)
     return buffer.getvalue()
 
 
-def lights_text(lights: Lights) -> str:
-    """Content of a `.lp` file."""
-    lines = [f"{name} {x:.9g} {y:.9g} {z:.9g}\n" for name, (x, y, z) in zip(lights.names, lights.vectors, strict=True)]
+def lights_text(names: Sequence[str], vectors: np.ndarray) -> str:
+    """Content of a `.lp` file: the number of lamps, then name and vector of each."""
+    lines = [f"{name} {x:.9g} {y:.9g} {z:.9g}\n" for name, (x, y, z) in zip(names, vectors, strict=True)]
     return f"{len(lines)}\n{''.join(lines)}"
 
 

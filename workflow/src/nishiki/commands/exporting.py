@@ -1,6 +1,5 @@
 """Commands of results and campaigns: files of one scene for other programs, a table of all, sweeps of settings."""
 
-import csv
 import importlib
 import json
 import shutil
@@ -69,6 +68,7 @@ def export(scene, formats, output, configfile, cores, gone) -> int:
 @with_configuration
 def table(file: str, configfile: str) -> None:
     """Write the figures of all scenes as a table, one row per scene."""
+    from nishiki.capture.taking import table_text
     from nishiki.engine.finished import campaign_rows, columns_of
 
     path = Path(file)
@@ -80,10 +80,7 @@ def table(file: str, configfile: str) -> None:
         parquet = importlib.import_module("pyarrow.parquet")
         parquet.write_table(pyarrow.table(columns), path)
     else:
-        with open(path, "w", newline="", encoding="utf-8") as table:
-            writer = csv.writer(table, lineterminator="\n")
-            writer.writerow(columns)
-            writer.writerows(zip(*columns.values(), strict=True))
+        path.write_text(table_text([list(columns), *zip(*columns.values(), strict=True)]), encoding="utf-8")
     finished = sum(value is True for value in columns["finished"])
     print(f"{path}: {len(columns['scene'])} scenes, {finished} of them finished, {len(columns)} columns")
 

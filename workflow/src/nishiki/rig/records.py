@@ -191,7 +191,7 @@ def write_tables(
     put_file(folder / "capture.yaml", settings_text(values))
     put_file(folder / "frames.csv", _frames_csv(plan, frames, exposures))
     if plan.lights is not None:
-        put_file(folder / "lights.lp", lights_text(plan.lights))
+        put_file(folder / "lights.lp", lights_text(plan.lights.names, plan.lights.vectors))
     for name in _texts(plan.settings.capture):
         source = plan.folder / name
         if not name_fault(name) and source.is_file():
