@@ -50,6 +50,11 @@ def under(transmission):
     return GlossProfile(np.zeros(1), np.ones(1), INDEX, transmission)
 
 
+def joint(transmission):
+    """Return what `normals` says of a finish that it fitted together with its gloss."""
+    return {"joint": True, "gloss_transmission": transmission}
+
+
 def test_a_tile_equals_its_samples():
     normals, lights = relief(), ring()
     observations, albedo = photographs(normals, lights, beta=20.0, gamma=0.2)
@@ -138,7 +143,7 @@ def test_the_stage_tells_outliers_in_the_unit_of_the_observations(tmp_path, refl
     out.write("reflectance", np.full((24, 32, 3), reflectance, np.float32))
     out.write("sigma", np.full((24, 32), 0.01, np.float32))
     context = SimpleNamespace(settings=BrdfSettings(), progress=Progress("scene/brdf"))
-    histogram = gather(context, frames, Maps(tmp_path), None, np.array([True]), [None])
+    histogram = gather(context, frames, Maps(tmp_path), None, np.array([True]), [{"joint": False}])
     assert histogram.value_unit == unit
     assert histogram.rows[0, :, 2].sum() > 0
 
@@ -158,9 +163,16 @@ def test_the_stage_leaves_out_pixels_of_a_capture_with_regions(tmp_path):
     context = SimpleNamespace(settings=BrdfSettings(), progress=Progress("scene/brdf"))
     labels = np.zeros((24, 32), np.uint8)
     labels[:, 16:] = 1
-    two = gather(context, frames, Maps(tmp_path), labels, np.array([True, True]), [under(0.0), under(1.0)])
+    two = gather(
+        context,
+        frames,
+        Maps(tmp_path),
+        labels,
+        np.array([True, True]),
+        [joint(0.0), joint(1.0)],
+    )
     lossless, lossy = (
-        gather(context, frames, Maps(tmp_path), None, np.array([True]), [under(loss)]) for loss in (0.0, 1.0)
+        gather(context, frames, Maps(tmp_path), None, np.array([True]), [joint(loss)]) for loss in (0.0, 1.0)
     )
     np.testing.assert_allclose(two.rows.sum(axis=0), lossless.rows[0], rtol=1e-6)
     assert not np.array_equal(two.values.sum(axis=0), lossless.values[0])  # the body of one region loses light

@@ -178,6 +178,8 @@ def test_evaluation_of_an_exact_record_finds_only_quantisation(full):
     assert found["normals"]["estimated"]["worst"] < 1e-5
     assert found["height"] is None
     assert found["overall"]["levels"]["fadgi"] == "4 stars"
+    assert sum(part["share"] for part in found["parts"]) == pytest.approx(1)
+    assert all(abs(light["level_error"]) < 0.01 for part in found["parts"] for light in part["lights"])
 
 
 def test_evaluation_maps_and_table_agree_with_the_figures(full):

@@ -406,8 +406,15 @@ def test_a_logarithmic_axis_has_round_ticks_at_their_places(low, high):
 def test_the_first_lines_name_the_one_thing_that_would_improve_most(board, lamps, pitch, error, good, asked):
     normals = {"sigma_median_deg": 2.6, "valid_pixels": 80, "object_pixels": 100}
     frames = SimpleNamespace(lights=range(lamps), white_board=board, pixel_pitch_mm=pitch)
-    evaluation = {"lights": [1], "overall": {"de00": {"mean": error}}}
+    lights = [{"incidence_deg": 20.0, "level_error": 0.01}, {"incidence_deg": 65.0, "level_error": -0.12}]
+    parts = [
+        {"finish": 0, "dark": dark, "share": 0.5, "de00": {"mean": mean}, "lights": lights[: 1 + dark]}
+        for dark, mean in ((False, 0.5 * error), (True, error))
+    ]
+    evaluation = {"lights": [1], "overall": {"de00": {"mean": 0.6 * error}}, "parts": parts}
     rows = dict(verdict({"normals": normals}, evaluation, frames, guessed=True))
     assert (f"{error:.1f}" in rows.get("Good", ""), f"{error:.1f}" in rows["Doubtful"]) == (good, not good)
     assert "20 %" in rows["Doubtful"]
+    assert "12 %" in rows["Doubtful"]
+    assert "65°" in rows["Doubtful"]
     assert asked in rows["To improve it most"]

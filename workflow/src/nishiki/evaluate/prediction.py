@@ -24,6 +24,11 @@ class FittedModel:
     # (rows, columns, 3) of `nishiki.brdf.slopes`, None for gloss that the relief inside a pixel does not blur
     slopes: np.ndarray | None = None
 
+    @property
+    def mirrors(self) -> np.ndarray:
+        """(rows, columns) bool, or (): pixels of a metal."""
+        return (self.gloss.refractive_index >= MIRROR)[0 if self.labels is None else self.labels]
+
 
 @dataclass(frozen=True)
 class PredictedLight:
@@ -63,7 +68,7 @@ def predict_light(
     matte_maps = maps._replace(coefficients=white, gloss=body_only)
     (matte,) = predict_observations(matte_maps, [light], pitch=pitch)
     body = matte.observations[..., 0]
-    lit = (body > 0).astype(np.float32)
+    lit = ((body > 0) | model.mirrors).astype(np.float32)
     if seen.visibility is not None:
         lit *= seen.visibility
         body *= seen.visibility

@@ -63,10 +63,9 @@ def fit_glossy(
     context.progress.tell(str(decision))
     regions = [without_gloss(settings.refractive_index, 0) for _ in finishes]
     if kept.any():
-        glosses = [body_of(finish, settings.refractive_index) for finish in finishes]
-        fitted = fit_regions(gather(context, frames, maps, labels, kept, glosses))
-        for region, gloss in zip(fitted, glosses, strict=True):
-            region["refractive_index"] = gloss.refractive_index
+        fitted = fit_regions(gather(context, frames, maps, labels, kept, finishes))
+        for region, finish in zip(fitted, finishes, strict=True):
+            region["refractive_index"] = body_of(finish, settings.refractive_index).refractive_index
         regions = [glossy if keep else none for glossy, none, keep in zip(fitted, regions, kept, strict=True)]
     return of_equal_lobes(regions), decision
 
@@ -109,13 +108,16 @@ def gather(
     maps: Maps,
     labels: np.ndarray | None,
     glossy: np.ndarray,
-    glosses: Sequence[GlossProfile],
+    finishes: Sequence[dict],
 ) -> SpecularHistogram:
     """Specular samples of every usable observation of the glossy regions, by angle between normal and half vector.
 
-    glossy (regions,): bool; glosses: of each, as `add_tile` takes it.
+    glossy (regions,): bool; finishes: what `normals` says of each. The error of normals blurs the gloss where it was
+    fitted with them; that of others is one of the model, which does not scatter.
     """
     settings = context.settings
+    glosses = [body_of(finish, settings.refractive_index) for finish in finishes]
+    joint = np.array([finish["joint"] for finish in finishes])
     lights = frames.fit_lights(settings.hold_out)
     regions = 1 if labels is None else int(labels.max()) + 1
     histogram = SpecularHistogram.empty(
@@ -129,7 +131,7 @@ def gather(
         region_index = np.zeros(left_out.shape, int) if labels is None else labels[band].astype(int)
         region = np.where(left_out | ~glossy[region_index], -1, region_index)
         reflectance = maps.read("reflectance", band).mean(axis=-1)
-        sigma = np.sqrt(maps.read("sigma", band) ** 2 / 2 + slope_variance(maps, band))
+        sigma = np.sqrt(joint[region_index] * maps.read("sigma", band) ** 2 / 2 + slope_variance(maps, band))
         shading = shading_of(maps, band)
         for parcel in parcels(frames, band, lights):
             area = parcel.rows, parcel.columns

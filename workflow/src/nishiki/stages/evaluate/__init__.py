@@ -10,7 +10,7 @@ from nishiki.artifacts.limits import Limit, at
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, SceneFacts, Stage, photographs_or_states
 
 
-class EvaluateSettings(Guarded, stage="evaluate", version=1):
+class EvaluateSettings(Guarded, stage="evaluate", version=2):
     """Comparison with truth where there is one, otherwise with lights that the fit never saw."""
 
     cast_shadows: bool = Field(True, description="predict cast shadows from the integrated height")

@@ -13,7 +13,7 @@ from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import illuminant
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import read_camera_colour
-from nishiki.evaluate.classes import NAMES, classify, levels
+from nishiki.evaluate.classes import DIFFUSE, NAMES, classify, levels
 from nishiki.evaluate.maps import Pool, height_error, normal_errors, reflectance_errors
 from nishiki.evaluate.prediction import FittedModel, channel_colour, light_of, predict_light, spectral_colour
 from nishiki.evaluate.relighting import LightComparison, PreviewPair, truth_difference
@@ -25,6 +25,8 @@ from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.plane.scene import Gloss, Light
 
+DARK_SHARE = 0.25  # of a region, that is scored apart
+
 
 def run(context: Context) -> dict:
     """Compare everything that has a counterpart; lights one after the other, each band by band."""
@@ -35,8 +37,9 @@ def run(context: Context) -> dict:
     out = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
     evaluation = {"pixels": int(np.count_nonzero(frames.mask)), **against_truth(truth, scene, out)}
     evaluation["colour"] = {"how": scene.camera.how, "rmse_xyz": scene.camera.rmse}
-    evaluation["lights"], pooled = relight(context, scene, truth, out)
-    evaluation["overall"] = {"de00": asdict(pooled), "levels": levels(pooled.mean, pooled.p90)}
+    evaluation["lights"], evaluation["parts"], pooled = relight(context, scene, truth, out)
+    worst = max((part["de00"] for part in evaluation["parts"]), key=lambda de00: de00["mean"], default=asdict(pooled))
+    evaluation["overall"] = {"de00": asdict(pooled), "levels": levels(worst["mean"], worst["p90"])}
     evaluation["classes_from"] = "truth" if truth.checks else "model"
     evaluation["gloss"] = {"true_gamma_rad": truth.equivalent_gamma(), "gamma_rad": scene.model.gloss.gamma.tolist()}
     write_tables(context, evaluation, COLUMNS, rows_of(evaluation))
@@ -74,6 +77,20 @@ class EvaluatedScene:
         curves = inputs["ingest"].path("curves.npz")
         self.curves = load_arrays(curves) if curves.is_file() else {}
         self.camera = read_camera_colour(curves, len(self.frames.channels), self.frames.to_srgb)
+        self.parts = parts_of(self.model, frames.mask & self.known)
+
+
+def parts_of(model: FittedModel, known: np.ndarray) -> np.ndarray:
+    """Divide every region of the gloss into its darkest quarter and the rest.
+
+    known : (rows, columns) bool. Returns (rows, columns) int: 2 region, + 1 where dark, -1 outside of `known`.
+    """
+    labels = np.zeros(known.shape, int) if model.labels is None else model.labels.astype(int)
+    level, parts = model.reflectance.mean(axis=-1), np.where(known, 2 * labels, -1)
+    for region in np.unique(labels[known]):
+        here = known & (labels == region)
+        parts[here] += level[here] < np.quantile(level[here], DARK_SHARE)
+    return parts
 
 
 def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None]:
@@ -138,21 +155,45 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
 
 
 def relight(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter):
-    """Score every light that no fit has seen, and pool the differences of all of them."""
+    """Score every light that no fit has seen; pool the differences of all of them, by part and together."""
     frames = scene.frames
     chosen = [
         j for j, role in enumerate(frames.roles) if role == "check" or frames.lights[j] in context.settings.hold_out
     ]
-    scores, pool = [], Pool()
+    scores, pool, numbers = [], Pool(), scene.parts
+    pools: dict[int, Pool] = {int(number): Pool() for number in np.unique(numbers[numbers >= 0])}
+    levels_of: dict[int, list[dict]] = {number: [] for number in pools}
     for j in context.progress.over(chosen, "light"):
-        score, difference = one_light(context, scene, truth, out, j)
+        score, difference, sums = one_light(context, scene, truth, out, j)
         scores.append(score)
         pool.add(difference)
-    return scores, pool.summary()
+        for number, part in pools.items():
+            part.add(np.where(numbers == number, difference, np.nan))
+            if sums[1, number] > 0:
+                error = float(sums[0, number] / sums[1, number] - 1)
+                place = {name: score[name] for name in ("name", "incidence_deg")}
+                levels_of[number].append({**place, "level_error": error})
+    parts = [
+        {
+            "finish": number // 2,
+            "dark": bool(number % 2),
+            "share": float((numbers == number).sum() / max((numbers >= 0).sum(), 1)),
+            "de00": asdict(part.summary()),
+            "lights": levels_of[number],
+        }
+        for number, part in pools.items()
+        if levels_of[number]
+    ]
+    return scores, parts, pool.summary()
 
 
-def one_light(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter, j: int) -> tuple[dict, np.ndarray]:
-    """Score of one light; its map of differences is written."""
+def one_light(
+    context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter, j: int
+) -> tuple[dict, np.ndarray, np.ndarray]:
+    """Score one light, and write its map of differences.
+
+    Returns the score, the map and, (2, parts), sums of predicted and observed light, on paint the diffuse one.
+    """
     frames, name = scene.frames, scene.frames.lights[j]
     height = scene.height if context.settings.cast_shadows and scene.casts_shadows else None
     predicted = predict_light(scene.model, lamp(context, scene, j), height=height, pitch=scene.pitch)
@@ -161,6 +202,8 @@ def one_light(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWri
     views = colours_for(scene) if known_truth else {}
     pictures = {case: np.zeros((*frames.shape, 3), np.float32) for case in views}
     previews = PreviewPair(frames.shape, scene.camera)
+    mirrors = np.broadcast_to(scene.model.mirrors, frames.shape)
+    sums = np.zeros((2, int(scene.parts.max(initial=0)) + 1))
     for rows in frames.bands():
         observed, valid = frames.read(rows, lights=np.array([j]))
         band = predicted.band(rows)
@@ -177,6 +220,10 @@ def one_light(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWri
             inside=inside,
             classes=classify(*parts, inside=inside),
         )
+        classes = np.where(mirrors[rows], DIFFUSE * (comparison.classes[rows] > 0), comparison.classes[rows])
+        used = (classes == DIFFUSE) & (scene.parts[rows] >= 0)
+        for total, light in zip(sums, (band.channels, observed[0]), strict=True):
+            total += np.bincount(scene.parts[rows][used], light[used].mean(axis=-1), total.size)
         previews.add(rows, band.channels, observed[0], inside=inside)
         for case, colour in views.items():
             pictures[case][rows] = colour.xyz(band, None if scene.coefficients is None else scene.coefficients[rows])
@@ -187,7 +234,7 @@ def one_light(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWri
     np.savez(context.output.path(f"preview_{j:03d}.npz"), **previews.arrays())
     out.write(f"de00_{j:03d}", comparison.de00_map, unit="CIEDE2000", light=name, nan=f"not compared: classes_{j:03d}")
     out.write(f"classes_{j:03d}", comparison.classes, meaning={str(k): v for k, v in NAMES.items()}, light=name)
-    return score, comparison.de00_map
+    return score, comparison.de00_map, sums
 
 
 def lamp(context: Context, scene: EvaluatedScene, j: int) -> Light:

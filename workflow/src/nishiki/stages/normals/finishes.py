@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 SAMPLE_PIXELS = 15_000  # of the scene, for its finishes
 RELIGHTING_PIXELS = 2000  # likewise, for the model that predicts lamps
+CLEAR = 1.0  # cost a value above that of the cheapest finish that counts no more: else borders follow the larger misfit
 REACH = 2  # of these pixels, on each side, whose costs are averaged: 15 pixels of the picture
 
 
@@ -256,7 +257,8 @@ def finish_labels(
         at = (places[0] // STRIDE - first, places[1] // STRIDE)
         values[at] = tile.valid.sum(axis=0)[0]
         for cost, part in zip(costs, finishes.parts, strict=True):
-            cost[at] = refined(tile, part.profile).cost[0]
+            cost[at] = refined(tile, part.profile).cost[0] / len(frames.channels)
+    costs = np.minimum(costs, costs.min(axis=0) + CLEAR * values)
     window = np.ones(2 * REACH + 1)
     for axis in (0, 1):
         values = correlate1d(values, window, axis=axis, mode="constant")

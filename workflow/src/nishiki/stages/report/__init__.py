@@ -15,7 +15,7 @@ class PageSettings(Guarded):
     left_out: dict[str, str] = Field({}, description="what the plan leaves out, and why; filled in by the plan")
 
 
-class ReportSettings(PageSettings, stage="report", version=1):
+class ReportSettings(PageSettings, stage="report", version=2):
     """One HTML file that opens offline."""
 
 

@@ -16,7 +16,7 @@ from nishiki.report.scene_page import Head, text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart
 from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting, kind_of
 from nishiki.stages.report.headline import headline
-from nishiki.stages.report.painting_prediction import relighting_section
+from nishiki.stages.report.painting_prediction import part_name, relighting_section, worst_level, worst_part
 from nishiki.stages.report.painting_surface import PageMaps, colour_section, shape_section
 from nishiki.stages.table import CHAIN
 
@@ -38,7 +38,8 @@ def run(context: Context) -> dict:
     scale_bar = ruler(frames.shape[1], frames.pixel_pitch_mm)
     held_out = inputs["normals"].settings["hold_out"]
     kinds = [kind_of(name, role, held_out) for name, role in zip(frames.lights, frames.roles, strict=True)]
-    relighting = relighting_section(inputs.get("evaluate"), maps.get("evaluate"), evaluation, widest)
+    names = finish_names(diagnostics["normals"].get("finishes") or [])
+    relighting = relighting_section(inputs.get("evaluate"), maps.get("evaluate"), evaluation, widest, names)
     truth = evaluation or {}
     camera = read_camera_colour(inputs["ingest"].path("curves.npz"), len(frames.channels), frames.to_srgb)
     page = PageMaps(maps, frames.mask, frames.pixel_pitch_mm, truth, widest, scale_bar)
@@ -64,7 +65,7 @@ def run(context: Context) -> dict:
                 read_json(inputs.get("brdf"), "parameters.json"),
                 true_gamma=(truth.get("gloss") or {}).get("true_gamma_rad"),
                 finishes=finishes_of(page, diagnostics["normals"].get("finishes") or []),
-                names=finish_names(diagnostics["normals"].get("finishes") or []),
+                names=names,
             ),
             capture_section(
                 diagnostics["ingest"], lights=list(frames.lights), kinds=kinds, directions=frames.directions
@@ -344,6 +345,10 @@ def at_a_glance(
             )
         )
         tiles.append(Metric(overall["p90"], "ΔE00", "colour error that nine of ten pixels stay below"))
+        if evaluation["parts"]:
+            part = worst_part(evaluation["parts"])
+            name = part_name(part, finish_names(normals.get("finishes") or []))
+            tiles.append(Metric(part["de00"]["mean"], "ΔE00", f"mean of the part that is predicted worst: {name}"))
     if evaluation.get("normals"):
         tiles.append(Metric(evaluation["normals"]["estimated"]["mean"], "°", "mean angle of the normals to the truth"))
     elif expected is not None:
@@ -358,7 +363,11 @@ def at_a_glance(
         )
     elif colour_error := (spectra or {}).get("expected_de00"):
         tiles.append(
-            Metric(colour_error["D65"], "ΔE00", "expected mean colour error of the spectra under daylight (D65)")
+            Metric(
+                colour_error["D65"],
+                "ΔE00",
+                "expected mean colour error under daylight (D65) by the spectra alone: level and gloss as they are",
+            )
         )
     if evaluation.get("height") and evaluation["height"]["rms"] is not None:
         height = evaluation["height"]
@@ -378,6 +387,7 @@ def at_a_glance(
 VISIBLE, PLAIN = 2.0, 5.0
 """Colour differences (CIEDE2000) from which most people see one, and from which everybody does."""
 FEW_LAMPS = 8  # that a headline warns of
+LEVEL_ERROR = 0.05  # relative, of the diffuse light of a finish, from which a headline warns
 
 
 def verdict(
@@ -388,19 +398,29 @@ def verdict(
     diagnostics : of the stages; guessed : whether the colours of the camera's channels are a guess.
     """
     normals, good, doubtful = diagnostics["normals"], [], []
+    names = finish_names(normals.get("finishes") or [])
     error = evaluation["overall"]["de00"]["mean"] if evaluation and evaluation.get("lights") else None
+    if parts := (evaluation or {}).get("parts"):
+        error = worst_part(parts)["de00"]["mean"]  # the worst finish decides
+        for part in parts:
+            light = worst_level(part)
+            if abs(light["level_error"]) > LEVEL_ERROR:
+                side = "bright" if light["level_error"] > 0 else "dark"
+                doubtful.append(
+                    f"{part_name(part, names)} is predicted {100 * abs(light['level_error']):.0f} % too {side} under a "
+                    f"lamp {light['incidence_deg']:.0f}° from the normal"
+                )
     if error is not None:
         words = (
             "hardly visible" if error < VISIBLE else "visible beside each other" if error < PLAIN else "plain to see"
         )
-        text = f"photographs that no fit used are predicted with errors that are {words} (ΔE00 {error:.1f})"
+        text = f"photographs that no fit used are predicted with errors that are at most {words} (ΔE00 {error:.1f})"
         (good if error < PLAIN else doubtful).append(text)
     sigma = expected_angle(normals, diagnostics.get("height"))
     if sigma is not None and not (evaluation or {}).get("normals"):
         (good if sigma < VISIBLE else doubtful).append(
             f"half of the normals are expected within {sigma:.1f}° of the true ones"
         )
-    names = finish_names(normals.get("finishes") or [])
     if len(names) > 1:
         shares = [f"{name} {100 * part['share']:.0f} %" for name, part in zip(names, normals["finishes"], strict=True)]
         good.append(f"{len(names)} finishes were found and fitted apart ({', '.join(shares)})")

@@ -1,6 +1,6 @@
 """The section of a painting's page on lights that no fit has seen: prediction beside photograph."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -37,9 +37,16 @@ CLASS_KEY = {
 
 
 def relighting_section(
-    evaluate: Artifact | None, maps: Maps | None, evaluation: dict[str, Any] | None, widest: int
+    evaluate: Artifact | None,
+    maps: Maps | None,
+    evaluation: dict[str, Any] | None,
+    widest: int,
+    finishes: Sequence[str] = (),
 ) -> Section | None:
-    """None where no light was kept from the fits. maps : of the artifact; evaluation : its evaluation.json."""
+    """None where no light was kept from the fits.
+
+    maps : of the artifact; evaluation : its evaluation.json; finishes : their names.
+    """
     if evaluation is None or not evaluation["lights"]:
         return None
     lights, overall, how = evaluation["lights"], evaluation["overall"], evaluation["colour"]["how"]
@@ -70,7 +77,8 @@ def relighting_section(
         f"Classes are taken from {classes_from}. Left out: pixels of the object that are saturated or dark in the "
         "photograph, or have no estimate.",
         *_against_truth(lights),
-        _in_museum_terms(overall["levels"]),
+        _table_of_parts(evaluation["parts"], finishes),
+        _in_museum_terms(evaluation, finishes),
     ]
     return Section("relighting", "Prediction and photograph", blocks)
 
@@ -154,13 +162,49 @@ def _against_truth(lights: list[dict[str, Any]]) -> list[Block]:
     ]  # fmt: skip
 
 
-def _in_museum_terms(levels: dict[str, str]) -> Note:
+def part_name(part: dict[str, Any], finishes: Sequence[str]) -> str:
+    """Name a part of `evaluation.json` by its finish, or region of the capture."""
+    number = part["finish"]
+    name = finishes[number] if number < len(finishes) else f"region {number}"
+    return f"{name}, darkest quarter" if part["dark"] else name
+
+
+def worst_part(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the part with the largest mean difference."""
+    return max(parts, key=lambda part: part["de00"]["mean"])
+
+
+def worst_level(part: dict[str, Any]) -> dict[str, Any]:
+    """Return the light under which the level of a part is predicted worst."""
+    return max(part["lights"], key=lambda light: abs(light["level_error"]))
+
+
+def _table_of_parts(parts: Sequence[dict[str, Any]], finishes: Sequence[str]) -> Table:
+    rows: list[list[Cell]] = []
+    for part in parts:
+        light = worst_level(part)
+        level = signed(light["level_error"]), f"{light['incidence_deg']:.0f}°"
+        rows.append([part_name(part, finishes), 100 * part["share"], *_mean_and_p90(part["de00"]), *level])
+    return Table(
+        ("Part", "share, %", "mean", "90 %", "level, %", "under a lamp at"), rows, "lrrrrr",
+        "The same by finish, its darkest quarter apart: colour difference over all lights, and the diffuse light of "
+        "the prediction less that of the photograph under the lamp where they differ most, from the normal.",
+    )  # fmt: skip
+
+
+def _in_museum_terms(evaluation: dict[str, Any], finishes: Sequence[str]) -> Note:
+    levels, parts, lights = evaluation["overall"]["levels"], evaluation["parts"], evaluation["lights"]
+    part = part_name(worst_part(parts), finishes) if parts else "the whole"
+    incidence = [light["incidence_deg"] for light in lights]
     iso = f"level {levels['iso_19264']}" if levels["iso_19264"] in ("A", "B") else levels["iso_19264"]
     stars = [f"{level.mean:g}" + (f" and {level.p90:g}" if level.p90 else "") + f" ({level.name})" for level in FADGI]
     grades = [f"{level.mean:g} ({level.name})" for level in ISO_19264]
     return Note([
-        "In museum terms: held against the limits for colour accuracy of two guidelines, the differences over all "
-        f"lights are of the order of FADGI: {levels['fadgi']}, ISO 19264-1: {iso}.",
+        "In museum terms: held against the limits for colour accuracy of two guidelines, the differences of the part "
+        f"that is predicted worst ({part}) are of the order of FADGI: {levels['fadgi']}, ISO 19264-1: {iso}.",
+        f"What the level covers: {len(lights)} photographs of this camera and lamp, with the lamp "
+        f"{min(incidence):.0f}° to {max(incidence):.0f}° from the normal. What it leaves out: lamps beyond these, "
+        "other lamps' spectra, views from the side, and whether the reflectance is the paint's or holds some gloss.",
         f"Limits used: FADGI 2023, mean and 90th percentile of ΔE00 below {', '.join(stars)}; ISO 19264-1:2021, mean "
         f"at most {', '.join(grades)}. Both are defined for the patches of a colour target under the studio's light, "
         "not for pixels of a prediction under new lights: this is an orientation, not a certificate.",
