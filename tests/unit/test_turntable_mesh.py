@@ -6,16 +6,9 @@ from hypothesis import strategies as st
 from refusals import refused
 
 from nishiki.codec.compact import decode_mesh, encode_mesh, grid_step, mesh_step, shift
-from nishiki.codec.range_coder import begin, code_integer, encode_integers, new_chances
+from nishiki.codec.range_coder import begin, code_bit, finish
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-
-
-def decode_integers(data, contexts, count):
-    """Invert `encode_integers`."""
-    chances, state = new_chances(count), np.zeros(4, np.int64)
-    begin(state, data, True)
-    return [code_integer(0, context, chances, state, data, True) for context in contexts]
 
 
 def sphere(rows=24, columns=48, bump=0.1):
@@ -62,32 +55,17 @@ def same(mesh, step):
     return coded
 
 
-@given(st.lists(st.integers(-(2**31), 2**31), max_size=60), st.integers(1, 5), st.integers(0, 2**32 - 1))
-@settings(max_examples=60, deadline=None)
-def test_integers_come_back(values, contexts, seed):
-    values = np.array(values, np.int64)
-    where = np.random.default_rng(seed).integers(0, contexts, len(values))
-    data = encode_integers(values, where, contexts)
-    np.testing.assert_array_equal(decode_integers(data, where, contexts), values)
-
-
-def test_integers_cost_little_more_than_their_entropy():
-    rng = np.random.default_rng(1)
-    where = rng.integers(0, 2, 40000)
-    values = np.round(rng.laplace(size=40000) * np.where(where, 0.3, 6)).astype(np.int64)
-    bits = 0.0
-    for context in (0, 1):
-        _, counts = np.unique(values[where == context], return_counts=True)
-        bits -= (counts * np.log2(counts / counts.sum())).sum()
-    assert 8 * len(encode_integers(values, where, 2)) < 1.06 * bits
-
-
 def test_carries_run_through_bytes_of_255():
     # long runs of the less probable symbol push the low end up to the edge of the interval
     for length in range(1, 400, 7):
-        values = np.array(([0] * 50 + [1] * 3) * length)[:1500]
-        where = np.zeros(len(values), np.int64)
-        np.testing.assert_array_equal(decode_integers(encode_integers(values, where, 1), where, 1), values)
+        bits = np.array(([0] * 50 + [1] * 3) * length)[:1500]
+        state, data = np.zeros(4, np.int64), np.empty(1600, np.uint8)
+        begin(state, data, False)
+        for bit in bits:
+            code_bit(bit, 4, state, data, False)
+        data = data[: finish(state, data)]
+        begin(state, data, True)
+        np.testing.assert_array_equal([code_bit(0, 4, state, data, True) for _ in bits], bits)
 
 
 def test_a_closed_surface_comes_back_in_few_bytes():

@@ -5,13 +5,13 @@ walks over the surface from edge to edge and predicts each position from its nei
 come back in the order of that walk.
 """
 
+import lzma
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.codec.range_coder import encode_integers
 from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import rotation_vector
@@ -146,15 +146,11 @@ def pack_cameras(cameras: Sequence[Camera]) -> bytes:
 
 
 def chart_bytes(chart: np.ndarray, order: np.ndarray) -> int:
-    """Count the bytes of the atlas: chart numbers (f,) in the order (f,) of the mesh's walk, and the charts' numbers.
-
-    Each number is coded against that of the triangle before.
-    """
-    along = chart[order].astype(np.int64)
-    change = np.diff(along, prepend=along[:1]) if len(along) else along
-    moved = np.concatenate([[0], (change[:-1] != 0)]).astype(np.int64) if len(along) else along
+    """Count the bytes of the atlas: chart numbers (f,) in the order (f,) of the mesh's walk, and the charts' numbers."""
     charts = int(chart.max(initial=-1)) + 1
-    return len(encode_integers(change, moved, 2)) + 4 * _CHART_NUMBERS * charts
+    along = chart[order].astype(np.min_scalar_type(charts)).tobytes()
+    coded = lzma.compress(along, format=lzma.FORMAT_RAW, filters=[{"id": lzma.FILTER_LZMA2, "preset": 9}])
+    return len(coded) + 4 * _CHART_NUMBERS * charts
 
 
 def lamp_bytes(lighting: dict) -> int:
