@@ -77,7 +77,7 @@ def point_problem(phi, amplitude, attenuation, diffuse, root_weights):
 
 
 def fit_points(phi, amplitude, attenuation, diffuse, weights, strengths, reports, *, analytic=True):
-    """`variable_projection.project_points` by scipy, one point after the other; the same outputs."""
+    """`variable_projection.project_points` by scipy, one point after the other; writes the same outputs."""
     from scipy.optimize import least_squares
 
     for p in range(amplitude.shape[0]):

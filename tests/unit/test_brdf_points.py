@@ -227,10 +227,3 @@ def test_messages_name_what_is_wrong():
             fit_torrance_sparrow(phi, values, **arguments)
     with pytest.raises(UserError, match="amplitude"):
         fit_torrance_sparrow(phi, phi)
-
-
-def test_compiled_exponential_is_accurate_in_float32():
-    w = np.zeros((vp._ROWS + 1, 64), np.float32)
-    w[vp._PHI2] = np.linspace(0, 31.9, 64)
-    vp._lobe_values(w, np.float32(1))
-    np.testing.assert_allclose(w[vp._D], np.exp2(-np.linspace(0, 31.9, 64)), rtol=6e-6)

@@ -76,10 +76,7 @@ def fit_torrance_sparrow(
     low, high = gamma_bounds
     if not 0 < low < high < np.inf:
         raise UserError(f"gamma_bounds: expected 0 < low < high in radians, found {gamma_bounds}; e.g. {GAMMA_BOUNDS}")
-    points, _, channels = arrays[1].shape
-    strengths = np.zeros((points, channels, 2), arrays[1].dtype)
-    reports = np.zeros((points, vp.REPORT), arrays[1].dtype)
-    vp.project_points(*arrays, float(np.log(low)), float(np.log(high)), strengths, reports)
+    strengths, reports = vp.project_points(*arrays, float(np.log(low)), float(np.log(high)))
     return _judged(arrays, strengths, reports, low, high)
 
 

@@ -146,7 +146,7 @@ def pack_cameras(cameras: Sequence[Camera]) -> bytes:
 
 
 def chart_bytes(chart: np.ndarray, order: np.ndarray) -> int:
-    """Count the bytes of the atlas: chart numbers (f,) in the order (f,) of the mesh's walk, and the charts' numbers."""
+    """Count the bytes of the atlas: chart numbers (f,) in the order (f,) of the mesh's walk, and each chart's own."""
     charts = int(chart.max(initial=-1)) + 1
     along = chart[order].astype(np.min_scalar_type(charts)).tobytes()
     coded = lzma.compress(along, format=lzma.FORMAT_RAW, filters=[{"id": lzma.FILTER_LZMA2, "preset": 9}])
