@@ -20,7 +20,7 @@ specular-matte BRDF model with importance sampling, 2001).
 """
 
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -224,7 +224,6 @@ def gloss_of(brdf):
 class Dyed:
     """A gloss over a dye; channels are the dye's."""
 
-    KIND: ClassVar[str] = "dyed"
     gloss: Any  # a BRDF of one channel, or of the dye's channels
     albedo: np.ndarray  # (channels,) of the dye under a gloss that takes nothing, 0 .. 1
     gloss_albedo: np.ndarray  # (THETAS, PHIS) share of the light that the gloss reflects, mean over its channels
@@ -268,19 +267,3 @@ class Dyed:
             / max(1 - self.mean_albedo, 1e-3)
         )
         return self.gloss.evaluate(incident, outgoing) + only_above(g.above, through[..., None] * (self.albedo / np.pi))
-
-    def as_arrays(self) -> dict[str, np.ndarray]:
-        """Return the dye's numbers, and the gloss' under the prefix `gloss_of_`."""
-        albedos = {n: np.asarray(getattr(self, n)) for n in ("albedo", "gloss_albedo", "mean_albedo")}
-        inner = {f"gloss_of_{name}": value for name, value in self.gloss.as_arrays().items()}
-        return {**albedos, **inner, "gloss_of": np.array(self.gloss.KIND)}
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "Dyed":
-        """Restore the model of `as_arrays`."""
-        from nishiki.brdf.cloth.store import class_of  # the store knows the kinds; this kind is one of them
-
-        prefix = "gloss_of_"
-        inner = {name[len(prefix) :]: value for name, value in arrays.items() if name.startswith(prefix)}
-        gloss = class_of(str(arrays["gloss_of"])).from_arrays(inner)
-        return cls(gloss, arrays["albedo"], arrays["gloss_albedo"], float(arrays["mean_albedo"]))

@@ -20,7 +20,7 @@ itself (Smith, Geometrical shadowing of a random rough surface, 1967): G1(o) = o
 here by quadrature for the very D, anisotropic as it is; D and G1 are iterated.  Prediction, reciprocal by
 construction:
 
-    f(i, o) = rho_d + F(h.i) D(h) G2(i, o) / (4 cos theta_i cos theta_r).
+    f(i, o) = rho_d + F(h.i) D(h) G1(i) G1(o) / (4 cos theta_i cos theta_r).
 
 Facets steeper than 45 degrees are unseen: log D goes on there as a straight line in tan^2 of
 the tilt (a bell of slopes) with the slope of the last degrees, never rising.
@@ -193,11 +193,9 @@ class ScaledBard(_Bard):
         law = GreatCircleBard.of(values)
         factors = []
         for direction, rows in groups:
-            shape = law.basic(great_circle_view(direction, outgoing[rows])) * weights[rows, None]
-            factors.append(
-                np.sum(shape * measured[rows])
-                / max(np.sum(shape * law.basic(great_circle_view(direction, outgoing[rows]))), 1e-300)
-            )
+            shape = law.basic(great_circle_view(direction, outgoing[rows]))
+            weighted = shape * weights[rows, None]
+            factors.append(np.sum(weighted * measured[rows]) / max(np.sum(weighted * shape), 1e-300))
         return cls.of(values, directions=np.array([d for d, _ in groups]), factors=np.array(factors))
 
 
@@ -210,7 +208,7 @@ _LAST = 89.0  # degrees; tan^2 beyond is not needed
 
 @dataclass(frozen=True)
 class FacetBrdf(ArrayFields):
-    """rho_d + F D G2 / (4 cos cos)."""
+    """rho_d + F D G1 G1 / (4 cos cos): light and view are masked each for itself."""
 
     KIND: ClassVar[str] = "facets"
     RECIPROCAL: ClassVar[bool] = True
@@ -218,7 +216,6 @@ class FacetBrdf(ArrayFields):
     masking: np.ndarray  # (TILTS, TURNS) G1 by the direction
     diffuse: np.ndarray  # (channels,) rho_d, 1 / sr
     index: float  # refractive index
-    correlated: bool  # G2 = 1 / (1/G1 + 1/G1' - 1), by height, or the product of both
 
     @property
     def channels(self) -> int:
@@ -235,12 +232,11 @@ class FacetBrdf(ArrayFields):
         g = halves(incident, outgoing)
         density, masking = self._splines
         light, view = (np.clip(evaluate(masking, d)[..., 0], 1e-12, 1) for d in (incident, outgoing))
-        both = 1 / (1 / light + 1 / view - 1) if self.correlated else light * view
-        mirror = fresnel(g.cos_d, self.index) * evaluate(density, g.h)[..., 0] * both / (4 * g.cos_i * g.cos_r)
+        mirror = fresnel(g.cos_d, self.index) * evaluate(density, g.h)[..., 0] * light * view / (4 * g.cos_i * g.cos_r)
         return only_above(g.above, mirror[..., None] + self.diffuse)
 
 
-def read_facets(basic, *, index: float = 1.5, diffuse=None, correlated: bool = False) -> FacetBrdf:
+def read_facets(basic, *, index: float = 1.5, diffuse=None) -> FacetBrdf:
     """Read D off normal incidence; basic: function of views (..., 3) giving the reflectance (..., channels), 1 / sr.
 
     diffuse (channels,), 1 / sr: rho_d; default: the least reflectance over the hemisphere.  index: the result
@@ -253,9 +249,9 @@ def read_facets(basic, *, index: float = 1.5, diffuse=None, correlated: bool = F
     measured = basic(views)
     unit = float(measured.max())
     unit = unit if unit > 0 else 1.0  # everything below is relative to the largest value: the result scales with it
-    measured, diffuse = measured / unit, None if diffuse is None else np.asarray(diffuse, float) / unit
+    measured = measured / unit
     least = measured.reshape(-1, measured.shape[-1]).min(axis=0)
-    diffuse = least if diffuse is None else np.broadcast_to(np.asarray(diffuse, float), least.shape)
+    diffuse = least if diffuse is None else np.broadcast_to(np.asarray(diffuse, float) / unit, least.shape)
     gloss = np.maximum((measured - diffuse).mean(axis=-1), 1e-3 * measured.mean())
     half = np.cos(np.minimum(grid[..., 0], SEEN))
     plain = gloss * 4 * np.maximum(views[..., 2], 0.02) / fresnel(half, index)
@@ -265,7 +261,7 @@ def read_facets(basic, *, index: float = 1.5, diffuse=None, correlated: bool = F
         at_view = evaluate(coefficients(masking[..., None]), views)[..., 0]
         density = _continued(np.maximum(plain / np.clip(at_view, 0.02, 1), 1e-12), tilt, seen)
         masking = smith_masking(density, directions, tilt, facing=facing)
-    return FacetBrdf(density * unit, masking, unit * np.array(diffuse, float), float(index), bool(correlated))
+    return FacetBrdf(density * unit, masking, unit * np.array(diffuse, float), float(index))
 
 
 def _unit(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:

@@ -48,7 +48,6 @@ KINDS = {  # where the class of a kind is
     "yarn_facets": "nishiki.brdf.cloth.yarn_facets:YarnFacets",
     "yarns": "nishiki.weave.yarn_weave:InterlacedYarns",
     "weave": "nishiki.weave.model:WeaveBrdf",
-    "dyed": "nishiki.brdf.cloth.interface:Dyed",
 }
 _KIND = "kind"
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every member: a file's bytes do not depend on when it was written
