@@ -258,12 +258,13 @@ class Dyed:
         ]
         return (1 - u) * rows[0] + u * rows[1]
 
+    def body(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+        """Return what the dye below the gloss reflects, 1 / sr."""
+        through = (1 - self.gloss_albedo_at(incident)) * (1 - self.gloss_albedo_at(outgoing))
+        through = through / max(1 - self.mean_albedo, 1e-3)
+        above = (incident[..., 2] > 0) & (outgoing[..., 2] > 0)
+        return only_above(above, through[..., None] * (self.albedo / np.pi))
+
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """BRDF, 1 / sr."""
-        g = halves(incident, outgoing)
-        through = (
-            (1 - self.gloss_albedo_at(incident))
-            * (1 - self.gloss_albedo_at(outgoing))
-            / max(1 - self.mean_albedo, 1e-3)
-        )
-        return self.gloss.evaluate(incident, outgoing) + only_above(g.above, through[..., None] * (self.albedo / np.pi))
+        return self.gloss.evaluate(incident, outgoing) + self.body(incident, outgoing)

@@ -9,7 +9,7 @@ uncertainty.  Passes 1 and 2 leave some twenty bytes a texel in memory; texels a
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,10 +43,10 @@ class ObjectFit:
     filled_share: float  # K_s from the neighbours, for want of observations near the mirror direction
     unseen_share: float
     once_share: float
-    median_sigma: float | None  # radians, of the texels with a highlight
-    scatter_log_sigma: float
-    scatter_ks: float
-    noise: float  # root mean square of the weighted residuals of the median texel
+    median_sigma: float | None = None  # radians, of the texels with a highlight
+    scatter_log_sigma: float = 0.0
+    scatter_ks: float = 0.0
+    noise: float = 0.0  # root mean square of the weighted residuals of the median texel
     at_bound_share: float = 0.0  # own sigma at the end of its range (SIGMA_BOUNDS): the neighbours' is taken there
 
 
@@ -273,28 +273,28 @@ def _counts(flags: np.ndarray) -> np.ndarray:
 
 
 def _described(first: list[_First], widths: _Widths, gloss: _Gloss, finished: list) -> ObjectFit:
-    counts = sum((counted for counted, _, _ in finished), np.zeros(5, np.int64))
-    squares, samples = (sum(tile_sums[k] for tile_sums in finished) for k in (1, 2))
-    psnr = -10 * float(np.log10(max(squares / samples, 1e-30))) if samples else None
-    texels = int(counts[0])
-    share = [float(c) / max(texels, 1) for c in counts[1:]]
+    found, _ = _totals(finished)
     log_sigma = np.concatenate([f.fit.log_sigma[f.fit.information > 0] for f in first] or [np.empty(0)])
-    median = float(np.exp(np.median(log_sigma))) if log_sigma.size else None
     ended = sum(int(np.sum((f.fit.flags & FitFlag.AT_BOUND) != 0)) for f in first)
-    return ObjectFit(
-        texels,
-        samples,
-        psnr,
-        1 - share[0],
-        share[1],
-        share[2],
-        share[3],
-        median,
-        widths.scatter,
-        gloss.scatter,
-        gloss.noise,
-        ended / max(texels, 1),
+    return replace(
+        found,
+        median_sigma=float(np.exp(np.median(log_sigma))) if log_sigma.size else None,
+        scatter_log_sigma=widths.scatter,
+        scatter_ks=gloss.scatter,
+        noise=gloss.noise,
+        at_bound_share=ended / max(found.texels, 1),
     )
+
+
+def _totals(finished: list[tuple[np.ndarray, float, int]]) -> tuple[ObjectFit, float]:
+    """Figures of all tiles from counts of flags, squared errors and samples of each; the mean squared error."""
+    counts = sum((counted for counted, _, _ in finished), np.zeros(5, np.int64))
+    squares, samples = (sum(of_tile[k] for of_tile in finished) for k in (1, 2))
+    dark, filled, unseen, once = (counts[1:] / max(int(counts[0]), 1)).tolist()
+    mean = squares / max(samples, 1)
+    psnr = -10 * float(np.log10(max(mean, 1e-30))) if samples else None
+    found = ObjectFit(int(counts[0]), samples, psnr, 1 - dark, filled, unseen, once)
+    return found, mean
 
 
 def _scatter(apart: np.ndarray, information: np.ndarray, guess: float) -> float:
@@ -327,27 +327,10 @@ def fit_lambert(
         tile = read(number).joined
         parameters = lambert_tile(tile, capture)
         write(number, parameters)
-        inside = (parameters.flags & TexelFlag.OUTSIDE) == 0
-        counted = [int(np.sum(inside & ((parameters.flags & bit) != 0))) for bit in (TexelFlag.UNSEEN, TexelFlag.ONCE)]
-        return np.array([int(inside.sum()), *counted]), *capture.squares(parameters, tile)
+        return _counts(parameters.flags), *capture.squares(parameters, tile)
 
-    finished = list(in_threads(finish, tiles, threads))
-    counts = sum((counted for counted, _, _ in finished), np.zeros(3, np.int64))
-    squares, samples = (sum(tile_sums[k] for tile_sums in finished) for k in (1, 2))
-    texels = int(counts[0])
-    return ObjectFit(
-        texels=texels,
-        samples=samples,
-        psnr_db=-10 * float(np.log10(max(squares / samples, 1e-30))) if samples else None,
-        highlight_share=0.0,
-        filled_share=0.0,
-        unseen_share=float(counts[1]) / max(texels, 1),
-        once_share=float(counts[2]) / max(texels, 1),
-        median_sigma=None,
-        scatter_log_sigma=0.0,
-        scatter_ks=0.0,
-        noise=float(np.sqrt(squares / samples)) if samples else 0.0,
-    )
+    found, mean = _totals(list(in_threads(finish, tiles, threads)))
+    return replace(found, highlight_share=0.0, noise=float(np.sqrt(mean)))
 
 
 def lambert_tile(tile: Tile, capture: Capture) -> Parameters:

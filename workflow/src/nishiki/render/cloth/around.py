@@ -7,7 +7,8 @@ from numba import njit
 
 from nishiki.geometry.visibility import GOLDEN_ANGLE, blocked
 from nishiki.render.cloth.local import LIFT, Fragments
-from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, three
+from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene
+from nishiki.render.display import three_channels
 from nishiki.threads import over_items, over_rows
 
 THETAS, PHIS, LIGHTS = 10, 16, (14, 28)
@@ -73,7 +74,7 @@ def shares(brdf: Brdf) -> np.ndarray:
 
     def fill(k: int) -> None:
         values = brdf.evaluate(lights[None], views[k, :PHIS, None])
-        table[k, :PHIS] = np.pi * three(values).mean(axis=1)
+        table[k, :PHIS] = np.pi * three_channels(values).mean(axis=1)
 
     over_items(fill, range(THETAS + 1))
     table[:, PHIS] = table[:, 0]

@@ -10,7 +10,8 @@ from nishiki.brdf.cloth.interface import PHIS, THETAS, Dyed, gloss_of
 from nishiki.brdf.cloth.store import load_brdf
 from nishiki.errors import UserError
 from nishiki.render.cloth.around import grid_views, lookup, shares
-from nishiki.render.cloth.scene import Brdf, three
+from nishiki.render.cloth.scene import Brdf
+from nishiki.render.display import three_channels
 
 
 class ClothModels:
@@ -87,19 +88,13 @@ def together(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray) -> l
 
     def of(brdf: Brdf) -> np.ndarray:
         if id(brdf) not in known:
-            known[id(brdf)] = three(brdf.evaluate(incident, outgoing))
+            known[id(brdf)] = three_channels(brdf.evaluate(incident, outgoing))
         return known[id(brdf)]
 
     results = []
     for brdf in brdfs:
         if isinstance(brdf, Dyed):
-            through = (
-                (1 - brdf.gloss_albedo_at(incident))
-                * (1 - brdf.gloss_albedo_at(outgoing))
-                / max(1 - brdf.mean_albedo, 1e-3)
-            )
-            above = (incident[:, 2] > 0) & (outgoing[:, 2] > 0)
-            results.append(of(brdf.gloss) + np.where(above, through, 0.0)[:, None] * three(brdf.albedo / np.pi))
+            results.append(of(brdf.gloss) + three_channels(brdf.body(incident, outgoing)))
         else:
             results.append(of(brdf))
     return results
@@ -110,4 +105,4 @@ def share_of(brdf: Brdf) -> np.ndarray:
     if not isinstance(brdf, Dyed):
         return shares(brdf)
     gloss_albedo = brdf.gloss_albedo_at(grid_views())[..., None]
-    return np.clip(gloss_albedo + (1 - gloss_albedo) * three(brdf.albedo), 0, 1)
+    return np.clip(gloss_albedo + (1 - gloss_albedo) * three_channels(brdf.albedo), 0, 1)

@@ -20,6 +20,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.visibility import RayTree, make_tree
+from nishiki.render.display import three_channels
 from nishiki.threads import over_items
 
 
@@ -130,13 +131,6 @@ class ClothScene:
         return cls(mesh, weft, material, make_tree(mesh.vertices, mesh.triangles), scale)
 
 
-def three(values: np.ndarray) -> np.ndarray:
-    """Return (..., 3): three channels as they are, any other number as the grey of their mean."""
-    if values.shape[-1] == 3:
-        return values
-    return np.repeat(values.mean(axis=-1, keepdims=True), 3, axis=-1)
-
-
 SIDES, RINGS, TURNS = 41, 13, 16
 """Nodes along u and v, along the ring, and of a whole turn. Measured in docs/notes/stages/cloth_viewer.md."""
 EDGE = 0.98
@@ -168,7 +162,7 @@ class BrdfTable:
         def fill(start: int) -> None:
             rows = slice(start, start + AT_ONCE)
             incident, outgoing = directions(*(axis[rows] for axis in nodes))
-            f = three(brdf.evaluate(incident, outgoing))
+            f = three_channels(brdf.evaluate(incident, outgoing))
             values[rows] = np.sqrt(np.maximum(f * incident[:, 2:] * outgoing[:, 2:], 0))
 
         over_items(fill, range(0, len(values), AT_ONCE))

@@ -20,8 +20,9 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import write_ply
 from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.models import ClothModels
-from nishiki.render.cloth.scene import EDGE, STEPS, Brdf, BrdfTable, ClothScene, three
+from nishiki.render.cloth.scene import EDGE, STEPS, Brdf, BrdfTable, ClothScene
 from nishiki.render.cloth.studio import MARGIN, Lighting, framed, paper_below
+from nishiki.render.display import three_channels
 from nishiki.stages.export import mitsuba_cloth
 from nishiki.stages.export.cloth_material import coded_error, fitted_cloth
 from nishiki.stages.export.registry import software, write_formats
@@ -196,7 +197,7 @@ def camera_facts(camera: Camera, middle: np.ndarray) -> dict:
 
 def write_bsdf(context: Context, cloth: ExportedCloth) -> dict:
     """Write `cloth.bsdf`; return how far its table is from the model."""
-    table = HalfVectorTable.of(lambda light, eye: three(cloth.brdf.evaluate(light, eye)))
+    table = HalfVectorTable.of(lambda light, eye: three_channels(cloth.brdf.evaluate(light, eye)))
     described = f"{context.stamp['scene']}, {cloth.region}, {cloth.model}; x weft, y warp; {software(context)}"
     context.output.path("exports/cloth.bsdf").write_bytes(bsdf_bytes(table.arrays(described)))
     return {"files": ["exports/cloth.bsdf"], "against_model": errors(cloth, table)}

@@ -19,7 +19,8 @@ import numpy as np
 from nishiki.brdf.cloth.interface import halves, only_above
 from nishiki.brdf.slopes import anisotropic_lobe
 from nishiki.colour.colour import srgb_encode
-from nishiki.render.cloth.scene import Brdf, three
+from nishiki.render.cloth.scene import Brdf
+from nishiki.render.display import three_channels
 
 NORMAL_REFLECTANCE = 0.04  # of index 1.5, what a viewer takes where the file says nothing
 PAIRS = 1500
@@ -127,7 +128,7 @@ def sheen_albedo(cosines: np.ndarray, roughness: float) -> np.ndarray:
 
 def shone(brdf: Brdf, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
     """Return (n, 3) sRGB-coded light relative to a white that faces the lamp, at most 1."""
-    return srgb_encode(np.pi * three(brdf.evaluate(incident, outgoing)) * incident[:, 2:])
+    return srgb_encode(np.pi * three_channels(brdf.evaluate(incident, outgoing)) * incident[:, 2:])
 
 
 def coded_error(material: GltfCloth, brdf: Brdf) -> float:

@@ -8,6 +8,7 @@ that faces the lamp, becomes the lobe of Trowbridge and Reitz with the same peak
 Without a white board albedo is relative to a lamp of unknown strength and may be above 1: `lamp_strength` divides it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -194,25 +195,29 @@ def coded(values: np.ndarray) -> np.ndarray:
 
 def textures(decoded: DecodedObject, texels: Texels, layout: TextureAtlas) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Albedo (rows, columns, 3), alpha and w F0 (rows, columns) of the whole texture, from the decoded parameters."""
-    albedo = np.zeros((*layout.shape, 3), np.float32)
-    alpha, reflectance = (np.zeros(layout.shape, np.float32) for _ in range(2))
-    known = np.zeros(layout.shape, bool)
-    for tile, (row, column) in enumerate(layout.origin):
+
+    def look(tile: int) -> np.ndarray:
         kd, ks, sigma = decoded.residual.parameters(tile)
-        positions, normals, inside = texels.geometry(tile)
+        positions, normals, _ = texels.geometry(tile)
         kd = body_colour(decoded, texels, tile, (kd, ks, sigma), (positions, normals))
-        window = (slice(row, row + len(kd)), slice(column, column + len(kd)))
-        width = np.clip(ALPHA_PER_SIGMA * sigma, LEAST_ALPHA, 1)
-        for texture, values in (
-            (albedo, three_channels(kd)),
-            (alpha, width),
-            (reflectance, 4 * width**2 * ks.mean(axis=-1)),
-        ):
-            texture[window][inside] = values[inside]
-        known[window] |= inside
-    stacked = np.concatenate([albedo, alpha[..., None], reflectance[..., None]], axis=-1)
-    filled = fill_gaps(stacked, known)
+        alpha = np.clip(ALPHA_PER_SIGMA * sigma, LEAST_ALPHA, 1)
+        return np.dstack([three_channels(kd), alpha, 4 * alpha**2 * ks.mean(axis=-1)])
+
+    filled = in_charts(decoded, layout, 5, look)
     return filled[..., :3], filled[..., 3], filled[..., 4]
+
+
+def in_charts(
+    decoded: DecodedObject, layout: TextureAtlas, channels: int, of_tile: Callable[[int], np.ndarray]
+) -> np.ndarray:
+    """Return the whole texture (rows, columns, channels) float32 from tiles (T, T, channels), gaps filled."""
+    texture, known = np.zeros((*layout.shape, channels), np.float32), np.zeros(layout.shape, bool)
+    for tile, (row, column) in enumerate(layout.origin):
+        values, inside = of_tile(tile), decoded.texel_triangles[tile] >= 0
+        window = (slice(row, row + len(values)), slice(column, column + len(values)))
+        texture[window][inside] = values[inside]
+        known[window] |= inside
+    return fill_gaps(texture, known)
 
 
 def body_colour(

@@ -17,7 +17,7 @@ from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.stages.export import mitsuba_object
-from nishiki.stages.export.object_look import METRES, ObjectLook, TextureAtlas, fill_gaps, sample
+from nishiki.stages.export.object_look import METRES, ObjectLook, TextureAtlas, in_charts, sample
 from nishiki.stages.export.object_surface import ObjectSurface, SeenPoints, against_photographs
 
 FITTED_POINTS = 1000  # of the mesh, to which a pinhole is fitted
@@ -72,17 +72,12 @@ def write_folder(
 
 def model_textures(decoded: DecodedObject, layout: TextureAtlas) -> dict[str, np.ndarray]:
     """Return kd, ks (rows, columns, 3) and sigma (rows, columns, 1) of the decoded model, float32, gaps filled."""
-    stacked = np.zeros((*layout.shape, 7), np.float32)
-    known = np.zeros(layout.shape, bool)
-    for tile, (row, column) in enumerate(layout.origin):
+
+    def parameters(tile: int) -> np.ndarray:
         kd, ks, sigma = decoded.residual.parameters(tile)
-        window = (slice(row, row + len(kd)), slice(column, column + len(kd)))
-        inside = decoded.texel_triangles[tile] >= 0
-        stacked[window][inside] = np.concatenate(
-            [three_channels(kd), three_channels(ks), np.asarray(sigma)[..., None]], axis=-1
-        )[inside]
-        known[window] |= inside
-    filled = np.maximum(np.nan_to_num(fill_gaps(stacked, known)), 0)
+        return np.dstack([three_channels(kd), three_channels(ks), sigma])
+
+    filled = np.maximum(np.nan_to_num(in_charts(decoded, layout, 7, parameters)), 0)
     return {"kd": filled[..., :3], "ks": filled[..., 3:6], "sigma": filled[..., 6:]}
 
 
