@@ -119,7 +119,6 @@ def _rows(values) -> tuple[tuple[float, ...], ...]:
 
 GRAZING = 0.05  # cos(theta_r) of 87 degrees
 _GRAZING = np.float32(GRAZING)
-_FAR = np.float32(40.0)  # exp(-40) = 4e-18 of the peak counts as 0
 _TINY = np.float32(1e-30)
 _ZERO, _QUARTER, _HALF, _ONE, _THREE = (np.float32(v) for v in (0, 0.25, 0.5, 1, 3))
 _ALPHA_SQUARED = (  # 4 asin(sqrt y)^2 / y on y = sin(alpha / 2)^2 in 0 .. 1/2, relative error 5e-8
@@ -149,16 +148,15 @@ def predict(
     unit length; camera_centre: (3,).  Linear, relative: 1 is a white diffuser that faces the lamp.  Miyazaki et al.
     (2007), eq. 6 and 8.
     """
-    kd, ks = (np.ascontiguousarray(a, np.float32) for a in (kd, ks))
-    sigma = np.ascontiguousarray(sigma, np.float32).reshape(-1)
-    channels = kd.shape[-1]
-    places, facing = (np.ascontiguousarray(a, np.float32).reshape(-1, 3) for a in (positions, normals))
-    flat_kd, flat_ks = kd.reshape(-1, channels), ks.reshape(-1, channels)
-    diffuse, specular = np.empty_like(flat_kd), np.empty_like(flat_kd)
-    view = _view(camera_centre, lamp, channels)
-
-    _predict(flat_kd, flat_ks, sigma, places, facing, *view, diffuse, specular)
-    return diffuse.reshape(kd.shape), specular.reshape(kd.shape)
+    kd, ks, sigma = (np.asarray(a, np.float32) for a in (kd, ks, sigma))
+    irradiance, angles = factors(positions, normals, camera_centre, lamp, kd.shape[-1])
+    strength, cos_r, alpha2 = np.moveaxis(angles, -1, 0)
+    with np.errstate(all="ignore"):
+        lobe = np.where(alpha2 > 0, np.exp(-_HALF * alpha2 / (sigma * sigma)), _ONE)
+        lobe *= strength / np.maximum(cos_r, _GRAZING)
+        radiances = kd * irradiance, ks * lobe[..., None]
+    diffuse, specular = (np.where(np.isfinite(values), values, _ZERO) for values in radiances)
+    return diffuse, specular
 
 
 def factors(
@@ -172,20 +170,14 @@ def factors(
     places, facing = (np.ascontiguousarray(a, np.float32).reshape(-1, 3) for a in (positions, normals))
     irradiance = np.empty((len(places), channels), np.float32)
     angles = np.empty((len(places), 3), np.float32)
-    _factors(places, facing, *_view(camera_centre, lamp, channels), irradiance, angles)
-    return irradiance.reshape(*positions.shape[:-1], channels), angles.reshape(*positions.shape[:-1], 3)
-
-
-def _view(
-    camera_centre: np.ndarray, lamp: ViewLamp, channels: int
-) -> tuple[np.ndarray, int, np.ndarray, np.ndarray, np.ndarray, np.float32]:
-    """Return the arguments that the compiled loops share: one row of harmonics serves every channel."""
-    harmonics = lamp.harmonics
+    harmonics = lamp.harmonics  # one row serves every channel
     if harmonics.shape[1] != channels:
         harmonics = np.repeat(harmonics.mean(axis=1, keepdims=True), channels, axis=1)
     reference = np.float32(lamp.reference) ** 2 if lamp.form == POINT else _ZERO
-    centre = np.ascontiguousarray(camera_centre, np.float32)
-    return centre, lamp.form, lamp.vector, lamp.rotation, np.ascontiguousarray(harmonics, np.float32), reference
+    centre, harmonics = (np.ascontiguousarray(a, np.float32) for a in (camera_centre, harmonics))
+    known = lamp.form, lamp.vector, lamp.rotation, harmonics, reference
+    _factors(places, facing, centre, known, irradiance, angles)
+    return irradiance.reshape(*positions.shape[:-1], channels), angles.reshape(*positions.shape[:-1], 3)
 
 
 @njit(cache=True, error_model="numpy")
@@ -198,30 +190,7 @@ def _alpha_squared(y):
 
 
 @njit(cache=True, error_model="numpy")
-def angles_at(px, py, pz, nx, ny, nz, centre, form, vector, reference):
-    """(cos theta_i, cos theta_r, alpha^2, distance factor); cosines of lamps and cameras behind are <= 0."""
-    vx, vy, vz = centre[0] - px, centre[1] - py, centre[2] - pz
-    scale = _ONE / np.sqrt(vx * vx + vy * vy + vz * vz + _TINY)
-    vx, vy, vz = vx * scale, vy * scale, vz * scale
-    lx, ly, lz, strength = vector[0], vector[1], vector[2], _ONE
-    if form == POINT:
-        lx, ly, lz = lx - px, ly - py, lz - pz
-        square = lx * lx + ly * ly + lz * lz + _TINY
-        scale = _ONE / np.sqrt(square)
-        lx, ly, lz = lx * scale, ly * scale, lz * scale
-        strength = reference / square if reference > _ZERO else _ONE
-    cos_i = nx * lx + ny * ly + nz * lz
-    cos_r = nx * vx + ny * vy + nz * vz
-    hx, hy, hz = lx + vx, ly + vy, lz + vz
-    square = hx * hx + hy * hy + hz * hz
-    scale = _ONE / np.sqrt(square) if square > _TINY else _ZERO
-    dx, dy, dz = nx - hx * scale, ny - hy * scale, nz - hz * scale
-    y = _QUARTER * (dx * dx + dy * dy + dz * dz)  # sin(alpha / 2)^2 without cancellation
-    return cos_i, cos_r, _alpha_squared(y if y < _HALF else _HALF), strength
-
-
-@njit(cache=True, error_model="numpy")
-def irradiance_at(nx, ny, nz, rotation, harmonics, c):
+def _irradiance(nx, ny, nz, rotation, harmonics, c):
     """max(0, sum of the nine products of the normal in the lamp frame with channel c's coefficients)."""
     x = rotation[0, 0] * nx + rotation[0, 1] * ny + rotation[0, 2] * nz
     y = rotation[1, 0] * nx + rotation[1, 1] * ny + rotation[1, 2] * nz
@@ -232,51 +201,33 @@ def irradiance_at(nx, ny, nz, rotation, harmonics, c):
     return total if total > _ZERO else _ZERO
 
 
-@njit(cache=True, error_model="numpy")
-def _lobe(alpha2, sigma):
-    """exp(-alpha^2 / (2 sigma^2)) with its limits at sigma = 0 and infinity."""
-    if alpha2 <= _ZERO:
-        return _ONE
-    ratio = _HALF * alpha2 / (sigma * sigma)
-    return np.exp(-ratio) if ratio < _FAR else _ZERO  # also where sigma is not a number
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
-def _predict(
-    kd, ks, sigma, positions, normals, centre, form, vector, rotation, harmonics, reference, diffuse, specular
-):
-    points, channels = kd.shape
-    for p in range(points):
-        nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
-        cos_i, cos_r, alpha2, strength = angles_at(
-            positions[p, 0], positions[p, 1], positions[p, 2], nx, ny, nz, centre, form, vector, reference
-        )
-        lobe = _ZERO
-        glossy = False
-        for c in range(channels):
-            glossy = glossy or ks[p, c] != _ZERO
-        if glossy and cos_i > _ZERO and cos_r > _ZERO:
-            lobe = strength / (cos_r if cos_r > _GRAZING else _GRAZING) * _lobe(alpha2, sigma[p])
-        lit = cos_i * strength if cos_i > _ZERO else _ZERO
-        for c in range(channels):
-            if form == ENVIRONMENT:
-                lit = irradiance_at(nx, ny, nz, rotation, harmonics, c)
-            d, s = kd[p, c] * lit, ks[p, c] * lobe
-            diffuse[p, c] = d if d - d == _ZERO else _ZERO
-            specular[p, c] = s if s - s == _ZERO else _ZERO
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def _factors(positions, normals, centre, form, vector, rotation, harmonics, reference, irradiance, angles):
+def _factors(positions, normals, centre, lamp, irradiance, angles):
+    form, vector, rotation, harmonics, reference = lamp
     points, channels = irradiance.shape
     for p in range(points):
+        px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
         nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
-        cos_i, cos_r, alpha2, strength = angles_at(
-            positions[p, 0], positions[p, 1], positions[p, 2], nx, ny, nz, centre, form, vector, reference
-        )
+        vx, vy, vz = centre[0] - px, centre[1] - py, centre[2] - pz
+        scale = _ONE / np.sqrt(vx * vx + vy * vy + vz * vz + _TINY)
+        vx, vy, vz = vx * scale, vy * scale, vz * scale
+        lx, ly, lz, strength = vector[0], vector[1], vector[2], _ONE
+        if form == POINT:
+            lx, ly, lz = lx - px, ly - py, lz - pz
+            square = lx * lx + ly * ly + lz * lz + _TINY
+            scale = _ONE / np.sqrt(square)
+            lx, ly, lz = lx * scale, ly * scale, lz * scale
+            strength = reference / square if reference > _ZERO else _ONE
+        cos_i = nx * lx + ny * ly + nz * lz
+        cos_r = nx * vx + ny * vy + nz * vz
+        hx, hy, hz = lx + vx, ly + vy, lz + vz
+        square = hx * hx + hy * hy + hz * hz
+        scale = _ONE / np.sqrt(square) if square > _TINY else _ZERO
+        dx, dy, dz = nx - hx * scale, ny - hy * scale, nz - hz * scale
+        y = _QUARTER * (dx * dx + dy * dy + dz * dz)  # sin(alpha / 2)^2 without cancellation
         angles[p, 0] = strength if cos_i > _ZERO and cos_r > _ZERO else _ZERO
         angles[p, 1] = cos_r
-        angles[p, 2] = alpha2
+        angles[p, 2] = _alpha_squared(y if y < _HALF else _HALF)
         lit = cos_i * strength if cos_i > _ZERO else _ZERO
         for c in range(channels):
-            irradiance[p, c] = irradiance_at(nx, ny, nz, rotation, harmonics, c) if form == ENVIRONMENT else lit
+            irradiance[p, c] = _irradiance(nx, ny, nz, rotation, harmonics, c) if form == ENVIRONMENT else lit

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from nishiki.brdf.fit import FitFlag, fit_torrance_sparrow
-from nishiki.brdf.texels.model import ENVIRONMENT, GRAZING, POINT, ViewLamp, angles_at, irradiance_at, predict
+from nishiki.brdf.texels.model import GRAZING, ViewLamp, factors, predict
 from nishiki.brdf.texels.parameters import Parameters
 from nishiki.colour.colour import encode, encoding_slope
 
@@ -67,23 +67,24 @@ def observed(
     places = np.ascontiguousarray(positions, np.float32).reshape(-1, 3)
     facing = np.ascontiguousarray(normals, np.float32).reshape(-1, 3)
     picked = _pick(values, texel, view)
-    diffuse, attenuation, alpha, weights = (np.zeros(view.shape, np.float32) for _ in range(4))
-    centres = np.ascontiguousarray(centres, np.float32)
-    _look(places, facing, texel, view, centres, *_side_by_side(lamps), diffuse, attenuation, alpha, weights)
+    diffuse, attenuation, alpha, weights = (np.zeros(view.size, np.float32) for _ in range(4))
+    number = (view + 1).astype(np.min_scalar_type(len(lamps))).ravel()  # few bytes are sorted in linear time
+    order = np.argsort(number, kind="stable")
+    ends = np.searchsorted(number[order], np.arange(1, len(lamps) + 2))
+    for o, lamp in enumerate(lamps):
+        slots = order[ends[o] : ends[o + 1]]
+        seen = texel[slots // view.shape[1]]
+        irradiance, angles = factors(places[seen], facing[seen], centres[o], lamp, 1)
+        strength, cos_r, alpha2 = angles.T
+        diffuse[slots], alpha[slots], weights[slots] = irradiance[:, 0], np.sqrt(alpha2), np.fmax(cos_r, 0)
+        attenuation[slots] = strength / np.fmax(cos_r, GRAZING)
+    diffuse, attenuation, alpha, weights = (a.reshape(view.shape) for a in (diffuse, attenuation, alpha, weights))
+    mean = np.full(values.shape[-1], 1 / values.shape[-1], np.float32)
     if encoding == "srgb":
         level = picked if bright is None else _pick(bright, texel, view)
-        weights *= encoding_slope(level.mean(axis=-1), "srgb") ** 2
-    weights[~np.isfinite(picked).all(axis=-1)] = 0
+        weights *= encoding_slope(level @ mean, "srgb") ** 2
+    weights[~np.isfinite(picked @ mean)] = 0
     return Observed(texel, picked, diffuse, attenuation, alpha, weights, view)
-
-
-def _side_by_side(lamps: list[ViewLamp]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Form, vectors, rotations, grey harmonics and squared references of the lamps, as arrays."""
-    form = np.array([lamp.form for lamp in lamps], np.int64)
-    vectors, rotations = (np.stack([getattr(lamp, name) for lamp in lamps]) for name in ("vector", "rotation"))
-    harmonics = np.stack([lamp.harmonics.mean(axis=1, keepdims=True) for lamp in lamps]).astype(np.float32)
-    references = np.array([lamp.reference if lamp.form == POINT else 0 for lamp in lamps], np.float32) ** 2
-    return form, vectors, rotations, harmonics, references
 
 
 def _slots(visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -103,32 +104,6 @@ def _pick(stack: np.ndarray, texel: np.ndarray, view: np.ndarray) -> np.ndarray:
     """Values (points, slots, channels) float32 of a stack (M, T, T, channels), 0 in empty slots."""
     flat = np.asarray(stack, np.float32).reshape(len(stack), -1, stack.shape[-1])
     return np.where((view >= 0)[..., None], flat[view, texel[:, None]], np.float32(0))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _look(places, facing, texel, view, centres, form, vectors, rotations, harmonics, references,
-          diffuse, attenuation, alpha, weights):  # fmt: skip
-    """Compute `model.factors` for every slot."""
-    zero, grazing = np.float32(0), np.float32(GRAZING)
-    for p in range(texel.size):
-        px, py, pz = places[texel[p], 0], places[texel[p], 1], places[texel[p], 2]
-        nx, ny, nz = facing[texel[p], 0], facing[texel[p], 1], facing[texel[p], 2]
-        for slot in range(view.shape[1]):
-            o = view[p, slot]
-            if o < 0:
-                break
-            cos_i, cos_r, alpha2, strength = angles_at(
-                px, py, pz, nx, ny, nz, centres[o], form[o], vectors[o], references[o]
-            )
-            if form[o] == ENVIRONMENT:
-                diffuse[p, slot] = irradiance_at(nx, ny, nz, rotations[o], harmonics[o], 0)
-            elif cos_i > zero:
-                diffuse[p, slot] = cos_i * strength
-            if cos_r > zero:
-                weights[p, slot] = cos_r
-                if cos_i > zero:
-                    attenuation[p, slot] = strength / (cos_r if cos_r > grazing else grazing)
-            alpha[p, slot] = np.sqrt(alpha2)
 
 
 @dataclass(frozen=True)
