@@ -201,8 +201,8 @@ def better_prediction(summaries: dict) -> str | None:
     return max(scores, key=scores.__getitem__) if scores else None
 
 
-CODE_BITS, HALVINGS = 12, 7  # of pictures for JPEG 2000; of the span of its qualities
-LOWEST_DB, HIGHEST_DB = 16.0, 80.0  # that span: PSNR over the whole picture
+CODE_BITS = 12  # of pictures for JPEG 2000
+LOWEST_DB, HIGHEST_DB = 15, 80  # of its qualities, in whole dB: PSNR over the whole picture
 FILLED_PX = 16  # around the object; beyond, its mean
 
 
@@ -223,8 +223,8 @@ def jpeg2000_psnr(photograph: np.ndarray, inside: np.ndarray, size: float) -> fl
     extend(filled, mask, rings=FILLED_PX)
     codes = np.rint(filled.clip(0, 1) * (2**CODE_BITS - 1)).astype(np.uint16)
     low, high, found = LOWEST_DB, HIGHEST_DB, None
-    for _ in range(HALVINGS):
-        level = 0.5 * (low + high)
+    while high - low > 1:
+        level = (low + high) // 2
         coded = imagecodecs.jpeg2k_encode(
             codes, level=level, bitspersample=CODE_BITS, reversible=False, codecformat="j2k"
         )
