@@ -1,17 +1,16 @@
 """Sweep: table, page and drawings of error against run time, from the evaluations and timed repeats of all variants."""
 
 import argparse
-import csv
-import io
 import json
-import os
 from pathlib import Path
 
 import _project  # noqa: F401
 from nishiki.artifacts.artifact import open_artifact
+from nishiki.capture.taking import table_text
 from nishiki.engine.sweep_plan import PlannedVariant, SceneSweep
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
+from nishiki.formats.files import put_file
 from nishiki.sweep.page import render_sweep, scene_content, sweep_content, table_rows
 from nishiki.sweep.settings import MeasureSettings
 from nishiki.sweep.summary import VariantRow, as_measure, candidates, compared, paths_in, values_of, variant_row
@@ -32,8 +31,8 @@ def main() -> None:
     folder = arguments.output.parent
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in files_of(content).items():
-        write(folder / name, text)
-    write(arguments.output, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+        put_file(folder / name, text)
+    put_file(arguments.output, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def content_of(flow: Workflow) -> dict:
@@ -116,19 +115,10 @@ def row_of(flow: Workflow, swept: SceneSweep, variant: PlannedVariant, errors: l
 def files_of(content: dict) -> dict[str, str]:
     """Texts of the page, the table and the drawings, by file name."""
     rows = table_rows(content)
-    table = io.StringIO()
-    writer = csv.DictWriter(table, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
+    names = list(dict.fromkeys(key for row in rows for key in row))
+    table = table_text([names, *([row.get(name, "") for name in names] for row in rows)])
     drawings = {plot["file"]: plot["svg"] for scene in content["scenes"] for plot in scene["plots"]}
-    return {**drawings, "sweep.csv": table.getvalue(), "sweep.html": render_sweep(content)}
-
-
-def write(path: Path, text: str) -> None:
-    """Write a file so that it appears whole."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
+    return {**drawings, "sweep.csv": table, "sweep.html": render_sweep(content)}
 
 
 if __name__ == "__main__":

@@ -14,7 +14,8 @@ class Point:
     """Place a variant in the plane of time and loss.
 
     time: median over the repeats; low, high: least and greatest of them; loss: the error, less is better (the negative
-    of a measure of which more is better).
+    of a measure of which more is better). For the drawing: the figure itself, what the variant is (default, paper,
+    peer, apart, nothing), what its tooltip says.
     """
 
     name: str
@@ -22,6 +23,9 @@ class Point:
     low: float
     high: float
     loss: float
+    figure: float = 0.0
+    kind: str = ""
+    tip: str = ""
 
 
 def front(points: Sequence[Point]) -> list[int]:
@@ -81,19 +85,6 @@ PLACES: tuple[tuple[int, int, str], ...] = (
 """Where a name may stand beside its mark: offsets in pixels and what of the text lies there."""
 
 
-@dataclass(frozen=True)
-class Mark:
-    """One variant: x with its spread, y, what it is (default, paper, peer, apart, nothing), what its tooltip says."""
-
-    name: str
-    x: float
-    low: float
-    high: float
-    y: float
-    kind: str = ""
-    tip: str = ""
-
-
 def axis_over(values: Sequence[float], start: float, end: float, *, flipped: bool = False, room: float = 0.08) -> Axis:
     """Choose an axis that holds all values with some room; logarithmic for wide ratios without 0."""
     low, high = min(values), max(values)
@@ -107,28 +98,28 @@ def axis_over(values: Sequence[float], start: float, end: float, *, flipped: boo
     return Axis(low, high, end, start, logarithmic) if flipped else Axis(low, high, start, end, logarithmic)
 
 
-def plot(marks: Sequence[Mark], best: Sequence[int], *, x_label: str, y_label: str, higher: bool, title: str) -> str:
+def plot(points: Sequence[Point], best: Sequence[int], *, x_label: str, y_label: str, higher: bool, title: str) -> str:
     """Draw a file of its own. Lower left is better: where more is better, the axis points down.
 
-    best : indices of the front's marks, from the fastest on.
+    best : indices of the front's points, from the fastest on.
     """
-    x = axis_over([value for mark in marks for value in (mark.low, mark.x, mark.high)], LEFT, WIDTH - RIGHT)
-    y = axis_over([mark.y for mark in marks], HEIGHT - BOTTOM, TOP, flipped=higher)
+    x = axis_over([value for point in points for value in (point.low, point.time, point.high)], LEFT, WIDTH - RIGHT)
+    y = axis_over([point.figure for point in points], HEIGHT - BOTTOM, TOP, flipped=higher)
     drawing = Drawing(WIDTH, HEIGHT, title, alone=True)
     draw_axes(drawing, x, y, x_label, f"{y_label}{' (up is worse)' if higher else ''}")
     if best:  # steps: to the right of and above the line a variant is beaten
-        front = [marks[k] for k in best]
-        steps = "".join(f"H{x(mark.x):.1f}V{y(mark.y):.1f}" for mark in front[1:])
-        commands = f"M{x(front[0].x):.1f} {TOP}V{y(front[0].y):.1f}{steps}H{WIDTH - RIGHT}"
+        first, *others = (points[k] for k in best)
+        steps = "".join(f"H{x(point.time):.1f}V{y(point.figure):.1f}" for point in others)
+        commands = f"M{x(first.time):.1f} {TOP}V{y(first.figure):.1f}{steps}H{WIDTH - RIGHT}"
         drawing.path(commands, stroke=SOFT, width=1.4, dashed=True)
-    for number, mark in enumerate(marks):
-        at, colour = y(mark.y), COLOURS[mark.kind]
-        for end in (mark.low, mark.high):
+    for number, point in enumerate(points):
+        across, at, colour = float(x(point.time)), float(y(point.figure)), COLOURS[point.kind]
+        for end in (point.low, point.high):
             drawing.line(x(end), at - 4, x(end), at + 4, colour)
-        drawing.line(x(mark.low), at, x(mark.high), at, colour)
-        draw_sign(drawing, mark.kind, float(x(mark.x)), float(at), filled=number in best, tip=mark.tip or mark.name)
-    draw_names(drawing, marks, x, y)
-    draw_legend(drawing, {mark.kind for mark in marks})
+        drawing.line(x(point.low), at, x(point.high), at, colour)
+        draw_sign(drawing, point.kind, across, at, filled=number in best, tip=point.tip)
+    draw_names(drawing, points, x, y)
+    draw_legend(drawing, {point.kind for point in points})
     return drawing.finish()
 
 
@@ -148,21 +139,22 @@ def draw_sign(drawing: Drawing, kind: str, x: float, y: float, *, filled: bool =
         drawing.circle(x, y, 4.5, **paint)
 
 
-def draw_names(drawing: Drawing, marks: Sequence[Mark], x: Axis, y: Axis) -> None:
-    """Draw a name beside each mark where there is room, conspicuous marks first; others are in the table."""
-    boxes = [(x(mark.x) - 7, y(mark.y) - 7, x(mark.x) + 7, y(mark.y) + 7) for mark in marks]
-    boxes += [(x(mark.low), y(mark.y) - 4, x(mark.high), y(mark.y) + 4) for mark in marks]
-    for mark in sorted(marks, key=lambda mark: (list(COLOURS).index(mark.kind), mark.y)):
-        width = 5.6 * len(mark.name) + 2
+def draw_names(drawing: Drawing, points: Sequence[Point], x: Axis, y: Axis) -> None:
+    """Draw a name beside each sign where there is room, conspicuous ones first; others are in the table."""
+    places = [(x(point.time), y(point.figure)) for point in points]
+    boxes = [(across - 7, at - 7, across + 7, at + 7) for across, at in places]
+    boxes += [(x(point.low), y(point.figure) - 4, x(point.high), y(point.figure) + 4) for point in points]
+    for point in sorted(points, key=lambda point: (list(COLOURS).index(point.kind), point.figure)):
+        width = 5.6 * len(point.name) + 2
         for dx, dy, anchor in PLACES:
-            right, up = x(mark.x) + dx, y(mark.y) + dy
+            right, up = x(point.time) + dx, y(point.figure) + dy
             left = right - {"start": 0, "middle": width / 2, "end": width}[anchor]
             box = (left, up - 9, left + width, up + 3)
             inside = left >= LEFT and box[2] <= WIDTH - RIGHT and box[1] >= TOP and box[3] <= HEIGHT - BOTTOM
             apart = (box[2] <= b[0] or b[2] <= box[0] or box[3] <= b[1] or b[3] <= box[1] for b in boxes)
             if inside and all(apart):
                 boxes.append(box)
-                drawing.text(right, up, mark.name, anchor=anchor, size=11)
+                drawing.text(right, up, point.name, anchor=anchor, size=11)
                 break
 
 
@@ -191,49 +183,52 @@ def advice(
     unit : of the loss; higher : more of the measure is better (the losses are then its negatives)
     axis : the time meant, `time` or `CPU time`
     """
-    best = [points[k] for k in front(points)]
+
+    def against(point: Point) -> str:
+        return compared(point, default, unit, higher, axis)
+
     winners, clear = beaten_by(default, [point for point in points if point is not default])
     winners = winners[:2]
-    sentences = [_standing(default, winners, clear, unit, higher, axis)]
-    rest = [point for point in best if point not in winners]
-    sentences += _faster(default, rest, unit, higher, axis)
-    sentences += _better(default, rest, unit, higher, axis, last_word=not winners)
+    rest = [point for point in (points[k] for k in front(points)) if point not in winners]
+    sentences = [_standing(default, [f"{point.name} ({against(point)})" for point in winners], clear)]
+    sentences += [f"To save time: {point.name}: {against(point)}." for point in _faster(default, rest)]
+    better = _better(default, rest)
+    sentences += [f"For less error: {point.name}: {against(point)}." for point in better]
+    if not better and not winners:
+        sentences.append("No variant is better at any price.")
     if paper is not None and paper is not default:
-        sentences.append(f"The paper's method ({paper.name}): {compared(paper, default, unit, higher, axis)}.")
+        sentences.append(f"The paper's method ({paper.name}): {against(paper)}.")
     return sentences
 
 
-def _standing(default: Point, winners: list[Point], clear: bool, unit: str, higher: bool, axis: str) -> str:
+def _standing(default: Point, winners: list[str], clear: bool) -> str:
     if not winners:
         return f"The default ({default.name}) is on the front: no variant is both faster and better."
-    texts = [f"{point.name} ({compared(point, default, unit, higher, axis)})" for point in winners]
     if not clear:
         return (
             f"The default ({default.name}) is on the front within the spread of the repeats; by the medians alone "
-            f"{' and '.join(texts)} would be ahead of it."
+            f"{' and '.join(winners)} would be ahead of it."
         )
-    return f"The default ({default.name}) is not on the front. At least as fast and better: {'; '.join(texts)}."
+    return f"The default ({default.name}) is not on the front. At least as fast and better: {'; '.join(winners)}."
 
 
-def _faster(default: Point, best: list[Point], unit: str, higher: bool, axis: str) -> list[str]:
+def _faster(default: Point, best: list[Point]) -> list[Point]:
     """List the front's variants that save time: the least loss, and the fastest if it is another one."""
     faster = [point for point in best if point.time < WORTH_SAVING * default.time and point.high < default.low]
     if not faster:
         return []
     least = min(faster, key=lambda point: (point.loss, point.time))
-    shown = [least] + [point for point in faster[:1] if point is not least]
-    return [f"To save time: {point.name}: {compared(point, default, unit, higher, axis)}." for point in shown]
+    return [least, *(point for point in faster[:1] if point is not least)]
 
 
-def _better(default: Point, best: list[Point], unit: str, higher: bool, axis: str, *, last_word: bool) -> list[str]:
+def _better(default: Point, best: list[Point]) -> list[Point]:
     """List the front's variants with a smaller error: the cheapest, and the best if it is another one."""
     better = [point for point in best if point.loss < default.loss]
     if not better:
-        return ["No variant is better at any price."] * last_word
+        return []
     first = min(better, key=lambda point: (point.time, point.loss))
     least = min(better, key=lambda point: (point.loss, point.time))
-    shown = [first] + [least] * (least is not first)
-    return [f"For less error: {point.name}: {compared(point, default, unit, higher, axis)}." for point in shown]
+    return [first] + [least] * (least is not first)
 
 
 def compared(point: Point, default: Point, unit: str, higher: bool, axis: str) -> str:

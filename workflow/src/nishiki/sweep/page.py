@@ -8,11 +8,13 @@ from markupsafe import Markup
 
 from nishiki.report.numbers import figure
 from nishiki.report.page import Block, Facts, Figure, Figures, Note, Page, Section, Table, render_page
-from nishiki.sweep.front import AXES, Mark, Point, advice, front, plot
+from nishiki.sweep.front import AXES, Point, advice, front, plot
 from nishiki.sweep.settings import MeasureSettings, SweepSettings
 from nishiki.sweep.summary import VariantRow
 
 AXIS_NAMES = {"seconds": "time", "cpu_seconds": "CPU time"}
+KINDS = {"default": "default", "paper": "paper", "peer": "of others", "apart": "not compared"}
+"""Roles of variants, the first of which decides a sign in the drawing, and their names in the table."""
 BUSY = 1.0
 """Load before a repeat from which the machine counts as in use by others, in processes waiting or running."""
 
@@ -57,28 +59,25 @@ def points_of(rows: Sequence[VariantRow], number: int, measure: MeasureSettings,
     """Points in the plane of time and loss; the loss is the figure, or its negative where more is better."""
     sign = -1.0 if measure.better == "higher" else 1.0
     return [
-        Point(row.name, row.times[axis].median, row.times[axis].low, row.times[axis].high, sign * row.errors[number])
+        Point(
+            row.name,
+            row.times[axis].median,
+            row.times[axis].low,
+            row.times[axis].high,
+            sign * row.errors[number],
+            row.errors[number],
+            next((kind for kind in KINDS if getattr(row, kind)), ""),
+            _tip(row, number, measure),
+        )
         for row in rows
     ]
 
 
 def _plot(scene, rows: list[VariantRow], number: int, measure: MeasureSettings, axis: str, best: list[int]) -> dict:
-    marks = [
-        Mark(
-            row.name,
-            row.times[axis].median,
-            row.times[axis].low,
-            row.times[axis].high,
-            row.errors[number],
-            kind=_kind(row),
-            tip=_tip(row, number, measure),
-        )
-        for row in rows
-    ]
     entry = labelled(measure)
     label = entry["label"] + (f", {measure.unit}" if measure.unit else "")
     svg = plot(
-        marks,
+        points_of(rows, number, measure, axis),
         best,
         x_label=AXES[axis],
         y_label=label,
@@ -86,11 +85,6 @@ def _plot(scene, rows: list[VariantRow], number: int, measure: MeasureSettings, 
         title=f"{entry['label']} against {AXIS_NAMES[axis]}, {scene}",
     )
     return {"file": f"{scene}.svg" if number == 0 else f"{scene}-{number + 1}.svg", "svg": svg}
-
-
-def _kind(row: VariantRow) -> str:
-    entry = {"default": row.default, "paper": row.paper, "peer": row.peer, "apart": row.apart}
-    return next((kind for kind, meant in entry.items() if meant), "")
 
 
 def _tip(row: VariantRow, number: int, measure: MeasureSettings) -> str:
@@ -139,14 +133,7 @@ def _flat(scene: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
         "variant": row["name"],
         **errors,
         **times,
-        "peak_memory_mib": row["peak_memory_mib"],
-        "bytes": row["bytes"],
-        "repeats": row["repeats"],
-        "reproducible": row["reproducible"],
-        "default": row["default"],
-        "paper": row["paper"],
-        "peer": row["peer"],
-        "apart": row["apart"],
+        **{key: row[key] for key in ("peak_memory_mib", "bytes", "repeats", "reproducible", *KINDS)},
         **ahead,
         "counted": " ".join(scene["counted"]),
         "changes": "; ".join(row["changes"]),
@@ -188,7 +175,7 @@ def render_sweep(content: dict[str, Any]) -> str:
 def scene_blocks(scene: dict[str, Any]) -> list[Block]:
     """Drawings, advice and tables of one scene."""
     blocks: list[Block] = []
-    axis = "CPU time" if scene["axis"] == "cpu_seconds" else "time"
+    axis = AXIS_NAMES[scene["axis"]]
     for measure, drawing, hint in zip(scene["measures"], scene["plots"], scene["advice"], strict=True):
         caption = (
             f"Against the {axis} of {' + '.join(scene['counted'])}. Median of {scene['rows'][0]['repeats']} repeats; "
@@ -255,6 +242,5 @@ def table_of_variants(scene: dict[str, Any]) -> Table:
 
 def variant_name(row: dict[str, Any]) -> str:
     """Format a variant's name, its kind, and whether its bytes were the same in every repeat."""
-    roles = {"default": "default", "paper": "paper", "peer": "of others", "apart": "not compared"}
-    name = row["name"] + "".join(f" ({meaning})" for role, meaning in roles.items() if row[role])
+    name = row["name"] + "".join(f" ({meaning})" for kind, meaning in KINDS.items() if row[kind])
     return name if row["reproducible"] else Markup("{} <b>not reproducible</b>").format(name)
