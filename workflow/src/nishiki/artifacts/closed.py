@@ -106,6 +106,15 @@ class Fault:
         return f"{self.key}: {self.text}, found {self.value!r}" + (f"; {self.hint}" if self.hint else "")
 
 
+def merged(below: dict, above: dict) -> dict:
+    """Lay blocks of settings over others."""
+    result = dict(below)
+    for key, value in above.items():
+        both = isinstance(value, dict) and isinstance(result.get(key), dict)
+        result[key] = merged(result[key], value) if both else value
+    return result
+
+
 def parse(model: type[Model], values: Any, where: str) -> Model:
     """`values` as a checked `model`.
 

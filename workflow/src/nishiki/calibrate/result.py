@@ -7,6 +7,7 @@ from pathlib import Path
 
 import yaml
 
+from nishiki.artifacts.closed import merged
 from nishiki.capture.layouts import photographs_in
 from nishiki.capture.schema_base import read_mapping
 from nishiki.capture.seal import sha256_of
@@ -131,7 +132,7 @@ def put_into_capture(capture: Path, result: Calibration) -> None:
     for name in files:
         if (capture / name).exists():
             raise UserError(f"{capture / name} exists. Remedy: move it away; nothing is overwritten")
-    text = settings_text(_merged(settings, result.lines))
+    text = settings_text(merged(settings, result.lines))
     for name, data in files.items():
         (capture / name).write_bytes(data.encode() if isinstance(data, str) else data)
     put_file(path, text)
@@ -146,11 +147,3 @@ def finite(value: float, digits: int = 6) -> float | None:
 def _names(lines: object, name: str) -> bool:
     """Whether lines of capture.yaml name a file."""
     return lines == name or (isinstance(lines, dict) and any(_names(each, name) for each in lines.values()))
-
-
-def _merged(settings: dict, lines: dict) -> dict:
-    merged = dict(settings)
-    for key, value in lines.items():
-        old = merged.get(key)
-        merged[key] = _merged(old, value) if isinstance(value, dict) and isinstance(old, dict) else value
-    return merged

@@ -120,8 +120,6 @@ def _one(named: str, configfile: str | None, where: tuple, gone: tuple[str, ...]
     given = configuration_of(path) if path.suffix in (".yaml", ".yml") else None
     configfile = configfile or given or "config/config.yaml"
     values = load_yaml(Path(configfile))
-    if not isinstance(values, dict):
-        raise UserError(f"{configfile}: expected a block of keys and values, found {type(values).__name__}")
     flow = Workflow({**values, "sweep": named}, file=configfile)
     tell_plan(flow)
     target = flow.sweep_path("sweep.json")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import yaml
 from pydantic import Field, create_model
 
-from nishiki.artifacts.closed import FORMER, Closed, parse
+from nishiki.artifacts.closed import FORMER, Closed, merged, parse
 from nishiki.errors import UserError
 from nishiki.formats import plain_yaml
 from nishiki.formats.files import is_plain, read_text
@@ -105,9 +105,9 @@ class Project:
 
 
 def load_yaml(path: Path) -> dict:
-    """Load a YAML file as plain data (see `plain_yaml`). Raises UserError naming file, line and remedy."""
+    """Load keys and values of a YAML file (see `plain_yaml`). Raises UserError naming file, line and remedy."""
     try:
-        return plain_yaml.load(read_text(path, "settings_bytes", name=str(path))) or {}
+        values = plain_yaml.load(read_text(path, "settings_bytes", name=str(path))) or {}
     except FileNotFoundError:
         remedy = "Remedy: ./nishiki init makes one, or name it with --configfile; ./nishiki demo makes one to try"
         raise UserError(f"{path}: file not found" + (f". {remedy}" if str(path) == CONFIGURATION else "")) from None
@@ -117,6 +117,9 @@ def load_yaml(path: Path) -> dict:
         mark = getattr(error, "problem_mark", None)
         line = f", line {mark.line + 1}" if mark else ""
         raise UserError(f"{path}{line}: not valid YAML ({getattr(error, 'problem', error)})") from None
+    if not isinstance(values, dict):
+        raise UserError(f"{path}: expected a block of keys and values, found {type(values).__name__}")
+    return values
 
 
 def load_project(
@@ -191,16 +194,14 @@ def _scene_settings(row: dict[str, str], configuration: Configuration, values: d
     if not path:
         return configuration
     overrides = load_yaml(Path(path))
-    if not isinstance(overrides, dict):
-        raise UserError(f"{path}: expected a block of keys and values, found {type(overrides).__name__}")
     shared = {key: value for key, value in values.items() if key in StageSettings.model_fields}
-    return parse(StageSettings, _merged(shared, overrides), path)
+    return parse(StageSettings, merged(shared, overrides), path)
 
 
 def scene_with(scene: Scene, overrides: dict, where: str) -> Scene:
     """Change some settings of a scene, by stage. Raises UserError naming `where` and the key."""
     base = scene.settings.model_dump(exclude_unset=True, include=set(StageSettings.model_fields))
-    return replace(scene, settings=parse(StageSettings, _merged(base, overrides), where))
+    return replace(scene, settings=parse(StageSettings, merged(base, overrides), where))
 
 
 def scene_with_exports(scene: Scene, geometry: str, formats: tuple[str, ...]) -> Scene:
@@ -210,11 +211,3 @@ def scene_with_exports(scene: Scene, geometry: str, formats: tuple[str, ...]) ->
         raise UserError(f"scene {scene.name!r}: nothing can be exported from captures of a {geometry} yet")
     changed = scene_with(scene, {stage: {"formats": list(formats)}}, f"./nishiki export {scene.name}")
     return replace(changed, products=tuple(dict.fromkeys((*scene.products, "export"))))
-
-
-def _merged(below: dict, above: dict) -> dict:
-    result = dict(below)
-    for key, value in above.items():
-        both = isinstance(value, dict) and isinstance(result.get(key), dict)
-        result[key] = _merged(result[key], value) if both else value
-    return result

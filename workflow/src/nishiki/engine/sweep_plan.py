@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from nishiki.artifacts.closed import FORMER, parse
 from nishiki.artifacts.provenance import differences
@@ -60,7 +59,7 @@ def read_sweep(named: str, project: Project) -> tuple[str, SweepSettings]:
     """
     path = Path(named)
     if path.suffix in (".yaml", ".yml"):
-        values = {key: value for key, value in _block(load_yaml(path), named).items() if key not in FILE_KEYS}
+        values = {key: value for key, value in load_yaml(path).items() if key not in FILE_KEYS}
         name, settings = path.stem, parse(SweepSettings, values, named)
     elif named in project.configuration.sweeps:
         name, settings = named, project.configuration.sweeps[named]
@@ -74,16 +73,10 @@ def read_sweep(named: str, project: Project) -> tuple[str, SweepSettings]:
 
 def configuration_of(path: Path) -> str | None:
     """Return the configuration that a sweep's file names, relative to the working folder, or None."""
-    name = _block(load_yaml(path), str(path)).get("configuration")
+    name = load_yaml(path).get("configuration")
     if name is not None and not isinstance(name, str):
         raise UserError(f"{path}: configuration: expected the path of a configuration, found {name!r}")
     return name
-
-
-def _block(values: Any, where: str) -> dict:
-    if not isinstance(values, dict):
-        raise UserError(f"{where}: expected a block of keys and values, found {type(values).__name__}")
-    return values
 
 
 def plan_sweep(named: str, project: Project, facts_of: Callable[[Scene], SceneFacts]) -> PlannedSweep:
