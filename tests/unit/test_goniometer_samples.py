@@ -127,7 +127,13 @@ def test_many_frames_go_over_several_chunks(tmp_path, monkeypatch):
 def test_photographs_become_reflectances(tmp_path):
     """Boards of the light's own, of another light, noise, several exposures of one direction."""
     oblique = [(40.0, 90.0, t, p) for t in (0.0, 30.0, 60.0) for p in (0.0, 90.0, 270.0)]
-    folder = make_goniometer(tmp_path / "c", samples=NORMAL + oblique + NORMAL[:2], noise=0.05, exposure_s=1.0)
+    folder = make_goniometer(
+        tmp_path / "c",
+        samples=NORMAL + oblique + NORMAL[:2],
+        noise=0.05,
+        exposure_s=1.0,
+        goniometer={"threads_per_cm": [60, 40]},
+    )
     found, told, artifact = reflectances(folder, tmp_path)
     once = [a for a in NORMAL + oblique if a[2] > 0 or a[3] == 0]  # at theta_r = 0 the azimuth tells nothing
     incident, outgoing = directions(once)
@@ -140,6 +146,7 @@ def test_photographs_become_reflectances(tmp_path):
     assert np.median(relative) == pytest.approx(0.05 / 16 * 2**0.5, rel=0.4)  # of 256 pixels, cloth and board
     assert told["boards"] == {"own": 0, "incidence": 31, "cosine": 9}
     assert (told["repeated"], told["incidences"], told["weave"], told["symmetry"]) == (3, 2, "satin", "quarter")
+    assert found.spacing_ratio == found.take(slice(3)).spacing_ratio == 1.5
     assert told["coverage"][0]["views"] == 29
     assert 0.2 < told["albedo_normal"][0][0] < 0.6
     assert (artifact / "coverage.svg").read_text().startswith("<svg")

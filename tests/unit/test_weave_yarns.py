@@ -11,8 +11,17 @@ from nishiki.brdf.cloth.yarn_facets import beckmann_shadow, facet_reflection
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import unit
-from nishiki.weave.yarn_search import CENTRE, NAMES, parameters_of, search_yarns, spread, weave_of
-from nishiki.weave.yarn_weave import HOLE, Binding, InterlacedYarns, bindings, visibility, yarn_at
+from nishiki.weave.yarn_search import (
+    CENTRE,
+    NAMES,
+    fit_binding,
+    parameters_of,
+    samples_of,
+    search_yarns,
+    spread,
+    weave_of,
+)
+from nishiki.weave.yarn_weave import COARSE, HOLE, Binding, InterlacedYarns, bindings, visibility, yarn_at
 
 SATIN, PLAIN, TWILL = Binding(4, 1, 2), Binding(1, 1), Binding(2, 1)
 
@@ -219,6 +228,18 @@ def test_search_finds_the_weave_and_its_yarns(binding):
         assert parameters[name]["low"] <= parameters[name]["value"] <= parameters[name]["high"]
     assert parameters["aspect_warp"]["value"] == pytest.approx(0.7, rel=0.1)
     assert parameters["aspect_warp"]["determined"]
+
+
+def test_counted_threads_hold_the_spacings_that_the_yarns_alone_leave_open():
+    measured = measured_of(yarns(spacing_ratio=np.log(2.0)), normal_only=True)
+    samples = samples_of(measured, views=30)
+    alone, counted = (
+        fit_binding(samples, SATIN, spacing_ratio=ratio, density=COARSE, evaluations=4) for ratio in (None, 2.0)
+    )
+    errors = [abs(fit.weave.spacing_ratio / 2.0 - 1) for fit in (alone, counted)]
+    assert errors[1] < 0.03 < errors[0]
+    told = parameters_of(counted, confidence=0.95)["spacing_ratio"]
+    assert told["low"] < 2.0 < told["high"] < 1.2 * told["low"]
 
 
 @pytest.mark.slow

@@ -30,7 +30,8 @@ class Goniometer(Closed):
     cloth's weft, as phi_i; the lamp's side; or the side opposite to it, where a mirror would send the light.
     white_reflectance: of the board, a number or one a channel. crop_px: side of the central window that is kept of
     every photograph. regions: label picture of the cloth as seen along its normal, region_names: label of each name;
-    upright: what points up in an oblique photograph, the cloth's warp or the plane through normal and camera.
+    upright: what points up in an oblique photograph, the cloth's warp or the plane through normal and camera;
+    threads_per_cm: counted on the cloth, of warp and weft.
     """
 
     table: str | None = None
@@ -45,6 +46,7 @@ class Goniometer(Closed):
     upright: Literal["cloth", "arm"] = "cloth"
     symmetry: Literal["quarter", "half", "none"] = "quarter"
     weave: Literal["plain", "twill", "satin", "unknown"] = "unknown"
+    threads_per_cm: tuple[Positive, Positive] | None = None
 
     @field_validator("region_names")
     @classmethod

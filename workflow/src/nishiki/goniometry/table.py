@@ -1,7 +1,8 @@
 """Hold measured reflectances of cloths, and store them in `reflectance.npz` and `reflectance.json`."""
 
 import json
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -48,8 +49,8 @@ class ReflectanceSet:
 
     incident, outgoing (n, 3) float64: unit vectors away from the cloth, x weft, y warp, z normal; values
     (n, regions, channels) float64, sr^-1, 0 where not valid; noise: likewise, standard deviation of the mean, 0 where
-    unknown; valid (n, regions) bool; basic: the normal-incidence part on the hemisphere, None until it is made (see
-    `hemisphere.complete`).
+    unknown; valid (n, regions) bool; threads_per_cm: of warp and weft, None where they were not counted; basic: the
+    normal-incidence part on the hemisphere, None until it is made (see `hemisphere.complete`).
     """
 
     incident: np.ndarray
@@ -61,6 +62,7 @@ class ReflectanceSet:
     channels: tuple[str, ...]
     symmetry: Symmetry = "quarter"
     weave: str = "unknown"
+    threads_per_cm: Sequence[float] | None = None
     normal_deg: float = NORMAL_DEG
     basic: BasicReflectance | None = field(default=None, repr=False)
 
@@ -100,11 +102,14 @@ class ReflectanceSet:
 
     def take(self, chosen: np.ndarray | slice) -> "ReflectanceSet":
         """Select measurements (indices, (n,) bool, or a slice); `basic` is kept, for it may be of all."""
-        rows = {name: getattr(self, name)[chosen] for name in ("incident", "outgoing", "values", "noise", "valid")}
-        rest = {
-            name: getattr(self, name) for name in ("regions", "channels", "symmetry", "weave", "normal_deg", "basic")
-        }
+        rows = {name: getattr(self, name)[chosen] for name in ROWS}
+        rest = {item.name: getattr(self, item.name) for item in fields(ReflectanceSet) if item.name not in ROWS}
         return ReflectanceSet(**rows, **rest)
+
+    @property
+    def spacing_ratio(self) -> float | None:
+        """Spacing of the weft yarns over that of the warp yarns, where the threads were counted."""
+        return None if self.threads_per_cm is None else self.threads_per_cm[0] / self.threads_per_cm[1]
 
 
 ARRAYS, NAMES = "reflectance.npz", "reflectance.json"
@@ -125,6 +130,7 @@ def write_reflectances(folder: Path, measured: ReflectanceSet, *, more: dict[str
         "channels": list(measured.channels),
         "symmetry": measured.symmetry,
         "weave": measured.weave,
+        "threads_per_cm": measured.threads_per_cm,
         "normal_deg": measured.normal_deg,
     }
     text = json.dumps({**names, **(more or {})}, indent=1, sort_keys=True, allow_nan=False)
@@ -153,6 +159,7 @@ class Reflectances(ReflectanceSet):
             channels=tuple(names["channels"]),
             symmetry=names["symmetry"],
             weave=names["weave"],
+            threads_per_cm=names.get("threads_per_cm"),
             normal_deg=names["normal_deg"],
             basic=basic,
         )

@@ -42,7 +42,8 @@ class Measurements:
     """The ingested measurements of one capture, opened for reading.
 
     kind: 'photographs' or 'table'; channels: names; samples, whites: the photographs (none of a table); symmetry,
-    weave: as the capture says; regions: label picture (rows, columns) uint16 or None; attributes: everything stored.
+    weave, threads_per_cm: as the capture states; regions: label picture (rows, columns) uint16 or None; attributes:
+    everything stored.
     """
 
     def __init__(self, folder: Path | str):
@@ -61,6 +62,7 @@ class Measurements:
             self.channels: tuple[str, ...] = tuple(stored["channels"])
             self.symmetry: str = stored["symmetry"]
             self.weave: str = stored["weave"]
+            self.threads_per_cm: list[float] | None = stored.get("threads_per_cm")
             shots = [
                 (row["role"], Shot(row["file"], tuple(row["angles_deg"]), row["exposure_s"], i))
                 for i, row in enumerate(stored["frames"])

@@ -189,6 +189,7 @@ def write_names(folder: Path, capture: GoniometerCapture, more: dict) -> None:
         "format": FORMAT,
         "symmetry": block.symmetry,
         "weave": block.weave,
+        "threads_per_cm": block.threads_per_cm,
         "title": capture.settings.title,
         **more,
     }

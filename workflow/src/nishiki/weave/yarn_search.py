@@ -7,7 +7,7 @@ cloth has its weight: priors of the yarns (NAMES, CENTRE, SPREAD), and UNUSUAL f
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -29,6 +29,7 @@ CENTRE = np.array([
 SPREAD = np.array([0.25, 0.7, 0.7, 0.4, 0.4, 0.7, 0.2, 0.01, 0.5, 0.35, 0.5, 0.35, 0.07, 0.8, 2.5])
 LOGITS, ARCH = (1, 2, 5, 14), 7
 GEOMETRY = 8  # the first ones, which the surface depends on
+COUNTED = 0.02  # relative error of a ratio of spacings from counted threads
 STEP = 0.03  # of the differences, in prior standard deviations: the horizons are smooth no finer
 GAIN = 1e-3  # of the cost, below which a fit ends
 REACH = 4.0  # prior standard deviations to either side that are searched
@@ -68,7 +69,7 @@ class YarnFit:
 
     x in the order of NAMES and its information matrix, coefficients (channels, 2) of body and Lambert term, cost with
     all priors; of the samples rms_rel, and variation: standard deviation of the values over their
-    root mean square.
+    root mean square; spacing_ratio: as given, see `prior_of`.
     """
 
     binding: Binding
@@ -78,6 +79,7 @@ class YarnFit:
     cost: float
     rms_rel: float
     variation: float
+    spacing_ratio: float | None = None
 
     @property
     def explains(self) -> bool:
@@ -115,13 +117,18 @@ def weave_of(x: np.ndarray, binding: Binding) -> YarnWeave:
     )
 
 
-def centre_of(binding: Binding) -> np.ndarray:
-    """Return what is expected of the yarns of a binding; where the weft lies on top, warp and weft are exchanged."""
-    if binding.under <= binding.over:
-        return CENTRE
-    x = CENTRE[[0, 2, 1, 4, 3, 5, 6, 7, 10, 11, 8, 9, 12, 13, 14]]
-    x[[0, 5]] *= -1
-    return x
+def prior_of(binding: Binding, spacing_ratio: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return centre and spread of the yarns' parameters for a binding, in the order of NAMES.
+
+    Where the weft lies on top, warp and weft are exchanged; spacing_ratio: where the threads were counted.
+    """
+    centre, spread = CENTRE.copy(), SPREAD.copy()
+    if binding.under > binding.over:
+        centre = CENTRE[[0, 2, 1, 4, 3, 5, 6, 7, 10, 11, 8, 9, 12, 13, 14]]
+        centre[[0, 5]] *= -1
+    if spacing_ratio is not None:
+        centre[0], spread[0] = np.log(spacing_ratio), COUNTED
+    return centre, spread
 
 
 def prior_cost(binding: Binding) -> float:
@@ -160,7 +167,13 @@ def spread(views: np.ndarray, count: int) -> np.ndarray:
 
 
 def fit_binding(
-    samples: ReflectanceSamples, binding: Binding, *, start=None, density=(POINTS_ACROSS, POINTS_ALONG), evaluations=10
+    samples: ReflectanceSamples,
+    binding: Binding,
+    *,
+    spacing_ratio: float | None = None,
+    start=None,
+    density=(POINTS_ACROSS, POINTS_ALONG),
+    evaluations=10,
 ) -> YarnFit:
     """Fit yarns of this binding to the samples; the linear parts are eliminated at every step."""
     from scipy.optimize import least_squares
@@ -179,23 +192,21 @@ def fit_binding(
         c = solve_linear(mirror, columns, samples.values, samples.weight, limits)
         return mirror[:, None] + columns @ c.T - samples.values, c
 
-    centre = centre_of(binding)
+    centre, width = prior_of(binding, spacing_ratio)
 
     def residual(x):
         rest, c = solved(x)
         rest = rest * samples.weight[:, None] / np.sqrt(channels)
-        return np.concatenate([rest.ravel(), (x - centre) / SPREAD, (c / limits).ravel()])
+        return np.concatenate([rest.ravel(), (x - centre) / width, (c / limits).ravel()])
 
     def slopes(x):
         here = residual(x)
         return np.stack([(residual(x + s) - here) / s.max() for s in np.diag(STEP * SPREAD)], axis=1)
 
     first = centre if start is None else start
-    bounds = centre - REACH * SPREAD, centre + REACH * SPREAD
+    bounds = centre - REACH * width, centre + REACH * width
     bounds[0][ARCH] = 0.0  # a float does not sag
-    solution = least_squares(
-        residual, first, jac=slopes, bounds=bounds, x_scale=SPREAD, max_nfev=evaluations, ftol=GAIN
-    )
+    solution = least_squares(residual, first, jac=slopes, bounds=bounds, x_scale=width, max_nfev=evaluations, ftol=GAIN)
     rest, c = solved(solution.x)
     weight = samples.weight[:, None]
     rms = np.sqrt(np.sum((weight * rest) ** 2) / np.sum((weight * samples.values) ** 2))
@@ -211,6 +222,7 @@ def fit_binding(
         float(2 * solution.cost) + prior_cost(binding),
         float(rms),
         float(variation),
+        spacing_ratio,
     )
 
 
@@ -223,8 +235,14 @@ class YarnSearch:
     ranking: list[tuple[Binding, float]]  # (binding, cost of its short fit) of all
 
 
-def search_yarns(measured: Measured, candidates: Iterable[Binding]) -> YarnSearch:
-    """Search the weave of elliptical yarns that explains a region best; candidates by rising harness."""
+def search_yarns(
+    measured: Measured, candidates: Iterable[Binding], *, spacing_ratio: float | None = None
+) -> YarnSearch:
+    """Search the weave of elliptical yarns that explains a region best; candidates by rising harness.
+
+    spacing_ratio: of weft yarns over warp yarns, where the threads were counted.
+    """
+    fit = partial(fit_binding, spacing_ratio=spacing_ratio)
     few = samples_of(measured, views=SHORT[0])
     short: list[YarnFit] = []
     least, since = np.inf, 0
@@ -232,22 +250,22 @@ def search_yarns(measured: Measured, candidates: Iterable[Binding]) -> YarnSearc
     for binding in candidates:
         by_harness.setdefault(binding.harness, []).append(binding)
     for same in by_harness.values():
-        fits = [fit_binding(few, binding, density=COARSE, evaluations=SHORT[1]) for binding in same]
+        fits = [fit(few, binding, density=COARSE, evaluations=SHORT[1]) for binding in same]
         short += fits
-        cost = min(fit.cost for fit in fits)
+        cost = min(one.cost for one in fits)
         least, since = min(least, cost), since + 1 if cost > least + HOPELESS else 0
         if since == LAST:
             break
-    short.sort(key=lambda fit: fit.cost)
+    short.sort(key=lambda one: one.cost)
     many = samples_of(measured, views=LONG[0])
-    long = [fit_binding(many, fit.binding, start=fit.x, evaluations=LONG[1]) for fit in short[:REFINED]]
-    long.sort(key=lambda fit: fit.cost)
-    like = [fit for fit in long if fit.cost < long[0].cost + LIKE]
-    best = next((fit for fit in like if fit.binding in USUAL), long[0])
-    refined = {fit.binding for fit in long}
-    alike = [best.binding, *(fit.binding for fit in like if fit is not best)]
+    long = [fit(many, one.binding, start=one.x, evaluations=LONG[1]) for one in short[:REFINED]]
+    long.sort(key=lambda one: one.cost)
+    like = [one for one in long if one.cost < long[0].cost + LIKE]
+    best = next((one for one in like if one.binding in USUAL), long[0])
+    refined = {one.binding for one in long}
+    alike = [best.binding, *(one.binding for one in like if one is not best)]
     alike += [f.binding for f in short if f.binding not in refined and f.cost < short[0].cost + LIKE]
-    return YarnSearch(best, alike, [(fit.binding, fit.cost) for fit in short])
+    return YarnSearch(best, alike, [(one.binding, one.cost) for one in short])
 
 
 def parameters_of(fit: YarnFit, *, confidence: float) -> dict[str, dict]:
@@ -278,13 +296,13 @@ def parameters_of(fit: YarnFit, *, confidence: float) -> dict[str, dict]:
             "high": value + reach * deviation,
             "determined": fit.explains and bool(deviation < OPEN * before or reach * deviation < NARROW * value),
         }
-    centre = centre_of(fit.binding)
+    centre, width = prior_of(fit.binding, fit.spacing_ratio)
     for k, name in enumerate(NAMES):
         form = (lambda v: 1 / (1 + np.exp(-v))) if k in LOGITS else (lambda v: v) if k == ARCH else np.exp
         x, deviation = fit.x[k], spread_of[k]
         value, low, high = (float(form(x + side * reach * deviation)) for side in (0, -1, 1))
         told = deviation < OPEN * SPREAD[k] or high - low < 2 * NARROW * value
-        inside = abs(x - centre[k]) < 0.999 * REACH * SPREAD[k] and (k != ARCH or x > 0)
+        inside = abs(x - centre[k]) < 0.999 * REACH * width[k] and (k != ARCH or x > 0)
         out[name] = {
             "value": value,
             "low": max(low, 0.0),

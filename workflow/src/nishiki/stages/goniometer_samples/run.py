@@ -34,6 +34,7 @@ def run(context: Context) -> dict:
         channels=source.channels,
         symmetry=source.symmetry if settings.symmetry == "auto" else settings.symmetry,
         weave=source.weave,
+        threads_per_cm=source.threads_per_cm,
         normal_deg=settings.normal_deg,
     )
     made = None

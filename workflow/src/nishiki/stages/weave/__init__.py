@@ -28,7 +28,7 @@ LIMITS = (
 )
 
 
-class WeaveSettings(Guarded, stage="weave", version=3, limits=LIMITS):
+class WeaveSettings(Guarded, stage="weave", version=4, limits=LIMITS):
     """Cross-sections of a cloth from its reflectances in the planes of warp and weft."""
 
     yarns: bool = Field(
@@ -56,7 +56,11 @@ class WeaveSettings(Guarded, stage="weave", version=3, limits=LIMITS):
         None, ge=2, le=16, description="yarns of a repeat (n = harness - 1); null: searched among those of the weave"
     )
     spacing_ratio: float | None = Field(
-        None, gt=0.1, lt=10.0, description="spacing of weft yarns over warp yarns; null: valleys equally deep"
+        None,
+        gt=0.1,
+        lt=10.0,
+        description="spacing of weft yarns over warp yarns; null: from goniometer.threads_per_cm of the capture; "
+        "where that is missing too, fitted with the yarns (sections alone: valleys equally deep)",
     )
 
 

@@ -47,7 +47,12 @@ def run(context: Context) -> dict:
         if search:
             save_brdf(context.output.path(yarns_file(name)), search.best.brdf)
         suffix = f"_{name}" if len(reflectances.regions) > 1 else ""
-        picture(context, fit, suffix, surface_of(context, fit, search, weave, harness))
+        if search:
+            surface = search.best.weave.surface()
+        else:  # that of both sections
+            ratio = settings.spacing_ratio or reflectances.spacing_ratio
+            surface = make_surface(fit.model.weft, fit.model.warp, weave=weave, harness=harness, spacing_ratio=ratio)
+        picture(context, fit, suffix, surface)
         diagnostics[name] = report(fit, weave, harness, [plane.measured for plane in planes]) | {"yarns": yarns}
     write_weave(context.output.folder, regions)
     return {"regions": diagnostics}
@@ -60,15 +65,8 @@ def search_of(context: Context, reflectances: Reflectances, region: int) -> Yarn
         return None
     candidates = bindings(reflectances.weave, harness=settings.harness)
     candidates = candidates or bindings("unknown", harness=settings.harness)  # a satin of 6 does not exist
-    return search_yarns(Measured.of(reflectances, region), candidates)
-
-
-def surface_of(context: Context, fit: WeaveFit, search: YarnSearch | None, weave: str, harness: int) -> WovenSurface:
-    """Return the surface of the yarns, or where they were not fitted that of both sections."""
-    ratio = context.settings.spacing_ratio
-    if search is None:
-        return make_surface(fit.model.weft, fit.model.warp, weave=weave, harness=harness, spacing_ratio=ratio)
-    return search.best.weave.surface()
+    ratio = settings.spacing_ratio or reflectances.spacing_ratio
+    return search_yarns(Measured.of(reflectances, region), candidates, spacing_ratio=ratio)
 
 
 def picture(context: Context, fit: WeaveFit, suffix: str, surface: WovenSurface) -> None:
