@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.formats.fields import PlainFields
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.mesh import Mesh, face_vectors
+from nishiki.geometry.mesh import Mesh, face_vectors, row_numbers
 from nishiki.geometry.surface import parts_of
 from nishiki.geometry.visibility import rasterise
 
@@ -44,7 +44,7 @@ def clean(vertices: np.ndarray, triangles: np.ndarray, *, cameras: list[Camera] 
     unreferenced = len(vertices) - len(np.unique(triangles))
     vertices, triangles, merged = merge_equal(vertices, triangles)
     triangles, degenerate = without_degenerate(vertices, triangles)
-    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)  # whatever the order of the vertices
+    _, first = np.unique(row_numbers(np.sort(triangles, axis=1)), return_index=True)  # whatever their vertices' order
     triangles, duplicates = triangles[np.sort(first)], len(triangles) - len(first)
     triangles, crowded_edges, crowded = without_crowded(vertices, triangles)
     if not len(triangles):
@@ -63,13 +63,14 @@ def merge_equal(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray
     Return also the number of merged vertices among those that triangles use.
     """
     used = np.unique(triangles)
-    places, first, inverse = np.unique(vertices[used] + 0.0, axis=0, return_index=True, return_inverse=True)
+    inverse = row_numbers(vertices[used])
+    _, first = np.unique(inverse, return_index=True)
     order = np.argsort(first, kind="stable")
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
     number = np.full(len(vertices), -1)
-    number[used] = rank[inverse.reshape(-1)]
-    return places[order], number[triangles], len(used) - len(places)
+    number[used] = rank[inverse]
+    return vertices[used][first[order]] + 0.0, number[triangles], len(used) - len(first)
 
 
 def without_degenerate(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, int]:
@@ -105,8 +106,8 @@ def without_crowded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.nda
 def _edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(3 f,) number of the edge of each triangle side, (3 f,) its triangle, and (e,) how many triangles it has."""
     sides = np.sort(np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
-    _, number, counts = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
-    return number.reshape(-1), np.tile(np.arange(len(triangles)), 3), counts
+    number = row_numbers(sides)
+    return number, np.tile(np.arange(len(triangles)), 3), np.bincount(number)
 
 
 def _neighbours(triangles: np.ndarray):

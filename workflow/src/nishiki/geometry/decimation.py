@@ -228,8 +228,7 @@ def _pop(costs, items, size):
 def collapse(vertices, faces, target):
     """Collapse edges until `target` triangles are left or no edge may collapse. Changes both arrays.
 
-    vertices (v, 3) float64, faces (f, 3) int64 of a surface (two triangles an edge at most). Returns alive (f,) bool
-    and the largest error of a collapse that was made (area times squared distance).
+    vertices (v, 3) float64, faces (f, 3) int64 of a surface (two triangles an edge at most). Returns alive (f,) bool.
     """
     count = vertices.shape[0]
     quadrics = np.zeros((count, 10))
@@ -246,9 +245,9 @@ def collapse(vertices, faces, target):
             if a < b or _is_open(a, b, face, head, following, faces):
                 cost = _best(quadrics[a], quadrics[b], vertices[a], vertices[b], place)
                 size = _push(costs, items, size, cost, min(a, b), max(a, b), 0, 0)
-    left, stamp, worst = faces.shape[0], 0, 0.0
+    left, stamp = faces.shape[0], 0
     while left > target and size > 0:
-        cost, a, b = costs[0], items[0, 0], items[0, 1]
+        a, b = items[0, 0], items[0, 1]
         version_a, version_b = items[0, 2], items[0, 3]
         size = _pop(costs, items, size)
         if version[a] != version_a or version[b] != version_b:
@@ -275,7 +274,6 @@ def collapse(vertices, faces, target):
             continue
         if _turns(b, a, place, (vertices, head, following, faces, alive), scratch):
             continue
-        worst = max(worst, cost)
         for k in range(3):
             vertices[a, k] = place[k]
         for k in range(10):
@@ -304,7 +302,7 @@ def collapse(vertices, faces, target):
             cost = _best(quadrics[a], quadrics[other], vertices[a], vertices[other], place)
             first, second = min(a, other), max(a, other)
             size = _push(costs, items, size, cost, first, second, version[first], version[second])
-    return alive, worst
+    return alive
 
 
 @njit(**JIT)

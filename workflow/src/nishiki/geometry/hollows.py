@@ -15,7 +15,7 @@ pixels of the region are kept. Topology and outlines stay as they are.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -24,6 +24,7 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import scaled
 from nishiki.geometry.visibility import interpolate, rasterise
+from nishiki.small_matrices import solve_by_cofactors
 
 RELATIVE_ERROR, ERROR = 0.02, 0.005
 """Deviation of a matt point from the model: part of its value, and of the object's bright values."""
@@ -44,10 +45,10 @@ FINEST_SIZE_PX = 100
 WIDTHS = (1.0, 0.75, 0.6)
 """Parts of the limit above which what adjoins a contradicted place is tried as part of its region: towards its rim a
 hollow is shallow, and there the residual falls."""
-DEPTHS = np.linspace(0.1, 0.94, 8)
-"""Of the object's extent along the direction; first with steepness 1."""
+DEPTHS = np.linspace(0.1, 0.94, 6)
+"""Of the object's extent along the direction; tried with steepness 1 for each candidate region."""
 STEEPNESSES, NEARBY = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0), (0.75, 1.0, 1.3)
-"""Then tried together: steepness, and depth over the best of those."""
+"""Then tried together for the best region: steepness, and depth over the best of those."""
 SHIFT_ROUNDS = 10
 """Averages over neighbouring vertices of what moves a finer mesh: steps between the coarse mesh's vertices would take
 five times the triangles."""
@@ -95,10 +96,9 @@ class Photographed:
                 return False
         return True
 
-    def residuals(self, mesh: Mesh, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """(n,) mean robust squared residual of points of a mesh in the views that see them; -1 where too few do."""
+    def residuals(self, depths: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """(n,) mean robust squared residual of points in the views that see them; -1 where too few do."""
         out = np.empty(len(points))
-        depths = np.stack([rasterise(mesh, camera).depth for camera in self.cameras])
         projected = [camera.project(points) for camera in self.cameras]
         pixels, away = (np.stack([each[k] for each in projected]) for k in (0, 1))
         centres = np.array([camera.centre for camera in self.cameras])
@@ -140,7 +140,8 @@ def contradicted_regions(mesh: Mesh, photographed: Photographed) -> list[list[np
 
     Each as several candidates, one for each of WIDTHS, the narrowest first.
     """
-    values = photographed.residuals(mesh, mesh.vertices, mesh.normals)
+    depths = np.stack([rasterise(mesh, camera).depth for camera in photographed.cameras])
+    values = photographed.residuals(depths, mesh.vertices, mesh.normals)
     seen = values >= 0
     if not seen.any():
         return []
@@ -219,25 +220,10 @@ class Hollow:
         profile = profile_of(region, neighbourhoods(mesh))
         return cls(region, profile, direction / max(np.linalg.norm(direction), 1e-12))
 
-    def sunk(self, mesh: Mesh, depth: float, steepness: float) -> Mesh:
-        """Sink a mesh by depth * profile^steepness."""
-        shift = (depth * self.profile**steepness)[:, None] * self.direction
+    def sunk(self, mesh: Mesh, part: float, steepness: float) -> Mesh:
+        """Sink a mesh by a part of its extent, times profile^steepness."""
+        shift = (part * np.ptp(mesh.vertices @ self.direction) * self.profile**steepness)[:, None] * self.direction
         return Mesh.of(mesh.vertices + shift, mesh.triangles)
-
-    def fitted(
-        self, mesh: Mesh, pixels: dict[int, np.ndarray], photographed: Photographed
-    ) -> tuple[float, float, float]:
-        """Least residual over these pixels of the sunk mesh, and the depth and steepness that have it."""
-        tested = self.region & (self.profile > 0.2)
-
-        def judge(depth: float, steepness: float) -> tuple[float, float, float]:
-            candidate = self.sunk(mesh, depth, steepness)
-            if not photographed.inside(candidate.vertices[tested]):
-                return np.inf, depth, steepness
-            return mean_residual(candidate, pixels, photographed), depth, steepness
-
-        depth = min(judge(depth, 1.0) for depth in np.ptp(mesh.vertices @ self.direction) * DEPTHS)[1]
-        return min(judge(depth * nearby, steepness) for steepness in STEEPNESSES for nearby in NEARBY)
 
 
 def sink(mesh: Mesh, regions: list[np.ndarray], photographed: Photographed) -> tuple[Mesh, list[dict]]:
@@ -245,40 +231,70 @@ def sink(mesh: Mesh, regions: list[np.ndarray], photographed: Photographed) -> t
 
     Return the mesh and its figures; no figures where nothing is gained.
     """
+    seen = Shown(mesh, np.any(regions, axis=0), photographed)
+    core, widest = (seen.pixels_of(regions[k]) for k in (0, -1))
+
+    def judge(hollow: Hollow, part: float, steepness: float) -> tuple[float, float, float]:
+        sunk = hollow.sunk(mesh, part, steepness)
+        fits = photographed.inside(sunk.vertices[hollow.region & (hollow.profile > 0.2)])
+        return seen.residual(sunk, widest) if fits else np.inf, part, steepness
+
     hollows = [Hollow.of(mesh, region) for region in regions]
-    core, widest = (pixels_of(mesh, regions[k], photographed.cameras) for k in (0, -1))
-    fits = [hollow.fitted(mesh, widest, photographed) for hollow in hollows]
-    best = min(range(len(fits)), key=lambda k: fits[k][0])
-    hollow, (_, depth, steepness) = hollows[best], fits[best]
-    result = hollow.sunk(mesh, depth, steepness)
-    before, after = (mean_residual(each, core, photographed) for each in (mesh, result))
+    first = [min(judge(hollow, part, 1.0) for part in DEPTHS) for hollow in hollows]
+    best = min(range(len(first)), key=lambda k: first[k][0])
+    hollow, part = hollows[best], first[best][1]
+    _, part, steepness = min(judge(hollow, part * nearby, each) for each in STEEPNESSES for nearby in NEARBY)
+    result = hollow.sunk(mesh, part, steepness)
+    before, after = (seen.residual(each, core) for each in (mesh, result))
     if not after < IMPROVEMENT * before:
         return mesh, []
-    figure = {"vertices": int(hollow.region.sum()), "direction": hollow.direction.tolist(), "depth": float(depth)}
+    depth = float(part * np.ptp(mesh.vertices @ hollow.direction))
+    figure = {"vertices": int(hollow.region.sum()), "direction": hollow.direction.tolist(), "depth": depth}
     return result, [{**figure, "steepness": steepness, "residual": [before, after]}]
 
 
-def pixels_of(mesh: Mesh, region: np.ndarray, cameras: list[Camera]) -> dict[int, np.ndarray]:
-    """Flat indexes of every third pixel in which every third view shows a region: the same for all candidates."""
-    inside, pixels = region[mesh.triangles].all(axis=1), {}
-    for view in range(0, len(cameras), 3):
-        triangle = rasterise(mesh, cameras[view]).triangle.ravel()
-        pixels[view] = np.flatnonzero((triangle >= 0) & inside[triangle])[::3]
-    return pixels
+class Shown:
+    """Draw a mesh in all views while only a region (v,) bool of it moves; the rest is drawn once."""
 
+    def __init__(self, mesh: Mesh, region: np.ndarray, photographed: Photographed):
+        self.photographed, self.triangles = photographed, mesh.triangles
+        touched = region[mesh.triangles].any(axis=1)
+        self.moving, self.used = np.flatnonzero(touched), np.unique(mesh.triangles[touched])
+        self.local = np.searchsorted(self.used, mesh.triangles[touched]).astype(np.int32)
+        still = replace(mesh, triangles=mesh.triangles[~touched])
+        self.still = [rasterise(still, camera) for camera in photographed.cameras]
+        numbers = np.append(np.flatnonzero(~touched), -1)
+        self.still = [replace(each, triangle=numbers[each.triangle]) for each in self.still]
+        self.drawn = self.draw(mesh)
 
-def mean_residual(mesh: Mesh, pixels: dict[int, np.ndarray], photographed: Photographed) -> float:
-    """Mean residual of what these pixels show of a mesh; a point that few views see counts as contradicted."""
-    points, normals = [], []
-    for view, places in pixels.items():
-        raster = rasterise(mesh, photographed.cameras[view])
-        triangle, weights = raster.triangle.ravel()[places], raster.barycentric.reshape(-1, 2)[places]
-        for values, out in ((mesh.vertices, points), (mesh.normals, normals)):
-            out.append(interpolate(values, mesh.triangles, triangle, weights)[triangle >= 0])
-    normal = np.concatenate(normals)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-    values = photographed.residuals(mesh, np.concatenate(points), normal)
-    return float(np.where(values < 0, LARGEST, values).sum() / len(values))
+    def draw(self, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Triangle (pixels,), weights (pixels, 2) and depth (rows, columns) of each view of the moved mesh."""
+        part, views = Mesh(mesh.vertices[self.used], self.local, mesh.normals[self.used]), []
+        for camera, still in zip(self.photographed.cameras, self.still, strict=True):
+            moved = rasterise(part, camera)
+            nearer = moved.depth < still.depth
+            triangle = np.where(nearer, self.moving[moved.triangle], still.triangle)
+            weights = np.where(nearer[..., None], moved.barycentric, still.barycentric)
+            views.append((triangle.ravel(), weights.reshape(-1, 2), np.minimum(moved.depth, still.depth)))
+        return views
+
+    def pixels_of(self, region: np.ndarray) -> dict[int, np.ndarray]:
+        """Flat indexes of every third pixel in which every third view shows a region: the same for all candidates."""
+        inside = np.append(region[self.triangles].all(axis=1), False)
+        return {view: np.flatnonzero(inside[self.drawn[view][0]])[::3] for view in range(0, len(self.drawn), 3)}
+
+    def residual(self, mesh: Mesh, pixels: dict[int, np.ndarray]) -> float:
+        """Mean residual of what these pixels show of a mesh; a point that few views see counts as contradicted."""
+        points, normals, views = [], [], self.draw(mesh)
+        for view, places in pixels.items():
+            triangle, weights = views[view][0][places], views[view][1][places]
+            for values, out in ((mesh.vertices, points), (mesh.normals, normals)):
+                out.append(interpolate(values, mesh.triangles, triangle, weights)[triangle >= 0])
+        normal = np.concatenate(normals)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+        depths = np.stack([depth for _, _, depth in views])
+        values = self.photographed.residuals(depths, np.concatenate(points), normal)
+        return float(np.where(values < 0, LARGEST, values).sum() / len(values))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -293,15 +309,15 @@ def residuals_at(points, normals, seen, photographs, distance, tolerance, out):
     values, towards = np.empty((views, channels)), np.empty((views, 3))
     variance, facing = np.empty(views), np.empty(views)
     for i in range(len(points)):
-        x, count = points[i], 0
+        count = 0
         for v in range(views):
-            ray = centres[v] - x
-            length = np.sqrt(np.sum(ray * ray))
-            cosine = np.sum(ray * normals[i]) / length
+            x, y, z = centres[v, 0] - points[i, 0], centres[v, 1] - points[i, 1], centres[v, 2] - points[i, 2]
+            length = np.sqrt(x * x + y * y + z * z)
+            cosine = (x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]) / length
             if cosine < 0.25:
                 continue
-            column, row, z = pixels[v, i, 0], pixels[v, i, 1], away[v, i]
-            if not (z > 0 and 1 <= column < columns - 2 and 1 <= row < rows - 2):
+            column, row, depth = pixels[v, i, 0], pixels[v, i, 1], away[v, i]
+            if not (depth > 0 and 1 <= column < columns - 2 and 1 <= row < rows - 2):
                 continue
             c, r = int(column + 0.5), int(row + 0.5)
             deepest = 0.0
@@ -309,7 +325,7 @@ def residuals_at(points, normals, seen, photographs, distance, tolerance, out):
                 for b in range(c - 1, c + 2):
                     if np.isfinite(depths[v, a, b]):
                         deepest = max(deepest, np.float64(depths[v, a, b]))
-            if z > deepest + tolerance:
+            if depth > deepest + tolerance:
                 continue
             c, r = int(column), int(row)
             s, t = column - c, row - r
@@ -319,7 +335,8 @@ def residuals_at(points, normals, seen, photographs, distance, tolerance, out):
                 below = (1 - s) * pictures[v, r + 1, c, k] + s * pictures[v, r + 1, c + 1, k]
                 values[count, k] = (1 - t) * above + t * below
                 mean += values[count, k] / channels
-            towards[count] = ray / length * (distance / length) ** 2
+            scale = distance**2 / length**3
+            towards[count, 0], towards[count, 1], towards[count, 2] = scale * x, scale * y, scale * z
             variance[count] = (RELATIVE_ERROR * mean) ** 2 + ERROR**2
             facing[count] = cosine
             count += 1
@@ -335,22 +352,27 @@ def matt_residual(values, towards, variance, order):
     channels, count = values.shape[1], len(order)
     weights, b, total = np.ones(count), np.empty((channels, 3)), 0.0
     for _ in range(3):
-        normal, right = np.zeros((3, 3)), np.zeros((3, channels))
+        xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        b[:] = 0.0
         for n in range(count):
             v = order[n]
-            w = weights[n] / variance[v]
-            for i in range(3):
-                for j in range(3):
-                    normal[i, j] += w * towards[v, i] * towards[v, j]
-                for k in range(channels):
-                    right[i, k] += w * towards[v, i] * values[v, k]
-        normal += 1e-3 * np.trace(normal) * np.eye(3)
-        b = np.linalg.solve(normal, right)
+            w, x, y, z = weights[n] / variance[v], towards[v, 0], towards[v, 1], towards[v, 2]
+            xx, xy, xz = xx + w * x * x, xy + w * x * y, xz + w * x * z
+            yy, yz, zz = yy + w * y * y, yz + w * y * z, zz + w * z * z
+            for k in range(channels):
+                b[k, 0] += w * x * values[v, k]
+                b[k, 1] += w * y * values[v, k]
+                b[k, 2] += w * z * values[v, k]
+        ridge = 1e-3 * (xx + yy + zz)
+        for k in range(channels):
+            matrix = xx + ridge, xy, xz, yy + ridge, yz, zz + ridge
+            x, y, z, determinant = solve_by_cofactors(matrix, b[k, 0], b[k, 1], b[k, 2])
+            b[k, 0], b[k, 1], b[k, 2] = x / determinant, y / determinant, z / determinant
         total = 0.0
         for n in range(count):
             v, error = order[n], 0.0
             for k in range(channels):
-                shown = b[0, k] * towards[v, 0] + b[1, k] * towards[v, 1] + b[2, k] * towards[v, 2]
+                shown = b[k, 0] * towards[v, 0] + b[k, 1] * towards[v, 1] + b[k, 2] * towards[v, 2]
                 error += (values[v, k] - max(shown, 0.0)) ** 2 / channels
             error /= variance[v]
             weights[n] = 1 / (1 + error / 4)

@@ -12,7 +12,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.hull_kernels import MOST_MISSES, at_points, fill_slab
+from nishiki.geometry.hull_kernels import MOST_MISSES, fill_slab
 from nishiki.geometry.mesh import Mesh
 from nishiki.packages import optional
 from nishiki.threads import in_threads
@@ -39,13 +39,6 @@ class Field:
         """`poses` and `lenses` of cameras."""
         poses = [np.column_stack([camera.rotation, camera.translation]).ravel() for camera in cameras]
         return np.array(poses), np.array([_lens(camera) for camera in cameras])
-
-    def at(self, points: np.ndarray, *, misses: int = 0) -> np.ndarray:
-        """(n,) float64: signed distance at points (n, 3), world's unit, positive inside; misses: as in `carve`."""
-        points = np.ascontiguousarray(points, np.float64)
-        out = np.empty(len(points))
-        at_points(self.poses, self.lenses, self.frames, self.buffer, points, misses, out)
-        return out
 
 
 @dataclass(frozen=True)
@@ -137,9 +130,7 @@ def bounding_box(silhouettes: list[np.ndarray | None], cameras: list[Camera], *,
     _expect_two(len(planes))
     middle = np.mean([camera.centre for camera in cameras], axis=0)
     size = max(float(np.linalg.norm(camera.centre - middle)) for camera in cameras) or 1.0
-    if not misses:
-        return _extent(planes, middle, size)
-    box = None
+    boxes = [] if misses else [_extent(planes, middle, size)]
     for _ in range(min(misses, len(planes) - 2)):
         freed, failure = [], None
         for place in range(len(planes)):
@@ -149,11 +140,10 @@ def bounding_box(silhouettes: list[np.ndarray | None], cameras: list[Camera], *,
                 failure = error
         if failure and not freed:
             raise failure
-        for extent, _ in freed:
-            box = extent if box is None else np.array([np.minimum(box[0], extent[0]), np.maximum(box[1], extent[1])])
-        binding = max(freed, key=lambda item: float(np.prod(item[0][1] - item[0][0])))[1]
-        planes = planes[:binding] + planes[binding + 1 :]
-    return _extent(planes, middle, size) if box is None else box
+        boxes += [extent for extent, _ in freed]
+        del planes[max(freed, key=lambda item: float(np.prod(item[0][1] - item[0][0])))[1]]
+    spans = np.stack(boxes or [_extent(planes, middle, size)])
+    return np.array([spans[:, 0].min(axis=0), spans[:, 1].max(axis=0)])
 
 
 def _extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.ndarray:

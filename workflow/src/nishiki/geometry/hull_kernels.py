@@ -55,7 +55,7 @@ def _distance(buffer, frame, column, row):
 
 
 @njit(**JIT)
-def _at_point(field, x, y, z, misses, enough, spot, worst):
+def at_point(field, x, y, z, misses, enough, spot, worst):
     """Return the (misses + 1)-th smallest signed distance over the views, world units; may stop below -enough."""
     poses, lenses, frames, buffer = field
     for m in range(misses + 1):
@@ -71,15 +71,6 @@ def _at_point(field, x, y, z, misses, enough, spot, worst):
         if worst[misses] < -enough:
             break
     return worst[misses]
-
-
-@njit(**JIT)
-def at_points(poses, lenses, frames, buffer, points, misses, out):
-    """Signed distance of the hull at points (n, 3), world units, positive inside."""
-    spot, worst = np.empty(3), np.empty(MOST_MISSES + 1)
-    for n in range(points.shape[0]):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        out[n] = _at_point((poses, lenses, frames, buffer), x, y, z, misses, FAR, spot, worst)
 
 
 @njit(**JIT)
@@ -155,7 +146,7 @@ def fill_slab(field, grid, block, misses, band, first, last, volume):
                                 volume[i, j, k] = band * kind
                                 continue
                             x, y, z = origin[0] + cell * i, origin[1] + cell * j, origin[2] + cell * k
-                            value = _at_point(field, x, y, z, misses, band, spot, worst)
+                            value = at_point(field, x, y, z, misses, band, spot, worst)
                             volume[i, j, k] = min(max(value, -band), band)
 
 

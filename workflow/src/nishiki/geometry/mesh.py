@@ -41,6 +41,15 @@ class Mesh:
         return cls(arrays["vertices"], arrays["triangles"], arrays["normals"])
 
 
+def row_numbers(rows: np.ndarray) -> np.ndarray:
+    """Return the number (n,) of each row of an array (n, k) among its distinct rows, in their lexicographic order."""
+    number = np.zeros(len(rows), np.int64)
+    for column in rows.T:
+        place = np.unique(column, return_inverse=True)[1]
+        number = np.unique(number * len(rows) + place, return_inverse=True)[1]
+    return number
+
+
 def face_vectors(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(f, 3) float64: normals of the triangles, their lengths twice the areas."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))

@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.decimation import collapse
-from nishiki.geometry.mesh import Mesh, face_vectors
+from nishiki.geometry.mesh import Mesh, face_vectors, row_numbers
 
 CANDIDATES = 6  # nearest samples whose triangles are looked at
 MEASURED = 10_000
@@ -29,8 +29,7 @@ def decimate(mesh: Mesh, triangles: int) -> Mesh:
     if triangles >= len(mesh.triangles):
         return mesh
     vertices, faces = mesh.vertices.copy(), mesh.triangles.astype(np.int64)
-    alive, _ = collapse(vertices, faces, triangles)
-    faces = faces[alive]
+    faces = faces[collapse(vertices, faces, triangles)]
     used, renumbered = np.unique(faces, return_inverse=True)
     return Mesh.of(vertices[used], renumbered.reshape(-1, 3))
 
@@ -197,11 +196,11 @@ def shape_of(mesh: Mesh) -> Shape:
     """Topology and size of a mesh."""
     parts, _ = parts_of(mesh.triangles, len(mesh.vertices))
     directed = np.concatenate([mesh.triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-    edges, counts = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
-    repeated = len(np.unique(directed, axis=0)) < len(directed)
+    counts = np.bincount(row_numbers(np.sort(directed, axis=1)))
+    repeated = np.bincount(row_numbers(directed)).max(initial=0) > 1
     watertight = bool(len(mesh.triangles)) and not (counts != 2).any() and not repeated
     used = len(np.unique(mesh.triangles))
-    genus = (2 * parts - (used - len(edges) + len(mesh.triangles))) // 2 if watertight else None
+    genus = (2 * parts - (used - len(counts) + len(mesh.triangles))) // 2 if watertight else None
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
     return Shape(
         len(mesh.vertices),

@@ -29,16 +29,14 @@ class Raster:
     barycentric: np.ndarray
     depth: np.ndarray  # (rows, columns) float32 along the optical axis in the world's unit, +inf where there is none
     first_row: int  # row of the picture that row 0 of the arrays is
-    behind: int  # triangles left out because a corner lies at or behind the camera's plane
 
 
-def rasterise(mesh: Mesh, camera: Camera, *, cull: bool = False, rows: tuple[int, int] | None = None) -> Raster:
+def rasterise(mesh: Mesh, camera: Camera, *, rows: tuple[int, int] | None = None) -> Raster:
     """Find the triangle nearest to the camera behind each pixel centre.
 
     A pixel centre on an edge belongs to exactly one of the two triangles that share it (top-left rule, evaluated so
     that both see the same number). Triangles without area, with corners that are not finite, or with a corner at or
-    behind the camera's plane show nowhere. cull: leave out triangles that turn their back to the camera (they hide
-    nothing then); rows: (first, stop), only these rows of the picture.
+    behind the camera's plane show nowhere. rows: (first, stop), only these rows of the picture.
     """
     first, stop = (0, camera.rows) if rows is None else rows
     if not 0 <= first <= stop <= camera.rows:
@@ -49,8 +47,8 @@ def rasterise(mesh: Mesh, camera: Camera, *, cull: bool = False, rows: tuple[int
     barycentric = np.zeros((*shape, 2), np.float32)
     depth = np.full(shape, np.inf, np.float32)
     corners = np.ascontiguousarray(mesh.triangles, np.int32)
-    behind = fill(np.ascontiguousarray(pixels), depths, corners, first, cull, triangle, barycentric, depth)
-    return Raster(triangle, barycentric, depth, first, int(behind))
+    fill(np.ascontiguousarray(pixels), depths, corners, first, triangle, barycentric, depth)
+    return Raster(triangle, barycentric, depth, first)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -78,19 +76,14 @@ def bounds(values, size):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill(pixels, depths, corners, first_row, cull, triangle, barycentric, depth):
-    """Z-buffer over all triangles into the three arrays; returns how many were left out as behind the camera."""
+def fill(pixels, depths, corners, first_row, triangle, barycentric, depth):
+    """Z-buffer over all triangles into the three arrays."""
     rows, columns = triangle.shape
-    behind = 0
     for index in range(len(corners)):
         a, b, c = corners[index, 0], corners[index, 1], corners[index, 2]
         za, zb, zc = depths[a], depths[b], depths[c]
-        if not (za > 0 and zb > 0 and zc > 0):
-            behind += 1
-            continue
         area = edge(pixels, a, b, pixels[c, 0], pixels[c, 1])
-        # Counter-clockwise in space is clockwise with rows downwards: a negative area faces the camera.
-        if not abs(area) > 0 or not np.isfinite(area) or (cull and area > 0):
+        if not (za > 0 and zb > 0 and zc > 0 and abs(area) > 0 and np.isfinite(area)):
             continue
         swapped = area < 0
         if swapped:
@@ -120,7 +113,6 @@ def fill(pixels, depths, corners, first_row, cull, triangle, barycentric, depth)
                     triangle[row, column] = index
                     barycentric[row, column, 0] = wa / total
                     barycentric[row, column, 1] = (wc if swapped else wb) / total
-    return behind
 
 
 def interpolate(attributes: np.ndarray, corners: np.ndarray, triangle: np.ndarray, barycentric: np.ndarray):
