@@ -11,7 +11,6 @@ relative: how much information the texel has, in units of 1 / noise^2, noise bei
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from nishiki.brdf.fit import FitFlag, fit_torrance_sparrow
 from nishiki.brdf.texels.model import GRAZING, ViewLamp, factors, predict
@@ -83,7 +82,8 @@ def observed(
     if encoding == "srgb":
         level = picked if bright is None else _pick(bright, texel, view)
         weights *= encoding_slope(level @ mean, "srgb") ** 2
-    weights[~np.isfinite(picked @ mean)] = 0
+    unknown = ~np.isfinite(picked @ mean)
+    weights[unknown] = picked[unknown] = 0
     return Observed(texel, picked, diffuse, attenuation, alpha, weights, view)
 
 
@@ -254,69 +254,33 @@ def strengths(
     lobe at sigma.  A texel whose observations are far from the mirror direction has no information on K_s and takes the
     prior; one that was seen there and shows nothing gets K_s near 0.
     """
-    points, channels = len(total.texel), total.values.shape[2]
-    kd, ks = (np.zeros((points, channels), np.float32) for _ in range(2))
-    information, residual = (np.zeros(points, np.float32) for _ in range(2))
-    pull = np.broadcast_to(np.asarray(precision, np.float32), (points,))
     data = total if specular is None else specular
-    diffuse = total.diffuse if specular is None else np.zeros_like(total.diffuse)
-    _solve(data.values, diffuse, data.attenuation, data.alpha, data.weights, np.ascontiguousarray(sigma, np.float32),
-           np.ascontiguousarray(prior, np.float32), np.ascontiguousarray(pull), kd, ks, information,
-           residual)  # fmt: skip
-    if specular is not None:
-        kd = lambert(total)
-    return Strengths(kd, ks, information, residual)
+    q = total.diffuse.astype(np.float64) if specular is None else np.zeros(total.diffuse.shape)
+    s = data.attenuation * np.exp(-((data.alpha / (np.sqrt(2) * sigma[:, None].astype(np.float64))) ** 2))
+    columns, weights = np.stack([s, q], axis=1), data.weights.astype(np.float64)[:, None]
+    weighted, values = columns * weights, data.values.astype(np.float64)
+    (a, b), (_, d) = np.moveaxis(weighted @ columns.swapaxes(1, 2), 0, -1)[..., None]
+    u, v = np.moveaxis(weighted @ values, 1, 0)
+    pull = np.broadcast_to(precision, len(s))[:, None]
+    ks, kd = _pair(a + pull, b, d, u + pull * prior, v)
+    information = np.where(d > 0, np.maximum(a - b * b / np.where(d > 0, d, 1), 0), a)[:, 0]
+    explained = ks * (2 * u - a * ks - 2 * b * kd) + kd * (2 * v - d * kd)
+    squares = np.sum((weights @ values**2)[:, 0] - explained, axis=1)
+    residual = np.sqrt(np.maximum(squares, 0) / np.maximum(data.seen * values.shape[2], 1))
+    kd = kd if specular is None else lambert(total)
+    return Strengths(*(values.astype(np.float32) for values in (kd, ks, information, residual)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _solve(values, diffuse, attenuation, alpha, weights, sigma, prior, pull, kd, ks, information, residual):
-    points, slots, channels = values.shape
-    u, v = np.empty(channels), np.empty(channels)
-    for p in range(points):
-        a = b = d = 0.0
-        u[:] = 0.0
-        v[:] = 0.0
-        rate = 0.5 / (np.float64(sigma[p]) * np.float64(sigma[p]))
-        for o in range(slots):
-            w = np.float64(weights[p, o])
-            if not w > 0.0:
-                continue
-            q = np.float64(diffuse[p, o])
-            s = np.float64(attenuation[p, o]) * np.exp(-rate * np.float64(alpha[p, o]) * np.float64(alpha[p, o]))
-            a += w * s * s
-            b += w * s * q
-            d += w * q * q
-            for c in range(channels):
-                u[c] += w * s * values[p, o, c]
-                v[c] += w * q * values[p, o, c]
-        information[p] = max(a - b * b / d, 0.0) if d > 0.0 else a
-        for c in range(channels):
-            k, m = _pair(a + pull[p], b, d, u[c] + pull[p] * prior[p, c], v[c])
-            ks[p, c], kd[p, c] = k, m
-        squares, count = 0.0, 0
-        for o in range(slots):
-            w = np.float64(weights[p, o])
-            if not w > 0.0:
-                continue
-            s = np.float64(attenuation[p, o]) * np.exp(-rate * np.float64(alpha[p, o]) * np.float64(alpha[p, o]))
-            for c in range(channels):
-                left = values[p, o, c] - kd[p, c] * np.float64(diffuse[p, o]) - ks[p, c] * s
-                squares += w * left * left
-            count += channels
-        residual[p] = np.sqrt(squares / max(count, 1))
-
-
-@njit(cache=True, error_model="numpy")
-def _pair(a, b, d, u, v):
+def _pair(a, b, d, u, v) -> tuple[np.ndarray, np.ndarray]:
     """Least squares in two non-negative unknowns: (of u, of v); 0 where a column is empty."""
-    det = a * d - b * b
-    if det > 1e-12 * a * d:
-        k, m = (d * u - b * v) / det, (a * v - b * u) / det
-        if k >= 0.0 and m >= 0.0:
-            return k, m
-    k = max(u, 0.0) / a if a > 0.0 else 0.0
-    m = max(v, 0.0) / d if d > 0.0 else 0.0
-    return (k, 0.0) if k * u > m * v else (0.0, m)
+    determinant = a * d - b * b
+    regular = determinant > 1e-12 * a * d
+    scale = 1 / np.where(regular, determinant, 1)
+    k, m = (d * u - b * v) * scale, (a * v - b * u) * scale
+    inside = regular & (k >= 0) & (m >= 0)
+    k_alone, m_alone = (np.maximum(x, 0) / np.where(y > 0, y, np.inf) for x, y in ((u, a), (v, d)))
+    first = k_alone * u > m_alone * v
+    return np.where(inside, k, np.where(first, k_alone, 0)), np.where(inside, m, np.where(first, 0, m_alone))
 
 
 def noise_of(residuals: np.ndarray) -> float:
