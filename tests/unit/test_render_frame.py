@@ -41,6 +41,14 @@ FRONT = Light(direction=(0, 0, 1))
 OBLIQUE = View(eye_mm=(30, -20, 70), target_mm=(3, 2, 0), up=(0.1, 1, 0), field_of_view=0.9, rows=48, columns=64)
 
 
+@pytest.mark.parametrize("terms", [(0.2, 0.5, 0.1), (0.2, 0.5, 0.1, 0.3, -0.2)])
+def test_every_term_of_the_body_counts_in_every_picture(terms):
+    scene = flat(8, 8, shading=np.full((8, 8, len(terms)), terms, np.float32))
+    light = Light(direction=(0.6, 0.3, 0.7))
+    larger = render(scene, [light], View(rows=16, columns=16))
+    np.testing.assert_allclose(larger.xyz[4, 4], shade_xyz(scene, [light]).values[4, 4], rtol=1e-5)
+
+
 def slow_rays(view):
     """Where the ray through each pixel's centre meets z = 0, one pixel at a time."""
     eye, target = np.array(view.eye_mm, float), np.array(view.target_mm, float)

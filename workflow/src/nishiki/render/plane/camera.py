@@ -151,7 +151,7 @@ def _sample(maps, to_map, extent, out):
                 for m in range(coefficients.shape[2]):
                     coefficients[i, j, m] += np.float32(weight) * maps_c[r, c, m]
                 if shading.shape[0] > 0:
-                    for m in range(3):
+                    for m in range(shading.shape[2]):
                         shading[i, j, m] += np.float32(weight) * maps_s[r, c, m]
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
             scale = 1.0 / length if known > 0.5 and length > 0.0 else 0.0
