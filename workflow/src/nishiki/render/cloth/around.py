@@ -83,13 +83,14 @@ def shares(brdf: Brdf) -> np.ndarray:
 
 def lookup(table: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Bilinear in (theta, phi): (n, 3) at unit vectors (n, 3) above the horizon."""
+    from scipy.ndimage import map_coordinates
+
     theta = np.arccos(np.clip(directions[:, 2], 0, 1)) / (np.pi / 2) * THETAS
     phi = np.mod(np.arctan2(directions[:, 1], directions[:, 0]), 2 * np.pi) / (2 * np.pi) * PHIS
-    i, j = np.minimum(theta.astype(int), THETAS - 1), np.minimum(phi.astype(int), PHIS - 1)
-    s, t = (theta - i)[:, None], (phi - j)[:, None]
-    low = table[i, j] * (1 - t) + table[i, j + 1] * t
-    high = table[i + 1, j] * (1 - t) + table[i + 1, j + 1] * t
-    return low * (1 - s) + high * s
+    channels = [
+        map_coordinates(channel, (theta, phi), order=1, mode="nearest") for channel in np.moveaxis(table, -1, 0)
+    ]
+    return np.stack(channels, axis=1)
 
 
 def smoothed(values: np.ndarray, triangles: np.ndarray, *, rounds: int = 2) -> np.ndarray:

@@ -10,6 +10,7 @@ Without a white board albedo is relative to a lamp of unknown strength and may b
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -85,14 +86,10 @@ def fill_gaps(texture: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 def sample(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Return (n, channels) bilinear look-ups at places (n, 2), row and column in texels."""
-    rows, columns = texture.shape[:2]
-    y, x = (np.clip(places[:, k], 0, size - 1) for k, size in enumerate((rows, columns)))
-    i, j = (np.minimum(v.astype(np.int64), max(size - 2, 0)) for v, size in ((y, rows), (x, columns)))
-    below, right = np.minimum(i + 1, rows - 1), np.minimum(j + 1, columns - 1)
-    fy, fx = (y - i)[:, None], (x - j)[:, None]
-    upper = texture[i, j] * (1 - fx) + texture[i, right] * fx
-    lower = texture[below, j] * (1 - fx) + texture[below, right] * fx
-    return upper * (1 - fy) + lower * fy
+    from scipy.ndimage import map_coordinates
+
+    look_up = partial(map_coordinates, coordinates=places.T, output=np.float64, order=1, mode="nearest")
+    return np.stack([look_up(channel) for channel in np.moveaxis(texture, -1, 0)], axis=1)
 
 
 ALPHA_PER_SIGMA = float(np.sqrt(2 * np.log(2) / (np.sqrt(2) - 1)))
