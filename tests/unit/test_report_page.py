@@ -25,6 +25,7 @@ from nishiki.observations.plane_store import write_observations
 from nishiki.progress import Progress
 from nishiki.stages.brdf import BrdfSettings
 from nishiki.stages.evaluate import EvaluateSettings
+from nishiki.stages.evaluate.painting import stated_levels
 from nishiki.stages.height import HeightSettings
 from nishiki.stages.ingest import IngestSettings
 from nishiki.stages.normals import NormalsSettings
@@ -180,6 +181,16 @@ def test_evaluation_of_an_exact_record_finds_only_quantisation(full):
     assert found["overall"]["levels"]["fadgi"] == "4 stars"
     assert sum(part["share"] for part in found["parts"]) == pytest.approx(1)
     assert all(abs(light["level_error"]) < 0.01 for part in found["parts"] for light in part["lights"])
+
+
+def test_the_worst_part_decides_the_level_and_a_wrong_tone_has_none():
+    lights = [{"level_error": 0.02}, {"level_error": -0.06}]
+    good = {"de00": {"mean": 1.0, "p90": 2.0}, "lights": lights}
+    worse = {"de00": {"mean": 4.2, "p90": 8.0}, "lights": lights}
+    assert stated_levels([good]) == {"fadgi": "4 stars", "iso_19264": "A"}
+    assert stated_levels([good, worse]) == {"fadgi": "2 stars", "iso_19264": "B"}
+    assert set(stated_levels([{**good, "lights": [*lights, {"level_error": -0.12}]}]).values()) == {"none"}
+    assert set(stated_levels([]).values()) == {"not measured"}
 
 
 def test_evaluation_maps_and_table_agree_with_the_figures(full):

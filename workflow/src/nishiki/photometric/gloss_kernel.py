@@ -249,7 +249,8 @@ def jackknife(y, rows, spare, weights, equations):
     Delete-a-group jackknife (R. G. Miller, Biometrika 61, 1974): unlike the curvature of the fit, it sees errors that
     lamps share. weights (2, lights) and spare (components,) are scratch.
     """
-    weights[0], weights[1] = rows[W_LEVEL], rows[W_COLOUR]
+    for j in range(rows.shape[1]):  # rows at once would have the compiler write out their error messages
+        weights[0, j], weights[1, j] = rows[W_LEVEL, j], rows[W_COLOUR, j]
     total = 0.0
     for fold in range(FOLDS):
         for j in range(rows.shape[1]):
@@ -261,7 +262,8 @@ def jackknife(y, rows, spare, weights, equations):
         det = h * m - k * k
         square = ((m * g - k * i) ** 2 + (h * i - k * g) ** 2) / (det * det)
         total += square if square < LARGEST_STEP**2 else LARGEST_STEP**2  # also where it is no number
-    rows[W_LEVEL], rows[W_COLOUR] = weights[0], weights[1]
+    for j in range(rows.shape[1]):
+        rows[W_LEVEL, j], rows[W_COLOUR, j] = weights[0, j], weights[1, j]
     return total * (FOLDS - 1) / FOLDS
 
 

@@ -26,6 +26,7 @@ from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.plane.scene import Gloss, Light
 
 DARK_SHARE = 0.25  # of a region, that is scored apart
+LARGEST_LEVEL_ERROR = 0.1  # relative, of the light of a part under any lamp, beyond which no level is stated
 
 
 def run(context: Context) -> dict:
@@ -38,8 +39,7 @@ def run(context: Context) -> dict:
     evaluation = {"pixels": int(np.count_nonzero(frames.mask)), **against_truth(truth, scene, out)}
     evaluation["colour"] = {"how": scene.camera.how, "rmse_xyz": scene.camera.rmse}
     evaluation["lights"], evaluation["parts"], pooled = relight(context, scene, truth, out)
-    worst = max((part["de00"] for part in evaluation["parts"]), key=lambda de00: de00["mean"], default=asdict(pooled))
-    evaluation["overall"] = {"de00": asdict(pooled), "levels": levels(worst["mean"], worst["p90"])}
+    evaluation["overall"] = {"de00": asdict(pooled), "levels": stated_levels(evaluation["parts"])}
     evaluation["classes_from"] = "truth" if truth.checks else "model"
     evaluation["gloss"] = {"true_gamma_rad": truth.equivalent_gamma(), "gamma_rad": scene.model.gloss.gamma.tolist()}
     write_tables(context, evaluation, COLUMNS, rows_of(evaluation))
@@ -144,7 +144,7 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
             scene.basis,
             truth.paints,
             truth.spectra,
-            pixels=scene.frames.mask & scene.known,
+            pixels=scene.frames.mask & scene.known & ~scene.model.mirrors,
             regions=truth.regions,
         )
         out.write("reflectance_de00", errors.de00_map, unit="CIEDE2000 under D65", nan="no truth or no estimate here")
@@ -152,6 +152,14 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
         out.write("regions", np.asarray(regions), meaning="region of the truth: row of region_names, or of its spectra")
         result["reflectance"] = {**errors.as_dict(), "region_names": list(truth.region_names)}
     return result
+
+
+def stated_levels(parts: list[dict]) -> dict[str, str]:
+    """Return the levels of the part that is predicted worst, `none` where the light of any part is off by a tenth."""
+    worst = max((part["de00"] for part in parts), key=lambda de00: de00["mean"], default={"mean": None, "p90": None})
+    errors = [abs(light["level_error"]) for part in parts for light in part["lights"]]
+    found = levels(worst["mean"], worst["p90"])
+    return found if max(errors, default=0) <= LARGEST_LEVEL_ERROR else dict.fromkeys(found, "none")
 
 
 def relight(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter):

@@ -186,7 +186,7 @@ def _table_of_parts(parts: Sequence[dict[str, Any]], finishes: Sequence[str]) ->
         level = signed(light["level_error"]), f"{light['incidence_deg']:.0f}°"
         rows.append([part_name(part, finishes), 100 * part["share"], *_mean_and_p90(part["de00"]), *level])
     return Table(
-        ("Part", "share, %", "mean", "90 %", "level, %", "under a lamp at"), rows, "lrrrrr",
+        ("Part", "share, %", "mean", "90 %", "level", "under a lamp at"), rows, "lrrrrr",
         "The same by finish, its darkest quarter apart: colour difference over all lights, and the diffuse light of "
         "the prediction less that of the photograph under the lamp where they differ most, from the normal.",
     )  # fmt: skip
@@ -201,7 +201,8 @@ def _in_museum_terms(evaluation: dict[str, Any], finishes: Sequence[str]) -> Not
     grades = [f"{level.mean:g} ({level.name})" for level in ISO_19264]
     return Note([
         "In museum terms: held against the limits for colour accuracy of two guidelines, the differences of the part "
-        f"that is predicted worst ({part}) are of the order of FADGI: {levels['fadgi']}, ISO 19264-1: {iso}.",
+        f"that is predicted worst ({part}) are of the order of FADGI: {levels['fadgi']}, ISO 19264-1: {iso}. There is "
+        "none where a part is a tenth too dark or too bright under any lamp.",
         f"What the level covers: {len(lights)} photographs of this camera and lamp, with the lamp "
         f"{min(incidence):.0f}° to {max(incidence):.0f}° from the normal. What it leaves out: lamps beyond these, "
         "other lamps' spectra, views from the side, and whether the reflectance is the paint's or holds some gloss.",
