@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refused
 
+from nishiki.brdf.torrance_sparrow import MIRROR, specular
 from nishiki.colour.colour import delta_e_2000, illuminant, srgb_encode, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
 from nishiki.colour.training import synthetic_reflectances
@@ -321,3 +322,25 @@ def test_preview_is_the_block_mean_in_linear_light():
                 values = picture[3 * i : 3 * i + 3, 3 * j : 3 * j + 3][block]
                 expected = values.mean(axis=0) if len(values) else np.zeros(3)
                 assert found[name][i, j] == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_metal_mirrors_in_the_colour_of_its_reflectance():
+    """Beside a paint: no body, the lobe in every channel times the reflectance, and none of it counts as specular."""
+    random = np.random.default_rng(5)
+    normals = random.normal([0, 0, 1], 0.15, (4, 6, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    reflectance = random.uniform(0.1, 0.9, (4, 6, 3)).astype(np.float32)
+    labels = np.zeros((4, 6), np.uint8)
+    labels[:, 3:] = 1
+    lamp, up = np.array([0.36, 0.48, 0.8]), np.array([0.0, 0.0, 1.0])
+    gloss = Gloss(beta=[[0.5], [6.0]], gamma=[[0.2], [0.15]], refractive_index=[1.5, MIRROR])
+    model = FittedModel(normals.astype(np.float32), reflectance, gloss, labels)
+    band = predict_light(model, Light(direction=tuple(lamp)))
+    lobe = specular(normals, lamp, up, beta=6.0, gamma=0.15, refractive_index=MIRROR)
+    metal = labels == 1
+    np.testing.assert_allclose(band.channels[metal], (lobe[..., None] * reflectance)[metal], rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(band.body[metal], lobe[metal], rtol=1e-4, atol=1e-6)
+    assert np.allclose(band.specular[metal], 0, atol=1e-5)
+    assert (band.specular[~metal] > 0).any()
+    assert (band.lit == 1).all()
+    np.testing.assert_allclose(band.body[~metal], (normals @ lamp)[~metal], rtol=1e-5)

@@ -35,7 +35,7 @@ FEWEST_CELLS = 4  # of a finish
 MOST_FINISHES = 4
 BRIGHTEST = 1e-3  # share of the samples whose mean is the colour of a metal
 COLOURED = 0.8  # least channel of a metal, relative to its largest: others mirror like a dielectric of no body
-METAL_LEVEL, METAL_WIDTH = 0.7, 7  # of a metal to start from: reflectance, and place of its lobe among WIDTHS
+METAL_LEVEL, METAL_WIDTHS = 0.7, slice(5, 8)  # of metals to start from: reflectance, and lobes among WIDTHS
 
 
 @dataclass(frozen=True)
@@ -136,11 +136,13 @@ def find_finishes(
     (finishes, labels, clear): the gloss of each, its number for every cell (cells,), and which cells are clearly its
     own (cells,) bool: those whose cost under any other exceeds their own by the median of the finish or more.
     """
-    nothing, metal = gloss.bare(), brightest_metal(tiles, gloss)
+    nothing, metals = gloss.bare(), brightest_metals(tiles, gloss)
     few, cells = [tile.only(np.s_[::THIN]) for tile in tiles], 1 + max(int(tile.cells.max()) for tile in tiles)
-    starts = [[replace(gloss, transmission=1.0), other] for other in (nothing, metal) if other is not None]
+    starts = [[replace(gloss, transmission=1.0), other] for other in (nothing, *metals)]
     while starts and len(starts[0]) <= MOST_FINISHES:
         tries = [_settle(few, start, cells) for start in starts]
+        if len(metals) > 1:  # that which fits best beside the gloss of the scene is tried beside more finishes
+            metals = [min(tries[1:], key=lambda each: each[2].min(axis=0).mean())[0][1]]
         tries = [each for each in tries if np.bincount(each[1], minlength=len(each[0])).min() >= FEWEST_CELLS]
         if not tries:
             return
@@ -158,23 +160,24 @@ def find_finishes(
             if profile.beta.any() and profile.colour is None
         ]
         missing = [] if any(not profile.beta.any() for profile in profiles) else [nothing]
-        if metal is not None and all(profile.colour is None for profile in profiles):
-            missing.append(metal)
+        if all(profile.colour is None for profile in profiles):
+            missing += metals
         starts += [[*profiles, other] for other in missing]
 
 
-def brightest_metal(tiles: Sequence[GlossTile], gloss: GlossProfile) -> GlossProfile | None:
-    """Return a metal of the colour of the brightest light; None where that is about white, as gloss of a dielectric."""
+def brightest_metals(tiles: Sequence[GlossTile], gloss: GlossProfile) -> list[GlossProfile]:
+    """Return metals of the colour of the brightest light, with lobes of several widths, to start from.
+
+    None where that light is about white, as gloss of a dielectric is.
+    """
     samples = np.concatenate([tile.observations[tile.valid] for tile in tiles])
     count = max(1, int(BRIGHTEST * len(samples)))
-    colour = samples[np.argpartition(samples.mean(axis=-1), -count)[-count:]].mean(axis=0).astype(np.float64)
+    colour = samples[np.argpartition(samples.mean(axis=-1), -count)[-count:]].mean(axis=0, dtype=np.float64)
     if not 0 < colour.min() < COLOURED * colour.max():
-        return None
-    colour *= METAL_LEVEL * gloss.unit / colour.mean()
-    metal = replace(gloss, refractive_index=MIRROR, transmission=0.0, colour=colour)
-    lobe = np.zeros(WIDTHS.size)
-    lobe[METAL_WIDTH] = np.log(2) / (4 * WIDTHS[METAL_WIDTH] ** 2)
-    return replace(metal, beta=lobe, gamma=WIDTHS)
+        return []
+    metal = replace(gloss, refractive_index=MIRROR, transmission=0.0, gamma=WIDTHS)
+    metal = replace(metal, colour=METAL_LEVEL * gloss.unit / colour.mean() * colour)
+    return [replace(metal, beta=lobe) for lobe in np.diag(np.log(2) / (4 * WIDTHS**2))[METAL_WIDTHS]]
 
 
 def fit_glosses(

@@ -13,7 +13,7 @@ from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import illuminant
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import read_camera_colour
-from nishiki.evaluate.classes import DIFFUSE, NAMES, classify, levels
+from nishiki.evaluate.classes import NAMES, classify, levels
 from nishiki.evaluate.maps import Pool, height_error, normal_errors, reflectance_errors
 from nishiki.evaluate.prediction import FittedModel, channel_colour, light_of, predict_light, spectral_colour
 from nishiki.evaluate.relighting import LightComparison, PreviewPair, truth_difference
@@ -200,7 +200,7 @@ def one_light(
 ) -> tuple[dict, np.ndarray, np.ndarray]:
     """Score one light, and write its map of differences.
 
-    Returns the score, the map and, (2, parts), sums of predicted and observed light, on paint the diffuse one.
+    Returns the score, the map and, (2, parts), sums of predicted and observed light.
     """
     frames, name = scene.frames, scene.frames.lights[j]
     height = scene.height if context.settings.cast_shadows and scene.casts_shadows else None
@@ -210,7 +210,6 @@ def one_light(
     views = colours_for(scene) if known_truth else {}
     pictures = {case: np.zeros((*frames.shape, 3), np.float32) for case in views}
     previews = PreviewPair(frames.shape, scene.camera)
-    mirrors = np.broadcast_to(scene.model.mirrors, frames.shape)
     sums = np.zeros((2, int(scene.parts.max(initial=0)) + 1))
     for rows in frames.bands():
         observed, valid = frames.read(rows, lights=np.array([j]))
@@ -228,8 +227,7 @@ def one_light(
             inside=inside,
             classes=classify(*parts, inside=inside),
         )
-        classes = np.where(mirrors[rows], DIFFUSE * (comparison.classes[rows] > 0), comparison.classes[rows])
-        used = (classes == DIFFUSE) & (scene.parts[rows] >= 0)
+        used = (comparison.classes[rows] > 0) & (scene.parts[rows] >= 0)
         for total, light in zip(sums, (band.channels, observed[0]), strict=True):
             total += np.bincount(scene.parts[rows][used], light[used].mean(axis=-1), total.size)
         previews.add(rows, band.channels, observed[0], inside=inside)

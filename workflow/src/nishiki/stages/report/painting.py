@@ -387,7 +387,7 @@ def at_a_glance(
 VISIBLE, PLAIN = 2.0, 5.0
 """Colour differences (CIEDE2000) from which most people see one, and from which everybody does."""
 FEW_LAMPS = 8  # that a headline warns of
-LEVEL_ERROR = 0.05  # relative, of the diffuse light of a finish, from which a headline warns
+LEVEL_ERROR = 0.05  # relative, of the mean light of a part, from which a headline warns
 
 
 def verdict(

@@ -187,8 +187,8 @@ def _table_of_parts(parts: Sequence[dict[str, Any]], finishes: Sequence[str]) ->
         rows.append([part_name(part, finishes), 100 * part["share"], *_mean_and_p90(part["de00"]), *level])
     return Table(
         ("Part", "share, %", "mean", "90 %", "level", "under a lamp at"), rows, "lrrrrr",
-        "The same by finish, its darkest quarter apart: colour difference over all lights, and the diffuse light of "
-        "the prediction less that of the photograph under the lamp where they differ most, from the normal.",
+        "The same by finish, its darkest quarter apart: colour difference over all lights, and how much brighter the "
+        "prediction is than the photograph, on the mean, under the lamp where they differ most (from the normal).",
     )  # fmt: skip
 
 
