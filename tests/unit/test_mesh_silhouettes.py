@@ -129,12 +129,26 @@ def test_background_that_a_view_sees_alone_is_overruled():
     masks[5][:4, :4] = True  # a thing that no other view confirms
     masks[8][:, 80:] &= False  # half of the body missed
     loose = carve(masks, cameras, cells=64, misses=1)
-    more = [overruled(loose.mesh, camera, mask, loose.cell) for camera, mask in zip(cameras, masks, strict=True)]
+    bright = np.zeros(masks[0].shape, bool)
+    more = [overruled(loose.mesh, *view, bright, loose.cell) for view in zip(cameras, masks, strict=True)]
     lost = true[8] & ~masks[8]
     assert (more[8] & lost).sum() > 0.9 * lost.sum()
     for each, mask, body in zip(more, masks, true, strict=True):
         assert not (each & mask).any()
         assert (each & ~body).sum() < 0.04 * body.sum()  # the hole stays open, and the outline where it is
+
+
+def test_a_dark_gap_across_a_thin_part_is_overruled_and_a_bright_one_is_not():
+    cameras = turn(elevation=0.9)
+    masks = [torus(camera, small=0.05) for camera in cameras]
+    true = masks[3].copy()
+    middle = np.argwhere(true).mean(axis=0)
+    gap = true & (np.abs(np.arange(true.shape[1]) - middle[1]) < 4) & (np.arange(len(true))[:, None] > middle[0])
+    masks[3] = true & ~gap
+    loose = carve(masks, cameras, cells=64, misses=1)
+    for dark in (True, False):
+        more = overruled(loose.mesh, cameras[3], masks[3], np.full(true.shape, dark), loose.cell)
+        assert ((more & gap).sum() > 0.6 * gap.sum()) == dark
 
 
 def test_outline_and_shading_of_a_mesh():

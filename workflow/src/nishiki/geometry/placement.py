@@ -36,13 +36,14 @@ def shaded(mesh: Mesh, camera: Camera) -> np.ndarray:
     return np.where(seen >= 0, 30 + 225 * np.sqrt(light[seen]), 20).astype(np.uint8)
 
 
-def overruled(loose: Mesh, camera: Camera, mask: np.ndarray, cell: float) -> np.ndarray:
+def overruled(loose: Mesh, camera: Camera, mask: np.ndarray, dark: np.ndarray, cell: float) -> np.ndarray:
     """Find the background of a view's mask that the other views say is the object, (rows, columns) bool.
 
     loose: hull that forgives some views, with grid cells of side `cell` (world's unit), which holds the object whatever
-    single masks (rows, columns) bool say. Where background lies deeper within its outline than the grid and the outline
-    are unsure, all of it up to the outline counts: a shadow that the object casts on itself is as black as a dark
-    background.
+    single masks (rows, columns) bool say; dark (rows, columns) bool: pixels that may lie in shadow. Where background
+    lies deeper within the hull's outline than the grid and the outline are unsure, all of it up to the outline counts:
+    a shadow that the object casts on itself is as black as a dark background. Across parts too thin for that, so does
+    a dark gap of the mask.
     """
     import cv2
 
@@ -50,9 +51,10 @@ def overruled(loose: Mesh, camera: Camera, mask: np.ndarray, cell: float) -> np.
     depth = float(np.median(camera.project(loose.vertices)[1]))
     cell_px = cell * float(np.sqrt(abs(np.linalg.det(camera.intrinsics)))) / max(depth, 1e-300)
     reach = int(np.ceil(UNSURE_PX + cell_px))
-    lost = (covered & ~mask).astype(np.uint8)
+    solid, lost, rim = mask.astype(np.uint8), (covered & ~mask).astype(np.uint8), 2 * reach + 1
     deep = cv2.erode(covered.astype(np.uint8), _disc(reach)) & lost
-    return (cv2.dilate(deep, _disc(reach + 1)) & lost) > 0
+    closed = cv2.morphologyEx(np.pad(solid, rim), cv2.MORPH_CLOSE, _disc(2 * reach))[rim:-rim, rim:-rim]
+    return ((cv2.dilate(deep, _disc(reach + 1)) | (closed & dark)) & lost) > 0
 
 
 def _disc(radius: int) -> np.ndarray:

@@ -16,12 +16,14 @@ from nishiki.geometry.hull_kernels import MOST_MISSES
 from nishiki.geometry.mesh import Mesh, read_points, read_triangles, write_ply
 from nishiki.geometry.placement import agreement, move_mesh, outline_of, overruled
 from nishiki.geometry.silhouettes import display, segment
-from nishiki.geometry.surface import SimplifiedMesh, fewest_triangles, shape_of, smoothed, snapped, without_small_parts
+from nishiki.geometry.surface import fewest_triangles, shape_of, smoothed, snapped, without_small_parts
 from nishiki.observations.turntable_coherence import FEWEST_VIEWS, describe_coherence
 from nishiki.observations.views import Views
 from nishiki.render.output import write_png
 
 COARSE_CELLS, HOLLOW_CELLS = 128, 96
+DARK = 60
+"""sRGB code (of 255) below which a pixel may lie in shadow: 4.5 % of white."""
 VIEWS_A_MISS = 30
 """Views for one that may wrongly see background, rounded. Beside an edge that shades it a place is in shadow for a turn
 as wide as the angle between lamp and camera, 6 degrees say: in 0.6 of 36 views."""
@@ -39,10 +41,11 @@ def run(context: Context) -> dict:
         raise UserError(f"hold_out: no view {', '.join(unknown)}; there are: {', '.join(views.views)}")
     source = source_of(settings.source, views)
     used = [name not in settings.hold_out for name in views.views]
-    outlines, facts = find_outlines(context, views, source == "silhouettes")
+    outlines, darks, facts = find_outlines(context, views, source == "silhouettes")
     masks, diagnostics = list(outlines), expect_coherence(context, views, cameras, outlines)
     if source == "silhouettes":
-        masks, overruling = overrule(context, views, cameras, outlines, used)
+        context.progress.tell("hull")
+        masks, overruling = overrule(context, views, cameras, outlines, darks, used)
         given, background = len(masks) - len(facts), background_of(context, views)
         diagnostics["silhouettes"] = {"given": given, "background": background, **overruling, "views": facts}
         hull = carve(kept(masks, used), cameras, cells=settings.cells)
@@ -56,6 +59,7 @@ def run(context: Context) -> dict:
     if source == "silhouettes" and settings.smooth:
         mesh = smoothed(mesh, cameras, most_px=settings.smooth)
     if source == "silhouettes" and settings.concavities:
+        context.progress.tell("hollows")
         mesh, diagnostics["concavities"] = without_hollows(context, views, cameras, mesh, kept(masks, used))
     light = fewest_triangles(mesh, cameras, deviation_px=settings.deviation_px, most=settings.most_triangles)
     mesh, step = on_grid(light.mesh, cameras, settings.grid_px)
@@ -65,23 +69,15 @@ def run(context: Context) -> dict:
             for outline, mask, camera in zip(outlines, masks, cameras, strict=True)
         ]
     write(context, views, cameras, mesh, masks)
+    deviations = {"deviation_px": light.deviation_px, "deviation_largest_px": light.deviation_largest_px}
     return {
         "source": source,
         "unit": document["unit"],
         **asdict(shape_of(mesh)),
         "cleaned": {**defects.as_dict(), "small_parts": small},
-        "decimation": {**described(light), "grid_step": step},
+        "decimation": {"triangles_before": light.before, **deviations, "grid_step": step},
         **diagnostics,
         "fit": fit_of(mesh, cameras, outlines, used),
-    }
-
-
-def described(light: SimplifiedMesh) -> dict:
-    """Return figures of the decimation."""
-    return {
-        "triangles_before": light.before,
-        "deviation_px": light.deviation_px,
-        "deviation_largest_px": light.deviation_largest_px,
     }
 
 
@@ -113,17 +109,19 @@ def linear_picture(views: Views, name: str) -> np.ndarray:
     return (total / len(views.lights)).astype(np.float32)
 
 
-def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np.ndarray | None], dict]:
-    """Return silhouettes, given or segmented, and figures of the segmented ones by view."""
+def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np.ndarray | None], list, dict]:
+    """Return silhouettes, given or segmented; of the segmented ones what may lie in shadow, and figures by view."""
     outlines, facts = [views.silhouette(name) for name in views.views], {}
+    darks = [None if outline is None else np.zeros_like(outline) for outline in outlines]
     missing = [place for place, outline in enumerate(outlines) if outline is None] if needed else []
     for place in context.progress.over(missing, "silhouette"):
-        segmented = segment(picture_of(views, views.views[place]), background=background_of(context, views))
-        outlines[place] = segmented.mask
+        picture = picture_of(views, views.views[place])
+        segmented = segment(picture, background=background_of(context, views))
+        outlines[place], darks[place] = segmented.mask, picture.max(axis=-1) < DARK
         facts[views.views[place]] = {
             key: getattr(segmented, key) for key in ("separation", "parts", "dropped", "holes")
         }
-    return outlines, facts
+    return outlines, darks, facts
 
 
 def background_of(context: Context, views: Views) -> str:
@@ -151,9 +149,9 @@ def expect_coherence(context: Context, views: Views, cameras: list[Camera], outl
 
 
 def overrule(
-    context: Context, views: Views, cameras: list[Camera], masks: list[np.ndarray], used: list[bool]
+    context: Context, views: Views, cameras: list[Camera], masks: list[np.ndarray], darks: list, used: list[bool]
 ) -> tuple[list[np.ndarray], dict]:
-    """Return masks with what the hull of the other views adds to them, and figures of it.
+    """Return masks with what the hull of the other views adds to them, and figures of it; darks: see `overruled`.
 
     Given masks stay as they are unless the setting `misses` is a number.
     """
@@ -165,7 +163,7 @@ def overrule(
     loose, _ = without_small_parts(hull.mesh, smallest=settings.smallest_part)
     for place, name in enumerate(views.views):
         if settings.misses is not None or views.silhouette(name) is None:
-            more = overruled(loose, cameras[place], masks[place], hull.cell)
+            more = overruled(loose, cameras[place], masks[place], darks[place], hull.cell)
             out[place], shares[name] = masks[place] | more, float(more.sum() / max(1, masks[place].sum()))
     mean = float(np.mean(list(shares.values()))) if shares else 0.0
     return out, {"overruled": {"misses": misses, "genus": shape_of(loose).genus, "mean": mean, "share": shares}}

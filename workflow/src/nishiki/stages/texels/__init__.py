@@ -30,7 +30,7 @@ LIMITS = (
         at("silhouette_uncovered_share"),
         most=0.1,
         doubt=0.04,
-        remedy="check mesh and cameras, and the silhouettes of the capture",
+        remedy="look at surface and silhouettes: dark shadows or parts of few pixels may cut it; check the cameras",
         why="captures gave 0.0015 to 0.013; scans that were registered wrongly gave 0.74",
     ),
     Limit("degenerate_triangles", "triangles without area that get no texels", at("degenerate_triangles")),
