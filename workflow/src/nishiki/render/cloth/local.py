@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from nishiki.geometry.camera import Camera
+from nishiki.geometry.mesh import face_vectors
 from nishiki.geometry.visibility import GOLDEN_ANGLE, Raster, blocked
 from nishiki.render.cloth.scene import ClothScene, Lamp
 from nishiki.threads import over_rows
@@ -80,18 +81,10 @@ def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int
     frame, back, bent = np.empty((count, 3, 3)), np.empty(count, np.bool_), np.zeros(count, np.bool_)
     mesh, eye = scene.mesh, np.ascontiguousarray(camera.centre)
     corners, normals = np.ascontiguousarray(mesh.triangles), np.ascontiguousarray(mesh.normals, np.float64)
+    surface = (mesh.vertices, normals, scene.weft, corners, face_vectors(mesh.vertices, corners))
+    points, out = (triangle, weights), (place, frame, outgoing, back, bent)
     if count:
-        over_rows(
-            lambda a, b: _frames(
-                (mesh.vertices, normals, scene.weft, corners),
-                (triangle, weights),
-                eye,
-                a,
-                b,
-                (place, frame, outgoing, back, bent),
-            ),
-            count,
-        )
+        over_rows(lambda a, b: _frames(surface, points, eye, a, b, out), count)
     inside = (rows % supersampling) * supersampling + columns % supersampling
     number = ((rows + raster.first_row) // supersampling * np.int64(across) + columns // supersampling) * a_pixel
     number += inside
@@ -136,7 +129,7 @@ def _unit(v):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _frames(surface, points, eye, first, last, out):
     """See `gather`. The frame is turned to the eye: seen from behind, normal and weft change sign, not the warp."""
-    (vertices, normals, wefts, corners), (triangle, weights) = surface, points
+    (vertices, normals, wefts, corners, faces), (triangle, weights) = surface, points
     (place, frame, outgoing, back, bent), n, t, view = out, np.empty(3), np.empty(3), np.empty(3)
     for k in range(first, last):
         a, b, c = corners[triangle[k], 0], corners[triangle[k], 1], corners[triangle[k], 2]
@@ -148,15 +141,7 @@ def _frames(surface, points, eye, first, last, out):
             t[m] = u * wefts[a, m] + v * wefts[b, m] + w * wefts[c, m]
             view[m] = eye[m] - place[k, m]
         _unit(view)
-        gx = (vertices[b, 1] - vertices[a, 1]) * (vertices[c, 2] - vertices[a, 2]) - (
-            vertices[b, 2] - vertices[a, 2]
-        ) * (vertices[c, 1] - vertices[a, 1])
-        gy = (vertices[b, 2] - vertices[a, 2]) * (vertices[c, 0] - vertices[a, 0]) - (
-            vertices[b, 0] - vertices[a, 0]
-        ) * (vertices[c, 2] - vertices[a, 2])
-        gz = (vertices[b, 0] - vertices[a, 0]) * (vertices[c, 1] - vertices[a, 1]) - (
-            vertices[b, 1] - vertices[a, 1]
-        ) * (vertices[c, 0] - vertices[a, 0])
+        gx, gy, gz = faces[triangle[k], 0], faces[triangle[k], 1], faces[triangle[k], 2]
         if _unit(n) < 1e-9 or n[0] * gx + n[1] * gy + n[2] * gz < 0.0:
             n[0], n[1], n[2] = gx, gy, gz  # normals of the corners that cancel, or turn their back on their triangle
             _unit(n)
