@@ -54,13 +54,13 @@ def test_likeness_is_positive_definite_and_ends_at_its_reach():
     theta, phi = rng.uniform(0, 85, (2, 60)), rng.uniform(0, 360, (2, 60))
     places = places_of(direction(theta[0], phi[0]), direction(theta[1], phi[1]))
     for quarter in (True, False):
-        matrix = np.array([[likeness(a, b, quarter) for b in places] for a in places])
+        matrix = likeness(places, places, quarter)
         np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
         assert np.linalg.eigvalsh(matrix).min() > -1e-9
-    near, far = (places_of(direction(angle, 0.0), direction(angle, 180.0))[0] for angle in (20.0, 60.0))
-    assert far[3] - near[3] > REACH_DIFFERENCE
+    near, far = (places_of(direction(angle, 0.0), direction(angle, 180.0)) for angle in (20.0, 60.0))
+    assert far[0, 3] - near[0, 3] > REACH_DIFFERENCE
     assert likeness(near, far, False) == 0
-    assert likeness(near, near, False) == 1
+    assert likeness(near, near, False) == pytest.approx(1, abs=1e-12)
 
 
 def test_black_images_say_nothing():

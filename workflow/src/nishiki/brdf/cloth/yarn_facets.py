@@ -31,6 +31,7 @@ view from one side only the lower limit counts, which is how shadowing and maski
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -175,37 +176,27 @@ def sums(incident, outgoing, atoms, split, rough, index, tables, softness, out):
 MODEL_ERROR, NOISE = 0.15, 0.03  # of the logarithm: of the model's errors, and of a measurement
 REACH_HALF, REACH_DIFFERENCE = 0.8, 0.6  # chord between half vectors, radians between difference angles
 LARGEST = 1.0  # logarithm of a ratio that is still taken for a model's error
+BLOCK = 1024  # directions compared with all images at a time: what is computed of them stays in the cache
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def likeness(first, second, quarter):
-    """Correlation of a model's errors at two places (4,), see `places_of`: Wendland's function of their distance."""
-    total = 0.0
-    apart = ((first[3] - second[3]) / REACH_DIFFERENCE) ** 2
-    for image in range(4 if quarter else 1):
-        x = -1.0 if image & 1 else 1.0
-        y = -1.0 if image & 2 else 1.0
-        square = (first[0] - x * second[0]) ** 2 + (first[1] - y * second[1]) ** 2 + (first[2] - second[2]) ** 2
-        r = math.sqrt(square / REACH_HALF**2 + apart)
-        if r < 1.0:
-            total += (1.0 - r) ** 5 * (5.0 * r + 1.0)
+def likeness(first: np.ndarray, second: np.ndarray, quarter: bool) -> np.ndarray:
+    """Correlate a model's errors at places (n, 4) and (m, 4), see `places_of`: (n, m).
+
+    Wendland's function of their distance; quarter: added up over mirror images in the planes of weft and warp.
+    """
+    apart = ((first[:, None, 3] - second[:, 3]) / REACH_DIFFERENCE) ** 2
+    total = np.zeros(apart.shape)
+    for x, y in product((1.0, -1.0), repeat=2) if quarter else ((1.0, 1.0),):
+        square = 2.0 - 2.0 * first[:, :3] @ (second[:, :3] * (x, y, 1.0)).T  # of the distance of unit vectors
+        inside = np.maximum(1.0 - np.sqrt(np.maximum(square, 0.0) / REACH_HALF**2 + apart), 0.0)
+        total += inside * (inside * inside) ** 2 * (6.0 - 5.0 * inside)
     return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def log_ratio(places, images, weights, quarter, out):
-    """out (n,) = sum over images (m, 4) of their weight times their likeness to the place (n, 4)."""
-    for k in range(places.shape[0]):
-        total = 0.0
-        for j in range(images.shape[0]):
-            total += weights[j] * likeness(places[k], images[j], quarter)
-        out[k] = total
 
 
 def places_of(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
     """Return half vector and difference angle (radians) of directions (n, 3): (n, 4)."""
     g = halves(incident, outgoing)
-    return np.ascontiguousarray(np.concatenate([g.h, np.arccos(g.cos_d)[..., None]], axis=-1))
+    return np.concatenate([g.h, np.arccos(g.cos_d)[..., None]], axis=-1)
 
 
 def fit_ratio(places: np.ndarray, measured: np.ndarray, modelled: np.ndarray, quarter: bool) -> np.ndarray:
@@ -213,15 +204,15 @@ def fit_ratio(places: np.ndarray, measured: np.ndarray, modelled: np.ndarray, qu
     known = (measured > 0) & (modelled > 0)
     safe = np.where(known, measured, 1.0) / np.where(known, modelled, 1.0)
     target = np.clip(np.log(safe), -LARGEST, LARGEST)
-    matrix = np.array([[likeness(a, b, quarter) for b in places] for a in places]).reshape(len(places), -1)
-    return MODEL_ERROR**2 * np.linalg.solve(MODEL_ERROR**2 * matrix + NOISE**2 * np.eye(len(places)), target)
+    covariance = MODEL_ERROR**2 * likeness(places, places, quarter) + NOISE**2 * np.eye(len(places))
+    return MODEL_ERROR**2 * np.linalg.solve(covariance, target)
 
 
 def ratio(incident: np.ndarray, outgoing: np.ndarray, images: np.ndarray, weights: np.ndarray, quarter: bool):
     """(n,) factor of a model at directions (n, 3)."""
-    out = np.empty(len(incident))
-    log_ratio(places_of(incident, outgoing), images, weights, quarter, out)
-    return np.exp(np.clip(out, -LARGEST, LARGEST))
+    places = places_of(incident, outgoing)
+    parts = [likeness(places[k : k + BLOCK], images, quarter) @ weights for k in range(0, len(places), BLOCK)]
+    return np.exp(np.clip(np.concatenate([np.empty(0), *parts]), -LARGEST, LARGEST))
 
 
 WARP, WEFT = 0, 1
