@@ -129,9 +129,8 @@ def _judged(arrays, strengths, reports, low, high) -> PointFits:
     flags = FitFlag.TOO_FEW * few | FitFlag.NO_HIGHLIGHT * dark
     flags = flags | np.where(lost, 0, FitFlag.UNDETERMINED * vague | FitFlag.AT_BOUND * edge)
     flags = flags | FitFlag.NOT_FINITE * (broken | (used < np.sum(weights > 0, axis=1)))
-    specular, kd = strengths[..., 0].copy(), strengths[..., 1].copy()
+    specular, kd = strengths[..., 0].copy(), np.where(lost[:, None], strengths[..., 2], strengths[..., 1])
     specular[lost], gamma[lost], sigma = 0, np.nan, np.where(lost, np.nan, sigma)
-    kd[lost] = _lambert_alone(amplitude[lost], diffuse[lost], weights[lost])
     kd[broken] = 0
     squares = np.where(lost, reports[:, vp.RSS_DIFFUSE], rss)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -140,14 +139,3 @@ def _judged(arrays, strengths, reports, low, high) -> PointFits:
     nearest = np.where(reports[:, vp.NEAREST] < 1e14, reports[:, vp.NEAREST], np.inf)
     lit = np.where(lost, 0, lit)
     return PointFits(gamma, specular, kd, residual, sigma, nearest, used, lit, flags.astype(np.uint8))
-
-
-def _lambert_alone(amplitude, diffuse, weights):
-    """Fit K_d without a lobe by weighted least squares; 0 where it is not defined or beyond the float type."""
-    good = np.isfinite(amplitude).all(axis=2) & np.isfinite(diffuse) & np.isfinite(weights)
-    with np.errstate(over="ignore", invalid="ignore"):
-        q = np.multiply(np.where(good, weights, 0), np.where(good, diffuse, 0), dtype=np.float64)
-        top = np.einsum("po,poc->pc", q, np.where(good[..., None], amplitude, 0), dtype=np.float64)
-        bottom = np.einsum("po,po->p", q, np.where(good, diffuse, 0), dtype=np.float64)[:, None]
-        kd = np.maximum(np.where(bottom > 0, top / np.where(bottom > 0, bottom, 1), 0), 0)
-    return np.where(kd <= np.finfo(amplitude.dtype).max, kd, 0)

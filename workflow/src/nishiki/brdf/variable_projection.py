@@ -33,11 +33,11 @@ def project_points(
 
     phi, attenuation, diffuse, weights: (points, observations); amplitude: (points, observations, channels).  An
     observation in which any value is not finite, or whose weight is 0, does not count.  Returns strengths (points,
-    channels, 2), K_s then K_d, and reports (points, REPORT), where sums of squares are in units of the squared SCALE of
-    the point.
+    channels, 3), K_s, K_d, and K_d where there is no lobe, and reports (points, REPORT), where sums of squares are in
+    units of the squared SCALE of the point.
     """
     count, _, channels = amplitude.shape
-    strengths, reports = np.zeros((count, channels, 2), amplitude.dtype), np.zeros((count, REPORT), amplitude.dtype)
+    strengths, reports = np.zeros((count, channels, 3), amplitude.dtype), np.zeros((count, REPORT), amplitude.dtype)
     with np.errstate(all="ignore"):  # infinities and NaN keep their meaning
         for first in range(0, count, CHUNK):
             chunk = slice(first, first + CHUNK)
@@ -116,7 +116,7 @@ def _products(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _fit(points: _Points, log_min: float, log_max: float, report: np.ndarray) -> np.ndarray:
-    """Fit points and report of them; returns (points, channels, 2) strengths in the units of the observations."""
+    """Fit points and report of them; returns (points, channels, 3) strengths in the units of the observations."""
     step = np.log(GRID_RATIO)
     t = log_max - step * _best_of_grid(points, log_max, int(np.ceil((log_max - log_min) / step)) + 1)
     t = np.maximum(t, log_min)
@@ -127,7 +127,10 @@ def _fit(points: _Points, log_min: float, log_max: float, report: np.ndarray) ->
     square = np.where(points.lobe > 0, points.square, _FARTHEST)
     report[:, NEAREST] = np.sqrt(square.min(axis=0))
     report[:, LIT] = (square < 4 * report[:, GAMMA] ** 2).sum(axis=0)  # within two half widths: D above 1 / 16
-    return (strengths * (points.scales[2] / points.scales[:2, None])).T
+    lobe, diffuse, values = points.scales
+    return np.stack(
+        [strengths[0] * (values / lobe), strengths[1] * (values / diffuse), points.alone * (values / diffuse)]
+    ).T
 
 
 def _inverse_determinant(a, b, d):
