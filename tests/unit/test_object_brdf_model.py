@@ -292,7 +292,7 @@ def test_observed_gathers_the_visible_only():
         np.testing.assert_array_equal(views, np.flatnonzero(visible.reshape(5, -1)[:, texel]))
         for slot, o in enumerate(views):
             value = values[o].reshape(-1, 3)[texel]
-            np.testing.assert_array_equal(data.values[p, slot], value)
+            np.testing.assert_array_equal(data.values[p, slot], np.nan_to_num(value))
             cosine = unit(centres[o] - positions.reshape(-1, 3)[texel])[2]
             if np.isfinite(value).all():
                 wanted = cosine * encoding_slope(value.mean(), "srgb") ** 2
