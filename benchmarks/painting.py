@@ -141,7 +141,7 @@ def timing(ingested, settings):
     from nishiki.photometric.light_selection import select_diffuse
     from nishiki.stages.normals import NormalsSettings
     from nishiki.stages.normals.finishes import choose_finishes
-    from nishiki.stages.normals.parcel import solve
+    from nishiki.stages.normals.parcel import fit_finishes, solve
 
     frames = Observations(ingested)
     lights = frames.fit_lights()
@@ -157,7 +157,8 @@ def timing(ingested, settings):
         start = time.perf_counter()
         level = np.ascontiguousarray(observations.mean(axis=-1))
         usable = select_diffuse(level, directions, valid=valid, **settings.get("separate", {})).usable
-        solve(observations, usable, valid, parcel, chosen, profile)
+        maps = solve(observations, usable, valid, parcel, chosen)
+        fit_finishes(maps, observations, valid, parcel, chosen, [profile], np.zeros(valid.shape[1:], int))
         seconds.append(time.perf_counter() - start)
     return {
         "us_per_pixel": round(min(seconds[1:]) / valid[0].size * 1e6, 2),

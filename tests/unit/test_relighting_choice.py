@@ -39,7 +39,7 @@ def piece(lights, factor=1.0, scale=1.0):
 
 
 def fit(sampled):
-    maps = solve(sampled.observations, sampled.usable, sampled.valid, sampled.parcel, NormalsSettings(), None)
+    maps = solve(sampled.observations, sampled.usable, sampled.valid, sampled.parcel, NormalsSettings())
     return {
         name: Fitted(maps | relit(sampled.observations, sampled.valid, sampled.parcel, maps, name))
         for name in ("plain", "directional")

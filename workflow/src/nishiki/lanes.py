@@ -9,7 +9,7 @@ bound by loading and storing; and it splits vectors of 512 bits in two. A value 
         value = load(values, (j, start))
         total += choose(value > zero, value * value, zero)
 
-+, -, *, / and the comparisons take lanes of one kind (float32, or float64 as `widen` makes them), and lanes with one
++, -, *, / and the comparisons take lanes of one kind (float32 or float64), and lanes with one
 number of their kind; & and | take the results of comparisons. Every lane is rounded as a single number is, and nothing
 is added up across lanes: what a pixel gets depends neither on its neighbours nor on the width of the processor's
 registers.
@@ -190,14 +190,6 @@ def splat(typing, number):
     if kind is None:
         return None
     return kind(number), lambda context, builder, sig, args: _spread(builder, args[0], kind)
-
-
-@intrinsic
-def widen(typing, value):
-    """Convert the numbers to float64."""
-    if value is not NUMBERS:
-        return None
-    return WIDE(NUMBERS), lambda context, builder, sig, args: builder.fpext(args[0], VECTORS[WIDE])
 
 
 @intrinsic

@@ -285,8 +285,8 @@ class GlossProfile:
 
     def bare(self) -> "GlossProfile":
         """Return the body without a gloss or a surface."""
-        index = 1.45 if self.colour is not None else self.refractive_index
-        return replace(self, beta=np.zeros(self.gamma.size), transmission=0.0, refractive_index=index, colour=None)
+        index = self.refractive_index if self.colour is None else 1.45
+        return GlossProfile(np.zeros(self.gamma.size), self.gamma, index, 0.0, self.unit)
 
     def balanced(self, observations: np.ndarray) -> np.ndarray:
         """Return light (..., channels) relative to a metal's colour, in which its gloss is white."""

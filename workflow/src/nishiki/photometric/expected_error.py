@@ -28,7 +28,6 @@ import numpy as np
 
 WINDOW = 7  # pixels
 GROUPS = 8  # of neighbouring lamps that are left out in turn
-LLOYD_ROUNDS = 20
 LEAST_NZ, LARGEST_SIGMA = 0.15, 0.5  # slopes beyond, and radians beyond, count as these
 UNKNOWN = 0.5 * np.pi  # as sigma of pixels without an estimate
 
@@ -38,18 +37,12 @@ def direction_groups(directions: np.ndarray) -> np.ndarray:
 
     Returns
     -------
-    (n,) int, numbers of the groups: nearest of GROUPS centres, which start as far from one another as lamps are and
-    become the means of their groups (S. P. Lloyd, IEEE Trans. Inf. Theory 28, 1982).
+    (n,) int, numbers of the groups: the nearest of GROUPS lamps, each the farthest from those chosen before.
     """
     chosen = [int(np.argmax(directions[:, 2]))]
     while len(chosen) < min(GROUPS, len(directions)):
         chosen.append(int(np.argmin((directions @ directions[chosen].T).max(axis=1))))
-    centres = directions[chosen]
-    for _ in range(LLOYD_ROUNDS):
-        groups = np.argmax(directions @ centres.T, axis=1)
-        sums = np.array([directions[groups == number].sum(axis=0) for number in range(len(chosen))])
-        centres = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), np.finfo(float).tiny)
-    return np.unique(groups, return_inverse=True)[1]
+    return np.unique(np.argmax(directions @ directions[chosen].T, axis=1), return_inverse=True)[1]
 
 
 def expected_error(normals: np.ndarray, sigma: np.ndarray, valid: np.ndarray) -> np.ndarray:

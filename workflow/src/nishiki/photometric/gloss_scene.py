@@ -104,10 +104,8 @@ def fit_scene_gloss(
     nothing = GlossProfile(np.zeros(WIDTHS.size), WIDTHS, refractive_index, unit=unit)
     profile = nothing if start is None else replace(start, unit=unit)
     fits: Sequence[RefinedNormals | None] = [None] * len(tiles)
-    for _ in range(ROUNDS if start is None else 0):
-        profile = strengthened(profile, tiles, fits)
-        fits = [refined(tile, profile) for tile in tiles]
-    if start is not None:
+    for _ in range(ROUNDS if start is None else 1):
+        profile = strengthened(profile, tiles, fits) if start is None else profile
         fits = [refined(tile, profile) for tile in tiles]
     first = profile
     for _ in range(ROUNDS):

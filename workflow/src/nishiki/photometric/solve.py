@@ -41,19 +41,6 @@ class LobeSettings(NamedTuple):
     reselections: int = RESELECTIONS
 
 
-BodySamples = namedtuple("BodySamples", "intensity mean usable known")
-"""What the normals were fitted to, and the mean of the channels (lights, pixels) float32; masks as of `Samples`."""
-
-
-class BodySettings(NamedTuple):
-    """Settings of `shading_of_mean`; least_change: of the samples of a pixel, relative."""
-
-    noise: float
-    least_change: float
-    prior: float = PRIOR
-    at_least: int = AT_LEAST
-
-
 @dataclass(frozen=True, repr=False)
 class NormalField(Summarised):
     """Normals with what is known about them; every array (rows, columns).
@@ -263,65 +250,14 @@ def refine_lobe(stack, directions, usable, known, outputs, noise, max_condition)
     from nishiki.brdf.torrance_sparrow import LAMBERT
     from nishiki.photometric.refine import refine
 
-    vectors = with_half_vectors(directions)
+    # (6, lights): directions to the lights, and half vectors of light and view
+    vectors = np.ascontiguousarray(np.hstack([directions, half_vectors(directions)]).T, dtype=np.float32)
     everything = np.ones((stack.shape[0], 1), dtype=np.uint8)
     shading = np.tile(np.array(LAMBERT, np.float32), (stack.shape[1], 1))
     samples = Samples(stack, everything if usable is None else usable, everything if known is None else known)
     settings = LobeSettings(float(noise), float(max_condition))
     over_rows(refine, stack.shape[1], samples, vectors, settings, outputs, shading)
     return shading
-
-
-def with_half_vectors(directions):
-    """(6, lights) float32: directions to the lights, and half vectors of light and view."""
-    return np.ascontiguousarray(np.concatenate([directions.T, half_vectors(directions).T]), dtype=np.float32)
-
-
-def shading_of_mean(intensity, mean, directions, field, *, usable, valid, least_change, noise=0.003):
-    """Body shading along the field's normals, fitted to the mean of the channels.
-
-    Parameters
-    ----------
-    intensity, mean : (lights, rows, columns) float32
-        What the normals were fitted to, and the mean of the channels.
-    directions : (lights, 3) float64
-    field : NormalField
-        Of a solver that fits a body shading.
-    usable, valid : (lights, rows, columns) bool
-        Samples to start from, and those to choose from again, by their residuals.
-    least_change : float
-        Sum of |intensity - mean| of a pixel, relative to that of |mean|, up to which its shading stays.
-    noise : float
-        Of the observations, relative to the albedo.
-
-    Returns
-    -------
-    (rows, columns, 3) float32
-        (a, b, d) of `nishiki.brdf.torrance_sparrow`; that of the field without an estimate or a lobe.
-    """
-    from nishiki.photometric.body_terms import fit_body_terms
-    from nishiki.photometric.lobe import BLOCK
-
-    stack, directions = checked_stack(mean, directions)
-    known = sample_weights(stack, valid, None, np.shape(mean))
-    samples = BodySamples(
-        np.ascontiguousarray(intensity, dtype=np.float32).reshape(stack.shape),
-        stack,
-        np.ascontiguousarray(usable, dtype=np.bool_).reshape(stack.shape).view(np.uint8),
-        np.ones(stack.shape, np.uint8) if known is None else known,
-    )
-    pixels = stack.shape[1]
-    normals, flags, shading = field.normals.reshape(-1, 3), field.flags.reshape(-1), field.shading.reshape(-1, 3)
-    if 0 < pixels < BLOCK:  # the kernel takes whole blocks: pixels are repeated
-        again = np.arange(BLOCK) % pixels
-        samples = BodySamples(*(np.take(values, again, axis=1) for values in samples))
-        normals, flags, shading = normals[again], flags[again], shading[again]
-    normals, shading = np.ascontiguousarray(normals), shading.copy()
-    settings = BodySettings(float(noise), float(least_change))
-    if pixels:
-        blocks = -(-max(pixels, BLOCK) // BLOCK)
-        over_rows(fit_body_terms, blocks, samples, with_half_vectors(directions), settings, normals, flags, shading)
-    return shading[:pixels].reshape(field.shading.shape)
 
 
 def lambertian(stack, directions, factors, max_condition) -> Estimates:

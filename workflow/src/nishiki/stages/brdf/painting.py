@@ -34,7 +34,10 @@ def run(context: Context) -> dict:
     finishes = finishes_of(context.inputs["normals"], 1 if labels is None else int(labels.max()) + 1)
     regions, decision = fit_glossy(context, frames, maps, labels, finishes)
     for region, finish in zip(regions, finishes, strict=True):
-        region["transmission"] = body_transmission(finish)
+        body = body_of(finish, context.settings.refractive_index)
+        region["transmission"] = body.transmission
+        if any(region["beta"]):
+            region["refractive_index"] = body.refractive_index
     text = json.dumps({"regions": regions}, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("parameters.json").write_text(text + "\n")
     if labels is not None:
@@ -64,8 +67,6 @@ def fit_glossy(
     regions = [without_gloss(settings.refractive_index, 0) for _ in finishes]
     if kept.any():
         fitted = fit_regions(gather(context, frames, maps, labels, kept, finishes))
-        for region, finish in zip(fitted, finishes, strict=True):
-            region["refractive_index"] = body_of(finish, settings.refractive_index).refractive_index
         regions = [glossy if keep else none for glossy, none, keep in zip(fitted, regions, kept, strict=True)]
     return of_equal_lobes(regions), decision
 
@@ -89,17 +90,15 @@ def finishes_of(normals: Artifact, count: int) -> list[dict]:
     return finishes if len(finishes) == count else finishes[:1] * count
 
 
-def body_transmission(finish: dict) -> float:
-    """Share of the surface's loss that the body's light suffers: as the joint fit took it, 0 where there was none."""
-    return float(finish["gloss_transmission"]) if finish["joint"] else 0.0
-
-
 def body_of(finish: dict, refractive_index: float) -> GlossProfile:
-    """Return the body below the gloss, which is looked for; a metal has none, and the mean of its colour."""
+    """Return the body below a gloss that is not known yet; a metal has none, and the mean of its colour.
+
+    The share of the surface's loss that the body suffers is that of the joint fit, 0 where there was none.
+    """
     lobe = np.zeros(1), np.ones(1)
     if finish["joint"] and "gloss_colour" in finish:
         return GlossProfile(*lobe, MIRROR, 0.0, colour=np.array([np.mean(finish["gloss_colour"])]))
-    return GlossProfile(*lobe, refractive_index, body_transmission(finish))
+    return GlossProfile(*lobe, refractive_index, float(finish["gloss_transmission"]) if finish["joint"] else 0.0)
 
 
 def gather(

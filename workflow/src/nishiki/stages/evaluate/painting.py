@@ -169,28 +169,26 @@ def relight(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWrite
         j for j, role in enumerate(frames.roles) if role == "check" or frames.lights[j] in context.settings.hold_out
     ]
     scores, pool, numbers = [], Pool(), scene.parts
-    pools: dict[int, Pool] = {int(number): Pool() for number in np.unique(numbers[numbers >= 0])}
-    levels_of: dict[int, list[dict]] = {number: [] for number in pools}
+    pools: dict[int, tuple[Pool, list[dict]]] = {int(part): (Pool(), []) for part in np.unique(numbers[numbers >= 0])}
     for j in context.progress.over(chosen, "light"):
         score, difference, sums = one_light(context, scene, truth, out, j)
         scores.append(score)
         pool.add(difference)
-        for number, part in pools.items():
-            part.add(np.where(numbers == number, difference, np.nan))
+        for number, (part, lights) in pools.items():
+            part.add(difference[numbers == number])
             if sums[1, number] > 0:
                 error = float(sums[0, number] / sums[1, number] - 1)
-                place = {name: score[name] for name in ("name", "incidence_deg")}
-                levels_of[number].append({**place, "level_error": error})
+                lights.append({"incidence_deg": score["incidence_deg"], "level_error": error})
     parts = [
         {
             "finish": number // 2,
             "dark": bool(number % 2),
-            "share": float((numbers == number).sum() / max((numbers >= 0).sum(), 1)),
+            "share": float((numbers == number).sum() / (numbers >= 0).sum()),
             "de00": asdict(part.summary()),
-            "lights": levels_of[number],
+            "lights": lights,
         }
-        for number, part in pools.items()
-        if levels_of[number]
+        for number, (part, lights) in pools.items()
+        if lights
     ]
     return scores, parts, pool.summary()
 

@@ -150,7 +150,7 @@ def fitted_finish(
 
     def fit(piece: Sampled) -> dict[str, Fitted]:
         given = piece.observations, piece.usable, piece.valid, piece.parcel
-        maps = solve(*given, settings, None)
+        maps = solve(*given, settings)
         fits = {"normals": Fitted(maps)}
         for name in models:
             fits[name] = Fitted(maps | relit(piece.observations, piece.valid, piece.parcel, maps, name))
@@ -288,7 +288,7 @@ def refitted_sigma(
     wide = slice(first * STRIDE, band.stop)
     for piece, (row, column) in strided_pieces(frames, selection, lights, wide):
         parts = (piece.under(np.flatnonzero(groups != number)) for number in range(count))
-        fits = [solve(part.observations, part.usable, part.valid, part.parcel, settings, None) for part in parts]
+        fits = [solve(part.observations, part.usable, part.valid, part.parcel, settings) for part in parts]
         normals = np.stack([maps["normals"][0] for maps in fits])
         apart = np.minimum(np.square(normals - normals.mean(axis=0)).sum(axis=-1), LARGEST_SIGMA**2)
         sigma[row // STRIDE - first, column // STRIDE] = np.sqrt((count - 1) / count * apart.sum(axis=0))
@@ -350,7 +350,7 @@ def gloss_tiles(pieces: Sequence[Sampled], settings: NormalsSettings) -> list[Gl
 
     tiles = []
     for piece in pieces:
-        maps = solve(piece.observations, piece.usable, piece.valid, piece.parcel, settings, None)
+        maps = solve(piece.observations, piece.usable, piece.valid, piece.parcel, settings)
         start = {name: maps[name] for name in ("normals", "flags", "sigma", "reflectance")}
         observed = scaled(piece.observations, piece.parcel)
         tiles.append(GlossTile(observed, piece.valid, piece.parcel.directions, cells=piece.cells, **start))

@@ -17,7 +17,7 @@ from nishiki.photometric.body_colour import body_intensity
 from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channels
 from nishiki.photometric.relighting import fit_relighting
-from nishiki.photometric.solve import estimate_normals, shading_of_mean
+from nishiki.photometric.solve import estimate_normals
 from nishiki.stages.normals import NormalsSettings
 
 if TYPE_CHECKING:
@@ -50,14 +50,9 @@ def scaled(observations: np.ndarray, parcel: Parcel) -> np.ndarray:
 
 
 def solve(
-    observations: np.ndarray,
-    usable: np.ndarray,
-    valid: np.ndarray,
-    parcel: Parcel,
-    settings: NormalsSettings,
-    gloss: GlossProfile | None,
+    observations: np.ndarray, usable: np.ndarray, valid: np.ndarray, parcel: Parcel, settings: NormalsSettings
 ) -> dict:
-    """Solve the maps of one parcel by name: from the selected lights, then, with a gloss, fitted together with it."""
+    """Solve the maps of one parcel by name, from the selected lights."""
     observations = scaled(observations, parcel)
     if observations.shape[-1] == 1:
         intensity = observations[..., 0]
@@ -89,7 +84,7 @@ def solve(
         ).reflectance
     if field.shading is None:
         del maps["shading"]
-    return maps if gloss is None else fitted_together(maps, observations, valid, parcel, settings, gloss)
+    return maps
 
 
 def fitted_together(maps: dict, observations, valid, parcel: Parcel, settings: NormalsSettings, gloss) -> dict:
@@ -141,6 +136,8 @@ def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable,
 
     There gloss was weighted down for the normals; light is predicted with all of it.
     """
+    from nishiki.photometric.body_terms import shading_of_mean
+
     mean = mean_of_channels(observations)
     shading = shading_of_mean(
         intensity, mean, parcel.directions, field, usable=usable, valid=valid, least_change=WEIGHTED

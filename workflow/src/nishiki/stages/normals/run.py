@@ -57,7 +57,7 @@ def map_tiles(context: Context) -> dict:
             for parcel in parcels(frames, rows, lights):
                 area = np.s_[:, parcel.rows, parcel.columns]
                 here = labels[strip][area[1:]]
-                maps = solve(observations[area], usable[area], valid[area], parcel, context.settings, None)
+                maps = solve(observations[area], usable[area], valid[area], parcel, context.settings)
                 fit_finishes(maps, observations[area], valid[area], parcel, context.settings, glosses, here)
                 if model is not None:
                     together = np.array([gloss is not None for gloss in glosses])[here]
