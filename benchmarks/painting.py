@@ -176,10 +176,11 @@ def budget(made, truth):
     from nishiki.brdf.scene import gloss_table
     from nishiki.brdf.slopes import slope_covariance
     from nishiki.evaluate.classes import classify
-    from nishiki.evaluate.prediction import FittedModel, light_of, predict_light, spectral_colour
+    from nishiki.evaluate.prediction import light_of, predict_light, spectral_colour
     from nishiki.evaluate.relighting import truth_difference
     from nishiki.observations.plane import Observations
     from nishiki.render.plane.scene import Gloss
+    from nishiki.render.plane.shade import PlaneMaps
 
     frames, group = Observations(made["ingest"]), zarr.open_group(truth / "truth.zarr", mode="r")
     maps, spectra = Maps(made["normals"]), Maps(made["spectra"])
@@ -197,7 +198,7 @@ def budget(made, truth):
         lit = group["lit"][list(group.attrs["lights"]).index(name)] / 100.0
         classes = classify(body, shine, lit, inside=frames.mask)
         ours, exact = (
-            predict_light(FittedModel(n, reflectance, gloss, slopes=slope_covariance(n)), lamp, height=h, pitch=pitch)
+            predict_light(PlaneMaps(n, reflectance, gloss, slopes=slope_covariance(n)), lamp, height=h, pitch=pitch)
             for n, h in ((normals, height), (true_normals, true_height))
         )
         diffuse, exact_diffuse = (

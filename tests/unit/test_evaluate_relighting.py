@@ -13,10 +13,11 @@ from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import assumed_colour, fitted_colour
 from nishiki.evaluate.classes import DIFFUSE, FADGI, HIGHLIGHT, ISO_19264, OUTSIDE, SHADOW, classify, level_of, levels
-from nishiki.evaluate.prediction import FittedModel, channel_colour, light_of, predict_light, spectral_colour
+from nishiki.evaluate.prediction import channel_colour, light_of, predict_light, spectral_colour
 from nishiki.evaluate.relighting import LightComparison, PreviewPair, SquaredError, difference_of, truth_difference
 from nishiki.evaluate.tables import COLUMNS, headlines, rows_of
 from nishiki.render.plane.scene import Gloss, Light
+from nishiki.render.plane.shade import PlaneMaps
 
 
 def _sensitivities(count=3):
@@ -122,7 +123,7 @@ def _plane(shape=(6, 8)):
 def test_prediction_of_a_matte_plane_is_lambert():
     normals, reflectance = _plane()
     direction = np.array([0.6, 0.0, 0.8])
-    band = predict_light(FittedModel(normals, reflectance), Light(direction=tuple(direction))).band(slice(2, 5))
+    band = predict_light(PlaneMaps(normals, reflectance), Light(direction=tuple(direction))).band(slice(2, 5))
     assert band.channels == pytest.approx(0.8 * reflectance[2:5], rel=1e-6)
     assert band.specular.max() < 1e-6
     assert (band.lit == 1).all()
@@ -131,7 +132,7 @@ def test_prediction_of_a_matte_plane_is_lambert():
 def test_prediction_splits_off_the_gloss():
     normals, reflectance = _plane()
     gloss = Gloss(beta=[[2.0]], gamma=[[0.1]], refractive_index=[1.5])
-    model = FittedModel(normals, reflectance, gloss)
+    model = PlaneMaps(normals, reflectance, gloss)
     band = predict_light(model, Light(direction=(0, 0, 1)))
     assert (band.lit == 1).all()
     # at the mirror direction D = G = 1 and F = ((n - 1) / (n + 1))^2
@@ -144,7 +145,7 @@ def test_prediction_casts_the_shadow_of_a_wall():
     height = np.zeros((6, 8), np.float32)
     height[:, 5] = 2.0
     direction = np.array([1.0, 0.0, 1.0]) / np.sqrt(2)  # from the right at 45 degrees: two pixels in shadow
-    band = predict_light(FittedModel(normals, reflectance), Light(direction=tuple(direction)), height=height)
+    band = predict_light(PlaneMaps(normals, reflectance), Light(direction=tuple(direction)), height=height)
     assert band.lit[2].tolist() == [1, 1, 1, band.lit[2, 3], 0, 1, 1, 1]
     assert (band.channels[:, 4] == 0).all()
     assert band.channels[:, 1] == pytest.approx(reflectance[:, 1] / np.sqrt(2), rel=1e-5)
@@ -153,7 +154,7 @@ def test_prediction_casts_the_shadow_of_a_wall():
 def test_prediction_of_a_facet_that_faces_away_is_dark():
     normals, reflectance = _plane()
     normals[...] = (0.8, 0.0, 0.6)
-    band = predict_light(FittedModel(normals, reflectance), Light(direction=(-0.96, 0.0, 0.28)))
+    band = predict_light(PlaneMaps(normals, reflectance), Light(direction=(-0.96, 0.0, 0.28)))
     assert (band.channels == 0).all()
     assert (band.lit == 0).all()
 
@@ -165,7 +166,7 @@ def test_prediction_of_a_near_lamp_is_pixel_by_pixel(white_board):
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     position, centre = np.array([10.0, -5.0, 30.0]), np.array([2.0, 1.0, 0.0])
     light = light_of(np.zeros(3), position, centre=centre, white_board=white_board)
-    found = predict_light(FittedModel(normals, reflectance), light, pitch=0.5)
+    found = predict_light(PlaneMaps(normals, reflectance), light, pitch=0.5)
     for i in range(6):
         for j in range(8):
             place = centre + 0.5 * np.array([j - 3.5, 2.5 - i, 0.0])
@@ -246,7 +247,7 @@ def test_scene_colour_from_spectra_equals_that_of_the_spectra():
     normals, reflectance = _plane()
     gloss = Gloss(beta=[[1.0]], gamma=[[0.2]], refractive_index=[1.5])
     direction = np.array([0.0, 0.6, 0.8])
-    band = predict_light(FittedModel(normals, reflectance, gloss), Light(direction=tuple(direction)))
+    band = predict_light(PlaneMaps(normals, reflectance, gloss), Light(direction=tuple(direction)))
     found = spectral_colour(lamp, basis).xyz(band, coefficients)
     expected = 0.8 * xyz_from_spectra(lamp, coefficients @ basis) + band.specular[..., None] * white_xyz(lamp)
     assert found == pytest.approx(expected, rel=1e-5)
@@ -334,7 +335,7 @@ def test_a_metal_mirrors_in_the_colour_of_its_reflectance():
     labels[:, 3:] = 1
     lamp, up = np.array([0.36, 0.48, 0.8]), np.array([0.0, 0.0, 1.0])
     gloss = Gloss(beta=[[0.5], [6.0]], gamma=[[0.2], [0.15]], refractive_index=[1.5, MIRROR])
-    model = FittedModel(normals.astype(np.float32), reflectance, gloss, labels)
+    model = PlaneMaps(normals.astype(np.float32), reflectance, gloss, labels=labels)
     band = predict_light(model, Light(direction=tuple(lamp)))
     lobe = specular(normals, lamp, up, beta=6.0, gamma=0.15, refractive_index=MIRROR)
     metal = labels == 1

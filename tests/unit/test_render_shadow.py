@@ -8,9 +8,10 @@ from refusals import refused
 from scipy import ndimage
 
 from nishiki.errors import UserError
-from nishiki.evaluate.prediction import FittedModel, predict_light
+from nishiki.evaluate.prediction import predict_light
 from nishiki.photometric.height import integrate_normals
 from nishiki.render.plane.scene import Light
+from nishiki.render.plane.shade import PlaneMaps
 from nishiki.render.plane.shadow import cast_shadows
 
 
@@ -233,7 +234,7 @@ def test_the_background_of_a_small_object_casts_no_shadow_on_it(method):
 
 def test_the_prediction_of_a_small_object_is_that_without_shadows():
     normals, mask = small_object(tilt=0.3)
-    model = FittedModel(normals, np.full((*mask.shape, 3), 0.5, np.float32) * mask[..., None])
+    model = PlaneMaps(normals, np.full((*mask.shape, 3), 0.5, np.float32) * mask[..., None])
     height = integrate_normals(normals, valid=mask).height
     light = Light(direction=(-np.cos(0.5), 0, np.sin(0.5)), angular_radius=0.01)
     with_shadows = predict_light(model, light, height=height)

@@ -1,33 +1,14 @@
 """What the fitted model predicts under a lamp, in the camera's channels and as XYZ."""
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.colour.colour import white_xyz, xyz_matrix
 from nishiki.evaluate.camera_colour import CameraColour
-from nishiki.render.plane.scene import Gloss, Light
+from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shade import PlaneMaps, predict_observations
-
-
-@dataclass(frozen=True)
-class FittedModel:
-    """Maps of the fit, on camera pixels."""
-
-    normals: np.ndarray  # (rows, columns, 3) float32
-    reflectance: np.ndarray  # (rows, columns, channels) float32, relative to white
-    gloss: Gloss = field(default_factory=Gloss.none)  # Torrance-Sparrow parameters by region
-    labels: np.ndarray | None = None  # (rows, columns) uint8 region of each pixel, or None
-    # (rows, columns, 3 or 5) float32 of `nishiki.brdf.torrance_sparrow`, or None for Lambert's law
-    shading: np.ndarray | None = None
-    # (rows, columns, 3) of `nishiki.brdf.slopes`, None for gloss that the relief inside a pixel does not blur
-    slopes: np.ndarray | None = None
-
-    @property
-    def mirrors(self) -> np.ndarray:
-        """(rows, columns) bool, or (): pixels of a metal."""
-        return (self.gloss.refractive_index >= MIRROR)[0 if self.labels is None else self.labels]
 
 
 @dataclass(frozen=True)
@@ -51,7 +32,7 @@ class PredictedLight:
 
 
 def predict_light(
-    model: FittedModel, light: Light, *, height: np.ndarray | None = None, pitch: float = 1.0
+    model: PlaneMaps, light: Light, *, height: np.ndarray | None = None, pitch: float = 1.0
 ) -> PredictedLight:
     """Return observation I' = (rho c f + beta D F G / cos_r) E with c = max(n.l, 0), frontal view, in camera channels.
 
@@ -60,19 +41,18 @@ def predict_light(
     white board has divided it out. height : (rows, columns) in the unit of `pitch`, for cast shadows; None: none are
     cast.
     """
-    maps = PlaneMaps(model.normals, model.reflectance, model.gloss, model.shading, model.slopes, model.labels)
-    (seen,) = predict_observations(maps, [light], height=height, pitch=pitch)
+    (seen,) = predict_observations(model, [light], height=height, pitch=pitch)
     white = np.ones((*model.normals.shape[:2], 1), np.float32)
     metal = model.gloss.refractive_index >= MIRROR  # sends back its reflectance like a body
     body_only = replace(model.gloss, beta=model.gloss.beta * metal[:, None])
-    matte_maps = maps._replace(coefficients=white, gloss=body_only)
+    matte_maps = model._replace(coefficients=white, gloss=body_only)
     (matte,) = predict_observations(matte_maps, [light], pitch=pitch)
     body = matte.observations[..., 0]
     lit = ((body > 0) | model.mirrors).astype(np.float32)
     if seen.visibility is not None:
         lit *= seen.visibility
         body *= seen.visibility
-    diffuse = model.reflectance.mean(axis=-1) * body
+    diffuse = model.coefficients.mean(axis=-1) * body
     specular = np.maximum(seen.observations.mean(axis=-1) - diffuse, 0.0)
     return PredictedLight(seen.observations, diffuse, specular, lit, body)
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nishiki.brdf.torrance_sparrow import transmittance
+from nishiki.brdf.torrance_sparrow import MIRROR, transmittance
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
 from nishiki.errors import UserError
 from nishiki.render.plane import kernel
@@ -100,11 +100,16 @@ class PlaneMaps(NamedTuple):
     """Maps of a flat object in any channels, each as in `PlaneScene`."""
 
     normals: np.ndarray
-    coefficients: np.ndarray
-    gloss: Gloss
+    coefficients: np.ndarray  # (rows, columns, channels) float32, relative to white
+    gloss: Gloss = Gloss.none()
     shading: np.ndarray | None = None
     slopes: np.ndarray | None = None
     labels: np.ndarray | None = None
+
+    @property
+    def mirrors(self) -> np.ndarray:
+        """(rows, columns) bool, or (): pixels of a metal."""
+        return (self.gloss.refractive_index >= MIRROR)[0 if self.labels is None else self.labels]
 
 
 def shade_channels(

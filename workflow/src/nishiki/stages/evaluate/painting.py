@@ -15,7 +15,7 @@ from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.evaluate.classes import NAMES, classify, levels
 from nishiki.evaluate.maps import Pool, height_error, normal_errors, reflectance_errors
-from nishiki.evaluate.prediction import FittedModel, channel_colour, light_of, predict_light, spectral_colour
+from nishiki.evaluate.prediction import channel_colour, light_of, predict_light, spectral_colour
 from nishiki.evaluate.relighting import LightComparison, PreviewPair, truth_difference
 from nishiki.evaluate.tables import COLUMNS, headlines, planned_truth, rows_of, write_tables
 from nishiki.evaluate.truth import Truth, truth_from
@@ -24,6 +24,7 @@ from nishiki.observations.parcels import point_mm
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.plane.scene import Gloss, Light
+from nishiki.render.plane.shade import PlaneMaps
 
 DARK_SHARE = 0.25  # of a region, that is scored apart
 LARGEST_LEVEL_ERROR = 0.1  # relative, of the light of a part under any lamp, beyond which no level is stated
@@ -59,8 +60,8 @@ class EvaluatedScene:
         self.normals = maps.read("normals")
         normals = shading_normals(maps)
         slopes = slope_covariance(normals) if "brdf" in inputs else None
-        self.model = FittedModel(normals, maps.read("reflectance"), gloss, labels, shading, slopes)
-        self.known = ((self.flags & NO_ESTIMATE) == 0) & np.isfinite(self.model.reflectance).all(axis=-1)
+        self.model = PlaneMaps(normals, maps.read("reflectance"), gloss, shading, slopes, labels)
+        self.known = ((self.flags & NO_ESTIMATE) == 0) & np.isfinite(self.model.coefficients).all(axis=-1)
         self.casts_shadows = not directional_shading(maps)
         self.height, self.height_unit = None, "pixels"
         if "height" in inputs:
@@ -80,13 +81,13 @@ class EvaluatedScene:
         self.parts = parts_of(self.model, frames.mask & self.known)
 
 
-def parts_of(model: FittedModel, known: np.ndarray) -> np.ndarray:
+def parts_of(model: PlaneMaps, known: np.ndarray) -> np.ndarray:
     """Divide every region of the gloss into its darkest quarter and the rest.
 
     known : (rows, columns) bool. Returns (rows, columns) int: 2 region, + 1 where dark, -1 outside of `known`.
     """
     labels = np.zeros(known.shape, int) if model.labels is None else model.labels.astype(int)
-    level, parts = model.reflectance.mean(axis=-1), np.where(known, 2 * labels, -1)
+    level, parts = model.coefficients.mean(axis=-1), np.where(known, 2 * labels, -1)
     for region in np.unique(labels[known]):
         here = known & (labels == region)
         parts[here] += level[here] < np.quantile(level[here], DARK_SHARE)

@@ -18,7 +18,7 @@ from nishiki.colour.colour import encode, xyz_to_srgb_linear
 from nishiki.formats.relight import gaussian_weights, grid_directions
 from nishiki.observations.plane import Observations
 from nishiki.render.plane.scene import Light
-from nishiki.render.plane.shade import PlaneMaps, predict_observations
+from nishiki.render.plane.shade import predict_observations
 from nishiki.stages.export.light_models import GRID_SIDE, grid_weights
 from nishiki.stages.export.scene import ExportedScene
 
@@ -157,8 +157,6 @@ class GridPictures(Photographs):
         def some(maps: np.ndarray | None) -> np.ndarray | None:
             return None if maps is None else maps.reshape(-1, *maps.shape[2:])[pixels][None]
 
-        normals, reflectance, labels, shading, slopes = map(
-            some, (model.normals, model.reflectance, model.labels, model.shading, model.slopes)
-        )
-        seen = predict_observations(PlaneMaps(normals, reflectance, model.gloss, shading, slopes, labels), self._lamps)
+        maps = {name: some(values) for name, values in model._asdict().items() if name != "gloss"}
+        seen = predict_observations(model._replace(**maps), self._lamps)
         return np.stack([self.coded(each.observations[0]) for each in seen])

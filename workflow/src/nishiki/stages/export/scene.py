@@ -12,12 +12,12 @@ from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import CameraColour, read_camera_colour
-from nishiki.evaluate.prediction import FittedModel
 from nishiki.formats.banded_pictures import strips
 from nishiki.formats.coding import D50
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.plane.scene import Gloss
+from nishiki.render.plane.shade import PlaneMaps
 from nishiki.report.page import read_json
 
 D65 = np.linalg.inv(srgb_matrix()).sum(axis=1)
@@ -149,17 +149,17 @@ class ExportedScene:
         """Return (r, columns) uint8 region of gloss of each pixel; None where the painting has one finish."""
         return None if self._labels is None else self._labels.read("labels", rows)
 
-    def fitted_model(self, rows: slice) -> FittedModel:
+    def fitted_model(self, rows: slice) -> PlaneMaps:
         """Return what predicts photographs of these rows; without gloss where it is left out."""
         parameters = read_json(self._inputs.get("brdf"), "parameters.json")
         labels = self.regions(rows) if parameters is not None and len(gloss_table(parameters)[0]) > 1 else None
-        return FittedModel(
+        return PlaneMaps(
             self.shading_normals(rows),
             np.nan_to_num(self._maps.read("reflectance", rows)),
             Gloss.none() if parameters is None else Gloss(*gloss_table(parameters)),
-            labels,
             self._maps.read("shading", rows) if "shading" in self._maps else None,
             self.slopes(rows) if parameters is not None else None,
+            labels,
         )
 
     def shading(self, rows: slice) -> np.ndarray:

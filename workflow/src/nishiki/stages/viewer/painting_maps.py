@@ -19,12 +19,13 @@ from nishiki.brdf.slopes import slope_covariance
 from nishiki.brdf.torrance_sparrow import transmittance
 from nishiki.colour.colour import srgb_matrix
 from nishiki.evaluate.camera_colour import display_map, displayed_colours
-from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
+from nishiki.evaluate.prediction import light_of, predict_light
 from nishiki.observations.parcels import point_mm
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.progress import Progress
 from nishiki.render.plane.scene import Gloss
+from nishiki.render.plane.shade import PlaneMaps
 from nishiki.report.viewer.encoding import (
     ColourCode,
     NormalCode,
@@ -247,10 +248,10 @@ def photographs_of(maps: PaintingMaps, frames: Observations, blocks: Blocks, pro
     }
 
 
-def sampled_model(maps: PaintingMaps, frames: Observations, first: list[int], step: int) -> FittedModel:
+def sampled_model(maps: PaintingMaps, frames: Observations, first: list[int], step: int) -> PlaneMaps:
     """Return the maps of the fit at the samples; slopes inside a pixel from its neighbours at full resolution."""
     gloss = Gloss.none() if maps.parameters is None else Gloss(*gloss_table(maps.parameters))
-    parts: dict[str, list[np.ndarray]] = {"normals": [], "reflectance": [], "labels": [], "shading": [], "slopes": []}
+    parts: dict[str, list[np.ndarray]] = {"normals": [], "coefficients": [], "labels": [], "shading": [], "slopes": []}
     for band in frames.bands():
         chosen = slice((first[0] - band.start) % step, None, step)
         if band.start + chosen.start >= band.stop:
@@ -260,7 +261,7 @@ def sampled_model(maps: PaintingMaps, frames: Observations, first: list[int], st
             return np.ascontiguousarray(values[chosen, first[1] :: step])
 
         parts["normals"].append(sampled(shading_normals(maps.normals, band)))
-        parts["reflectance"].append(sampled(maps.normals.read("reflectance", band)))
+        parts["coefficients"].append(sampled(maps.normals.read("reflectance", band)))
         if maps.brdf:
             parts["labels"].append(sampled(maps.brdf.read("labels", band)))
         if maps.terms:
@@ -270,4 +271,4 @@ def sampled_model(maps: PaintingMaps, frames: Observations, first: list[int], st
             slopes = slope_covariance(shading_normals(maps.normals, wider))
             parts["slopes"].append(sampled(slopes[band.start - wider.start :][: band.stop - band.start]))
     joined = {name: np.concatenate(values) if values else None for name, values in parts.items()}
-    return FittedModel(gloss=gloss, **joined)
+    return PlaneMaps(gloss=gloss, **joined)
