@@ -96,8 +96,9 @@ def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera]) -> C
             return replace(found, correction=Correction("silhouette-inverted", views=inverted), corrected=share)
     if found.contradiction <= NOTICEABLE:
         return found
-    least = outlines.enough
-    for family in (_reversals, _orders, _exchanges, _mirrors, _lenses, _steps, _odd_views):
+    least, of_all = outlines.enough, (_reversals, _orders, _exchanges, _mirrors, _lenses, _steps, _odd_views)
+    few = np.median(found.by_view) < EXPLAINED * found.contradiction  # a mistake of all cameras shows in most views
+    for family in (_exchanges, _odd_views) if few else of_all:
         if family is _odd_views and found.correction is not None:
             break
         trial, share = _best_trial(outlines, family(outlines))

@@ -118,9 +118,7 @@ def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np
         picture = picture_of(views, views.views[place])
         segmented = segment(picture, background=background_of(context, views))
         outlines[place], darks[place] = segmented.mask, picture.max(axis=-1) < DARK
-        facts[views.views[place]] = {
-            key: getattr(segmented, key) for key in ("separation", "parts", "dropped", "holes")
-        }
+        facts[views.views[place]] = {key: value for key, value in vars(segmented).items() if key != "mask"}
     return outlines, darks, facts
 
 
