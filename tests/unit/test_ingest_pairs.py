@@ -95,6 +95,18 @@ def test_lamps_of_any_strengths_are_no_reason_to_report(matter, lamps):
         assert found is None or ((found.board == np.arange(len(directions))).all() and not found.alone.any())
 
 
+@pytest.mark.parametrize("gloss", [0.15, 0.6])
+@pytest.mark.parametrize("seed", range(2))
+def test_two_exchanged_boards_of_a_glossy_relief_are_found(gloss, seed):
+    directions = rings(((8, 40), (4, 65)))
+    values = of_relief(directions, seed=seed, gloss=gloss)
+    boards, order = boards_of(directions, seed, 0.3, values.shape[1:]), np.arange(12)
+    level = np.log(np.median(boards, axis=(1, 2)) / directions[:, 2])
+    order[[level.argmin(), level.argmax()]] = level.argmax(), level.argmin()
+    found = pair_boards(values * boards / boards[order], boards[order], directions)
+    np.testing.assert_array_equal(order[found.board], np.arange(12))
+
+
 def test_a_mirror_is_not_judged():
     directions = rings(DOMES["forty"])
     values = of_relief(directions, albedo=(0.001, 0.002), gloss=1.0)

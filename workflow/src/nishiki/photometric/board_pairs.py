@@ -37,6 +37,8 @@ FREE, FITS, TURNS = 2, 5, 4  # fits after which any order is taken, most fits, a
 TWICE = 2.0  # times the usual error of the law: strengths and slopes of single measured sets exceed five of these
 COMMON = 100.0  # variance of the factor that all log gains share, which says nothing
 ALONE = np.log(2.5)  # log gain of one photograph from which it is named
+GLOSS = np.radians(20)  # of the half vector from the normal: nearer, gloss may be as bright as the body
+LEAST_MATT = 0.1  # of the values of each lamp: where less is left, nothing is left out
 GRAZED, FACING = 0.3, 0.9  # cosines of the lamp beyond which shadows make a photograph darker, or gloss brighter
 
 
@@ -87,14 +89,16 @@ def pair_boards(values: np.ndarray, boards: np.ndarray, lamps: np.ndarray) -> Bo
         return None
     photographs = divided * whites
     vectors = lamps if lamps.ndim == 2 else lamps.reshape(count, -1, 3)[:, places]
-    directions = vectors.reshape(count, -1, 3).mean(axis=1)
+    lamps = vectors.reshape(count, -1, 3)
+    directions = lamps.mean(axis=1)
     down, across = np.divmod(places, columns)
     terms = np.stack([np.ones(len(places)), across - across.mean(), down - down.mean()], axis=1) / (1, columns, rows)
     of_boards = np.array([_fit_log(white, terms, patches) for white in whites]).T
+    photographs = _without_gloss(photographs, whites, lamps, patches, terms)
     listed = order = np.arange(count)
     stay = SURE**2 / 2 * (1 - np.eye(count))
     for fits in range(FITS):
-        fit = fit_lambert(photographs / whites[order], vectors, patches, hold=HOLD if fits else FIRST)
+        fit = fit_lambert(photographs / whites[order], lamps, patches, hold=HOLD if fits else FIRST)
         misfit, of_photographs = _measure(photographs / whites[order], fit, terms, patches)
         shown, last = of_photographs + of_boards[:, order], order
         course, variance = law_errors(TWICE * misfit, directions)
@@ -122,6 +126,26 @@ def pair_boards(values: np.ndarray, boards: np.ndarray, lamps: np.ndarray) -> Bo
     alone = (order == listed) & (np.abs(before) > np.maximum(ALONE, SURE * np.sqrt(spread[0])))
     alone &= np.where(before < 0, facing > GRAZED, facing < FACING)
     return BoardPairs(order, before, after, alone)
+
+
+def _without_gloss(
+    photographs: np.ndarray, whites: np.ndarray, lamps: np.ndarray, patches: np.ndarray, terms: np.ndarray
+) -> np.ndarray:
+    """Leave out values near the mirror direction where that leaves some of every lamp, and less misfit.
+
+    photographs, whites (lights, pixels); lamps (lights, pixels or 1, 3); patches, terms: see `_measure`.
+    """
+    half = lamps / np.linalg.norm(lamps, axis=2, keepdims=True) + (0, 0, 1)
+    fit = fit_lambert(photographs / whites, lamps, patches, hold=FIRST)
+    cosine = np.einsum("jsa,sa->js", half, fit.normals) / np.linalg.norm(half, axis=2)
+    matt = np.where(cosine > np.cos(GLOSS) * np.linalg.norm(fit.normals, axis=1), np.nan, photographs)
+    few = np.isfinite(matt).sum(axis=0) < FEWEST_LAMPS
+    matt[:, few] = photographs[:, few]
+    left, known = (np.isfinite(each).sum(axis=1) for each in (matt, photographs))
+    if (left < np.maximum(LEAST_MATT * known, 2 * FEWEST_PIXELS)).any():
+        return photographs
+    fits = [(photographs, fit), (matt, fit_lambert(matt / whites, lamps, patches, hold=FIRST))]
+    return min(fits, key=lambda each: _measure(each[0] / whites, each[1], terms, patches)[0])[0]
 
 
 def _fit_log(white: np.ndarray, terms: np.ndarray, patches: np.ndarray) -> np.ndarray:
