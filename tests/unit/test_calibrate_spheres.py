@@ -16,6 +16,7 @@ from nishiki.capture.rti_projects import read_relight
 from nishiki.capture.spheres.findings import SphereInput
 from nishiki.capture.spheres.lamps import _centred
 from nishiki.capture.spheres.optics import SphereCamera, outline_points, pixel_of_direction, reflected_rays, sphere_of
+from nishiki.capture.spheres.outline import fit_outline
 from nishiki.errors import UserError
 
 
@@ -186,3 +187,20 @@ def test_measured_chrome_sphere_agrees_with_its_published_lamps(data):
     paths.sort(key=lambda path: int(path.name.split(".")[1]))
     given = SphereInput(paths, mask=folder / "chrome.mask.png", compare=folder / "lights.lp")
     assert calibrate_spheres(given).numbers["comparison"]["mean_deg"] < 3.3  # the list itself is that uncertain
+
+
+def test_the_end_of_a_reflected_shadow_is_not_the_rim():
+    """On bright ground a ball shows its own shadow in a thin band at its rim, darker than both of its sides."""
+    truth, fine = np.array([40.3, 38.8, 24.0]), 4
+    row, column = (np.mgrid[: 80 * fine, : 80 * fine] + 0.5) / fine - 0.5
+    away = np.hypot(column - truth[0], row - truth[1])
+    turn = np.arctan2(row - truth[1], column - truth[0])
+    pictures = []
+    for k in range(12):
+        shadow = np.cos(turn - k * np.pi / 6) > 0.8
+        ground = np.where(shadow, 0.02, 0.4)
+        seen = np.where(shadow & (away > truth[2] - 0.8), 0.02, 0.34)
+        light = np.where(away < truth[2], seen, ground).reshape(80, fine, 80, fine).mean(axis=(1, 3))
+        pictures.append(light + np.random.default_rng(k).normal(0, 0.003, light.shape))
+    outline = fit_outline(np.float32(pictures), np.add(truth, (0.4, -0.3, -0.5)), SphereCamera.of(80, 80))
+    np.testing.assert_allclose(outline.parameters, truth, atol=0.2)

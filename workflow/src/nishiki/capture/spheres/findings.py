@@ -101,18 +101,7 @@ class SpheresError(UserError):
 
 
 def read_light(path: Path) -> np.ndarray:
-    """Read the light of a photograph; that of a JPEG is the square of its codes.
-
-    Parameters
-    ----------
-    path : Path
-        Photograph.
-
-    Returns
-    -------
-    (rows, columns) float32
-        Light, 1 at full scale.
-    """
+    """Read the light (rows, columns) float32 of a photograph, 1 at full scale; of a JPEG, the square of its codes."""
     header = read_header(path)
     if header.kind != "jpeg":
         return read_grey(path) / np.float32(full_scale_of(path))
@@ -121,20 +110,7 @@ def read_light(path: Path) -> np.ndarray:
 
 
 def crop_around(circle: Sequence[float], shape: tuple[int, int]) -> tuple[slice, slice]:
-    """Compute the crop of a photograph that holds a circle and its surroundings.
-
-    Parameters
-    ----------
-    circle : sequence of float
-        Column, row and radius in pixels; further entries are ignored.
-    shape : (int, int)
-        Rows and columns of the photograph.
-
-    Returns
-    -------
-    (slice, slice)
-        Rows and columns of the crop.
-    """
+    """Compute the rows and columns of the crop that holds a circle (column, row, radius) and its surroundings."""
     column, row, radius = circle[:3]
     reach = MARGIN * radius
     return (
@@ -144,20 +120,7 @@ def crop_around(circle: Sequence[float], shape: tuple[int, int]) -> tuple[slice,
 
 
 def cut_crop(crop: tuple[slice, slice], read: list[Crop]) -> np.ndarray | None:
-    """Cut a crop from one of those that were read.
-
-    Parameters
-    ----------
-    crop : (slice, slice)
-        Rows and columns of the photographs.
-    read : list of Crop
-        Crops that were read.
-
-    Returns
-    -------
-    (n, rows, columns) or None
-        Light of the photographs in the crop; None where no crop of `read` contains it.
-    """
+    """Cut a crop (n, rows, columns) from one of those that were read; None where none contains it."""
     for outer, stack in read:
         if all(o.start <= c.start and c.stop <= o.stop for o, c in zip(outer, crop, strict=True)):
             rows, columns = (slice(c.start - o.start, c.stop - o.start) for o, c in zip(outer, crop, strict=True))
@@ -171,20 +134,7 @@ def corner_of(crop: tuple[slice, slice]) -> tuple[int, int]:
 
 
 def read_crops(photographs: Sequence[Path], crops: Sequence[tuple[slice, slice]]) -> list[np.ndarray]:
-    """Read each photograph once and cut all crops from it.
-
-    Parameters
-    ----------
-    photographs : sequence of Path
-        Photographs of one size.
-    crops : sequence of (slice, slice)
-        Rows and columns of each crop.
-
-    Returns
-    -------
-    list of (n, rows, columns) float32
-        Light of all photographs in each crop.
-    """
+    """Read each photograph once, and cut the light (n, rows, columns) float32 of all photographs in each crop."""
 
     def cut(path: Path) -> list[np.ndarray]:
         light = read_light(path)

@@ -24,22 +24,7 @@ def set_lens(camera: SphereCamera, lens: float | None) -> SphereCamera:
 
 
 def refit_under(lens: float | None, findings: Findings) -> tuple[SphereCamera, list[Outline]]:
-    """Fit the outlines again to the same edges under another focal length.
-
-    Parameters
-    ----------
-    lens : float or None
-        Focal length in longer sides of the photograph; None: seen from afar.
-    findings : Findings
-        Camera and outlines; they stay as they are.
-
-    Returns
-    -------
-    camera : SphereCamera
-        With that focal length.
-    outlines : list of Outline
-        One a sphere.
-    """
+    """Fit the outlines again to the same edges under another focal length, in longer sides; None: seen from afar."""
     camera = set_lens(findings.camera, lens)
     return camera, [each.under(camera) for each in findings.outlines]
 
@@ -124,18 +109,7 @@ def _angles(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def find_free_pixels(findings: Findings) -> np.ndarray:
-    """Find the pixels of the reduced photographs that show no sphere.
-
-    Parameters
-    ----------
-    findings : Findings
-        Its outlines are those of the spheres.
-
-    Returns
-    -------
-    (rows, columns) bool
-        True where no sphere is.
-    """
+    """Find the pixels (rows, columns) of the reduced photographs that show no sphere."""
     import cv2
 
     free = np.ones(findings.mean.shape, np.uint8)

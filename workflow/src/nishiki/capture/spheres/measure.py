@@ -195,7 +195,7 @@ def _measure_sphere(given: SphereInput, circle: Circle, crop, stack: np.ndarray,
     camera, corner, k = findings.camera, corner_of(crop), len(findings.outlines)
     try:
         if given.mask is not None:
-            painted = read_mask(given.mask)[crop].astype(np.float32)[None]
+            painted = 1 - read_mask(given.mask)[crop].astype(np.float32)[None]
             outline = fit_outline(painted, circle, camera, corner)
         else:
             outline = fit_outline(stack, circle, camera, corner)

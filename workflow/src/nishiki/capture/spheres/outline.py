@@ -10,6 +10,13 @@ from nishiki.capture.spheres.optics import SphereCamera, circle_of, outline_poin
 
 ANGLES = 360  # directions from the seed's centre in which an edge is looked for
 ALONG = 16  # directions over which profiles are smoothed on either side
+STEP_PX = 1 / 3  # along a ray
+BEYOND_PX = 4.0  # reach of the rays on which brightening edges are sought, at least
+LEAST_RISE = 0.15  # of the strongest brightening along a ray, from which another one is an edge
+GROWTH_PX, MOVE_PX = (0.0, 2.0, 0.2), (-0.5, 0.6, 0.25)  # of the rim beyond the strongest edges: first, last, step
+LEAST_GROWTH_PX = 0.05  # below which the strongest edges are those of the rim
+LEAST_ABSOLUTE = 8  # fits of least absolute distances, before as many of least squares
+NEAR_PX, TURNS = 0.6, 4  # of the rim: edges that are fitted, and how often
 SECTORS = 12  # of the outline, left out one after the other for its uncertainty
 SECTORS_OF_SUPPORT = 72  # of a circle, in each of which an edge may support it
 LEAST_SUPPORT = 0.3  # share of the outline on which an edge must have been found
@@ -65,53 +72,17 @@ class Circle(NamedTuple):
     support: float
 
 
-def edge_strength(
-    stack: np.ndarray, circle: tuple[float, float, float], inner: float, outer: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Find how strongly pictures change along rays from a circle's centre: root mean square over the pictures.
-
-    Parameters
-    ----------
-    stack : (pictures, rows, columns) float32
-        Crops of all photographs, of any scale.
-    circle : (column, row, radius)
-        In pixels of the crops.
-    inner, outer : float
-        How far the ring that is looked at reaches inwards and outwards, relative to the radius.
-
-    Returns
-    -------
-    strength : (ANGLES, steps) float64
-    radii : (steps,)
-        Distances from the centre in pixels, a third of a pixel apart.
-    """
-    import cv2
-
-    column, row, radius = circle
-    radii = np.arange(max(1.0, radius * (1 - inner)), radius * (1 + outer), 1 / 3)
-    turn = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
-    x = (column + np.cos(turn)[:, None] * radii).astype(np.float32)
-    y = (row + np.sin(turn)[:, None] * radii).astype(np.float32)
-    inside = (x >= 0) & (x <= stack.shape[2] - 1) & (y >= 0) & (y <= stack.shape[1] - 1)
-    total = np.zeros(x.shape)
-    for picture in stack:
-        profile = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        wrapped = np.concatenate([profile[-ALONG:], profile, profile[:ALONG]])
-        smooth = cv2.GaussianBlur(wrapped, (0, 0), sigmaX=2.0, sigmaY=ALONG / 4)[ALONG:-ALONG]
-        total += np.gradient(smooth, axis=1) ** 2
-    return np.where(inside, np.sqrt(total / len(stack)), 0.0), radii
-
-
 def fit_outline(stack: np.ndarray, seed: Sequence[float], camera: SphereCamera, corner=(0, 0)) -> Outline:
     """Fit the outline of a sphere near a circle.
 
-    Edges are the largest changes along rays from the circle's centre. The ellipse that the camera sees is fitted to
-    them three times, each time with edges taken near the last fit and without those that lie off it.
+    The ellipse that the camera sees is fitted to the strongest edges along rays from the circle's centre, and then to
+    those that grow brighter outwards. A mirror shows at its rim what lies beside it, no brighter: an edge that grows
+    darker is the end of the reflected ground or of the sphere's shadow, inside the rim.
 
     Parameters
     ----------
     stack : (pictures, rows, columns) float32
-        Crops of all photographs around the sphere.
+        Crops of all photographs around the sphere, linear.
     seed : (column, row, radius)
         In pixels of the whole photograph, to a twentieth of the radius.
     camera : SphereCamera
@@ -123,50 +94,115 @@ def fit_outline(stack: np.ndarray, seed: Sequence[float], camera: SphereCamera, 
     ValueError
         Where no outline was found.
     """
-    corner = np.asarray(corner, float)
-    circle = (seed[0] - corner[0], seed[1] - corner[1], seed[2])
-    parameters = None
+    circle = np.array(seed, float)
+    circle[:2] -= corner
     for reach, least_px in ((0.06, 3.0), (0.03, 2.5), (0.03, 2.5)):
-        reach = max(reach, least_px / circle[2])
-        points = _edge_points(*edge_strength(stack, circle, reach, reach), circle)
-        if len(points) < LEAST_SUPPORT * ANGLES:
-            raise ValueError(f"an edge along {100 * len(points) / ANGLES:.0f} % of the outline only")
-        pixels = points + corner
-        keep = np.ones(len(pixels), bool)
-        for _ in range(8):
-            parameters = solve_outline(pixels[keep], camera)
-            distance = _distances(pixels, parameters, camera)
-            spread = 1.4826 * np.median(np.abs(distance[keep]))
-            keep = np.abs(distance) < max(3 * spread, 0.3)
-        support = keep.sum() / ANGLES
-        if support < LEAST_SUPPORT:
-            raise ValueError(f"edges that agree along {100 * support:.0f} % of the outline only")
-        edge = outline_points(parameters, camera) - corner
-        middle = (edge.min(axis=0) + edge.max(axis=0)) / 2
-        circle = (float(middle[0]), float(middle[1]), float(np.linalg.norm(edge - middle, axis=1).mean()))
-    return Outline(parameters, np.zeros((3, 3)), 0.0, float(support), pixels[keep]).under(camera)
+        grid, strength, _ = _edge_strengths(stack, circle, max(reach, least_px / circle[2]))
+        peak, part = _peaks(strength)
+        at = np.where(peak, strength, 0).argmax(axis=1)
+        parameters, points = _fit_robustly(grid, part, at, peak.any(axis=1), camera, corner)
+        circle = np.array(circle_of(parameters, camera))
+        circle[:2] -= corner
+    grid, _, rising = _edge_strengths(stack, circle, max(2 * reach, BEYOND_PX / circle[2]))
+    peak, part = _peaks(rising)
+    peak &= rising > LEAST_RISE * rising.max(axis=1, keepdims=True)
+    for turn in range(TURNS):
+        away = _distances(grid.reshape(-1, 2) + corner, parameters, camera).reshape(peak.shape)
+        rim = np.zeros(ANGLES) if turn else _seek_rim(away, peak)
+        if turn == 0 and rim.mean() < LEAST_GROWTH_PX:
+            break
+        away = np.where(peak, np.abs(away + STEP_PX * part - rim[:, None]), np.inf)
+        near, at = away.min(axis=1) < NEAR_PX, away.argmin(axis=1)
+        parameters, points = _fit_robustly(grid, part, at, near, camera, corner)
+    return Outline(parameters, np.zeros((3, 3)), 0.0, len(points) / ANGLES, points).under(camera)
 
 
-def _edge_points(strength: np.ndarray, radii: np.ndarray, circle: Sequence[float]) -> np.ndarray:
-    """Places (n, 2) of the strongest edge along each ray, to a part of a step."""
-    inner = strength[:, 1:-1]
-    peak = (inner > strength[:, :-2]) & (inner >= strength[:, 2:]) & (inner > 0)
-    angle = np.flatnonzero(peak.any(axis=1))
-    place = np.where(peak, inner, 0)[angle].argmax(axis=1) + 1
-    before, here, after = (strength[angle, place + step] for step in (-1, 0, 1))
-    distance = radii[place] + 0.5 * (before - after) / (before - 2 * here + after) * (radii[1] - radii[0])
-    turn = 2 * np.pi * angle / ANGLES
-    return np.column_stack([circle[0] + distance * np.cos(turn), circle[1] + distance * np.sin(turn)])
+def _edge_strengths(stack: np.ndarray, circle: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Find how strongly pictures change along rays from a circle's centre, and how strongly they brighten outwards.
+
+    stack (pictures, rows, columns); reach: of the rays, relative to the radius, inwards and outwards. Returns places
+    (ANGLES, steps, 2) column and row, and root mean squares over the pictures (ANGLES, steps) of both.
+    """
+    import cv2
+
+    radii = np.arange(max(1.0, circle[2] * (1 - reach)), circle[2] * (1 + reach), STEP_PX)
+    turn = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)[:, None]
+    x, y = circle[0] + np.cos(turn) * radii, circle[1] + np.sin(turn) * radii
+    inside = (x >= 0) & (x <= stack.shape[2] - 1) & (y >= 0) & (y <= stack.shape[1] - 1)
+    total = np.zeros((2, *x.shape))
+    for picture in stack:
+        profile = cv2.remap(
+            picture, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        wrapped = np.concatenate([profile[-ALONG:], profile, profile[:ALONG]])
+        smooth = cv2.GaussianBlur(wrapped, (0, 0), sigmaX=2.0, sigmaY=ALONG / 4)[ALONG:-ALONG]
+        change = np.gradient(smooth, axis=1)
+        total += np.square([change, np.maximum(change, 0)])
+    strength, rising = np.where(inside, np.sqrt(total / len(stack)), 0.0)
+    return np.stack([x, y], axis=2), strength, rising
 
 
-def solve_outline(pixels: np.ndarray, camera: SphereCamera) -> np.ndarray:
+def _seek_rim(away: np.ndarray, peak: np.ndarray) -> np.ndarray:
+    """Find by how much (ANGLES,) to move and grow an outline, in pixels along each ray, to pass through most edges.
+
+    away (ANGLES, steps): distances from the outline; peak (ANGLES, steps): edges, of whatever strength.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    turn = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
+    moves = np.meshgrid(np.arange(*GROWTH_PX), *2 * [np.arange(*MOVE_PX)], indexing="ij")
+    trials = np.reshape(moves, (3, -1)).T @ [np.ones(ANGLES), np.cos(turn), np.sin(turn)]
+    edges, ray = gaussian_filter1d(peak.astype(np.float64), 1.0, axis=1), np.arange(ANGLES)
+    step = np.clip((trials - away[:, 0]) / STEP_PX, 0, peak.shape[1] - 2)
+    first = step.astype(int)
+    near = edges[ray, first] * (1 - step + first) + edges[ray, first + 1] * (step - first)
+    return trials[int(near.mean(axis=1).argmax())]
+
+
+def _peaks(strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find the local maxima (ANGLES, steps) along rays, and the parts of a step that lie between them and the place."""
+    before, here, after = strength[:, :-2], strength[:, 1:-1], strength[:, 2:]
+    peak = (here > before) & (here >= after)
+    part = np.where(peak, 0.5 * (before - after) / np.where(peak, before - 2 * here + after, 1.0), 0.0)
+    return np.pad(peak, ((0, 0), (1, 1))), np.pad(part, ((0, 0), (1, 1)))
+
+
+def _fit_robustly(
+    grid: np.ndarray, part: np.ndarray, at: np.ndarray, found: np.ndarray, camera: SphereCamera, corner: Sequence[float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fit the outline through edges at a step (ANGLES,) of each ray, without those that lie off it.
+
+    Returns its parameters and the points (n, 2) used.
+    """
+    if found.sum() < LEAST_SUPPORT * ANGLES:
+        raise ValueError(f"an edge along {100 * found.mean():.0f} % of the outline only")
+    ray = np.flatnonzero(found)
+    step = grid[ray, 1] - grid[ray, 0]
+    pixels = grid[ray, at[ray]] + part[ray, at[ray], None] * step + corner
+    keep, weights = np.ones(len(pixels), bool), np.ones(len(pixels))
+    for turn in range(2 * LEAST_ABSOLUTE):
+        parameters = solve_outline(pixels[keep], camera, weights[keep])
+        distance = _distances(pixels, parameters, camera)
+        if turn < LEAST_ABSOLUTE:
+            weights = 1 / np.maximum(np.abs(distance), 0.1)
+            continue
+        weights = np.ones(len(pixels))
+        spread = 1.4826 * np.median(np.abs(distance[keep]))
+        keep = np.abs(distance) < max(3 * spread, 0.3)
+    if keep.sum() < LEAST_SUPPORT * ANGLES:
+        raise ValueError(f"edges that agree along {100 * keep.sum() / ANGLES:.0f} % of the outline only")
+    return parameters, pixels[keep]
+
+
+def solve_outline(pixels: np.ndarray, camera: SphereCamera, weights: np.ndarray | None = None) -> np.ndarray:
     """Fit the parameters of the outline through edge points, by linear least squares."""
+    root = np.ones(len(pixels)) if weights is None else np.sqrt(weights)
     if camera.focal_px is not None:
-        return np.linalg.lstsq(camera.rays(pixels), np.ones(len(pixels)), rcond=None)[0]
+        return np.linalg.lstsq(root[:, None] * camera.rays(pixels), root, rcond=None)[0]
     middle = pixels.mean(axis=0)
     around = pixels - middle
     design = np.column_stack([2 * around, np.ones(len(around))])
-    column, row, rest = np.linalg.lstsq(design, (around**2).sum(axis=1), rcond=None)[0]
+    column, row, rest = np.linalg.lstsq(root[:, None] * design, root * (around**2).sum(axis=1), rcond=None)[0]
     return np.array([column + middle[0], row + middle[1], np.sqrt(rest + column**2 + row**2)])
 
 
