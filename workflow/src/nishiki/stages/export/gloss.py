@@ -29,7 +29,7 @@ from nishiki.stages.export.scene import ExportedScene
 ROUGHNESS = np.geomspace(1, 0.05, 90)
 STRENGTH = np.append(0, np.geomspace(1e-3, 20, 120))
 """Grid of the fit: roughness, and the factor of the reflectance at normal incidence (weight where below 1)."""
-LARGEST_INDEX = 3.0  # of a dielectric
+USUAL_INDEX = 1.5  # of a material in place of a metal, where there is no dielectric beside it
 ANGLES = np.radians(np.arange(0.5, 75, 1))  # of the light from the normal, seen along the normal
 
 
@@ -119,11 +119,13 @@ def best_material(errors: np.ndarray, index: float) -> GltfMaterial:
     return GltfMaterial(float(ROUGHNESS[rough]), float(STRENGTH[strong]), index)
 
 
-def coded_errors(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: float) -> np.ndarray:
+def coded_errors(
+    beta: np.ndarray, gamma: np.ndarray, index: float, albedo: float, common: float | None = None
+) -> np.ndarray:
     """(roughness, strength) weighted sums of squared differences of coded brightness from our lobes, over the grid.
 
     beta, gamma : (lobes,); albedo : mean of the object, over which the gloss is seen along the normal. A metal is shown
-    as a dielectric that comes nearest.
+    as a dielectric that comes nearest; common: index of the materials, else that of the lobes.
     """
     cos_i, cos_q = np.cos(ANGLES), np.cos(ANGLES / 2)
     up = np.array([0.0, 0.0, 1.0])
@@ -132,10 +134,10 @@ def coded_errors(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: floa
     for strength, width in zip(beta, gamma, strict=True):
         lobes += specular(up, lights, up, beta=strength, gamma=width, refractive_index=index)
     shown = albedo * lobes if index >= MIRROR else albedo * cos_i + lobes
-    true, index = np.clip(encode(shown, "srgb"), 0, 1), min(index, LARGEST_INDEX)
+    true = np.clip(encode(shown, "srgb"), 0, 1)
     errors = np.empty((len(ROUGHNESS), len(STRENGTH)))
     for number, roughness in enumerate(ROUGHNESS):
-        material = GltfMaterial(roughness, STRENGTH[:, None], index)
+        material = GltfMaterial(roughness, STRENGTH[:, None], index if common is None else common)
         shape = np.pi * isotropic_lobe(cos_q, cos_i, 1.0, roughness**2) * cos_i
         reflected = material.fresnel(cos_q)
         base = np.clip(albedo / (1 - material.fresnel(1.0)), 0, 1)
@@ -233,16 +235,16 @@ def painting_gloss(
     if parameters is None:
         return _one_region(MATTE)
     beta, gamma, index, _ = gloss_table(parameters)
-    common = min(float(index.min()), LARGEST_INDEX)
+    common = float(index.min() if index.min() < MIRROR else USUAL_INDEX)
     if labels is None or len(beta) == 1:
         mean = float(albedo[known].mean()) if known.any() else 0.5
-        material = best_material(coded_errors(beta[0], gamma[0], float(index[0]), mean), common)
+        material = best_material(coded_errors(beta[0], gamma[0], float(index[0]), mean, common), common)
         return _one_region(material, _widened([material], None, variance))
     errors, counts = [], []
     for region in range(len(beta)):
         texels = known & (labels == region)
         mean = float(albedo[texels].mean()) if texels.any() else 0.5
-        errors.append(coded_errors(beta[region], gamma[region], float(index[region]), mean))
+        errors.append(coded_errors(beta[region], gamma[region], float(index[region]), mean, common))
         counts.append(np.count_nonzero(texels))
     free = [best_material(each, common) for each in errors]
     together = sum(count * each.min(axis=0) for count, each in zip(counts, errors, strict=True))
@@ -258,6 +260,7 @@ def region_materials(context: Context, scene: ExportedScene) -> tuple[GltfMateri
     if parameters is None:
         return (MATTE,)
     beta, gamma, index, _ = gloss_table(parameters)
+    common = float(index.min() if index.min() < MIRROR else USUAL_INDEX)
     totals, counts = np.zeros(len(beta)), np.zeros(len(beta))
     for rows in scene.bands():
         known, labels = scene.known(rows), scene.regions(rows)
@@ -267,7 +270,7 @@ def region_materials(context: Context, scene: ExportedScene) -> tuple[GltfMateri
         counts += np.bincount(numbers[known], minlength=len(beta))
     means = np.where(counts > 0, totals / np.maximum(counts, 1), 0.5)
     materials = [
-        best_material(coded_errors(strength, width, float(each), mean), min(float(index.min()), LARGEST_INDEX))
+        best_material(coded_errors(strength, width, float(each), mean, common), common)
         for strength, width, each, mean in zip(beta, gamma, index, means, strict=True)
     ]
     factor = max(1.0, *(float(material.strength) for material in materials))
