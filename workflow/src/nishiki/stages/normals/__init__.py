@@ -81,7 +81,7 @@ def _normals_cost(facts: SceneFacts) -> Cost:
     """With few lights the gloss is fitted together with the normals."""
     if len(facts.lights) <= FEW_LIGHTS:
         return Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=9, us_per_sample=0.02)
-    return Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=1, us_per_sample=0.24)
+    return Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=1, us_per_sample=0.28)
 
 
 STAGE = Stage(

@@ -10,9 +10,9 @@ import numpy as np
 
 from nishiki.artifacts.maps import Maps
 from nishiki.model_selection.decision import Decision
-from nishiki.observations.parcels import STRIDE, parcels, sample
+from nishiki.observations.parcels import STRIDE, Parcel, parcels, sample
 from nishiki.observations.plane import Observations
-from nishiki.photometric.expected_error import LARGEST_SIGMA, direction_groups
+from nishiki.photometric.expected_error import LARGEST_SIGMA
 from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.relighting import MODELS
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 SAMPLE_PIXELS = 15_000  # of the scene, for its finishes
 RELIGHTING_PIXELS = 2000  # likewise, for the model that predicts lamps
 CLEAR = 1.0  # cost a value above that of the cheapest finish that counts no more: else borders follow the larger misfit
-STEP = 2 * STRIDE  # pixels, from one to the next whose normals are solved again for their error
 REACH = 2  # of these pixels, on each side, whose costs are averaged: 15 pixels of the picture
 
 
@@ -265,41 +264,37 @@ def finish_labels(
         values = correlate1d(values, window, axis=axis, mode="constant")
         costs = correlate1d(costs, window, axis=axis + 1, mode="constant")
     cheapest = (costs / np.maximum(values, 1)).argmin(axis=0).astype(np.uint8)
-    return of_band(cheapest, band, wide.start, columns)
+    whole = cheapest.repeat(STRIDE, axis=0).repeat(STRIDE, axis=1)
+    return whole[band.start - wide.start :][: band.stop - band.start, :columns]
 
 
-def of_band(strided: np.ndarray, band: slice, first: int, columns: int, step: int = STRIDE) -> np.ndarray:
-    """Return values of every step-th pixel from row `first` on at all pixels of a band."""
-    whole = strided.repeat(step, axis=0).repeat(step, axis=1)
-    return whole[band.start - first :][: band.stop - band.start, :columns]
-
-
-def refitted_sigma(
-    frames: Observations, selection: Maps | None, lights: np.ndarray, band: slice, settings: NormalsSettings
+def refitted_error(
+    observations: np.ndarray,
+    usable: np.ndarray,
+    valid: np.ndarray,
+    parcel: Parcel,
+    groups: np.ndarray,
+    settings: NormalsSettings,
 ) -> np.ndarray:
-    """Return the error of the normals of a band (rows, columns), radians, that lamps left out show.
+    """Return the error of normals (rows, columns), radians, that lamps left out show; 0 where there is no estimate.
 
     Neighbouring lamps see the same wrong model, so that groups of them are left out in turn (delete-a-group jackknife;
-    R. G. Miller, Biometrika 61, 1974), at every STEP-th pixel of every STEP-th row; 0 where that has no estimate.
+    R. G. Miller, Biometrika 61, 1974). observations, usable, valid as of `solve`; groups (lights,) of
+    `nishiki.photometric.expected_error.direction_groups`.
     """
-    columns = frames.shape[1]
-    first, groups = band.start // STEP, direction_groups(frames.directions[lights])
-    count = int(groups.max()) + 1
-    sigma = np.zeros((-(-band.stop // STEP) - first, -(-columns // STEP)), np.float32)
-    wide = slice(first * STEP, band.stop)
-    for piece, (row, column) in strided_pieces(frames, selection, lights, wide, STEP):
-        parts = (piece.under(np.flatnonzero(groups != number)) for number in range(count))
-        fits = [solve(part.observations, part.usable, part.valid, part.parcel, settings) for part in parts]
-        normals = np.stack([maps["normals"][0] for maps in fits])
-        apart = np.minimum(np.square(normals - normals.mean(axis=0)).sum(axis=-1), LARGEST_SIGMA**2)
-        sigma[row // STEP - first, column // STEP] = np.sqrt((count - 1) / count * apart.sum(axis=0))
-    return of_band(sigma, band, wide.start, columns, STEP)
+    count, normals = int(groups.max()) + 1, []
+    for number in range(count):
+        kept = groups != number
+        part = replace(parcel, directions=parcel.directions[kept], scale=parcel.scale[kept])
+        normals.append(solve(observations[kept], usable[kept], valid[kept], part, settings)["normals"])
+    apart = np.square(normals - np.mean(normals, axis=0)).sum(axis=-1)
+    return np.sqrt((count - 1) / count * np.minimum(apart, LARGEST_SIGMA**2).sum(axis=0))
 
 
 def strided_pieces(
-    frames: Observations, selection: Maps | None, lights: np.ndarray, rows: slice, step: int = STRIDE
+    frames: Observations, selection: Maps | None, lights: np.ndarray, rows: slice
 ) -> Iterator[tuple[Sampled, tuple[np.ndarray, np.ndarray]]]:
-    """Yield every step-th pixel of the object in some rows, with their (rows, columns) in the picture."""
+    """Yield every STRIDE-th pixel of the object in some rows, with their (rows, columns) in the picture."""
     from nishiki.model_selection.relighting import Sampled
 
     for strip, observations, valid in frames.strips(rows, lights=lights):
@@ -308,7 +303,7 @@ def strided_pieces(
             area = np.s_[:, parcel.rows, parcel.columns]
             row, column = np.mgrid[parcel.rows, parcel.columns]
             row += strip.start
-            chosen = (row % step == 0) & (column % step == 0) & frames.mask[row, column]
+            chosen = (row % STRIDE == 0) & (column % STRIDE == 0) & frames.mask[row, column]
             if chosen.any():
                 values, lit, known = (
                     np.ascontiguousarray(array[area][:, chosen][:, None]) for array in (observations, usable, valid)

@@ -14,13 +14,20 @@ from nishiki.model_selection.lights import choose_lights
 from nishiki.observations.parcels import parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric import flags as bits
-from nishiki.photometric.expected_error import UNKNOWN, correction_error
+from nishiki.photometric.expected_error import UNKNOWN, correction_error, direction_groups
 from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.relighting import TERMS
 from nishiki.stages.normals import NormalsSettings
-from nishiki.stages.normals.finishes import choose_finishes, finish_labels, refitted_sigma
+from nishiki.stages.normals.finishes import choose_finishes, finish_labels, refitted_error
 from nishiki.stages.normals.parcel import MAPS, fit_finishes, relit, solve
+
+SPACING = 4  # pixels between those whose normals are solved again for their error; divides the rows of a band
+
+
+def _sparse(start: int, stop: int) -> np.ndarray:
+    """Return the middles of the squares of SPACING pixels, from start to stop."""
+    return np.arange(start + (SPACING // 2 - start) % SPACING, stop, SPACING)
 
 
 def map_tiles(context: Context) -> dict:
@@ -41,6 +48,8 @@ def map_tiles(context: Context) -> dict:
         if made:
             context.progress.tell(str(made))
     arrays = create_maps(context, frames, terms=TERMS.get(model, 3), relight=relight, several=several)
+    groups = direction_groups(frames.directions[lights])
+    refits = len(lights) > 3 and None in glosses
     counts: Counter[str] = Counter()
     sigmas = []
     for band in context.progress.over(context.share(frames.bands()), "band"):
@@ -51,6 +60,7 @@ def map_tiles(context: Context) -> dict:
         if several:
             labels = finish_labels(frames, selection, lights, band, finishes, context.settings)
             tile_maps["finish"][...] = labels
+        errors = np.zeros([n // SPACING if refits else 0 for n in np.add(size, SPACING // 2 - 1)], np.float32)
         for rows, observations, valid in frames.strips(band, lights=lights):
             strip = slice(rows.start - band.start, rows.stop - band.start)
             usable = valid if packed is None else unpack_lights(packed[strip], len(lights))
@@ -64,10 +74,18 @@ def map_tiles(context: Context) -> dict:
                     maps.update(relit(observations[area], valid[area], parcel, maps, model, together))
                 for name in maps.keys() & arrays.keys():
                     tile_maps[name][strip][area[1:]] = maps[name]
-        apart = np.array([gloss is None for gloss in glosses])[labels]
-        if len(lights) > 3 and apart.any():
-            sigma = refitted_sigma(frames, selection, lights, band, context.settings)
-            apart &= (sigma > 0) & ((tile_maps["flags"] & (bits.NO_ESTIMATE | bits.NO_REDUNDANCY)) == 0)
+                row = _sparse(strip.start + parcel.rows.start, strip.start + parcel.rows.stop)
+                column = _sparse(parcel.columns.start, parcel.columns.stop)
+                if errors.size and row.size and column.size:
+                    places = (slice(None), *np.ix_(row - strip.start, column))
+                    samples = observations[places], usable[places], valid[places]
+                    found = refitted_error(*samples, parcel, groups, context.settings)
+                    errors[np.ix_(row // SPACING, column // SPACING)] = found
+        if errors.size:
+            whole = np.pad(errors, [(0, 1), (0, 1)], mode="edge").repeat(SPACING, axis=0).repeat(SPACING, axis=1)
+            sigma = whole[: size[0], : size[1]]
+            apart = np.array([gloss is None for gloss in glosses])[labels] & (sigma > 0)
+            apart &= (tile_maps["flags"] & (bits.NO_ESTIMATE | bits.NO_REDUNDANCY)) == 0
             tile_maps["sigma"] = np.where(apart, sigma, tile_maps["sigma"])
         if frames.uncertainty:
             add_correction_error(tile_maps, frames, lights)
