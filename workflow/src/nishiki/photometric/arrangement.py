@@ -146,7 +146,9 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
     rivals = [(trial, axes) for trial in trials.values() for axes in range(len(AXES))]
     rivals = [rival for rival in rivals if _beyond_doubt((first, 0), rival)]
     rivals.sort(key=lambda rival: _complexity(rival[0].order, rival[1]))
-    best, axes = next((one for one in rivals if not any(_beyond_doubt(one, other) for other in rivals)), (first, 0))
+    rivals = [one for one in rivals if not any(_beyond_doubt(one, other) for other in rivals)]
+    # under lamps that a half turn leaves alike, a twin makes hills hollows: the middle stands out more often
+    best, axes = next((one for one in rivals if one[1] or one[0].outwards[0] >= 0), (rivals or [(first, 0)])[0])
     if best is first and axes == 0 and (pair := _find_exchange(tiles, first)) is not None:
         best = _add(trials, tiles, pair) or trials.get(tuple(pair.tolist()), first)
     misfits = [float(np.nanmedian(trial.misfit)) for trial in (first, best)]

@@ -12,7 +12,7 @@ ANGLES = 360  # directions from the seed's centre in which an edge is looked for
 ALONG = 16  # directions over which profiles are smoothed on either side
 STEP_PX = 1 / 3  # along a ray
 BEYOND_PX = 4.0  # reach of the rays on which brightening edges are sought, at least
-LEAST_RISE = 0.15  # of the strongest brightening along a ray, from which another one is an edge
+LEAST_RISE = 0.15  # of the strongest change along a ray, from which a brightening is an edge
 GROWTH_PX, MOVE_PX = (0.0, 2.0, 0.2), (-0.5, 0.6, 0.25)  # of the rim beyond the strongest edges: first, last, step
 LEAST_GROWTH_PX = 0.05  # below which the strongest edges are those of the rim
 LEAST_ABSOLUTE = 8  # fits of least absolute distances, before as many of least squares
@@ -103,9 +103,9 @@ def fit_outline(stack: np.ndarray, seed: Sequence[float], camera: SphereCamera, 
         parameters, points = _fit_robustly(grid, part, at, peak.any(axis=1), camera, corner)
         circle = np.array(circle_of(parameters, camera))
         circle[:2] -= corner
-    grid, _, rising = _edge_strengths(stack, circle, max(2 * reach, BEYOND_PX / circle[2]))
+    grid, strength, rising = _edge_strengths(stack, circle, max(2 * reach, BEYOND_PX / circle[2]))
     peak, part = _peaks(rising)
-    peak &= rising > LEAST_RISE * rising.max(axis=1, keepdims=True)
+    peak &= rising > LEAST_RISE * strength.max(axis=1, keepdims=True)
     for turn in range(TURNS):
         away = _distances(grid.reshape(-1, 2) + corner, parameters, camera).reshape(peak.shape)
         rim = np.zeros(ANGLES) if turn else _seek_rim(away, peak)
