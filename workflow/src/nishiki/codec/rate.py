@@ -28,7 +28,7 @@ def quantise(
     if not 0 < step < np.inf:
         raise ValueError(f"quantiser: expected a finite step above 0, found {step}")
     with np.errstate(over="ignore"):
-        size = np.abs(values) / step
+        size = np.abs(values) / np.float64(step)
     wrong = ~(size < dead_zone) & ~(size <= MOST)
     if wrong.any():
         value = float(values[wrong][0])
@@ -77,7 +77,7 @@ def bits_of(tally: np.ndarray) -> np.ndarray:
 
 def magnitudes(coefficients: np.ndarray, step: float) -> np.ndarray:
     """Return uint8 magnitudes in steps, at least 1 where not zero, at most 15."""
-    size = np.minimum(np.abs(coefficients) / np.float32(step) + np.float32(0.5), 15).astype(np.uint8)
+    size = np.minimum(np.abs(coefficients) / np.float64(step) + 0.5, 15).astype(np.uint8)
     return np.maximum(size, coefficients != 0)
 
 
