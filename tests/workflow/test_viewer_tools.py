@@ -84,10 +84,12 @@ def test_a_note_keeps_lamps_and_view_and_comes_back_from_its_file(shown, index, 
     shown.section("annotations").get_by_role("button", name="crack").click()
     assert shown.state()["lamps"][0]["azimuth_deg"] == 200
     assert shown.state()["view"]["zoom"] == 1
+    page.evaluate("nishiki.idle()")
     assert page.locator("#overlay .note").count() == 2
 
     page.reload()  # the browser keeps them
     page.wait_for_function("window.nishiki")
+    page.evaluate("nishiki.idle()")
     assert page.locator("#overlay .note").count() == 2
     for _ in range(2):
         shown.section("annotations").locator(".notes button").first.click()
