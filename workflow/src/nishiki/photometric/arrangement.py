@@ -101,7 +101,7 @@ def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
     found = _arrange(values, lamps)
     if found is None or found.as_stated:
         return found
-    again = _arrange(values, turned(lamps[list(found.order)], found.axes))
+    again = None if found.unexplained else _arrange(values, turned(lamps[list(found.order)], found.axes))
     if again is not None and again.as_stated:
         moved, plain = _pattern(np.arange(len(values)), np.array(found.order))
         if plain or moved <= _few(len(values)):
@@ -155,6 +155,7 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
     if (best is not first or axes) and measure_shading(tiles.values) < min(FLAT, 3 * min(misfits)):
         return None  # a flat thing, whose slopes are those that its gloss makes
     sigmas = _compare((first, 0), (best, axes))[:2]
+    contested = [_compare((best, axes), (trial, axes)) for trial in trials.values() if trial is not best]
     mirrored, exchanged, quarter = (_compare((best, axes), (best, axes ^ other))[1] for other in (1, 2, 3))
     return Arrangement(
         tuple(best.order.tolist()),
@@ -163,6 +164,9 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
         (_curl(first, 0), _curl(best, axes)),
         sigmas,
         mirrored > -DOUBTFUL and min(exchanged, quarter) < -SURE,
+        # another order explains the photographs far better, though no one errs like that
+        (best is not first or axes > 0)
+        and any(residual > SURE and left < HALVED and curl > DOUBTFUL for residual, curl, left in contested),
     )
 
 
