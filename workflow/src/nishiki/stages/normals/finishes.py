@@ -316,28 +316,36 @@ def sampled_pixels(frames: Observations, selection: Maps | None, lights: np.ndar
     from nishiki.model_selection.relighting import Sampled
     from nishiki.photometric.gloss_scene import SIDE
 
-    pieces = []
+    groups: dict[int, list[Sampled]] = {}
     for piece in sample(frames, lights, pixels, channel=None, cell=SIDE):
         usable = piece.valid
         if selection is not None:
             usable = unpack_lights(selection.read("usable", piece.band), len(lights))
             usable = np.stack([piece.of(values) for values in usable])
         row, column = (piece.of(place) for place in np.mgrid[piece.band, 0 : frames.shape[1]])
-        cells = row // SIDE * -(-frames.shape[1] // SIDE) + column // SIDE
-        cells = cells if frames.regions is None else frames.regions[row, column].astype(np.int64)
+        squares = row // SIDE * -(-frames.shape[1] // SIDE) + column // SIDE
+        cells = squares if frames.regions is None else frames.regions[row, column].astype(np.int64)
         parcel = replace(piece.parcel, scale=np.ones(len(lights), np.float32))  # the piece is scaled
-        pieces.append(Sampled(piece.observations, usable, piece.valid, parcel, cells))
-    if frames.positions_mm is None and len(pieces) > 1:  # all under the same directions
-        joined = (
-            np.concatenate([getattr(piece, name) for piece in pieces], axis=axis)
-            for name, axis in (("observations", 2), ("usable", 2), ("valid", 2), ("cells", 1))
-        )
-        observations, usable, valid, cells = joined
-        pieces = [Sampled(observations, usable, valid, pieces[0].parcel, cells)]
+        near = 0 if frames.positions_mm is None else int(squares[0, 0])  # near lamps have parcels of few pixels
+        groups.setdefault(near, []).append(Sampled(piece.observations, usable, piece.valid, parcel, cells))
+    pieces = [joined(same) for same in groups.values()]
     if frames.regions is None and pieces:
         known = np.unique(np.concatenate([piece.cells[0] for piece in pieces]))
         pieces = [replace(piece, cells=np.searchsorted(known, piece.cells)) for piece in pieces]
     return pieces
+
+
+def joined(pieces: Sequence[Sampled]) -> Sampled:
+    """Join pieces, under the means of their directions."""
+    arrays = {
+        name: np.concatenate([getattr(piece, name) for piece in pieces], axis=axis)
+        for name, axis in (("observations", 2), ("usable", 2), ("valid", 2), ("cells", 1))
+    }
+    directions = np.stack([piece.parcel.directions for piece in pieces])
+    if (directions != directions[0]).any():
+        directions = directions.mean(axis=0, keepdims=True)
+        directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    return replace(pieces[0], parcel=replace(pieces[0].parcel, directions=directions[0]), **arrays)
 
 
 def gloss_tiles(pieces: Sequence[Sampled], settings: NormalsSettings) -> list[GlossTile]:
