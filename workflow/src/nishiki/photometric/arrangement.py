@@ -57,8 +57,8 @@ class Arrangement:
     mirror_undecided : bool
         Whether the slopes have as little curl with one axis mirrored, although they are no noise.
     unexplained : bool
-        Whether the stated arrangement is wrong and none was found that explains the photographs; order and axes are
-        then those stated.
+        Whether the stated arrangement is wrong and none was found that explains the photographs, or two that do and of
+        which the simpler one is far worse; order and axes are then those stated.
     """
 
     order: tuple[int, ...]
@@ -147,7 +147,7 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
     rivals = [rival for rival in rivals if _beyond_doubt((first, 0), rival)]
     rivals.sort(key=lambda rival: _complexity(rival[0].order, rival[1]))
     rivals = [one for one in rivals if not any(_beyond_doubt(one, other) for other in rivals)]
-    # under lamps that a half turn leaves alike, a twin makes hills hollows: the middle stands out more often
+    # Where a half turn leaves the lamps alike, hills may be hollows; of most things the middle is high.
     best, axes = next((one for one in rivals if one[1] or one[0].outwards[0] >= 0), (rivals or [(first, 0)])[0])
     if best is first and axes == 0 and (pair := _find_exchange(tiles, first)) is not None:
         best = _add(trials, tiles, pair) or trials.get(tuple(pair.tolist()), first)
@@ -164,7 +164,7 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
         (_curl(first, 0), _curl(best, axes)),
         sigmas,
         mirrored > -DOUBTFUL and min(exchanged, quarter) < -SURE,
-        # another order explains the photographs far better, though no one errs like that
+        # another order, by which people do not err, explains the photographs far better
         (best is not first or axes > 0)
         and any(residual > SURE and left < HALVED and curl > DOUBTFUL for residual, curl, left in contested),
     )

@@ -108,7 +108,7 @@ def refine_normals(
     noise = NOISE * gloss.unit if noise is None else noise
     noise = noise if gloss.colour is None else noise / gloss.colour.mean()
     lights = light_table(directions, gloss.refractive_index)
-    if gloss.colour is not None:  # Lambert's normals say nothing
+    if gloss.colour is not None:  # a metal does not follow Lambert's law
         normals = np.moveaxis(np.where(valid, observations.mean(axis=-1), 0), 0, -1) @ lights[:, 3:6]
         normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), np.finfo(float).tiny)
     fields = empty_fields(pixels, channels, normals, reflectance, flags)
