@@ -18,6 +18,7 @@ from nishiki.artifacts.artifact import Artifact, ArtifactWriter
 from nishiki.artifacts.finite import expect_finite
 from nishiki.artifacts.maps import MapWriter
 from nishiki.artifacts.stage import Context
+from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.capture.folder import load_capture
 from nishiki.observations.plane_store import write_observations
 from nishiki.packages import installed
@@ -66,12 +67,17 @@ def dome(count: int, seed: int) -> np.ndarray:
 
 
 def small_painting(
-    folder: Path, *, regions: np.ndarray | None = None, shading: np.ndarray | None = None, transmission: float = 0.0
+    folder: Path,
+    *,
+    regions: np.ndarray | None = None,
+    shading: np.ndarray | None = None,
+    transmission: float = 0.0,
+    gilded: bool = False,
 ) -> SmallPainting:
     """Make the painting; one corner has no estimate.
 
     regions : (rows, columns) uint8, 1 where highlights are narrow; shading : (rows, columns, terms) of the body;
-    transmission : share of the surface's loss that the body's light suffers.
+    transmission : share of the surface's loss that the body's light suffers; gilded : the last region is a metal.
     """
     y, x = np.mgrid[ROWS:0:-1, 0:COLUMNS] * PITCH_MM  # y points up
     phase_x, phase_y = 2 * np.pi * x / 5, 2 * np.pi * y / 4
@@ -94,7 +100,7 @@ def small_painting(
     if shading is not None:
         maps["normals"][1]["shading"] = shading
     inputs = {stage: _artifact(folder, stage, *made, basis) for stage, made in maps.items()}
-    inputs["brdf"] = _gloss(folder, regions, transmission)
+    inputs["brdf"] = _gloss(folder, regions, transmission, gilded)
     inputs["ingest"] = _photographs(folder, normals, channels, lights, regions)
     return SmallPainting(height, normals.astype(np.float32), waves.astype(np.float32), basis, known, lights, inputs)
 
@@ -140,11 +146,14 @@ def _artifact(folder: Path, stage: str, settings, maps: dict, basis: np.ndarray)
     return make_artifact(folder, settings(), fill, stamp=STAMP, stage=stage)
 
 
-def _gloss(folder: Path, regions: np.ndarray | None, transmission: float) -> Artifact:
+def _gloss(folder: Path, regions: np.ndarray | None, transmission: float, gilded: bool) -> Artifact:
     def fill(writer: ArtifactWriter) -> dict:
         lobes = [([0.6], [0.25]), ([40.0], [0.1])][: 1 if regions is None else 2]
         shared = {"refractive_index": 1.45, "transmission": transmission}
         parameters = {"regions": [{"beta": beta, "gamma": gamma, **shared} for beta, gamma in lobes]}
+        if gilded:  # all light is reflected
+            mirror = np.log(2) / (4 * lobes[-1][1][0] ** 2)
+            parameters["regions"][-1] |= {"beta": [mirror], "refractive_index": MIRROR, "transmission": 0.0}
         if regions is not None:
             out = MapWriter(writer.folder, rows=ROWS, columns=COLUMNS, band_rows=BAND_ROWS, stamp=STAMP)
             out.write("labels", regions.astype(np.uint8))

@@ -35,10 +35,12 @@ def formulas(look, normals, light):
     base, weight = decode(look.colour.reshape(-1, 3) / 255, "srgb"), look.weight.ravel() / 255
     half = (light + VIEW) / np.linalg.norm(light + VIEW)
     cos_phi, cos_i, cos_r = (np.maximum(normals @ each, 0) for each in (half, light, VIEW))
-    normal = weight * look.reflectance
+    metal = np.broadcast_to(look.metallic, look.weight.shape).reshape(-1, 1) / 255
+    normal = (weight * look.reflectance)[:, None]
+    normal = normal + metal * (base - normal)
     reflected = normal + (1 - normal) * (1 - half[2]) ** 5
-    gloss = np.pi * reflected * isotropic_lobe(cos_phi, cos_i, cos_r, (look.roughness.ravel() / 255) ** 2)
-    return ((1 - reflected)[:, None] * base + gloss[:, None]) * cos_i[:, None]
+    gloss = np.pi * isotropic_lobe(cos_phi, cos_i, cos_r, (look.roughness.ravel() / 255) ** 2)
+    return ((1 - metal) * (1 - reflected) * base + reflected * gloss[:, None]) * cos_i[:, None]
 
 
 def test_colour_normals_roughness_and_weight_are_drawn_as_the_formulas_say(tmp_path):
@@ -51,7 +53,9 @@ def test_colour_normals_roughness_and_weight_are_drawn_as_the_formulas_say(tmp_p
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     coded = np.rint((normals + 1) / 2 * 255).astype(np.uint8)
     roughness, weight = (60 + 5 * x).astype(np.uint8), (40 + 19 * y).astype(np.uint8)
-    look = SurfaceLook(colour, roughness, 0.08, weight=weight, normals=coded)
+    metallic = np.where(x < COLUMNS // 3, 255, 0).astype(np.uint8)
+    weight = np.maximum(weight, metallic)
+    look = SurfaceLook(colour, roughness, 0.08, weight=weight, normals=coded, metallic=metallic)
     told = coded.reshape(-1, 3) / 255 * 2 - 1
     told /= np.linalg.norm(told, axis=1, keepdims=True)
     write_materialx(tmp_path / "surface.mtlx", look, facts={})
@@ -61,6 +65,7 @@ def test_colour_normals_roughness_and_weight_are_drawn_as_the_formulas_say(tmp_p
             assert decibels(theirs, formulas(look, told, light)) > 50
             for wrong in (told * [-1, 1, 1], told * [1, -1, 1]):
                 assert decibels(theirs, formulas(look, wrong, light)) < 40, "other normals show"
+            assert decibels(theirs, formulas(replace(look, metallic=0.0), told, light)) < 40, "metals show"
             faint = replace(look, weight=np.full_like(weight, 10))
             assert decibels(theirs, formulas(faint, told, light)) < 40, "the strength of the gloss shows"
 

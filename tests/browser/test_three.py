@@ -20,8 +20,10 @@ pytestmark = [
 ]
 
 
-def test_three_draws_the_material_that_the_loss_is_reckoned_with(tmp_path):
-    painting = small_painting(tmp_path)
+@pytest.mark.parametrize("gilded", [False, True], ids=["paint", "gilded"])
+def test_three_draws_the_material_that_the_loss_is_reckoned_with(tmp_path, gilded):
+    regions = np.pad(np.ones((20, 31), np.uint8), ((10, 15), (20, 9))) if gilded else None
+    painting = small_painting(tmp_path, regions=regions, gilded=gilded)
     context = export_context(painting, tmp_path / "export", ExportSettings(formats=("gltf",)))
     with context.output as output:
         run(context)

@@ -51,6 +51,8 @@ class SurfaceLook:
         Share of the reflectance, 255 is all.
     normals : (rows, columns, 3) uint8 ndarray or None
         Tangent space, y up, (n + 1) / 2.
+    metallic : float or (rows, columns) uint8 ndarray
+        1 of a metal, of a texture 255: the colour is that of its mirror, and the weight 1.
     """
 
     colour: np.ndarray
@@ -58,6 +60,7 @@ class SurfaceLook:
     reflectance: float
     weight: np.ndarray | None = None
     normals: np.ndarray | None = None
+    metallic: float | np.ndarray = 0.0
 
     @property
     def index(self) -> float:
@@ -66,8 +69,11 @@ class SurfaceLook:
 
     @property
     def mean_index(self) -> float:
-        """Index of refraction of the reflectance with the mean of its weights."""
-        return self.index if self.weight is None else index_of(self.reflectance * float(self.weight.mean()) / 255)
+        """Index of refraction of the reflectance with the mean of its weights, those of metals left out."""
+        if self.weight is None:
+            return self.index
+        weights = self.weight[self.metallic == 0] if isinstance(self.metallic, np.ndarray) else self.weight
+        return index_of(self.reflectance * float(weights.mean()) / 255)
 
     def pictures(self) -> dict[str, np.ndarray]:
         """Return the textures that there are, (rows, columns, 3), by the name of their file without suffix.
@@ -75,6 +81,7 @@ class SurfaceLook:
         Single values are repeated in three channels: programs read pictures of one channel differently.
         """
         named = {"colour": self.colour, "roughness": self.roughness, "specular": self.weight, "normals": self.normals}
+        named["metallic"] = self.metallic
         given = {name: values for name, values in named.items() if isinstance(values, np.ndarray)}
         return {
             name: values if values.ndim == 3 else np.repeat(values[..., None], 3, axis=-1)

@@ -25,6 +25,7 @@ INPUTS = {
     "roughness": ("specular_roughness", "float"),
     "specular": ("specular_weight", "float"),
     "normals": ("geometry_normal", "vector3"),
+    "metallic": ("base_metalness", "float"),
 }
 """Of each texture the input of the surface that it feeds, and the type of its values."""
 
@@ -54,8 +55,9 @@ def write_materialx(path: Path, look: SurfaceLook, *, facts: Mapping[str, Any]) 
     surface = document.addNode("open_pbr_surface", "open_pbr_surface", "surfaceshader")
     _set(surface, "base_weight", 1.0)
     _set(surface, "specular_ior", look.index)
-    if not isinstance(look.roughness, np.ndarray):
-        _set(surface, "specular_roughness", look.roughness)
+    for name, value in (("specular_roughness", look.roughness), ("base_metalness", look.metallic)):
+        if not isinstance(value, np.ndarray):
+            _set(surface, name, value)
     files = []
     graph = document.addNodeGraph("textures")
     for texture, picture in look.pictures().items():
@@ -97,7 +99,7 @@ ROOT = "/surface"
 READER = f"{ROOT}/material/places"
 DATE = time.mktime((1980, 1, 2, 0, 0, 0, 0, 0, -1))
 """Of all files in a package, so that the same results give the same bytes."""
-CHANNELS = {"colour": "rgb", "roughness": "r", "normals": "rgb"}
+CHANNELS = {"colour": "rgb", "roughness": "r", "normals": "rgb", "metallic": "r"}
 """Textures that the material has, and what it takes of each."""
 
 
@@ -176,14 +178,14 @@ def _define_material(stage: Any, look: SurfaceLook) -> Any:
     reader = _shader(stage, "places", "UsdPrimvarReader_float2")
     reader.CreateInput("varname", types.String).Set("st")
     reader.CreateOutput("result", types.Float2)
-    surface.CreateInput("metallic", types.Float).Set(0.0)
     surface.CreateInput("ior", types.Float).Set(look.mean_index)
     surface.CreateInput("diffuseColor", types.Color3f).ConnectToSource(_texture(stage, "colour", (1.0, 0.0)))
-    roughness = surface.CreateInput("roughness", types.Float)
-    if isinstance(look.roughness, np.ndarray):
-        roughness.ConnectToSource(_texture(stage, "roughness", (1.0, 0.0)))
-    else:
-        roughness.Set(look.roughness)
+    for name, value in (("roughness", look.roughness), ("metallic", look.metallic)):
+        given = surface.CreateInput(name, types.Float)
+        if isinstance(value, np.ndarray):
+            given.ConnectToSource(_texture(stage, name, (1.0, 0.0)))
+        else:
+            given.Set(value)
     if look.normals is not None:
         surface.CreateInput("normal", types.Normal3f).ConnectToSource(_texture(stage, "normals", (2.0, -1.0)))
     return material

@@ -6,7 +6,9 @@ weight w, index n and factor k of the reflectance at normal incidence:
     F = F0 + (1 - F0) (1 - v.h)^5,    F0 = min(k ((n - 1) / (n + 1))^2, 1)
     f = (1 - w F) c / pi + w F D V,   D, V: Trowbridge-Reitz with Smith's masking
 
-Ours: pi f n.l = c n.l + sum beta D F G / n.v (Tominaga and Tanaka, 2004, eq. 10).
+Ours: pi f n.l = c n.l + sum beta D F G / n.v (Tominaga and Tanaka, 2004, eq. 10). A metal has metallic 1 and no body:
+
+    f = F D V,    F = c + (1 - c) (1 - v.h)^5
 
 A texel has the region that most of its pixels have, so that its gloss is one that was fitted: a mean of roughness and
 strength would be the gloss of neither paint. The slopes inside the texel widen it: a texel shows the mean gloss of its
@@ -24,12 +26,11 @@ from nishiki.brdf.slopes import isotropic_lobe, widened_roughness
 from nishiki.brdf.torrance_sparrow import MIRROR, specular
 from nishiki.colour.colour import encode
 from nishiki.report.page import read_json
-from nishiki.stages.export.scene import ExportedScene
 
 ROUGHNESS = np.geomspace(1, 0.05, 90)
 STRENGTH = np.append(0, np.geomspace(1e-3, 20, 120))
 """Grid of the fit: roughness, and the factor of the reflectance at normal incidence (weight where below 1)."""
-USUAL_INDEX = 1.5  # of a material in place of a metal, where there is no dielectric beside it
+USUAL_INDEX = 1.5  # of a metal's material, of which nothing shows it, where there is no dielectric beside it
 ANGLES = np.radians(np.arange(0.5, 75, 1))  # of the light from the normal, seen along the normal
 
 
@@ -38,23 +39,26 @@ class GltfMaterial:
     """Gloss of a surface, or of pixels with values of their own.
 
     roughness, strength : float or (n,) ndarray
-        Of the reflectance along the normal, weight times factor.
+        Of the reflectance along the normal, weight times factor; that of a metal counts for nothing.
     index : float
         Of refraction.
     least_factor : float
         The factor is at least this: 1, so that it is a weight up to 1 and a factor above; or the largest strength of
         several regions, whose weights share one factor.
+    metallic : float or (n,) ndarray
+        1 of a metal, whose base colour is that of its mirror; else 0.
     """
 
     roughness: float | np.ndarray
     strength: float | np.ndarray
     index: float
     least_factor: float = 1.0
+    metallic: float | np.ndarray = 0.0
 
     @property
     def weight(self) -> float | np.ndarray:
-        """specularFactor."""
-        return self.strength / self.factor
+        """specularFactor; 1 of a metal, which OpenPBR dims by it."""
+        return np.maximum(self.strength / self.factor, self.metallic)
 
     @property
     def factor(self) -> float | np.ndarray:
@@ -82,18 +86,19 @@ class GltfMaterial:
         return normal + (self.grazing_reflectance - normal) * (1 - cos_q) ** 5
 
     def base_colour(self, albedo: np.ndarray) -> np.ndarray:
-        """Return the base colour with which the body has this albedo (..., 3) under light and view along the normal."""
-        return np.clip(albedo / (1 - np.expand_dims(self.fresnel(1.0), -1)), 0, 1)
+        """Return the base colour with which light and view along the normal show this albedo (..., 3), or a metal's."""
+        return np.clip(albedo / (1 - np.expand_dims(self.fresnel(1.0) * (1 - self.metallic), -1)), 0, 1)
 
     def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
         """(n, 3) light relative to a white that faces the lamp, seen along z; base colours and normals (n, 3)."""
         view = np.array([0.0, 0.0, 1.0])
         half = (light + view) / np.linalg.norm(light + view)
         cos_i, cos_r = (np.maximum(normals @ each, 0) for each in (light, view))
-        reflected = self.fresnel(half[2])
-        alpha = np.square(self.roughness)
-        gloss = np.pi * reflected * isotropic_lobe(np.maximum(normals @ half, 0), cos_i, cos_r, alpha)
-        return (np.expand_dims(1 - reflected, -1) * base + gloss[:, None]) * cos_i[:, None]
+        reflected, metal = np.expand_dims(self.fresnel(half[2]), -1), np.expand_dims(self.metallic, -1)
+        lobe = np.pi * isotropic_lobe(np.maximum(normals @ half, 0), cos_i, cos_r, np.square(self.roughness))
+        body = (1 - metal) * (1 - reflected) * base
+        reflected = reflected + metal * (base + (1 - base) * (1 - half[2]) ** 5 - reflected)
+        return (body + reflected * lobe[:, None]) * cos_i[:, None]
 
 
 class WhiteAtGrazing(GltfMaterial):
@@ -110,22 +115,20 @@ class WhiteAtGrazing(GltfMaterial):
 
 def white_at_grazing(material: GltfMaterial) -> GltfMaterial:
     """Return a material as formats without a weight take it."""
-    return WhiteAtGrazing(material.roughness, material.strength, material.index, material.least_factor)
+    return WhiteAtGrazing(**vars(material))
 
 
-def best_material(errors: np.ndarray, index: float) -> GltfMaterial:
+def best_material(errors: np.ndarray, index: float, metallic: float = 0.0) -> GltfMaterial:
     """Return the material of the least of the errors (roughness, strength) of `coded_errors`."""
     rough, strong = np.unravel_index(int(np.argmin(errors)), errors.shape)
-    return GltfMaterial(float(ROUGHNESS[rough]), float(STRENGTH[strong]), index)
+    return GltfMaterial(float(ROUGHNESS[rough]), float(STRENGTH[strong]), index, metallic=metallic)
 
 
-def coded_errors(
-    beta: np.ndarray, gamma: np.ndarray, index: float, albedo: float, common: float | None = None
-) -> np.ndarray:
+def coded_errors(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: float) -> np.ndarray:
     """(roughness, strength) weighted sums of squared differences of coded brightness from our lobes, over the grid.
 
-    beta, gamma : (lobes,); albedo : mean of the object, over which the gloss is seen along the normal. A metal is shown
-    as a dielectric that comes nearest; common: index of the materials, else that of the lobes.
+    beta, gamma : (lobes,); albedo : mean of the object, over which the gloss is seen along the normal. Those of a metal
+    do not depend on the strength.
     """
     cos_i, cos_q = np.cos(ANGLES), np.cos(ANGLES / 2)
     up = np.array([0.0, 0.0, 1.0])
@@ -133,14 +136,14 @@ def coded_errors(
     lobes = np.zeros_like(cos_i)
     for strength, width in zip(beta, gamma, strict=True):
         lobes += specular(up, lights, up, beta=strength, gamma=width, refractive_index=index)
-    shown = albedo * lobes if index >= MIRROR else albedo * cos_i + lobes
-    true = np.clip(encode(shown, "srgb"), 0, 1)
+    metal = index >= MIRROR
+    true = np.clip(encode(albedo * lobes if metal else albedo * cos_i + lobes, "srgb"), 0, 1)
     errors = np.empty((len(ROUGHNESS), len(STRENGTH)))
     for number, roughness in enumerate(ROUGHNESS):
-        material = GltfMaterial(roughness, STRENGTH[:, None], index if common is None else common)
+        material = GltfMaterial(roughness, STRENGTH[:, None], index)
         shape = np.pi * isotropic_lobe(cos_q, cos_i, 1.0, roughness**2) * cos_i
-        reflected = material.fresnel(cos_q)
-        base = np.clip(albedo / (1 - material.fresnel(1.0)), 0, 1)
+        reflected = albedo + (1 - albedo) * (1 - cos_q) ** 5 if metal else material.fresnel(cos_q)
+        base = 0.0 if metal else np.clip(albedo / (1 - material.fresnel(1.0)), 0, 1)
         shown = encode((1 - reflected) * base * cos_i + reflected * shape, "srgb")
         errors[number] = (np.clip(shown, 0, 1) - true) ** 2 @ np.sin(ANGLES)
     return errors
@@ -172,8 +175,8 @@ class RegionGloss:
         material = self.materials[0]
         if self.labels is not None:
             numbers = self.labels[rows][:, columns].ravel()
-            roughness, strength = (self._values(name)[numbers] for name in ("roughness", "strength"))
-            material = replace(material, roughness=roughness, strength=strength)
+            names = ("roughness", "strength", "metallic")
+            material = replace(material, **{name: self._values(name)[numbers] for name in names})
         if self.widened is not None:
             material = replace(material, roughness=self.widened[rows][:, columns].ravel() / 255)
         return material
@@ -189,6 +192,12 @@ class RegionGloss:
     def weight(self) -> np.ndarray | None:
         """Share of the reflectance, a texture (rows, columns) uint8; None where there is one region only."""
         return None if self.labels is None else self._texture("weight")
+
+    @property
+    def metallic(self) -> float | np.ndarray:
+        """One value, or a texture (rows, columns) uint8 where some regions are metal."""
+        values = self._values("metallic")
+        return float(values[0]) if (values == values[0]).all() else self._texture("metallic")
 
     @property
     def reflectance(self) -> float:
@@ -235,46 +244,23 @@ def painting_gloss(
     if parameters is None:
         return _one_region(MATTE)
     beta, gamma, index, _ = gloss_table(parameters)
-    common = float(index.min() if index.min() < MIRROR else USUAL_INDEX)
-    if labels is None or len(beta) == 1:
-        mean = float(albedo[known].mean()) if known.any() else 0.5
-        material = best_material(coded_errors(beta[0], gamma[0], float(index[0]), mean, common), common)
-        return _one_region(material, _widened([material], None, variance))
+    labels = labels if len(beta) > 1 else None
+    metal = (index >= MIRROR).astype(float)
+    common = float(USUAL_INDEX if metal.all() else index.min())
     errors, counts = [], []
     for region in range(len(beta)):
-        texels = known & (labels == region)
+        texels = known if labels is None else known & (labels == region)
         mean = float(albedo[texels].mean()) if texels.any() else 0.5
-        errors.append(coded_errors(beta[region], gamma[region], float(index[region]), mean, common))
+        errors.append(coded_errors(beta[region], gamma[region], float(index[region]), mean))
         counts.append(np.count_nonzero(texels))
-    free = [best_material(each, common) for each in errors]
+    free = [best_material(each, common, mirror) for each, mirror in zip(errors, metal, strict=True)]
+    if labels is None:
+        return _one_region(free[0], _widened(free, None, variance))
     together = sum(count * each.min(axis=0) for count, each in zip(counts, errors, strict=True))
     only = np.where(np.arange(together.size) == np.argmin(together), 0, np.inf)
-    alike = [best_material(each + only, common) for each in errors]
+    alike = [best_material(each + only, common, mirror) for each, mirror in zip(errors, metal, strict=True)]
     gltf, usd = (RegionGloss(_stored(each), labels, _widened(each, labels, variance)) for each in (free, alike))
     return PaintingGloss(gltf, _white(gltf), _white(usd))
-
-
-def region_materials(context: Context, scene: ExportedScene) -> tuple[GltfMaterial, ...]:
-    """Return the lobe of each region, as `painting_gloss` finds it from pixels, in full precision; read by bands."""
-    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    if parameters is None:
-        return (MATTE,)
-    beta, gamma, index, _ = gloss_table(parameters)
-    common = float(index.min() if index.min() < MIRROR else USUAL_INDEX)
-    totals, counts = np.zeros(len(beta)), np.zeros(len(beta))
-    for rows in scene.bands():
-        known, labels = scene.known(rows), scene.regions(rows)
-        numbers = np.zeros(known.shape, np.uint8) if labels is None or len(beta) == 1 else labels
-        colours = scene.srgb(rows)[known].mean(axis=-1)
-        totals += np.bincount(numbers[known], colours, len(beta))
-        counts += np.bincount(numbers[known], minlength=len(beta))
-    means = np.where(counts > 0, totals / np.maximum(counts, 1), 0.5)
-    materials = [
-        best_material(coded_errors(strength, width, float(each), mean, common), common)
-        for strength, width, each, mean in zip(beta, gamma, index, means, strict=True)
-    ]
-    factor = max(1.0, *(float(material.strength) for material in materials))
-    return tuple(replace(material, least_factor=factor) for material in materials)
 
 
 def _one_region(material: GltfMaterial, widened: np.ndarray | None = None) -> PaintingGloss:
@@ -287,7 +273,7 @@ def _widened(
     materials: Sequence[GltfMaterial], labels: np.ndarray | None, variance: np.ndarray | None
 ) -> np.ndarray | None:
     """Roughness of the texels' lobes, as 8 bits hold it; None where nothing widens them, or there is no gloss."""
-    if variance is None or all(material.strength == 0 for material in materials):
+    if variance is None or all(material.strength + material.metallic == 0 for material in materials):
         return None
     roughness = np.array([material.roughness for material in materials])
     texture = np.empty(variance.shape, np.uint8)

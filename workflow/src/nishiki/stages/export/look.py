@@ -17,6 +17,7 @@ from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.registry import ExportedSurface, software
 from nishiki.stages.export.scene import ExportedScene, block_mean, reliefs
 
+FIGURES = {"roughness": "roughness", "specular": "strength", "ior": "index", "metallic": "metallic"}
 METRES = 1e-3  # of a millimetre; of a pixel where the capture states no scale
 
 
@@ -57,13 +58,12 @@ class PaintingLook:
 
     def surface(self, gloss: RegionGloss) -> SurfaceLook:
         """Return the same in the words of USD and MaterialX."""
-        return SurfaceLook(self.colours, gloss.roughness, gloss.reflectance, gloss.weight, self.normals)
+        return SurfaceLook(self.colours, gloss.roughness, gloss.reflectance, gloss.weight, self.normals, gloss.metallic)
 
     def figures(self, gloss: RegionGloss) -> dict:
         """Return what the diagnostics say of it."""
         materials = [
-            {"roughness": material.roughness, "specular": material.strength, "ior": material.index}
-            for material in gloss.materials
+            {name: getattr(material, field) for name, field in FIGURES.items()} for material in gloss.materials
         ]
         return {"pixels_a_texel": self.step * self.step, "materials": materials}
 
@@ -222,7 +222,7 @@ def write_gltf(context: Context, surface: PaintingSurface) -> dict:
     roughness, specular = gloss_properties(glb, look.gloss.gltf)
     number = glb.add(
         "materials",
-        pbrMetallicRoughness={"baseColorTexture": colours, "metallicFactor": 0, **roughness},
+        pbrMetallicRoughness={"baseColorTexture": colours, **roughness},
         normalTexture=normals,
         extensions={
             "KHR_materials_ior": {"ior": look.gloss.gltf.materials[0].index},
@@ -242,12 +242,15 @@ def write_gltf(context: Context, surface: PaintingSurface) -> dict:
 
 def gloss_properties(glb: Glb, gloss: RegionGloss) -> tuple[dict, dict]:
     """Properties of roughness and of KHR_materials_specular: textures where they differ from texel to texel."""
-    material, roughness, weight = gloss.materials[0], gloss.roughness, gloss.weight
-    rough: dict[str, Any] = {"roughnessFactor": roughness}
+    material, roughness, weight, metallic = gloss.materials[0], gloss.roughness, gloss.weight, gloss.metallic
+    rough: dict[str, Any] = {"roughnessFactor": roughness, "metallicFactor": metallic}
     specular: dict[str, Any] = {"specularFactor": float(material.weight)}
     if isinstance(roughness, np.ndarray):
-        green = np.stack([np.zeros_like(roughness), roughness, np.zeros_like(roughness)], axis=-1)
-        rough = {"metallicRoughnessTexture": {"index": glb.texture(png_bytes(green), mime="image/png")}}
+        several = isinstance(metallic, np.ndarray)
+        blue = metallic if several else np.zeros_like(roughness)
+        picture = np.stack([np.zeros_like(roughness), roughness, blue], axis=-1)
+        rough = {"metallicRoughnessTexture": {"index": glb.texture(png_bytes(picture), mime="image/png")}}
+        rough["metallicFactor"] = 1.0 if several else metallic
     if weight is not None:
         alpha = np.stack([*[np.full_like(weight, 255)] * 3, weight], axis=-1)
         specular = {"specularTexture": {"index": glb.texture(png_bytes(alpha), mime="image/png")}}

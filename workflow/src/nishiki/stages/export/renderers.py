@@ -14,7 +14,7 @@ from nishiki.formats.merl import MERL_HIDDEN, merl_bytes, merl_directions
 from nishiki.formats.textured_surface import faces, heading, vertices
 from nishiki.report.page import read_json
 from nishiki.stages.export import mitsuba_paint
-from nishiki.stages.export.gloss import region_materials, slopes_widen
+from nishiki.stages.export.gloss import slopes_widen
 from nishiki.stages.export.scene import ExportedScene, reliefs
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -27,8 +27,8 @@ def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
     """Write the folder `mitsuba`; return what of the model it leaves out."""
     folder = context.output.path("exports/mitsuba/scene.json").parent
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    regions = len(region_materials(context, scene)) > 1
-    textures = model_textures(scene, facets=slopes_widen(context), regions=regions)
+    table = gloss_table(parameters)
+    textures = model_textures(scene, facets=slopes_widen(context), regions=len(table[0]) > 1)
     header = {f"nishiki.{name}": text for name, text in context.stamp.items()}
     for name, read in textures.items():
         channels = "Y" if name == "regions" else "RGB"
@@ -36,7 +36,7 @@ def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
             for rows in scene.bands():
                 exr.write(read(rows).reshape(-1, scene.shape[1], len(channels)))
     count = write_relief(folder, context, scene)
-    columns = (values.tolist() for values in gloss_table(parameters))
+    columns = (values.tolist() for values in table)
     facts = {
         "rows": scene.shape[0],
         "columns": scene.shape[1],
