@@ -94,7 +94,6 @@ def keep_by_pursuit(
     chosen are solved together, so that the invisible samples cost nothing. residuals, visible: as of `keep_largest`.
     Where the price that is found leaves a few too many, the smallest are dropped; `discarded` is their energy.
     """
-    shapes = [values.shape for values in residuals]
     data = [
         np.where(seen, values, 0).reshape(len(values), -1, *values.shape[-2:]).astype(np.float32)
         for values, seen in zip(residuals, visible, strict=True)
@@ -112,7 +111,7 @@ def keep_by_pursuit(
         starts = [None if solution is None else solution.coefficients for solution in solutions]
         solutions = [
             pursue(*arguments, price=float(np.exp(price)), bits=_one_bit, effort=effort, start=start)
-            for *arguments, start in zip(data, operators, blocks, shapes, curvature, starts, strict=True)
+            for *arguments, start in zip(data, operators, blocks, curvature, starts, strict=True)
         ]
         number = sum(np.count_nonzero(solution.coefficients) for solution in solutions)
         off = np.log(max(number, 1) / min(count, most))

@@ -12,7 +12,7 @@ from stability.samples import EXTREME, dome, matt_pixels, same, tilted, turned_c
 from nishiki.brdf.gloss_profile import LADDER, GlossProfile
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
-from nishiki.photometric.gloss import refine_normals
+from nishiki.photometric.gloss import JointSettings, refine_normals
 from nishiki.photometric.height import integrate_normals
 from nishiki.photometric.light_selection import METHODS, select_diffuse
 from nishiki.photometric.reflectance import diffuse_reflectance
@@ -341,7 +341,9 @@ def test_equivariance_by_powers_of_ten():
 
 def _joint(scale, stack, lights, start):
     gloss = GlossProfile(np.full(LADDER.size, 0.05 * scale), LADDER)
-    return refine_normals(stack * np.float32(scale), lights, normals=start, gloss=gloss, noise=0.002 * scale)
+    return refine_normals(
+        stack * np.float32(scale), lights, normals=start, gloss=gloss, settings=JointSettings(0.002 * scale)
+    )
 
 
 @case(

@@ -242,7 +242,7 @@ def _pursued(shape, pixels, exponent, kind):
     for scale in (1.0, 10.0**exponent):
         curvature, step = curvatures(block, feet.density()), 0.1 * scale
         solution = pursue(
-            (data * scale).astype(np.float32), Operator.of_pixels(feet), block, shape, curvature,
+            (data * scale).astype(np.float32), Operator.of_pixels(feet), block, curvature,
             price=0.05 * step**2, effort=Pursuit(),
             bits=lambda c, step=step: expected_bits(c, step, block.plane.levels),
         )  # fmt: skip

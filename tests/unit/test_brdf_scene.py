@@ -90,12 +90,8 @@ def test_regions_and_unusable_samples():
     regions[:, 50:], regions[:10] = 1, -1
     other = photographs(normals, lights, beta=50.0, gamma=0.3)[0]
     mixed = np.where(regions == 1, other, observations)
-    usable = np.ones(observations.shape, bool)
-    usable[:, 20:30] = False
     mixed[:, 20:30] = np.nan
-    histogram = SpecularHistogram.empty(regions=2).add_tile(
-        mixed, normals, albedo, lights, regions=regions, usable=usable
-    )
+    histogram = SpecularHistogram.empty(regions=2).add_tile(mixed, normals, albedo, lights, regions=regions)
     for region, (beta, gamma) in enumerate(((5, 0.1), (50, 0.3))):
         profile = histogram.profile(region=region)
         expected = beta * np.exp2(-((profile.phi / gamma) ** 2))

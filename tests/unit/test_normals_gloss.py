@@ -190,7 +190,7 @@ def test_kernel_finds_the_minimum_that_a_slow_solver_finds():
     reflectance = random.uniform(0.1, 0.8, (1, 5, 3))
     clean = render(truth, reflectance, lights, VARNISH)
     observed = (clean + random.normal(0, 0.002, clean.shape)).astype(np.float32)
-    found = refine_normals(observed, lights, normals=truth, gloss=VARNISH, second_start=np.inf)
+    found = refine_normals(observed, lights, normals=truth, gloss=VARNISH, settings=JointSettings(second_start=np.inf))
     for p in range(5):
         n, rho = slow_fit(
             observed[:, 0, p].astype(float), lights, VARNISH, truth[0, p], reflectance[0, p],
@@ -220,7 +220,12 @@ def test_second_start_finds_what_the_first_misses():
     observed = render(truth, reflectance, lights, VARNISH).astype(np.float32)
     flat = np.broadcast_to(VIEW, truth.shape)
     errors = [
-        degrees(refine_normals(observed, lights, normals=flat, gloss=VARNISH, second_start=s).normals, truth).mean()
+        degrees(
+            refine_normals(
+                observed, lights, normals=flat, gloss=VARNISH, settings=JointSettings(second_start=s)
+            ).normals,
+            truth,
+        ).mean()
         for s in (np.inf, 1.0)
     ]
     assert errors[1] < 0.5 * errors[0]
@@ -404,7 +409,9 @@ def test_sigma_says_how_wrong_the_normals_are():
     random = np.random.default_rng(8)
     observed = render(truth, np.full((1, 4000, 3), 0.5), lights, MATT)
     observed = (observed + random.normal(0, 0.01, observed.shape)).astype(np.float32)
-    found = refine_normals(observed, lights, normals=truth, gloss=MATT, noise=0.01, model_error=0.0)
+    found = refine_normals(
+        observed, lights, normals=truth, gloss=MATT, settings=JointSettings(noise=0.01, model_error=0.0)
+    )
     rms = np.sqrt(np.mean(np.radians(degrees(found.normals, truth)) ** 2))
     said = np.sqrt(np.mean(found.sigma.astype(float) ** 2))
     assert said / 1.6 < rms < said * 1.6

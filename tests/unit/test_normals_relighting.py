@@ -45,7 +45,6 @@ def fit(stack, lights, start, scatter=0.02, **changes):
         "scatter": np.full((1, pixels), scatter),
         "reflectance": np.full((1, pixels, stack.shape[-1]), 7.0),
         "shading": np.tile(np.float32([1, 0, 0]), (1, pixels, 1)),
-        "known": np.ones((1, pixels), bool),
     } | changes
     return fit_relighting(stack[:, None].astype(np.float32), lights, start[None].astype(np.float32), **given)
 
@@ -113,9 +112,9 @@ def test_what_cannot_be_fitted_stays():
     lights, normals, _, stack = scene(pixels=6)
     dark = stack.copy()
     dark[:, 1] = 0.0
-    known = np.ones((1, 6), bool)
-    known[0, 0] = False
-    found = fit(dark, lights, normals, known=known)
+    valid = np.ones((len(lights), 1, 6), bool)
+    valid[:, 0, 0] = False
+    found = fit(dark, lights, normals, valid=valid)
     for p in (0, 1):
         np.testing.assert_array_equal(found["shading_normals"][0, p], normals[p].astype(np.float32))
         assert (found["reflectance"][0, p] == 7).all()

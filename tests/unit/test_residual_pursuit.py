@@ -180,7 +180,7 @@ def test_the_few_coefficients_that_made_the_pictures_come_back():
     truth.ravel()[places] = rng.choice([-1, 1], 25) * rng.uniform(1, 3, 25)
     data = feet.look_up(samples_of(block, truth))
     found = pursue(
-        data, Operator.of_pixels(feet), block, shape, curvatures(block, feet.density()), price=0.02, bits=flat,
+        data, Operator.of_pixels(feet), block, curvatures(block, feet.density()), price=0.02, bits=flat,
         effort=Pursuit(rounds=8, inner=10, ridge=0.0),
     )  # fmt: skip
     assert found.error < 1e-3 * np.sum(data**2)
@@ -198,7 +198,7 @@ def test_unequal_views_are_served_better_than_by_one_step_length():
     data = (feet.look_up(scene[None]) + 0.02 * rng.standard_normal((1, len(feet.corner)))).astype(np.float32)
     operator = Operator.of_pixels(feet)
     curvature = curvatures(block, feet.density())
-    ours = pursue(data, operator, block, shape, curvature, price=0.03, bits=flat, effort=Pursuit(rounds=5, inner=4))
+    ours = pursue(data, operator, block, curvature, price=0.03, bits=flat, effort=Pursuit(rounds=5, inner=4))
     count = np.count_nonzero(ours.coefficients)
     thresholds = np.geomspace(0.02, 1, 12)
     others = [solve(data, operator, block, shape, threshold=t, iterations=35) for t in thresholds]
@@ -212,7 +212,7 @@ def test_a_solution_can_be_gone_on_from():
     block, shape = block_of(views=8, size=32), (1, 1, 8, 32, 32)
     feet = pixels_of(rng, (2000,) * 8, 32)
     data = feet.look_up(rng.standard_normal((1, 8, 32, 32)).cumsum(axis=2).cumsum(axis=3).astype(np.float32) / 30)
-    arguments = (data, Operator.of_pixels(feet), block, shape, curvatures(block, feet.density()))
+    arguments = (data, Operator.of_pixels(feet), block, curvatures(block, feet.density()))
 
     def objective(found):
         return found.error + 0.01 * np.count_nonzero(found.coefficients)
@@ -227,16 +227,16 @@ def test_a_solution_can_be_gone_on_from():
 
 
 def test_nothing_to_do():
-    block, shape = block_of(), (1, 1, 4, 16, 16)
+    block = block_of()
     feet = Footprints.of(np.zeros(0, int), *np.zeros((2, 0), np.float32), (4, 16, 16))
     found = pursue(
-        np.zeros((1, 0), np.float32), Operator.of_pixels(feet), block, shape, curvatures(block, feet.density()),
+        np.zeros((1, 0), np.float32), Operator.of_pixels(feet), block, curvatures(block, feet.density()),
         price=0.1, bits=flat, effort=Pursuit(),
     )  # fmt: skip
     assert not found.coefficients.any()
     feet = pixels_of(np.random.default_rng(6), (50, 0, 0, 50), 16)
     data = np.zeros((1, 100), np.float32)
-    arguments = (data, Operator.of_pixels(feet), block, shape, curvatures(block, feet.density()))
+    arguments = (data, Operator.of_pixels(feet), block, curvatures(block, feet.density()))
     assert not pursue(*arguments, price=0.1, bits=flat, effort=Pursuit()).coefficients.any()
     data += 1
     assert not pursue(*arguments, price=0.1, bits=flat, effort=Pursuit(rounds=0)).coefficients.any()

@@ -9,7 +9,7 @@ from refusals import refused
 from residual_source import SphereSource, scene_of
 from turned_sphere import tiles_of_sphere
 
-from nishiki.codec.allocate import EncodedObject, at_step, find_step, one_pass, over, pilot, point_of, psnr, slope_of
+from nishiki.codec.allocate import EncodedObject, Pilot, find_step, one_pass, over, pilot, point_of, psnr, slope_of
 from nishiki.codec.design import Design
 from nishiki.codec.parameters import predict_texels
 from nishiki.codec.solve import Footprints, Pursuit
@@ -36,7 +36,7 @@ def design(**changes):
 def encoded(tiles, *, step=0.03, without=(), threads=2, **changes):
     source, scene = SphereSource(tiles, without=without, encoding=changes.get("encoding", "linear")), scene_of(VIEWS)
     found = pilot(source, scene, design(**changes), EFFORT, threads=threads)
-    return one_pass(source, scene, found, EFFORT, step, threads=threads), source, scene
+    return one_pass(source, scene, found.at_step(step), EFFORT, threads=threads), source, scene
 
 
 def squared_error(residual, source, scene, *, level=0, encoding="linear"):
@@ -154,7 +154,7 @@ def test_search_meets_its_target(sphere):
     found = pilot(source, scene, design(), EFFORT, threads=2)
 
     def run(step, earlier):
-        return one_pass(source, scene, found, EFFORT, step, threads=2, earlier=earlier)
+        return one_pass(source, scene, found.at_step(step), EFFORT, threads=2, earlier=earlier)
 
     def size(point):
         return np.log(point.bytes)
@@ -170,9 +170,9 @@ def test_search_meets_its_target(sphere):
 def test_a_pass_that_goes_on_from_another_is_better_at_equal_bytes(sphere):
     source, scene = SphereSource(sphere), scene_of(VIEWS)
     found = pilot(source, scene, design(), EFFORT, threads=2)
-    coarser = one_pass(source, scene, found, EFFORT, 0.022, threads=2)
-    before, cold = point_of(coarser), point_of(one_pass(source, scene, found, EFFORT, 0.02, threads=2))
-    resumed = point_of(one_pass(source, scene, found, EFFORT, 0.02, threads=2, earlier=coarser))
+    coarser = one_pass(source, scene, found.at_step(0.022), EFFORT, threads=2)
+    before, cold = point_of(coarser), point_of(one_pass(source, scene, found.at_step(0.02), EFFORT, threads=2))
+    resumed = point_of(one_pass(source, scene, found.at_step(0.02), EFFORT, threads=2, earlier=coarser))
     slope = (cold.psnr_db - before.psnr_db) / np.log(cold.bytes / before.bytes)
     assert resumed.psnr_db > cold.psnr_db + slope * np.log(resumed.bytes / cold.bytes)
 
@@ -185,7 +185,7 @@ def test_a_sample_of_tiles_stands_for_all(sphere):
     assert len(tiles) == 2
     order = np.argsort(-found.energy)
     assert set(tiles) == {int(order[1]), int(order[3])}
-    some, every = (one_pass(source, scene, found, EFFORT, 0.03, threads=1, tiles=t) for t in (tiles, None))
+    some, every = (one_pass(source, scene, found.at_step(0.03), EFFORT, threads=1, tiles=t) for t in (tiles, None))
     assert (len(some.streams), len(every.streams)) == (2, source.tiles)
     assert some.extents == [every.extents[t] for t in tiles]
     assert point_of(some, 0.5).kept == 2 * some.kept
@@ -259,7 +259,7 @@ def test_header_and_index_take_about_what_is_expected(sphere, tmp_path):
 
 
 def test_parameter_steps_follow_the_weights():
-    steps = at_step(design(), 0.02, Typical((4.0, 0.0, 1.0), 1.0))
+    steps = Pilot([], design(), Typical((4.0, 0.0, 1.0), 1.0), np.zeros(0)).at_step(0.02).design
     assert steps.parameter_steps[0] == pytest.approx(0.01)
     assert all(np.isfinite(steps.parameter_steps))
 
@@ -292,6 +292,6 @@ def test_saturated_pixels_are_coded(sphere):
 
     assert away(stated) < 0.3 * away(mixed)
     source.stated = True
-    coded = one_pass(source, scene, stated, EFFORT, 0.01, threads=1)
+    coded = one_pass(source, scene, stated.at_step(0.01), EFFORT, threads=1)
     assert coded.pixels == sum(len(source.pixels(tile).s) for tile in range(source.tiles))
     assert coded.error < 0.05 * coded.model_error

@@ -204,7 +204,7 @@ def test_black_and_fully_invalid_pixels_pass_through():
         ({"method": "magic"}, "magic"),
         ({"method": "threshold", "w1": 0.1, "w2": 0.2}, "w2 < w1"),
         ({"method": "trimmed", "keep": (0.7, 0.3)}, "low < high"),
-        ({"starts": 0}, "starts"),
+        ({"min_lights": 2}, "min_lights"),
         ({"valid": np.ones((2, 2, 2), dtype=bool)}, "shape"),
     ],
 )

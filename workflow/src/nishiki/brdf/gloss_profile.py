@@ -94,20 +94,20 @@ class SpecularHistogram:
         diffuse_albedo,
         lights,
         *,
-        usable=None,
         sigma=0.0,
         regions=None,
         shading=None,
         gloss=None,
     ) -> "SpecularHistogram":
-        """Add every usable observation of a tile: all lights, lit and seen pixels.
+        """Add every observation of a tile that is a number: all lights, lit and seen pixels.
 
-        observations: (light, row, column), relative to the white reference, one channel or the mean of several.
+        observations: (light, row, column), relative to the white reference, one channel or the mean of several, NaN
+        where they are saturated or in cast shadow.
         normals: (row, column, 3) unit; diffuse_albedo: (row, column), of the same channel or mean; lights: (light, 3)
-        unit, towards the lamp; usable: bool (light, row, column), e.g. neither saturated nor in cast shadow; sigma:
-        (row, column), deviation of the normals per tangent axis, radians; regions: integer (row, column), -1 leaves a
-        pixel out (all region 0 if None); shading: (row, column, 3 or 5) as of `specular_samples`; gloss: GlossProfile
-        whose transmission, index and colour count (colour: of the same channel), None: Lambert's law.
+        unit, towards the lamp; sigma: (row, column), deviation of the normals per tangent axis, radians; regions:
+        integer (row, column), -1 leaves a pixel out (all region 0 if None); shading: (row, column, 3 or 5) as of
+        `specular_samples`; gloss: GlossProfile whose transmission, index and colour count (colour: of the same
+        channel), None: Lambert's law.
         """
         shape = np.shape(observations)
         regions = np.zeros(shape[1:], int) if regions is None else regions
@@ -126,7 +126,7 @@ class SpecularHistogram:
             normals,
             np.asarray(diffuse_albedo)[..., None],
             gloss,
-            valid=True if usable is None else usable,
+            valid=True,
             shading=shading,
         )
         new, sigma = self, np.broadcast_to(sigma, shape[1:])

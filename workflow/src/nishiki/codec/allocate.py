@@ -147,6 +147,15 @@ class Pilot:
         count = min(count, len(order))
         return sorted(order[int((k + 0.5) * len(order) / count)] for k in range(count))
 
+    def at_step(self, step: float, *, parameter_share: float = 1.0) -> "Pilot":
+        """Scale the design's steps so that one parameter step changes the pictures as much as one residual step."""
+        steps = [
+            parameter_share * step * np.sqrt(self.typical.density / max(w, 1e-12)) for w in self.typical.parameters
+        ]
+        limits = ((1e-6, 1.0), (1e-6, 1.0), (0.02, 1.0))
+        rounded = tuple(float(f"{np.clip(s, *limit):.4g}") for s, limit in zip(steps, limits, strict=True))
+        return replace(self, design=replace(self.design, step=float(f"{step:.5g}"), parameter_steps=rounded))
+
 
 def over(work: Callable, items: Sequence, threads: int, progress: Callable | None = None, what: str = "") -> Iterable:
     """Results of work(item) in order, several at a time, never more than a few ahead."""
@@ -215,24 +224,15 @@ def _usual(weight: np.ndarray) -> float:
     return float(np.sum(weight.astype(float) ** 2) / max(np.sum(weight, dtype=float), 1e-30))
 
 
-def at_step(design: Design, step: float, typical: Typical, *, parameter_share: float = 1.0) -> Design:
-    """Scale the design's steps so that one parameter step changes the pictures as much as one residual step."""
-    steps = [parameter_share * step * np.sqrt(typical.density / max(w, 1e-12)) for w in typical.parameters]
-    limits = ((1e-6, 1.0), (1e-6, 1.0), (0.02, 1.0))
-    rounded = tuple(float(f"{np.clip(s, *limit):.4g}") for s, limit in zip(steps, limits, strict=True))
-    return replace(design, step=float(f"{step:.5g}"), parameter_steps=rounded)
-
-
 def one_pass(
-    source: Source, scene: CodedScene, piloted: Pilot, effort: Effort, step: float, *, threads: int, progress=None,
-    parameter_share: float = 1.0, tiles: Sequence[int] | None = None, earlier: EncodedObject | None = None,
+    source: Source, scene: CodedScene, piloted: Pilot, effort: Effort, *, threads: int, progress=None,
+    tiles: Sequence[int] | None = None, earlier: EncodedObject | None = None,
 ) -> EncodedObject:  # fmt: skip
-    """Solve, quantise and code every tile, or only `tiles`, at one step.
+    """Solve, quantise and code every tile, or only `tiles`, at the step of the pilot's design (`Pilot.at_step`).
 
     earlier: of the same tiles at a similar step; the solver goes on from there.
     """
-    tiles = range(source.tiles) if tiles is None else tiles
-    design = at_step(piloted.design, step, piloted.typical, parameter_share=parameter_share)
+    tiles, design = range(source.tiles) if tiles is None else tiles, piloted.design
 
     def work(place: int):
         tile, starts = tiles[place], None
@@ -247,7 +247,7 @@ def one_pass(
         light = replace(coded, parameters=empty, residual=())
         return light, coded.kept, tuple(Sparse.of(block) for block in blocks)
 
-    results = list(over(work, range(len(tiles)), threads, progress, f"tiles at step {step:.4g}"))
+    results = list(over(work, range(len(tiles)), threads, progress, f"tiles at step {design.step:.4g}"))
     coded: list[CodedTile] = [r[0] for r in results if r is not None]
     extents = [NOTHING if r is None else r[0].extent for r in results]
     integers = [None if r is None else r[2] for r in results]

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from nishiki.codec.range_coder import INPUTS, PLACE, RATE, SQUASH, STRETCH, UNIT, begin, code_bit, code_mixed, finish
+from nishiki.codec.range_coder import INPUTS, PLACE, UNIT, Coder, begin, code_bit, code_mixed, finish
 from nishiki.errors import UserError
 
-TABLES = (STRETCH, SQUASH, RATE)
 ZERO_SIZES = (128, 240, 144, 108, 720, 128)
 MORE_SIZES = (24 * 8, 720 * 3, 25 * 6 * 3)
 FLAG_SIZES = (36 * 8, 720, 36)
@@ -43,6 +42,11 @@ class Model:
         weights = np.zeros((GROUPS, INPUTS), np.int64)
         weights[:, : INPUTS - 1] = int(0.3 * UNIT)
         return cls(chance, np.zeros(CONTEXTS, np.int64), weights)
+
+    def coder(self, data: np.ndarray, *, decoding: bool) -> Coder:
+        """Return a coder of bytes (n,) uint8 that starts in this state."""
+        tally, state = np.zeros((CONTEXTS, 2), np.int64), np.zeros(4, np.int64)
+        return Coder(self.chance.copy(), self.seen.copy(), tally, self.weights.copy(), state, data, decoding)
 
 
 @dataclass(frozen=True)
@@ -82,12 +86,10 @@ def encode(values: np.ndarray, levels: int, model: Model) -> Coded:
 def _encoded(values: np.ndarray, levels: int, model: Model, size: int) -> tuple[Coded, int]:
     """Coded into a buffer of `size` bytes, and the bytes that it takes: the coding is void where these are more."""
     bands = bands_of(values.shape[-2], values.shape[-1], levels)
-    data = np.empty(size, np.uint8)
     ends = np.zeros(len(bands), np.int64)
-    chance, seen, weights = model.chance.copy(), model.seen.copy(), model.weights.copy()
-    tally = np.zeros((CONTEXTS, 2), np.int64)
-    length = code_block(values, bands, len(bands), chance, seen, tally, weights, TABLES, data, False, ends)
-    return Coded(data[:length].tobytes(), np.minimum(ends, length), tally, weights), length
+    coder = model.coder(np.empty(size, np.uint8), decoding=False)
+    length = code_block(values, bands, len(bands), coder, ends)
+    return Coded(coder.data[:length].tobytes(), np.minimum(ends, length), coder.tally, coder.weights), length
 
 
 def decode(data: bytes, shape: tuple[int, int, int, int], levels: int, model: Model, *, drop: int = 0) -> np.ndarray:
@@ -95,19 +97,15 @@ def decode(data: bytes, shape: tuple[int, int, int, int], levels: int, model: Mo
     bands = bands_of(*shape[-2:], levels)
     bands_read = len(bands) - 3 * min(drop, levels)
     values = np.zeros(shape, np.int32)
-    chance, seen, weights = model.chance.copy(), model.seen.copy(), model.weights.copy()
-    tally = np.zeros((CONTEXTS, 2), np.int64)
-    stream = np.frombuffer(data, np.uint8).copy()
-    ends = np.zeros(len(bands), np.int64)
-    code_block(values, bands, bands_read, chance, seen, tally, weights, TABLES, stream, True, ends)
+    coder = model.coder(np.frombuffer(data, np.uint8).copy(), decoding=True)
+    code_block(values, bands, bands_read, coder, np.zeros(len(bands), np.int64))
     return values
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def code_block(values, bands, count, chance, seen, tally, weights, tables, data, decoding, ends):
+def code_block(values, bands, count, coder, ends):
     """Code the first `count` bands; number of bytes written (encoding)."""
-    state = np.zeros(4, np.int64)
-    begin(state, data, decoding)
+    begin(coder.state, coder.data, coder.decoding)
     channels, frequencies = values.shape[0], values.shape[1]
     filled = np.zeros((bands.shape[0], frequencies, channels), np.int64)
     for b in range(count):
@@ -115,17 +113,13 @@ def code_block(values, bands, count, chance, seen, tally, weights, tables, data,
             for c in range(channels):
                 band = bands[b]
                 inside = values[c, k, band[0] : band[0] + band[2], band[1] : band[1] + band[3]]
-                some = 0 if decoding or not inside.any() else 1
-                some = code_flag(
-                    some, filled, bands, b, k, c, chance, seen, tally, weights, tables, state, data, decoding
-                )
+                some = 0 if coder.decoding or not inside.any() else 1
+                some = code_flag(some, filled, bands, b, k, c, coder)
                 filled[b, k, c] = some
                 if some:
-                    code_plane(
-                        values, filled, bands, b, k, c, chance, seen, tally, weights, tables, state, data, decoding
-                    )
-        ends[b] = state[PLACE] + 4
-    return state[PLACE] if decoding else finish(state, data)
+                    code_plane(values, filled, bands, b, k, c, coder)
+        ends[b] = coder.state[PLACE] + 4
+    return coder.state[PLACE] if coder.decoding else finish(coder.state, coder.data)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -139,7 +133,7 @@ def place_class(k, c, level, orientation):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def code_flag(some, filled, bands, b, k, c, chance, seen, tally, weights, tables, state, data, decoding):
+def code_flag(some, filled, bands, b, k, c, coder):
     """Whether the band has any coefficient at this frequency and channel."""
     parent = bands[b, 6]
     before = filled[b, k - 1, c] if k > 0 else 2
@@ -151,7 +145,7 @@ def code_flag(some, filled, bands, b, k, c, chance, seen, tally, weights, tables
     contexts[0] = OFFSETS[0] + ((before * 3 + above) * 4 + beside) * 8 + min(bands[b, 4], 7)
     contexts[1] = OFFSETS[1] + place_class(k, c, bands[b, 4], bands[b, 5])
     contexts[2] = OFFSETS[2] + ((turned * 3 + before) * 2 + earlier) * 2 + min(c, 1)
-    return code_mixed(some, contexts, 3, 0, chance, seen, tally, weights, tables, state, data, decoding)
+    return code_mixed(some, contexts, 3, 0, coder)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -190,8 +184,9 @@ def fine_grade(value):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def code_plane(values, filled, bands, b, k, c, chance, seen, tally, weights, tables, state, data, decoding):
+def code_plane(values, filled, bands, b, k, c, coder):
     """Code one band of one frequency and channel, row by row."""
+    state, data, decoding = coder.state, coder.data, coder.decoding
     band = bands[b]
     r, q, height, width, level, orientation, parent = band
     plane = values[c, k]
@@ -234,9 +229,7 @@ def code_plane(values, filled, bands, b, k, c, chance, seen, tally, weights, tab
             contexts[5] = OFFSETS[8] + amount * 5 + min(grain - 1, 4)
             group = (1 + (1 if total > 0 else 0)) * 24 + grain * 3 + turn
             value = plane[r + i, q + j]
-            bit = code_mixed(
-                1 if value != 0 else 0, contexts, 6, group, chance, seen, tally, weights, tables, state, data, decoding
-            )
+            bit = code_mixed(1 if value != 0 else 0, contexts, 6, group, coder)
             if bit == 0:
                 continue
             negative = code_bit(1 if value < 0 else 0, 32768, state, data, decoding)
@@ -249,20 +242,7 @@ def code_plane(values, filled, bands, b, k, c, chance, seen, tally, weights, tab
                 contexts[0] = OFFSETS[9] + amount * 8 + step
                 contexts[1] = OFFSETS[10] + place * 3 + min(step, 2)
                 contexts[2] = OFFSETS[11] + ((min(w, 4) * 5 + min(n, 4)) * 6 + _grade(before)) * 3 + min(step, 2)
-                more = code_mixed(
-                    1 if size > magnitude else 0,
-                    contexts,
-                    3,
-                    1 + min(step, 2) * 3 + turn,
-                    chance,
-                    seen,
-                    tally,
-                    weights,
-                    tables,
-                    state,
-                    data,
-                    decoding,
-                )
+                more = code_mixed(1 if size > magnitude else 0, contexts, 3, 1 + min(step, 2) * 3 + turn, coder)
                 if more == 0:
                     break
                 magnitude += 1

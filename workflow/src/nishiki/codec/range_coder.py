@@ -9,6 +9,8 @@ State of a coder, int64: [low, high, place in the bytes, code word]. A context's
 in `chance`; `seen` counts how often it was used, up to a limit, and sets how fast it learns.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -22,6 +24,23 @@ UNIT = 65536  # of a chance, 16 bits
 STRETCH = np.round(np.log((np.arange(4096) + 0.5) / (4095.5 - np.arange(4096))) * 256).astype(np.int64)
 SQUASH = np.clip(np.round(65536 / (1 + np.exp(-np.arange(-3071, 3072) / 256))), 4, 65532).astype(np.int64)
 RATE = np.round(65536 / (np.arange(LIMIT + 1) + 1.6)).astype(np.int64)
+
+
+class Coder(NamedTuple):
+    """Hold a coder's bytes, data (n,) uint8, and all that it learns and changes in place.
+
+    chance, seen (contexts,), tally (contexts, 2) zeros and ones, for training, weights (groups, INPUTS), state (4,):
+    int64.
+    """
+
+    chance: np.ndarray
+    seen: np.ndarray
+    tally: np.ndarray
+    weights: np.ndarray
+    state: np.ndarray
+    data: np.ndarray
+    decoding: bool
+    tables: tuple = (STRETCH, SQUASH, RATE)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -85,20 +104,17 @@ def finish(state, data):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def code_mixed(bit, contexts, count, group, chance, seen, ones, weights, tables, state, data, decoding):
-    """Code one bit under `count` contexts (places in `chance`), mixed by the weights of `group`; learn from it.
-
-    tables: (STRETCH, SQUASH, RATE). ones (contexts, 2) counts zeros and ones, for training.
-    """
-    stretch, squash, rate = tables
-    weight = weights[group]
+def code_mixed(bit, contexts, count, group, coder):
+    """Code one bit under `count` contexts (places in `chance`), mixed by the weights of `group`; learn from it."""
+    stretch, squash, rate = coder.tables
+    chance, seen, tally, weight = coder.chance, coder.seen, coder.tally, coder.weights[group]
     total = weight[INPUTS - 1] * 256
     for k in range(count):
         total += weight[k] * stretch[chance[contexts[k]] >> 10]
     total = (total + 32768) >> 16
     total = min(max(total, -3071), 3071)
     p_one = squash[total + 3071]
-    bit = code_bit(bit, p_one, state, data, decoding)
+    bit = code_bit(bit, p_one, coder.state, coder.data, coder.decoding)
     error = ((bit << 16) - p_one) * 6
     for k in range(count):
         place = contexts[k]
@@ -106,6 +122,6 @@ def code_mixed(bit, contexts, count, group, chance, seen, ones, weights, tables,
         chance[place] += (((bit << 22) - bit - chance[place]) * rate[seen[place]]) >> 16
         if seen[place] < LIMIT:
             seen[place] += 1
-        ones[place, bit] += 1
+        tally[place, bit] += 1
     weight[INPUTS - 1] += (256 * error + (1 << 19)) >> 20
     return bit

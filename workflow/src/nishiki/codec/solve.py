@@ -221,7 +221,6 @@ def pursue(
     data: np.ndarray,
     operator: Operator,
     block: Block,
-    shape: tuple[int, ...],
     curvature: np.ndarray,
     *,
     price: float,
@@ -231,12 +230,13 @@ def pursue(
 ) -> Solution:
     """Coefficients (channels, lights, views, T, T) float32 of pixel values `data` (channels, n) float32.
 
-    price: squared error that a bit is worth; bits: expected of every coefficient, of a solution in hand. While there is
-    none, every coefficient costs one bit, at the higher prices of the first rounds. start: coefficients of an earlier
-    solution at a similar price, to go on from.
+    curvature: (lights, views, T, T), see `curvatures`; price: squared error that a bit is worth; bits: expected of
+    every coefficient, of a solution in hand. While there is none, every coefficient costs one bit, at the higher prices
+    of the first rounds. start: coefficients of an earlier solution at a similar price, to go on from.
     """
     if start is not None and not start.any():
         start = None
+    shape = (len(data), *curvature.shape)
     held = np.zeros(shape, np.float32) if start is None else start.reshape(shape).astype(np.float32)
     if not effort.rounds or curvature.max(initial=0) <= 0:
         return Solution(np.zeros(shape, np.float32), float(np.sum(data.astype(np.float64) ** 2)), 0)

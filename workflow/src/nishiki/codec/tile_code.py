@@ -171,7 +171,7 @@ def encode_tile(
         weights, arguments = refined.weights, (design, seen.extent, effort.threshold)
         parameters = encode_parameters(maps, weights, typical.parameters, *arguments)
         maps = decode_parameters(parameters, design, seen.extent)
-    shape, block = design.shape(seen.extent), design.block(seen.extent)
+    block = design.block(seen.extent)
     operator = Operator.of_pixels(seen.feet)
     curvature, price = curvatures(block, seen.feet.density()), effort.price * design.step**2 * typical.density
     bits = partial(expected_bits, step=design.step, levels=block.plane.levels)
@@ -183,9 +183,7 @@ def encode_tile(
             left = values - seen.feet.look_up(model_of(maps, seen, scene, design, component))
         data = (design.mix(index) @ left).astype(np.float32)
         start = None if starts is None else starts[index]
-        solution = pursue(
-            data, operator, block, shape, curvature, price=price, bits=bits, effort=effort.pursuit, start=start
-        )
+        solution = pursue(data, operator, block, curvature, price=price, bits=bits, effort=effort.pursuit, start=start)
         integers = quantise(solution.coefficients, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
         after = data - operator.look(samples_of(block, (integers * np.float32(design.step)).astype(np.float32)))
         errors += [float(np.sum(a.astype(np.float64) ** 2)) for a in (after, data, values)]

@@ -34,6 +34,7 @@ from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
 
 _PIXELS_A_THREAD = 4096  # at least
+UNIT_TOLERANCE = 0.01  # beyond 0 .. 1 at which a reflectance is flagged
 METHODS = ("paper", "wiener", "local")
 FLAG_MEANINGS = {
     OUTSIDE_UNIT: "reflectance outside [0, 1] beyond the tolerance",
@@ -105,11 +106,6 @@ def fit_estimator(
     noise: float = 0.005,
     white_width: float = 0.02,
     centres: int = 256,
-    radius: float = 6.0,
-    ridge: float | None = None,
-    condition_limit: float = 1e6,
-    unit_tolerance: float = 0.01,
-    rule: str = "trapezoid",
 ) -> SpectralEstimator:
     """Learn how to turn camera responses into reflectances.
 
@@ -136,15 +132,8 @@ def fit_estimator(
     white_width : float, optional
         The perfect white returns a reflectance of 1 exactly; the correction that sees to it fades as a Gaussian of
         this width (root mean square over channels) round the white response. 0: none, the method as it is.
-    centres, radius, ridge : optional
-        Of the local correction; see `nishiki.colour.local.fit_correction`.
-    condition_limit : float, optional
-        paper: singular values of the system matrix below the largest over this limit are left out, and every pixel is
-        flagged.
-    unit_tolerance : float, optional
-        Reflectances below -tolerance and above 1 + tolerance are flagged.
-    rule : {'trapezoid', 'rectangle'}, optional
-        Integration over wavelength.
+    centres : int, optional
+        Largest number of kernels of the local correction.
 
     Returns
     -------
@@ -174,15 +163,19 @@ def fit_estimator(
     (4, 61)
     """
     spectra = checked_spectra(training, "training reflectances")
-    _check_settings(method, noise, white_width, centres, radius, ridge, condition_limit, unit_tolerance)
-    weights = channel_weights(illuminant, sensitivities, rule=rule)
+    if method not in METHODS:
+        raise UserError(f"spectra: method expected one of {', '.join(METHODS)}, found {method!r}; use one of them")
+    for name, value, least in (("noise", noise, 0.0), ("white_width", white_width, 0.0), ("centres", centres, 1)):
+        if not (np.isfinite(value) and value >= least):
+            raise UserError(f"spectra: {name} expected a number of at least {least:g}, found {value!r}; correct it")
+    weights = channel_weights(illuminant, sensitivities)
     responses = spectra @ weights.T
     problem = Problem(spectra, weights, responses, response_space(responses, noise=noise), noise)
     if method == "paper":
-        parts = fit_paper(problem, bases, white=white_width > 0, condition_limit=condition_limit)
+        parts = fit_paper(problem, bases, white=white_width > 0)
     else:
-        parts = fit_regression(problem, bases, None if method == "wiener" else (centres, radius, ridge))
-    estimator = _assemble(problem, parts, method, white_width, unit_tolerance)
+        parts = fit_regression(problem, bases, None if method == "wiener" else centres)
+    estimator = _assemble(problem, parts, method, white_width)
     if white_width == 0:
         return estimator
     # The anchor is what the very code that serves pixels lacks at the white response.
@@ -289,7 +282,7 @@ def _tables(e: SpectralEstimator) -> kernels.Tables:
     )  # fmt: skip
 
 
-def _assemble(problem: Problem, parts: Parts, method: str, white_width: float, unit_tolerance: float):
+def _assemble(problem: Problem, parts: Parts, method: str, white_width: float) -> SpectralEstimator:
     space, local, size = problem.space, parts.correction, len(parts.basis)
     channels = problem.weights.shape[0]
     table, origin, step = correction_table(local, space)
@@ -314,28 +307,11 @@ def _assemble(problem: Problem, parts: Parts, method: str, white_width: float, u
         table_step=step,
         noise=float(problem.noise),
         noise_variance=float(problem.noise**2 * np.mean(np.sum((parts.basis.T @ parts.linear) ** 2, axis=1))),
-        unit_tolerance=float(unit_tolerance),
+        unit_tolerance=UNIT_TOLERANCE,
         condition=parts.condition,
         ill_conditioned=parts.ill_conditioned,
         training_rmse=parts.training_rmse,
     )
-
-
-def _check_settings(method, noise, white_width, centres, radius, ridge, condition_limit, unit_tolerance):
-    if method not in METHODS:
-        raise UserError(f"spectra: method expected one of {', '.join(METHODS)}, found {method!r}; use one of them")
-    limits = (
-        ("noise", noise, 0.0),
-        ("white_width", white_width, 0.0),
-        ("centres", centres, 1),
-        ("radius", radius, 1e-3),
-        ("ridge", 1.0 if ridge is None else ridge, 1e-12),
-        ("condition_limit", condition_limit, 1.0),
-        ("unit_tolerance", unit_tolerance, 0.0),
-    )
-    for name, value, least in limits:
-        if not (np.isfinite(value) and value >= least):
-            raise UserError(f"spectra: {name} expected a number of at least {least:g}, found {value!r}; correct it")
 
 
 LIGHTS = ("D65", "A", "FL11")  # daylight, incandescent light, a fluorescent lamp of three narrow bands

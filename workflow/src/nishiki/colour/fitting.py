@@ -10,6 +10,9 @@ from nishiki.colour.local import TAPER_END, LocalCorrection, ResponseSpace, eval
 from nishiki.colour.sampling import BANDS, principal_basis
 from nishiki.errors import UserError
 
+CONDITION_LIMIT = 1e6  # of the paper's system matrix: singular values below the largest over it are left out
+RADIUS = 6.0  # of the kernels of the local correction, in whitened standard deviations, for three channels
+
 
 def paper_map(weights: np.ndarray, basis: np.ndarray, *, condition_limit: float) -> tuple[np.ndarray, bool]:
     """Compute the paper's map (K, N) from white-normalised responses, sigma = H^-1 rho'.
@@ -82,7 +85,7 @@ class Parts:
     training_rmse: float
 
 
-def fit_paper(problem: Problem, bases: int | None, *, white: bool, condition_limit: float) -> Parts:
+def fit_paper(problem: Problem, bases: int | None, *, white: bool) -> Parts:
     """Fit principal bases and sigma = H^-1 rho'; with `white`, one more row for the white anchor.
 
     Tominaga and Tanaka (2004), eq. 5-8.
@@ -92,7 +95,7 @@ def fit_paper(problem: Problem, bases: int | None, *, white: bool, condition_lim
     """
     channels = problem.weights.shape[0]
     vectors = principal_basis(problem.spectra, min(3, channels) if bases is None else bases)
-    sigma, cut = paper_map(problem.weights, vectors, condition_limit=condition_limit)
+    sigma, cut = paper_map(problem.weights, vectors, condition_limit=CONDITION_LIMIT)
     residual = problem.spectra - problem.responses @ sigma.T @ vectors
     basis, linear, of_white = vectors, sigma, sigma.sum(axis=1)
     if white:
@@ -108,30 +111,27 @@ BasesRule = Callable[[np.ndarray, float], int]
 """Number of output bases from the estimates (M, 61) of the training spectra and their mean-square error."""
 
 
-def fit_regression(
-    problem: Problem, bases: int | BasesRule | None, local: tuple[int, float, float | None] | None
-) -> Parts:
-    """Wiener's estimator, with the local correction if `local` = (centres, radius, ridge) is given."""
+def fit_regression(problem: Problem, bases: int | BasesRule | None, centres: int | None) -> Parts:
+    """Fit Wiener's estimator, with a local correction of so many centres unless they are None."""
     channels = problem.weights.shape[0]
     dense = wiener_map(problem.weights, problem.spectra, noise=problem.noise)
     estimates = problem.responses @ dense.T
     residual = problem.spectra - estimates
     far, correction = float(np.mean(residual**2)), None
-    if local:
-        centres, radius, ridge = local
-        # Distances in N whitened dimensions grow like sqrt(N); the radius is stated for three channels.
+    if centres:
+        # distances in N whitened dimensions grow like sqrt(N)
         correction = fit_correction(
             residual,
             problem.responses,
             problem.space,
             centres=centres,
-            radius=radius * (channels / 3.0) ** 0.5,
-            ridge=ridge,
+            radius=RADIUS * (channels / 3.0) ** 0.5,
+            ridge=None,
         )
         estimates = estimates + evaluate_correction(correction, problem.space, problem.responses)[0]
     squared = correction.left_out_rmse**2 if correction else far
     count = bases(estimates, squared) if callable(bases) else bases
-    count = count if count is not None else (12 if local else min(channels + 1, 12))
+    count = count if count is not None else (12 if centres else min(channels + 1, 12))
     basis = output_basis(estimates, count)
     onto = np.linalg.pinv(basis).T  # (K, 61)
     lost = float(np.mean((estimates - estimates @ onto.T @ basis) ** 2))

@@ -13,20 +13,6 @@ STEP_NM = 5.0
 BANDS = WAVELENGTHS_NM.size
 
 
-def integration_weights(rule: str = "trapezoid") -> np.ndarray:
-    """Weights (61,) in nm whose dot product with a curve is its integral over 400-700 nm.
-
-    `"trapezoid"` halves the two end bands (sum 300 nm, exact for piecewise linear curves); `"rectangle"` is the plain
-    sum times 5 nm (sum 305 nm), the form in which colorimetric sums are tabulated (CIE 015:2018, 7.1).
-    """
-    weights = np.full(BANDS, STEP_NM)
-    if rule == "trapezoid":
-        weights[[0, -1]] *= 0.5
-    elif rule != "rectangle":
-        raise UserError(f"integration rule: expected 'trapezoid' or 'rectangle', found {rule!r}; use one of the two")
-    return weights
-
-
 def resample(
     wavelengths_nm: np.ndarray, values: np.ndarray, *, name: str = "curve", tolerance_nm: float = 5.0
 ) -> np.ndarray:
@@ -111,7 +97,7 @@ def principal_basis(reflectances: np.ndarray, count: int) -> np.ndarray:
     return vectors * np.where(vectors.sum(axis=1) < 0, -1.0, 1.0)[:, None]
 
 
-def channel_weights(illuminant: np.ndarray, sensitivities: np.ndarray, *, rule: str = "trapezoid") -> np.ndarray:
+def channel_weights(illuminant: np.ndarray, sensitivities: np.ndarray) -> np.ndarray:
     """Linear functional of each white-normalised channel: response = weights @ S, and weights @ 1 = 1.
 
     illuminant : (61,) relative power, >= 0. sensitivities : (N, 61) any scale a channel. Returns (N, 61).
@@ -124,7 +110,9 @@ def channel_weights(illuminant: np.ndarray, sensitivities: np.ndarray, *, rule: 
     if np.any(lamp < 0):
         raise UserError(f"illuminant: expected power >= 0, found {lamp.min():g}; correct the table")
     # only shapes matter: brought to a largest value of 1, no unit of power or response leaves float64
-    products = normalised(curves) * normalised(lamp) * integration_weights(rule)
+    steps = np.full(BANDS, STEP_NM)
+    steps[[0, -1]] *= 0.5  # trapezoids: exact for piecewise linear curves
+    products = normalised(curves) * normalised(lamp) * steps
     totals = products.sum(axis=1)
     blind = np.flatnonzero(~(totals > 1e-12 * max(np.abs(totals).max(), np.finfo(float).tiny)))
     if blind.size:

@@ -30,12 +30,12 @@ rotation (C, C): the first row is the common level of the channels.
 
 
 class JointSettings(NamedTuple):
-    """Settings of a joint fit; see the constants above and `refine_normals`."""
+    """Settings of a joint fit; see the constants above."""
 
-    noise: float
-    model_error: float
-    second_start: float
-    max_condition: float
+    noise: float | None = None  # of an observation; None: NOISE of the gloss' unit
+    model_error: float = MODEL_ERROR
+    second_start: float = SECOND_START
+    max_condition: float = 1e4
     gloss_error: float = GLOSS_ERROR
     tilt_error: float = TILT_ERROR
     tolerance: float = TOLERANCE
@@ -79,10 +79,7 @@ def refine_normals(
     valid: np.ndarray | None = None,
     flags: np.ndarray | None = None,
     reflectance: np.ndarray | None = None,
-    max_condition: float = 1e4,
-    noise: float | None = None,
-    model_error: float = MODEL_ERROR,
-    second_start: float = SECOND_START,
+    settings: JointSettings | None = None,
 ) -> RefinedNormals:
     """Fit I'_jk = rho_k b(n . l_j) + s_j(n) at every pixel from the given normals (see `gloss_kernel`).
 
@@ -90,9 +87,8 @@ def refine_normals(
     columns) bool, None for all; normals (rows, columns, 3) unit, of any solver, to start from (a metal starts from
     the half vectors, weighted by the light); flags (rows, columns)
     uint8: where a bit of NO_ESTIMATE is set nothing is done; reflectance (rows, columns, channels) kept there and where
-    the fit fails, zeros if None; gloss: of `nishiki.brdf.gloss_profile`; noise, of an observation (0.002 of the
-    gloss' unit if None); model_error, relative to a pixel's mean level; second_start: cost a value above which a second
-    start is tried. The result does not depend on threads or tiles.
+    the fit fails, zeros if None; gloss: of `nishiki.brdf.gloss_profile`. The result does not depend on threads or
+    tiles.
 
     Raises UserError where shapes do not fit.
     """
@@ -105,7 +101,8 @@ def refine_normals(
         )
     count, pixels, channels = shape[0], shape[1] * shape[2], shape[3]
     valid = np.isfinite(observations).all(axis=-1) & (True if valid is None else valid)
-    noise = NOISE * gloss.unit if noise is None else noise
+    settings = settings or JointSettings()
+    noise = NOISE * gloss.unit if settings.noise is None else settings.noise
     noise = noise if gloss.colour is None else noise / gloss.colour.mean()
     lights = light_table(directions, gloss.refractive_index)
     if gloss.colour is not None:  # a metal does not follow Lambert's law
@@ -113,7 +110,7 @@ def refine_normals(
         normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), np.finfo(float).tiny)
     fields = empty_fields(pixels, channels, normals, reflectance, flags)
     scene = JointScene(lights, gloss.table(), channel_rotation(channels))
-    settings = JointSettings(float(noise), float(model_error), float(second_start), float(max_condition))
+    settings = settings._replace(noise=float(noise))
     known = np.ascontiguousarray(np.broadcast_to(valid, shape[:3]).reshape(count, pixels))
     over_rows(refine_pixels, pixels, observations.reshape(count, pixels, channels), known, scene, settings, fields)
     refined, rho, scalars, used, marks, cost = fields

@@ -16,6 +16,8 @@ METHODS = ("refit", "trimmed", "threshold", "none")
 
 
 # The re-fit's constants: shares of the samples, and bounds in units of the scale of the concentrated fit.
+STARTS = 3  # windows of ranks that are tried
+NOISE = 0.003  # relative to the albedo, below which no disagreement is taken seriously
 STEPS = 2  # concentration steps for each start
 WINDOW = 0.4  # share of the samples in a starting window of ranks
 COVERAGE = 0.5  # share of the samples that a fit has to explain: up to half may be spoilt
@@ -48,9 +50,9 @@ Lamps = namedtuple("Lamps", "directions products sort_all sort_smallest")
 class RefitSettings(NamedTuple):
     """Settings of the re-fit; those that are not counts as float32."""
 
-    starts: int
-    floor: np.float32
     at_least: np.float32
+    starts: int = STARTS
+    floor: np.float32 = np.float32(NOISE)
     steps: int = STEPS
     window: np.float32 = np.float32(WINDOW)
     coverage: np.float32 = np.float32(COVERAGE)
@@ -74,8 +76,6 @@ def select_diffuse(
     w2=0.1,
     keep=(0.3, 0.7),
     min_lights=4,
-    noise=0.003,
-    starts=3,
 ):
     """Select per pixel the lights under which it shows diffuse reflection only.
 
@@ -97,10 +97,6 @@ def select_diffuse(
         Of `trimmed`: least and largest rank that is kept, as shares.
     min_lights : int, optional
         Least number of samples that `refit` and `trimmed` keep where there are so many.
-    noise : float, optional
-        Of `refit`: noise relative to the albedo, below which no disagreement is taken seriously.
-    starts : int, optional
-        Of `refit`: number of windows of ranks that are tried.
 
     Returns
     -------
@@ -136,7 +132,7 @@ def select_diffuse(
     if method == "none":
         usable[...] = known
     elif method == "refit":
-        refit(stack, known, directions, starts, noise, min_lights, usable, highlights, shadows)
+        refit(stack, known, directions, min_lights, Selected(usable, highlights, shadows))
     elif method == "threshold":
         if not 0 <= w2 < w1:
             raise UserError(f"light selection by thresholds: expected 0 <= w2 < w1, found w1 = {w1}, w2 = {w2}")
@@ -239,32 +235,29 @@ def distinct_sets(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return first, member
 
 
-def refit(stack, known, directions, starts, noise, min_lights, usable, highlights, shadows):
+def refit(stack, known, directions, min_lights, selected):
     """Run `refit_selection` with the project's constants (docs/stages/separate.md gives their reasons)."""
     from nishiki.lanes import repeated
     from nishiki.photometric.block import BLOCK
     from nishiki.photometric.refit import refit_selection
 
-    if not (1 <= starts <= 32 and 0 <= noise < 1 and min_lights >= 3):
-        raise UserError(
-            "light selection by re-fit: expected 1 <= starts <= 32, 0 <= noise < 1 and min_lights >= 3,"
-            f" found starts = {starts}, noise = {noise}, min_lights = {min_lights}"
-        )
+    if min_lights < 3:
+        raise UserError(f"light selection by re-fit: expected min_lights >= 3, found {min_lights}")
     directions = np.ascontiguousarray(directions, np.float32)
     lights, pixels = stack.shape
     smallest = min(lights, max(min_lights, ceil(COVERAGE * lights)))
     networks = sorting_network(lights), sorting_network(lights, smallest)
     lamps = Lamps(directions, direction_products(directions), *networks)
-    settings = RefitSettings(starts, np.float32(noise), np.float32(min_lights))
+    settings = RefitSettings(np.float32(min_lights))
     if pixels >= BLOCK:
-        selected = Selected(usable, highlights, shadows)
         over_rows(refit_selection, -(-pixels // BLOCK), stack, known, lamps, settings, selected)
     elif pixels:
         known = known if known.shape[1] == 1 else repeated(known, BLOCK)
         stack = repeated(stack, BLOCK)
         block = Selected(np.empty(stack.shape, np.bool_), np.empty(BLOCK, np.uint16), np.empty(BLOCK, np.uint16))
         refit_selection(0, 1, stack, known, lamps, settings, block)
-        usable[...], highlights[...], shadows[...] = (values[..., :pixels] for values in block)
+        for whole, values in zip(selected, block, strict=True):
+            whole[...] = values[..., :pixels]
 
 
 def checked_stack(observations, directions):

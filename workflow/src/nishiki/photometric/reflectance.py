@@ -1,5 +1,6 @@
 """Diffuse reflectance of each channel, from the selected lights and the known normals."""
 
+from collections import namedtuple
 from dataclasses import dataclass
 
 import numba
@@ -11,6 +12,10 @@ from nishiki.threads import over_rows
 BLOCK = 256  # pixels at a time
 COSINE_FLOOR = 0.02
 """Samples lit at a smaller cosine carry no usable signal and divide by almost nothing: they are left out."""
+
+
+Geometry = namedtuple("Geometry", "directions normals usable shading")
+"""directions (lights, 3), normals (pixels, 3), shading (pixels or 0, 3) float32; usable (lights, pixels) bool."""
 
 
 @dataclass(frozen=True)
@@ -49,18 +54,14 @@ def diffuse_reflectance(observations, directions, normals, *, usable, method="le
     pixels = rows * columns
     reflectance = np.zeros((pixels, channels), dtype=np.float32)
     used = np.zeros(pixels, dtype=np.uint16)
-    over_rows(
-        _accumulate,
-        -(-pixels // BLOCK),
-        np.ascontiguousarray(observations, dtype=np.float32).reshape(lights, pixels, channels),
+    geometry = Geometry(
         np.ascontiguousarray(directions, dtype=np.float32),
         np.ascontiguousarray(normals, dtype=np.float32).reshape(pixels, 3),
         np.ascontiguousarray(usable).reshape(lights, pixels),
         np.empty((0, 3), np.float32) if shading is None else np.ascontiguousarray(shading, np.float32).reshape(-1, 3),
-        method == "mean",
-        reflectance,
-        used,
     )
+    observations = np.ascontiguousarray(observations, dtype=np.float32).reshape(lights, pixels, channels)
+    over_rows(_accumulate, -(-pixels // BLOCK), observations, geometry, method == "mean", reflectance, used)
     return DiffuseReflectance(reflectance.reshape(rows, columns, channels), used.reshape(rows, columns))
 
 
@@ -90,8 +91,9 @@ def _mean(begin, end, observations, out):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _accumulate(begin, end, observations, directions, normals, usable, shading, mean, reflectance, used):
+def _accumulate(begin, end, observations, geometry, mean, reflectance, used):
     """Sum a light at a time over BLOCK neighbouring pixels, in the order of the lights."""
+    directions, normals, usable, shading = geometry
     lights, pixels, channels = observations.shape
     shaded = shading.shape[0] > 0
     for block in range(begin, end):

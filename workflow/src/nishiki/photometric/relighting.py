@@ -17,6 +17,8 @@ the more the samples scatter about the stage's fit. The terms of `directional` a
 there the shadows are to be predicted. `nishiki.model_selection.relighting` chooses.
 """
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
@@ -38,7 +40,24 @@ LEAST_FACTOR = 0.01  # mean body factor, relative to Lambert's, below which a pi
 LARGEST = 1e30  # reflectance
 
 
-def fit_relighting(observations, directions, normals, *, valid, scatter, reflectance, shading, known, model="plain"):
+class Relit(NamedTuple):
+    """Hold what is fitted of each pixel, float32: (pixels, 3), (pixels, terms), (pixels, channels)."""
+
+    shading_normals: np.ndarray
+    shading: np.ndarray
+    reflectance: np.ndarray
+
+
+class Work(NamedTuple):
+    """Hold arrays that the fits of a strip's pixels share."""
+
+    matrix: np.ndarray  # (terms, terms)
+    residual: np.ndarray  # (lights,)
+    scratch: np.ndarray  # (lights,)
+    weight: np.ndarray  # (lights,) of the last fit
+
+
+def fit_relighting(observations, directions, normals, *, valid, scatter, reflectance, shading, model="plain"):
     """Shading normals, body shading and reflectance that predict lamps.
 
     Parameters
@@ -46,10 +65,9 @@ def fit_relighting(observations, directions, normals, *, valid, scatter, reflect
     observations : (lights, rows, columns, channels) float32, relative to white.
     directions : (lights, 3) float, unit vectors to the lamps.
     normals : (rows, columns, 3) float32, unit, to start from.
-    valid : (lights, rows, columns) bool, samples that may be used.
+    valid : (lights, rows, columns) bool, samples that may be used; pixels without any keep what they came with.
     scatter : (rows, columns) float, rms of the residuals of the normals' fit relative to the albedo.
     reflectance, shading : (rows, columns, channels), (rows, columns, 3) float32, kept where nothing can be fitted.
-    known : (rows, columns) bool, pixels to fit.
     model : one of MODELS.
 
     Returns
@@ -69,12 +87,12 @@ def fit_relighting(observations, directions, normals, *, valid, scatter, reflect
             f"and {len(directions)} directions"
         )
     pixels = rows * columns
-    fitted = {
-        "shading_normals": np.array(normals, np.float32, order="C").reshape(pixels, 3).copy(),
-        "shading": np.zeros((pixels, TERMS[model]), np.float32),
-        "reflectance": np.array(reflectance, np.float32, order="C").reshape(pixels, channels).copy(),
-    }
-    fitted["shading"][:, :3] = np.reshape(shading, (pixels, 3))
+    fitted = Relit(
+        np.array(normals, np.float32, order="C").reshape(pixels, 3).copy(),
+        np.zeros((pixels, TERMS[model]), np.float32),
+        np.array(reflectance, np.float32, order="C").reshape(pixels, channels).copy(),
+    )
+    fitted.shading[:, :3] = np.reshape(shading, (pixels, 3))
     over_rows(
         _fit,
         pixels,
@@ -83,10 +101,9 @@ def fit_relighting(observations, directions, normals, *, valid, scatter, reflect
         np.ascontiguousarray(directions, np.float64),
         half_vectors(np.asarray(directions, np.float64)),
         np.ascontiguousarray(scatter, np.float64).reshape(pixels),
-        np.ascontiguousarray(known).reshape(pixels),
-        *fitted.values(),
+        fitted,
     )
-    return {name: values.reshape(*shape, -1) for name, values in fitted.items()}
+    return {name: values.reshape(*shape, -1) for name, values in fitted._asdict().items()}
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -123,8 +140,9 @@ def _shade(basis, terms, j):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _reweigh(level, allowed, basis, terms, residual, scratch, weight):
+def _reweigh(level, allowed, basis, terms, work):
     """Cauchy's weights of the lit samples; lit means that the fit lights them."""
+    residual, scratch, weight = work.residual, work.scratch, work.weight
     lit = 0
     for j in range(level.size):
         shade = _shade(basis, terms, j)
@@ -159,29 +177,28 @@ def _least_squares(level, weight, basis, first, held, matrix, terms):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _robust_fit(level, allowed, basis, first, held, rounds, work, terms, weight):
+def _robust_fit(level, allowed, basis, first, held, rounds, work, terms):
     """Fit again with robust weights."""
-    matrix, residual, scratch = work
     for _ in range(rounds):
-        if not _least_squares(level, weight, basis, first, held, matrix, terms):
+        if not _least_squares(level, work.weight, basis, first, held, work.matrix, terms):
             return False
-        _reweigh(level, allowed, basis, terms, residual, scratch, weight)
+        _reweigh(level, allowed, basis, terms, work)
     return True
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fit(begin, end, observations, valid, directions, halves, scatter, known, normals, shading, reflectance):
+def _fit(begin, end, observations, valid, directions, halves, scatter, fitted):
+    normals, shading, reflectance = fitted
     lights, _, channels = observations.shape
     size = shading.shape[1]
     plain = size == 3
-    level, weight, allowed = np.empty(lights), np.empty(lights), np.empty(lights, np.bool_)
+    level, allowed = np.empty(lights), np.empty(lights, np.bool_)
     first, held, g = np.empty(3), np.empty(3), np.empty(3)
     basis, terms, before, prior = np.empty((lights, size)), np.empty(size), np.empty(size), np.empty(size)
     sums = np.empty(channels)
-    work = (np.empty((size, size)), np.empty(lights), np.empty(lights))
+    work = Work(np.empty((size, size)), np.empty(lights), np.empty(lights), np.empty(lights))
+    weight = work.weight
     for p in range(begin, end):
-        if not known[p]:
-            continue
         for k in range(3):
             first[k] = normals[p, k]
         product, square = 0.0, 0.0
@@ -205,7 +222,7 @@ def _fit(begin, end, observations, valid, directions, halves, scatter, known, no
         held[2] *= ALONG
         solved = True
         if plain or lights <= FEW_LIGHTS:
-            solved = _robust_fit(level, allowed, directions, first, held, np.int64(ROUNDS_NORMAL), work, g, weight)
+            solved = _robust_fit(level, allowed, directions, first, held, np.int64(ROUNDS_NORMAL), work, g)
         else:
             for k in range(3):
                 g[k] = first[k]
@@ -217,11 +234,11 @@ def _fit(begin, end, observations, valid, directions, halves, scatter, known, no
             before[k], prior[k] = 0.0, least + (scatter[p] / WIDTH_TERMS) ** 2 if plain else least
         before[0], prior[0] = length, 0.0
         if plain:
-            solved = _robust_fit(level, allowed, basis, before, prior, np.int64(ROUNDS_TERMS), work, terms, weight)
+            solved = _robust_fit(level, allowed, basis, before, prior, np.int64(ROUNDS_TERMS), work, terms)
         else:
             for j in range(lights):
                 weight[j] = 1.0 if allowed[j] else 0.0
-            solved = _least_squares(level, weight, basis, before, prior, work[0], terms)
+            solved = _least_squares(level, weight, basis, before, prior, work.matrix, terms)
         if not solved:
             continue
         # reflectance of each channel for this shading, whose mean factor is scaled to 1

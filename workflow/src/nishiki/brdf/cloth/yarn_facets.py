@@ -32,7 +32,7 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numba import njit
@@ -118,13 +118,21 @@ def facet_reflection(a, i, o, half, ci, co, rough, tail):
     return 0.5 * (tail / (spread * spread) + (1.0 - tail) * short) / (math.pi * along * across * (1.0 + shadowed))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def sums(incident, outgoing, atoms, split, rough, index, tables, softness, out):
-    """out (n, 4): mirror reflection and body, 1 / sr, of the warp's and of the weft's facets.
+class Facets(NamedTuple):
+    """Facets and limits of a shape, as `sums` reads them."""
 
-    incident, outgoing (n, 3); atoms (p, ATOM), the warp's first, `split` of them; rough (2, 2) along and across the
-    fibres of warp and weft; tables (2, 2, m) limits by family and plane.
-    """
+    atoms: np.ndarray  # (p, ATOM), the warp's half first
+    rough: np.ndarray  # (2, 2) along and across the fibres of warp and weft
+    index: float
+    tables: np.ndarray  # (2, 2, ANGLES) limits by family and plane
+    softness: float
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sums(incident, outgoing, facets, out):
+    """out (n, 4): mirror reflection and body, 1 / sr, of warp and weft at directions (n, 3)."""
+    atoms, rough, index, tables, softness = facets
+    split = atoms.shape[0] // 2
     limits = np.empty((2, 4))
     for k in range(incident.shape[0]):
         i, o = incident[k], outgoing[k]
@@ -159,8 +167,7 @@ def sums(incident, outgoing, atoms, split, rough, index, tables, softness, out):
             if seen <= 0.0:
                 continue
             ra, rc = rough[family, 0], rough[family, 1]
-            facets = facet_reflection(a, i, o, (hx, hy, hz), ci, co, (ra, rc), 1.0)
-            value = seen * mirror * facets
+            value = seen * mirror * facet_reflection(a, i, o, (hx, hy, hz), ci, co, (ra, rc), 1.0)
             through = (1.0 - fresnel_scalar(ci, index)) * (1.0 - fresnel_scalar(co, index))
             if family == 0:
                 mirror_warp += value
@@ -234,6 +241,10 @@ class YarnShape(ArrayFields):
     index: float  # refractive index of the fibres
     spacing: np.ndarray  # (2, 2) distance of the humps over their width, > 0
     softness: float  # radians: scatter of the limits, for yarns differ
+
+    def facets(self) -> Facets:
+        """Return what `sums` reads."""
+        return Facets(self.atoms(), self.rough, self.index, self.limits(), self.softness)
 
     def atoms(self) -> np.ndarray:
         """(2 * 280, ATOM) facets: equal shares of each distribution, at the quantiles in their middles."""
@@ -329,7 +340,7 @@ class YarnFacets:
 
     @cached_property
     def _compiled(self):
-        return self.shape.atoms(), self.shape.limits()
+        return self.shape.facets()
 
     def _parts(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         return shape_parts(self.shape, incident, outgoing, compiled=self._compiled)
@@ -372,17 +383,14 @@ BESIDE = ("body", "lambert", "correction", "images", "image_weights", "quarter")
 
 def shape_parts(shape: YarnShape, incident: np.ndarray, outgoing: np.ndarray, *, compiled=None) -> np.ndarray:
     """(n, 4) mirror reflection and white body, 1 / sr, of warp and weft, at directions (n, 3)."""
-    atoms, limits = compiled or (shape.atoms(), shape.limits())
+    facets = compiled or shape.facets()
     out = np.empty((len(incident), 4))
     workers = threads()
     block = max(FEWEST_ROWS, -(-len(incident) // (STRIPS_A_THREAD * workers)))
 
     def some(first: int) -> None:
         rows = slice(first, first + block)
-        sums(
-            incident[rows], outgoing[rows], atoms, len(atoms) // 2, shape.rough, shape.index, limits, shape.softness,
-            out[rows],
-        )  # fmt: skip
+        sums(incident[rows], outgoing[rows], facets, out[rows])
 
     over_items(some, range(0, len(incident), block))
     return out

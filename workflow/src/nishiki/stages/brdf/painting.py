@@ -139,11 +139,10 @@ def gather(
                 if (here < 0).all():
                     continue
                 histogram = histogram.add_tile(
-                    observations[:, *area] * parcel.scale[:, None, None],
+                    np.where(valid[:, *area], observations[:, *area] * parcel.scale[:, None, None], np.nan),
                     normals[area],
                     reflectance[area],
                     parcel.directions,
-                    usable=valid[:, *area],
                     sigma=sigma[area],
                     regions=here,
                     shading=None if shading is None else shading[area],

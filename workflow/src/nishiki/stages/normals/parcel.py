@@ -89,7 +89,7 @@ def solve(
 
 def fitted_together(maps: dict, observations, valid, parcel: Parcel, settings: NormalsSettings, gloss) -> dict:
     """Return the maps of `solve`, fitted again together with a gloss; observations are scaled."""
-    from nishiki.photometric.gloss import refine_normals
+    from nishiki.photometric.gloss import JointSettings, refine_normals
 
     fit = refine_normals(
         observations,
@@ -99,7 +99,7 @@ def fitted_together(maps: dict, observations, valid, parcel: Parcel, settings: N
         valid=valid,
         flags=maps["flags"],
         reflectance=maps["reflectance"],
-        max_condition=settings.max_condition,
+        settings=JointSettings(max_condition=float(settings.max_condition)),
     )
     kept = (fit.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) != 0
     lambert = {"shading": np.array(LAMBERT, np.float32)}  # the joint fit has a body of its own
@@ -154,15 +154,15 @@ def relit(
     """
     if model == "plain" and len(parcel.directions) > FEW_LIGHTS:
         return {}
+    known = ((maps["flags"] & bits.NO_ESTIMATE) == 0) & ~np.asarray(kept)
     return fit_relighting(
         scaled(observations, parcel),
         parcel.directions,
         maps["normals"],
-        valid=valid,
+        valid=valid & known,
         scatter=maps["residual"] / np.maximum(maps["albedo"], 1e-9),
         reflectance=maps["reflectance"],
         shading=maps["shading"],
-        known=((maps["flags"] & bits.NO_ESTIMATE) == 0) & ~np.asarray(kept),
         model=model,
     )
 

@@ -77,12 +77,10 @@ def run(context: Context) -> dict:
         return one_pass(
             source,
             scene,
-            piloted,
+            piloted.at_step(step, parameter_share=settings.parameter_share),
             effort,
-            step,
             threads=workers,
             progress=context.progress,
-            parameter_share=settings.parameter_share,
             tiles=tiles,
             earlier=earlier,
         )
