@@ -36,7 +36,7 @@ def test_field_agrees_with_points_asked_one_by_one(body, distortion):
     points = np.random.default_rng(1).uniform(-1, 1, (20000, 3))
     for misses in (0, 1, 2):
         field = astuple(field_of(masks, cameras))
-        value = np.array([at_point(field, *p, misses, FAR, np.empty(3), np.empty(misses + 1)) for p in points])
+        value = np.array([at_point(field, -1, p, misses, FAR, np.empty(3), np.empty(misses + 1)) for p in points])
         expected = in_all(points, masks, cameras, misses)
         pixel = 5.0 / 260
         clear = np.abs(value) > 1.2 * pixel

@@ -145,6 +145,39 @@ def test_mistakes_are_named(kind, fault, named):
         assert float(found.correction.detail) == pytest.approx(12 / 11, abs=1e-3)
 
 
+def shadowed(masks):
+    """Masks of which one shows nothing of the upper part of the object, and one nothing of the lower part."""
+    out = [mask.copy() for mask in masks]
+    out[0][:45], out[len(out) // 2][80:] = False, False
+    return out
+
+
+@pytest.mark.parametrize(
+    ("fault", "named"),
+    [
+        (None, None),
+        ("turned the other way", "turn-reversed"),
+        ("two views exchanged", "views-exchanged"),
+        ("one moved", "view-contradicts"),
+    ],
+)
+def test_shadows_of_single_views_contradict_nothing(fault, named):
+    count = 18
+    cameras = cameras_round(count)
+    masks = shadowed(silhouettes_of("figure", cameras))
+    if fault == "turned the other way":
+        masks = rearrange(masks, [-k % count for k in range(count)])
+    elif fault == "two views exchanged":
+        masks = rearrange(masks, exchanged(count, 2, 7))
+    elif fault == "one moved":
+        masks[4] = np.roll(masks[4], 8, axis=1)
+    else:
+        assert measure_coherence(masks, cameras).contradiction > DOUBTFUL
+    found = measure_coherence(masks, cameras, misses=1)
+    assert (found.correction.kind if found.correction else None) == named
+    assert named or found.contradiction < NOTICEABLE
+
+
 @pytest.fixture
 def folder(tmp_path):
     """Photographs, silhouettes and the cameras of a turntable that turns the other way."""

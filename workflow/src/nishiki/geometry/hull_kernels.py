@@ -55,13 +55,18 @@ def _distance(buffer, frame, column, row):
 
 
 @njit(**JIT)
-def at_point(field, x, y, z, misses, enough, spot, worst):
-    """Return the (misses + 1)-th smallest signed distance over the views, world units; may stop below -enough."""
+def at_point(field, omitted, place, misses, enough, spot, worst):
+    """Return the (misses + 1)-th smallest signed distance, world units, at a place (3,); it may stop below -enough.
+
+    omitted: the view that takes no part, -1 where all do.
+    """
     poses, lenses, frames, buffer = field
     for m in range(misses + 1):
         worst[m] = FAR
     for view in range(poses.shape[0]):
-        _project(poses[view], lenses[view], x, y, z, spot)
+        if view == omitted:
+            continue
+        _project(poses[view], lenses[view], place[0], place[1], place[2], spot)
         value = -FAR
         if spot[2] > 0.0:
             value = _distance(buffer, frames[view], spot[0], spot[1]) * spot[2] / lenses[view, 10]
@@ -130,7 +135,7 @@ def fill_slab(field, grid, block, misses, band, first, last, volume):
     (x, y, z) float32 of values within [-band, band].
     """
     origin, cell = grid
-    spot, worst, lowest = np.empty(3), np.empty(MOST_MISSES + 1), np.empty(3)
+    spot, worst, lowest, place = np.empty(3), np.empty(MOST_MISSES + 1), np.empty(3), np.empty(3)
     _, ny, nz = volume.shape
     for i0 in range(first, last, block):
         for j0 in range(0, ny, block):
@@ -145,41 +150,29 @@ def fill_slab(field, grid, block, misses, band, first, last, volume):
                             if kind != 0:
                                 volume[i, j, k] = band * kind
                                 continue
-                            x, y, z = origin[0] + cell * i, origin[1] + cell * j, origin[2] + cell * k
-                            value = at_point(field, x, y, z, misses, band, spot, worst)
+                            place[:] = origin[0] + cell * i, origin[1] + cell * j, origin[2] + cell * k
+                            value = at_point(field, -1, place, misses, band, spot, worst)
                             volume[i, j, k] = min(max(value, -band), band)
 
 
 @njit(**JIT)
-def trace_rays(field, views, origins, directions, spans, reach, out):
+def trace_rays(field, views, origins, directions, spans, misses, reach, out):
     """Find the largest signed distance of the hull along rays, world's unit, out (n,); tracing ends above -reach.
+
+    misses: views that may wrongly see background at any point.
 
     views (n,) int64: the view that a ray belongs to, whose own silhouette takes no part; origins (n, 3), directions
     (n, 3) unit vectors; spans (n, 2): first and last distance. A distance below 0 bounds the way to the hull, so that
     the ray may go on by it (J. C. Hart, Sphere tracing, The Visual Computer 12, 1996); by four fifths of it, because
     distances are measured across the line of sight.
     """
-    (poses, lenses, frames, buffer), spot = field, np.empty(3)
+    spot, worst, place = np.empty(3), np.empty(MOST_MISSES + 1), np.empty(3)
     for n in range(out.shape[0]):
         t, best = spans[n, 0], -FAR
         while t <= spans[n, 1] and best < -reach:
-            x, y, z = (
-                origins[n, 0] + t * directions[n, 0],
-                origins[n, 1] + t * directions[n, 1],
-                origins[n, 2] + t * directions[n, 2],
-            )
-            least = FAR
-            for view in range(poses.shape[0]):
-                if view == views[n]:
-                    continue
-                _project(poses[view], lenses[view], x, y, z, spot)
-                if spot[2] <= 0.0:
-                    least = -FAR
-                    break
-                value = _distance(buffer, frames[view], spot[0], spot[1]) * spot[2] / lenses[view, 10]
-                least = min(least, value)
-                if least < -8.0 * reach:
-                    break
+            for axis in range(3):
+                place[axis] = origins[n, axis] + t * directions[n, axis]
+            least = at_point(field, views[n], place, misses, 8.0 * reach, spot, worst)
             best = max(best, least)
             t += max(0.8 * abs(least), reach) if least > -FAR else reach
         out[n] = best

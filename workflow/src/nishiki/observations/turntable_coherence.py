@@ -139,6 +139,7 @@ def capture_problems(
     the surface does not come from them, only a contradiction that a correction explains is reported.
     """
     from nishiki.geometry.coherence import measure_coherence  # the limits of a plan need no compiled code
+    from nishiki.geometry.hull import usual_misses
 
     views = [view for view in capture.views if view in silhouettes]
     if capture.matrices is None or len(views) < FEWEST_VIEWS or any(v not in capture.matrices for v in views):
@@ -152,7 +153,8 @@ def capture_problems(
     given = capture.silhouette_of(views[0]) is not None
     needed = given or not (capture.mesh or capture.scans)
     named = {view: frame.silhouette for view in views if (frame := capture.silhouette_of(view))}
-    found = measure_coherence([silhouettes[view] for view in views], list(cameras))
+    misses = 0 if given else usual_misses(len(views))
+    found = measure_coherence([silhouettes[view] for view in views], list(cameras), misses=misses)
     problems = describe_coherence(found, cameras, named) if needed or found.correction else []
     if problems or capture.mesh is None:
         return problems

@@ -32,7 +32,7 @@ LIMITS = (
         doubt=DOUBTFUL,
         remedy="check the cameras, whether the camera or the object was moved, and the silhouettes; ./nishiki check "
         "names the mistake where one explains it",
-        why="captures gave 0 with given silhouettes and up to 0.037 with silhouettes found in photographs; a turn the "
+        why="captures gave 0 with given silhouettes and up to 0.039 with silhouettes found in photographs; a turn the "
         "other way gave 0.15 to 0.70, a camera moved by 4 % of the object after half of the views 0.08 to 0.16",
     ),
     Limit(

@@ -11,8 +11,7 @@ from nishiki.geometry.camera import Camera, read_cameras
 from nishiki.geometry.cleaning import clean
 from nishiki.geometry.coherence import measure_coherence
 from nishiki.geometry.hollows import Photographed, sink_hollows
-from nishiki.geometry.hull import carve
-from nishiki.geometry.hull_kernels import MOST_MISSES
+from nishiki.geometry.hull import carve, usual_misses
 from nishiki.geometry.mesh import Mesh, read_points, read_triangles, write_ply
 from nishiki.geometry.placement import agreement, move_mesh, outline_of, overruled
 from nishiki.geometry.silhouettes import display, segment
@@ -24,9 +23,6 @@ from nishiki.render.output import write_png
 COARSE_CELLS, HOLLOW_CELLS = 128, 96
 DARK = 60
 """sRGB code (of 255) below which a pixel may lie in shadow: 4.5 % of white."""
-VIEWS_A_MISS = 30
-"""Views for one that may wrongly see background, rounded. Beside an edge that shades it a place is in shadow for a turn
-as wide as the angle between lamp and camera, 6 degrees say: in 0.6 of 36 views."""
 PREVIEW_ROWS = 480  # pixels
 
 
@@ -137,8 +133,9 @@ def expect_coherence(context: Context, views: Views, cameras: list[Camera], outl
     if len(places) < FEWEST_VIEWS:
         return {}
     posed = [cameras[place] for place in places]
-    found = measure_coherence([outlines[place] for place in places], posed)
     given = {name: name for name in views.views if views.silhouette(name) is not None}
+    misses = usual_misses(len(places) - len(given)) if context.settings.misses is None else context.settings.misses
+    found = measure_coherence([outlines[place] for place in places], posed, misses=misses)
     problems = describe_coherence(found, posed, given)
     if "contradiction" not in context.settings.allow:
         raise_errors(problems)
@@ -154,7 +151,7 @@ def overrule(
     Given masks stay as they are unless the setting `misses` is a number.
     """
     settings, out, shares = context.settings, list(masks), {}
-    misses = min(round(sum(used) / VIEWS_A_MISS), MOST_MISSES) if settings.misses is None else settings.misses
+    misses = usual_misses(sum(used)) if settings.misses is None else settings.misses
     if not misses or not settings.consistency or sum(used) < misses + 2:
         return out, {}
     hull = carve(kept(masks, used), cameras, cells=COARSE_CELLS, misses=misses)
