@@ -23,7 +23,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 sys.path.insert(1, str(Path(__file__).resolve().parents[1] / "tests"))
 sys.path.insert(2, str(Path(__file__).resolve().parents[1] / "workflow/src"))
 from published_fits import fit_brightest_light, fit_points, point_problem
-from reflectance_table import directions, fit_reflectance_table, predict_reflectances, r2_cube_root
+from reflectance_table import (
+    chosen_by_incidences,
+    directions,
+    fit_reflectance_table,
+    predict_reflectances,
+    r2_cube_root,
+)
 
 import _project  # noqa: F401
 from nishiki.brdf.fit import fit_torrance_sparrow
@@ -74,6 +80,13 @@ def paints(folder: Path):
         sys.exit(f"no *.brdf in {folder} or {folder / 'cornell_brdf'}")
     for path in paths:
         lights, views, brdf = read_table(path)
+        fit, unseen_incidences = chosen_by_incidences(lights, views, brdf)
+        report(
+            material=path.stem, model=f"chosen by incidences left out: {len(fit.gamma)} lobes",
+            r2_cuberoot=round(fit.r2_mean, 5), r2_cuberoot_bands=round(fit.r2_bands, 5),
+            r2_unseen_incidences=round(unseen_incidences, 5), refractive_index=round(fit.refractive_index, 4),
+            body_exponent=round(fit.body_exponent, 4), at_bound=list(fit.at_bound) or None,
+        )  # fmt: skip
         for lobes, distribution, index, exponent, shared, default in TABLE_METHODS:
             settings = {"lobes": lobes, "distribution": distribution, "refractive_index": index, "shared_from": shared}
             settings["body_exponent"] = exponent

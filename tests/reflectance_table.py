@@ -13,6 +13,7 @@ equations have the shape of an arrow (each rho_d meets only the shared parameter
 bands than the evaluation of the model.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +24,11 @@ from nishiki.errors import UserError
 START_WIDTHS = (0.03, 0.08, 0.2, 0.45)
 SECOND_LOBE = 3.0  # the second lobe starts this much wider than the first
 _TWO_LN2 = float(2 * np.log(2))
-_LOG_LIMITS = {"width": (np.log(1e-3), np.log(3.0)), "strength": (-60.0, 60.0), "contrast": (np.log(0.02), np.log(3.0))}
+_LOG_LIMITS = {"width": (np.log(1e-3), np.log(3.0)), "strength": (-60.0, 60.0), "contrast": (np.log(0.3), np.log(1.0))}
 _EXPONENT_LIMITS = (0.0, 2.0)  # of the body; not a logarithm, so that Lambert is inside
 _AT_BOUND = 1e-6  # of a parameter's range
+USUAL_INDEX = 1.45  # of a varnish or binder; none of paint is below 1.3 or above 2 (white lead)
+PARTS = 3  # of the incidences, left out in turn
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ def fit_reflectance_table(
     lobes: 1 or 2.  distribution: "ggx" (Walter et al., Microfacet models for refraction through rough surfaces, 2007;
     normalised to 1 at phi = 0, with the F and G of eq. 12 and 13) or "torrance_sparrow" (Tominaga and Tanaka 2004, eq.
     11, Gaussian in phi).
-    refractive_index: None to fit it (1.02 .. 4), or a value.  body_exponent: None to fit it (0 .. 2), or a value, 0 for
+    refractive_index: None to fit it (1.3 .. 2), or a value.  body_exponent: None to fit it (0 .. 2), or a value, 0 for
     Lambert.  shared_from: "bands" (gloss and exponent from all bands) or "mean" (from the mean over the bands, then
     only rho_d in each band).  Samples at or behind the horizon, not finite or negative are an error.
     """
@@ -111,6 +114,28 @@ def fit_reflectance_table(
         iterations=iterations + more,
         at_bound=lobe.at_bound(theta),
     )
+
+
+def chosen_by_incidences(lights, views, brdf, *, distribution="ggx") -> tuple[ReflectanceFit, float]:
+    """Fit a table with the lobes, index and exponent that predict incidences left out best, and their R^2 of the mean.
+
+    Every third of the angles of incidence is left out in turn (of single samples where there are fewer angles): beside
+    those that were measured, two lobes whose index is free may be anything.
+    """
+    lights, views, brdf = (np.asarray(each, float) for each in (lights, views, brdf))
+    angles, number = np.unique(np.round(np.degrees(np.arccos(np.clip(lights[:, 2], -1, 1)))), return_inverse=True)
+    part = (number if angles.size >= PARTS else np.arange(len(brdf))) % PARTS
+    mean, best = brdf.mean(axis=1, keepdims=True), (-np.inf, {})
+    for lobes, index, exponent in itertools.product((1, 2), (USUAL_INDEX, None), (0.0, None)):
+        settings = {"lobes": lobes, "refractive_index": index, "body_exponent": exponent, "distribution": distribution}
+        predicted = np.empty_like(mean)
+        for left_out in (part == k for k in range(PARTS)):
+            fit = fit_reflectance_table(lights[~left_out], views[~left_out], mean[~left_out], **settings)
+            predicted[left_out] = predict_reflectances(fit, lights[left_out], views[left_out])
+        best = max(
+            best, (r2_cube_root(mean, predicted, lights[:, 2] * views[:, 2]), settings), key=lambda each: each[0]
+        )
+    return fit_reflectance_table(lights, views, brdf, **best[1]), best[0]
 
 
 def predict_reflectances(fit: ReflectanceFit, lights, views) -> np.ndarray:
