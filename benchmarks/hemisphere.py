@@ -26,7 +26,7 @@ import _project  # noqa: E402, F401
 from nishiki.capture.goniometer_tables import is_table, read_table  # noqa: E402
 from nishiki.goniometry.directions import disc, images, reduced, unit  # noqa: E402
 from nishiki.goniometry.hemisphere import gathered  # noqa: E402
-from nishiki.goniometry.interpolation import fit_spline, unfold  # noqa: E402
+from nishiki.goniometry.interpolation import fit_spline  # noqa: E402
 from nishiki.stages.goniometer_samples import GoniometerSamplesSettings  # noqa: E402
 
 FEWEST = 60
@@ -69,7 +69,9 @@ def fit_linear(points: np.ndarray, logs: np.ndarray, folds: np.ndarray):
     """
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
-    unfolded, repeated = unfold(points, logs, folds)
+    places = np.concatenate([points * fold for fold in folds])
+    _, first = np.unique(np.round(places, 9) + 0.0, axis=0, return_index=True)
+    unfolded, repeated = places[first], np.concatenate([logs] * len(folds))[first]
     inside, nearest = LinearNDInterpolator(unfolded, repeated), NearestNDInterpolator(unfolded, repeated)
 
     def predict(places: np.ndarray) -> np.ndarray:
@@ -92,7 +94,7 @@ def folded(places: np.ndarray, folds: np.ndarray) -> np.ndarray:
 
 def judge(views: np.ndarray, values: np.ndarray, symmetry: np.ndarray, method: str, share: float, rounds: int):
     """Errors of the views left out, and seconds: medians over the rounds."""
-    points, logs, sigma = gathered(disc(views), values, np.zeros_like(values))
+    points, logs, sigma, _ = gathered(disc(views), values, np.zeros_like(values))
     results = []
     for seed in range(rounds):
         out = np.random.default_rng(seed).permutation(len(points)) < share * len(points)

@@ -33,7 +33,7 @@ def test_facts_of_photographs(tmp_path):
     assert facts.geometry == "goniometer"
     assert (facts.measurements, facts.normal, facts.oblique, facts.incidences) == (35, 29, 6, 2)
     assert (facts.pixels, facts.channels) == (256, 3)
-    assert (facts.symmetry, facts.weave) == ("quarter", "satin")
+    assert (facts.symmetry, facts.weave) == ("unknown", "satin")
     assert not facts.table
     assert not facts.regions
     kinds = {p.kind for p in check_capture(folder, level="full") if p.kind != "image-repeated"}
@@ -102,7 +102,7 @@ def test_a_table_is_converted_sealed_and_read_again(tmp_path, capsys):
     source = make_table(tmp_path / "s") / "reflectances.csv"
     made = convert(source, tmp_path / "c", title="My satin")
     assert (made.geometry, made.photographs) == ("goniometer", 58)
-    assert {p.kind for p in made.warnings} == {"symmetry-assumed"}
+    assert not made.warnings
     capture = load_capture(tmp_path / "c")
     assert capture.settings.title == "My satin"
     assert (tmp_path / "c/reflectances.csv").read_bytes() == source.read_bytes()

@@ -84,7 +84,7 @@ def test_the_middles_of_cells_are_read_exactly_and_what_is_hidden_is_not(exporte
 def test_a_table_is_converted_and_says_how_it_was_read(tmp_path, exported):
     made = convert(exported, tmp_path / "c")
     assert (made.geometry, made.photographs) == ("goniometer", len(MERL_LIGHTS) * len(MERL_VIEWS))
-    assert {"table-resampled", "symmetry-assumed"} <= {note.kind for note in made.warnings}
+    assert {"table-resampled"} <= {note.kind for note in made.warnings}
     capture = load_capture(tmp_path / "c").table
     light, view = (
         np.array([unit(*each) for each in angles]) for angles in (capture.incident_deg, capture.outgoing_deg)

@@ -53,7 +53,7 @@ def test_a_table_is_converted_and_its_unit_said(tmp_path, content):
     (tmp_path / "s/fabric.bin").write_bytes(content)
     made = convert(tmp_path / "s", tmp_path / "c")
     assert (made.geometry, made.photographs, made.channels) == ("goniometer", 241**2, ("red", "green", "blue"))
-    assert {"table-scale", "symmetry-assumed"} == {note.kind for note in made.warnings}
+    assert {"table-scale"} == {note.kind for note in made.warnings}
     assert (tmp_path / "c/fabric.bin").read_bytes() == content
     assert len(load_capture(tmp_path / "c").angles_deg) == 241**2
     assert not [problem for problem in check_capture(tmp_path / "c") if problem.severity == "error"]

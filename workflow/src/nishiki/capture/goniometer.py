@@ -44,7 +44,7 @@ class Goniometer(Closed):
     regions_pitch_mm: Positive | None = None
     pixel_pitch_mm: Positive | None = None
     upright: Literal["cloth", "arm"] = "cloth"
-    symmetry: Literal["quarter", "half", "none"] = "quarter"
+    symmetry: Literal["unknown", "quarter", "half", "none"] = "unknown"
     weave: Literal["plain", "twill", "satin", "unknown"] = "unknown"
     threads_per_cm: tuple[Positive, Positive] | None = None
 

@@ -375,9 +375,7 @@ def write_table_capture(folder: Path, layout: MeasuredTable, source: Path, optio
     name = take(table, folder / table.name, options.link)
     stated = {"values": options.values, "azimuths": options.azimuths}
     block = {"table": name} | {key: value for key, value in stated.items() if value}
-    block |= {"symmetry": "quarter", "weave": "unknown"}
+    block |= {"symmetry": "unknown", "weave": "unknown"}
     settings = {"format": FORMAT, "title": options.title or table.stem, "geometry": "goniometer", "goniometer": block}
     (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
-    what = "two mirror planes, through weft and warp, are taken for granted"
-    remedy = "Use --unsealed and set goniometer.symmetry (quarter, half, none) and goniometer.weave if it is otherwise"
-    return [warning("symmetry-assumed", table.name, what, remedy=remedy)]
+    return []

@@ -5,6 +5,7 @@ A surface has the same BRDF with light and view exchanged (Helmholtz; von Helmho
 another direction, and values in per cent violate one or the other.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -52,18 +53,21 @@ def coverage(measured: ReflectanceSet) -> tuple[IncidenceCoverage, ...]:
     return tuple(_of(measured, light, np.flatnonzero(group == i)) for i, light in enumerate(lights))
 
 
-def _of(measured: ReflectanceSet, light: np.ndarray, rows: np.ndarray) -> IncidenceCoverage:
+def cover(views: np.ndarray, same: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Return the share of the hemisphere within REACH of a view (n, 3) or its images, and the widest gap in radians."""
     from scipy.spatial import cKDTree
 
+    tree = cKDTree(np.concatenate([views @ image.T for image in same]))
+    distance = 2 * np.arcsin(np.minimum(tree.query(spread(PROBES))[0] / 2, 1.0))
+    return float((distance < REACH).mean()), float(distance.max())
+
+
+def _of(measured: ReflectanceSet, light: np.ndarray, rows: np.ndarray) -> IncidenceCoverage:
     good = rows[measured.valid[rows].all(axis=1)]
     lit = unit(*np.radians(light))
     # only images that leave the light where it is show the same measurement again
     same = [m for m in images(measured.symmetry) if np.allclose(m @ lit, lit, atol=1e-6)]
-    covered, gap = 0.0, np.pi / 2
-    if len(good):
-        tree = cKDTree(np.concatenate([measured.outgoing[good] @ m.T for m in same]))
-        distance = 2 * np.arcsin(np.minimum(tree.query(spread(PROBES))[0] / 2, 1.0))
-        covered, gap = float((distance < REACH).mean()), float(distance.max())
+    covered, gap = cover(measured.outgoing[good], same) if len(good) else (0.0, np.pi / 2)
     steepest = angles(measured.outgoing[rows])[0].max()
     unusable = int((~measured.valid[rows]).sum(axis=0).max())
     numbers = (float(light[0]), float(light[1]))

@@ -5,13 +5,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.goniometry.directions import disc, images, reduced, unit
-from nishiki.goniometry.interpolation import fit_spline, unfold
+from nishiki.goniometry.coverage import cover
+from nishiki.goniometry.directions import IMAGES, disc, images, reduced, unit
+from nishiki.goniometry.interpolation import SmoothingSpline, fit_spline
 from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
 
 MOST_POINTS = 1500  # of one eigenvalue problem; more views are averaged over small cells
 WITHIN = 0.75  # of the grid's step, a little more than half its diagonal: a view that near measures the node
 FEWEST = 6  # views
+ALL_ROUND = 0.9  # of the directions that images reach, from which the views themselves lie all round
+LESS = 0.05  # of the error of left-out views, by which it falls for yarns that differ a little, whatever the weave
 
 
 @dataclass(frozen=True)
@@ -93,15 +96,13 @@ def interpolate(
     outgoing, values, noise = outgoing[usable], values[usable], noise[usable]
     if not len(outgoing):
         raise UserError("the views at normal incidence: expected reflectances above 0, found none; see their exposure")
-    folds = images(symmetry)[:, [0, 1], [0, 1]]
-    views = reduced(np.tile([0.0, 0.0, 1.0], (len(outgoing), 1)), outgoing, symmetry)[1]
-    points, logs, sigma = gathered(disc(views), values, noise)
     theta, phi = grid_axes(grid_deg)
     nodes = unit(theta[:, None], phi[None, :])
     places = disc(nodes).reshape(-1, 2)
     try:
-        inside = within_hull(places, unfold(points, logs, folds)[0])
-        predict = fit_spline(points, logs, sigma, folds)
+        predict, left_out = _fit(outgoing, values, noise, symmetry)
+        views = reduced(np.tile([0.0, 0.0, 1.0], (len(outgoing), 1)), outgoing, symmetry)[1]
+        inside = within_hull(places, np.concatenate([predict.points * fold for fold in predict.folds]))
     except ValueError as e:
         raise UserError(
             f"the views at normal incidence cannot be interpolated ({e}). Remedy: photograph views in several azimuths"
@@ -114,8 +115,48 @@ def interpolate(
     basic = BasicReflectance(theta, phi, grid[None], measured, beyond & ~measured)
     weights = solid_angles(basic)
     shares = float((weights * basic.measured).sum()), float((weights * basic.extrapolated).sum())
-    left_out = float(np.sqrt((predict.left_out**2).mean()))
-    return Interpolation(basic, (left_out,), (predict.smoothing,), (len(points),), *shares)
+    return Interpolation(basic, (left_out,), (predict.smoothing,), (len(predict.points),), *shares)
+
+
+def choose_symmetry(measured: ReflectanceSet) -> dict[str, float]:
+    """Predict each view at normal incidence from the views at other places, under every symmetry.
+
+    A symmetry that the cloth has predicts better, for its images are views too; one that it has not puts views of
+    different reflectance in one place. Views of one quarter can tell nothing of the others: a symmetry takes part where
+    the views and their images lie as widely as with two mirror planes.
+
+    Returns
+    -------
+    dict of str to float
+        Relative error of the views, as the root mean square of the logarithm over all regions, by the keys of
+        `directions.IMAGES`, the choice first: the most symmetric of those as good as the best; empty where the views
+        of a region are too few.
+    """
+    along = measured.outgoing[measured.normal_incidence]
+    widely = {name: cover(along, images(name))[0] if len(along) else 0.0 for name in IMAGES}
+    errors: dict[str, list[float]] = {name: [] for name in IMAGES if widely[name] > ALL_ROUND * widely["quarter"]}
+    for r in range(len(measured.regions)):
+        usable = measured.normal_incidence & measured.valid[:, r] & positive(measured.values[:, r])
+        if usable.sum() < FEWEST:
+            return {}
+        for name, found in errors.items():
+            part = measured.outgoing[usable], measured.values[usable, r], measured.noise[usable, r]
+            try:
+                found.append(_fit(*part, name)[1])
+            except ValueError:  # too few places, or all in one line
+                found.append(np.inf)
+    means = {name: float(np.sqrt(np.mean(np.square(found)))) for name, found in errors.items()}
+    most = (1 + LESS) * min(means.values())
+    return dict(sorted(means.items(), key=lambda entry: entry[1] > most))
+
+
+def _fit(outgoing: np.ndarray, values: np.ndarray, noise: np.ndarray, symmetry: str) -> tuple[SmoothingSpline, float]:
+    """Fit the spline; return with it the error of the views, each predicted from those at other places."""
+    views = reduced(np.tile([0.0, 0.0, 1.0], (len(outgoing), 1)), outgoing, symmetry)[1]
+    points, logs, sigma, group = gathered(disc(views), values, noise)
+    predict = fit_spline(points, logs, sigma, images(symmetry)[:, [0, 1], [0, 1]])
+    errors = predict.left_out[group] + np.log(values) - logs[group]
+    return predict, float(np.sqrt(np.square(errors).mean()))
 
 
 def grid_axes(grid_deg: float) -> tuple[np.ndarray, np.ndarray]:
@@ -124,10 +165,10 @@ def grid_axes(grid_deg: float) -> tuple[np.ndarray, np.ndarray]:
     return np.linspace(0, np.pi / 2, steps + 1), np.arange(4 * steps) * (np.pi / 2 / steps)
 
 
-def gathered(places: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def gathered(places: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, ...]:
     """Average repeats of a place and, above MOST_POINTS, the views of small cells of the disc.
 
-    Return points (m, 2), mean logarithms (m, channels) and their standard deviation (m,).
+    Return points (m, 2), mean logarithms (m, channels), their standard deviation (m,), and the point of each view (n,).
     """
     logs = np.log(values)
     relative = (noise / values).mean(axis=1)
@@ -142,7 +183,7 @@ def gathered(places: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple
 
     points = np.column_stack([mean(places[:, k]) for k in (0, 1)])
     averaged = np.column_stack([mean(logs[:, k]) for k in range(logs.shape[1])])
-    return points, averaged, np.sqrt(mean(relative**2) / count)
+    return points, averaged, np.sqrt(mean(relative**2) / count), group
 
 
 def same_places(places: np.ndarray) -> np.ndarray:

@@ -153,11 +153,3 @@ def fit_spline(points: np.ndarray, logs: np.ndarray, sigma: np.ndarray, folds: n
     misfit = scale[:, None] * logs - matrix @ weights - factor * largest * weights
     beta = np.linalg.lstsq(scale[:, None] * trend, misfit, rcond=None)[0]
     return SmoothingSpline(points, scale[:, None] * weights, beta, folds, float(factor), left_out / scale[:, None])
-
-
-def unfold(points: np.ndarray, logs: np.ndarray, folds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points with their symmetric images, each place once, and the values that belong to them."""
-    places = np.concatenate([points * fold for fold in folds])
-    _, first = np.unique(np.round(places, 9) + 0.0, axis=0, return_index=True)
-    first.sort()
-    return places[first], np.concatenate([logs] * len(folds))[first]

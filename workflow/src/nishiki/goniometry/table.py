@@ -15,7 +15,7 @@ from nishiki.formats.stored import load_arrays
 from nishiki.goniometry.directions import angles
 from nishiki.goniometry.interpolation import coefficients, evaluate
 
-Symmetry = Literal["quarter", "half", "none"]
+Symmetry = Literal["unknown", "quarter", "half", "none"]
 NORMAL_DEG = 1.0
 
 

@@ -171,8 +171,9 @@ def table_problems(capture: GoniometerCapture) -> list[Problem]:
     light, view = (unit(*np.radians(each[rows]).T) for each in (table.incident_deg, table.outgoing_deg))
     values, given = table.values[rows], block.model_fields_set & {"values", "azimuths"}
     tell = warning if given else error
+    symmetry = "quarter" if block.symmetry == "unknown" else block.symmetry
     problems = []
-    albedo = typical_albedo(light, view, values, block.symmetry)
+    albedo = typical_albedo(light, view, values, symmetry)
     if albedo is not None and albedo > MOST_ALBEDO:
         factor, option = (
             (np.pi, "radiance_factor") if albedo <= np.pi * MOST_ALBEDO else (100 * np.pi, "radiance_factor_percent")
@@ -182,7 +183,7 @@ def table_problems(capture: GoniometerCapture) -> list[Problem]:
         problems.append(
             tell("reflectance-energy", block.table, what, expected=expected, found=f"{albedo:.3g}", remedy=remedy)
         )
-    apart, pairs = reciprocity(light, view, values, block.symmetry)
+    apart, pairs = reciprocity(light, view, values, symmetry)
     shine = forward_shine(light, view, values)
     mirrored = turned_views(light, view, np.pi)
     if apart is not None and pairs >= FEWEST_PAIRS and apart > DISAGREE:
@@ -192,7 +193,7 @@ def table_problems(capture: GoniometerCapture) -> list[Problem]:
             ("azimuths", "mirror"): (mirrored, values),
             ("azimuths", "lamp"): (turned_views(light, view, 0.0), values),
         }
-        left = {key: reciprocity(light, *reading, block.symmetry) for key, reading in readings.items()}
+        left = {key: reciprocity(light, *reading, symmetry) for key, reading in readings.items()}
         fitting = [key for key, (rest, count) in left.items() if count >= FEWEST_PAIRS and rest < AGREE * apart]
         # both azimuths make symmetric pairs agree: surfaces shine away from the lamp
         fitting.sort(key=lambda key: -(forward_shine(light, *readings[key]) or 0.0))

@@ -81,7 +81,7 @@ LIMITS = (
 )
 
 
-class GoniometerSamplesSettings(Guarded, stage="goniometer_samples", version=1, limits=LIMITS):
+class GoniometerSamplesSettings(Guarded, stage="goniometer_samples", version=2, limits=LIMITS):
     """Goniometer photographs to reflectances of the cloth, completed at normal incidence."""
 
     window_px: int = Field(16, ge=1, le=4096, description="side of the central window that is averaged, pixels")
@@ -96,7 +96,9 @@ class GoniometerSamplesSettings(Guarded, stage="goniometer_samples", version=1, 
         "hemisphere, for captures without normal incidence",
     )
     symmetry: Literal["auto", "quarter", "half", "none"] = Field(
-        "auto", description="of the weave: two mirror planes, half a turn, none; auto: as the capture says"
+        "auto",
+        description="of the weave: two mirror planes, half a turn, none; auto: as the capture says, and where it does "
+        "not, the one that predicts each view at normal incidence best from the others",
     )
 
 

@@ -167,11 +167,15 @@ def facts(diagnostics: dict[str, Any], capture: dict[str, Any]) -> list[tuple[st
     if directions is not None:
         text = f"{directions} pairs of directions, {diagnostics.get('incidences')} of light"
         rows.append(("Measured", text + (f"; {along} with the light along the normal" if along is not None else "")))
-    symmetry = {"quarter": "two mirror planes", "half": "half a turn", "none": "none"}
+    kinds = {"quarter": "two mirror planes", "half": "half a turn", "none": "none"}
+    symmetry = kinds.get(diagnostics.get("symmetry", ""), str(diagnostics.get("symmetry") or ""))
+    if tried := diagnostics.get("symmetry_errors"):
+        errors = ", ".join(f"{kinds[name]} {percent(100 * error)}" for name, error in tried.items())
+        symmetry += f", chosen by the error of left-out views: {errors}"
     texts = {
         "Cloths": ", ".join(diagnostics.get("regions") or []),
         "Channels": ", ".join(diagnostics.get("channels") or []),
-        "Symmetry": symmetry.get(diagnostics.get("symmetry", ""), str(diagnostics.get("symmetry") or "")),
+        "Symmetry": symmetry,
         "Weave": str(diagnostics.get("weave") or ""),
     }
     return rows + [(label, text) for label, text in texts.items() if text]
