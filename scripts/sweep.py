@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import _project  # noqa: F401
@@ -9,7 +10,7 @@ from nishiki.artifacts.artifact import open_artifact
 from nishiki.capture.taking import table_text
 from nishiki.engine.sweep_plan import PlannedVariant, SceneSweep
 from nishiki.engine.workflow import Workflow
-from nishiki.errors import UserError
+from nishiki.errors import UserError, require
 from nishiki.formats.files import put_file
 from nishiki.sweep.page import render_sweep, scene_content, sweep_content, table_rows
 from nishiki.sweep.settings import MeasureSettings
@@ -37,7 +38,7 @@ def main() -> None:
 
 def content_of(flow: Workflow) -> dict:
     """Everything that the page tells."""
-    sweep = flow.sweep
+    sweep = require(flow.sweep)
     scenes = []
     for swept in sweep.scenes:
         measures, errors = errors_of(flow, swept)
@@ -67,9 +68,9 @@ def errors_of(flow: Workflow, swept: SceneSweep) -> tuple[list[MeasureSettings],
     def values(measure: MeasureSettings) -> dict[str, float | None]:
         return compared({name: values_of(measure, sources, settings[name]) for name, sources in evaluations.items()})
 
-    asked = [as_measure(given) for given in flow.sweep.settings.error]
+    asked = [as_measure(given) for given in require(flow.sweep).settings.error]
     if not asked:
-        usual = candidates(flow.sweep.settings.stage, swept.facts.geometry)
+        usual = candidates(require(flow.sweep).settings.stage, swept.facts.geometry)
         asked = [next((one for one in usual if None not in values(one).values()), usual[-1])]
     table = {name: [] for name in evaluations}
     for measure in asked:
@@ -96,15 +97,11 @@ def row_of(flow: Workflow, swept: SceneSweep, variant: PlannedVariant, errors: l
         stage: [json.loads(Path(path).read_text()) for path in paths]
         for stage, paths in flow.timings(swept, variant).items()
     }
-    settings = flow.sweep.settings
+    settings = require(flow.sweep).settings
     default = settings.default or swept.variants[0].names[0]
-    return variant_row(
-        variant.name,
-        variant.names,
-        variant.changes,
-        errors,
-        records,
-        keys={stage: variant.plan.stages[stage].key for stage in records},
+    keys = {stage: variant.plan.stages[stage].key for stage in records}
+    return replace(
+        variant_row(variant.name, variant.names, variant.changes, errors, records, keys=keys),
         default=default in variant.names,
         paper=settings.paper in variant.names,
         peer=bool(set(settings.peers) & set(variant.names)),

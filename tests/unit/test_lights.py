@@ -52,7 +52,7 @@ def test_names_may_hold_blanks_and_hashes(tmp_path):
     assert lights.names == ("shot #3 of a",)
     assert lights.files == ("shot #3 of a.tif",)
     assert lights.index("shot #3 of a.tif") == 0
-    assert lights.index("another") is None
+    assert lights.find("another") is None
 
 
 def test_non_unit_vectors_are_normalised_and_noted(tmp_path):

@@ -4,6 +4,7 @@ import csv
 import io
 import re
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 
 import pytest
 
@@ -25,7 +26,8 @@ def record(stage, seconds, *, cpu=None, memory=100.0, same=True):
 
 def row(name, error, records, **roles):
     roles = {"default": False, "paper": False, "peer": False, **roles}
-    return variant_row(name, (name,), (), (error,), records, keys={stage: "k" for stage in records}, **roles)
+    row = variant_row(name, (name,), (), (error,), records, keys={stage: "k" for stage in records})
+    return replace(row, **roles)
 
 
 def test_times_of_stages_are_added_repeat_by_repeat():

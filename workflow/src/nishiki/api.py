@@ -5,11 +5,11 @@ The workflow works band by band on files; these functions hold one capture or on
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from nishiki.errors import UserError
+from nishiki.errors import UserError, require
 
 if TYPE_CHECKING:
     from nishiki.brdf.gloss_profile import GlossProfile
@@ -105,19 +105,20 @@ def read_observations(capture: str | Path, *, white_block: int = 16) -> Observed
     >>> bool(observed.valid.all())
     True
     """
-    from nishiki.capture.folder import load_capture
+    from nishiki.capture.folder import Capture, load_capture
     from nishiki.observations.plane import Observations
     from nishiki.observations.plane_store import write_observations
     from nishiki.stages.ingest import IngestSettings
 
     described = load_capture(capture)
-    if described.geometry != "plane":
+    if not isinstance(described, Capture):
         raise UserError(
             f"{capture}: expected a capture of geometry plane, found {described.geometry}. Remedy: digitise it with "
             "the command `nishiki run`, and read the results"
         )
     with tempfile.TemporaryDirectory() as folder:
-        write_observations(described, folder, settings=IngestSettings(white_block=white_block))
+        settings: Any = IngestSettings(white_block=white_block)
+        write_observations(described, folder, settings=settings)
         stored = Observations(folder)
         values, valid = stored.read(slice(0, stored.shape[0]))
         directions = stored.directions
@@ -206,11 +207,13 @@ def find_lights(folder: str | Path, **options) -> dict[str, np.ndarray]:
     a2 (3,)
     a3 (3,)
     """
+    from nishiki.capture.layouts import Layout
     from nishiki.capture.options import ConvertOptions
     from nishiki.capture.registry import read_source
+    from nishiki.capture.relightable import Rendering
 
     layout = read_source(Path(folder), ConvertOptions(**options))
-    if layout.geometry != "plane":
+    if not isinstance(layout, Layout | Rendering):
         raise UserError(f"{folder}: expected photographs of a flat object, found {layout.name}")
     return dict(zip(layout.lights.names, layout.lights.directions, strict=True))
 
@@ -552,7 +555,8 @@ def fit_cloth(
         raise UserError(f"model of a cloth: expected one of {', '.join(MODELS)}, found {model!r}")
     measured = ReflectanceSet.of(np.asarray(incident), np.asarray(outgoing), np.asarray(values), symmetry=symmetry)
     measured = complete(measured)[0]
-    basic = (measured.basic.evaluate, measured.basic.values[0])
+    completed = require(measured.basic)
+    basic = (completed.evaluate, completed.values[0])
     of, yarns = Measured.of(measured), None
     if model == "yarns":
         from nishiki.weave.yarn_search import search_yarns

@@ -4,8 +4,12 @@ import errno
 import os
 import re
 from collections.abc import Iterable
+from typing import TypeVar
 
 UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+T = TypeVar("T")
 
 
 class UserError(Exception):
@@ -16,6 +20,13 @@ class UserError(Exception):
 
     def __str__(self) -> str:
         return "\n".join(printable(line) for line in super().__str__().split("\n"))
+
+
+def require(value: T | None) -> T:
+    """Return a value that earlier checks promise; ValueError, which is a bug, where it is missing."""
+    if value is None:
+        raise ValueError("a value is missing that earlier checks promise")
+    return value
 
 
 def unknown_scene(name: str, scenes: Iterable[str]) -> str:

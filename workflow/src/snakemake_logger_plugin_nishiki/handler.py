@@ -204,8 +204,8 @@ class RunHandler(LogHandlerBase):
         self._tell_failure(f"{job.name}: failed after {after}", [job], message, status, logs)
 
     def _group_failed(self, record: Any) -> None:
-        jobs = [self.progress.stop(info["jobid"]) for info in record.job_error_info]
-        jobs = [job for job in jobs if job is not None]
+        stopped = (self.progress.stop(info["jobid"]) for info in record.job_error_info)
+        jobs = [job for job in stopped if job is not None]
         if not jobs:
             return
         logs = [name for name in record.aux_logs if name]

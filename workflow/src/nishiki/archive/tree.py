@@ -8,8 +8,9 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import IO, Protocol
 
 LARGEST_TEXT = 256 * 2**20
 """Bytes of the largest manifest that is read; one of a million files has about 150 MB."""
@@ -89,16 +90,16 @@ def _sort_in(listing: Listing, name: str, entry: os.DirEntry) -> bool:
     return False
 
 
-def _open(path: str) -> BinaryIO:
+def _open(path: str) -> FileIO:
     """Open a regular file for reading; a link or a pipe in its place is an OSError."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise OSError(22, "not a regular file", path)
-    return os.fdopen(descriptor, "rb", buffering=0)
+    return FileIO(descriptor)
 
 
-def _read(handle: BinaryIO, size: int) -> bytes:
+def _read(handle: IO[bytes] | FileIO, size: int) -> bytes:
     if size > LARGEST_TEXT:
         raise ValueError(f"{size} bytes, larger than any manifest")
     data = bytearray()
@@ -156,7 +157,7 @@ class ZipTree:
     def digest(self, name: str) -> str:
         """SHA-256 of a file, read in blocks. Raises OSError."""
         with _broken_as_oserror(name), self.archive.open(self._member(name)) as handle:
-            return hashlib.file_digest(handle, "sha256").hexdigest()
+            return hashlib.file_digest(handle, "sha256").hexdigest()  # type: ignore[arg-type]  # a ZipExtFile can
 
     def _member(self, name: str) -> zipfile.ZipInfo:
         member = self.members.get(name)

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 
 from nishiki.atlas.adjacency import across_edges, borders, components, smoothed, smoothed_vertices, spread
+from nishiki.errors import require
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
 from nishiki.geometry.visibility import bounds, edge
@@ -206,7 +207,7 @@ def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float
     makes at most `MANY` charts, otherwise smoothed before, by as many of `SMOOTHING` rounds as make so few, or the
     fewest: on a rough surface many triangles turn away from any direction, and each would become a chart of its own.
     """
-    best = None
+    best: Charts | None = None
     for rounds in SMOOTHING:
         vertices = smoothed_vertices(mesh.vertices, mesh.triangles, rounds=rounds)
         patience = FEW if best is not None or rounds < SMOOTHING[-1] else 1.0
@@ -215,7 +216,7 @@ def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float
             best = charts
         if best is not None and len(best.frames.direction) <= MANY:
             break
-    return best
+    return require(best)  # the last cut has patience for any number
 
 
 def cut(

@@ -3,6 +3,7 @@
 import threading
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zarr
@@ -141,9 +142,10 @@ class Texels:
         pieces = []
         for chunk in range(part.start // length, (part.stop - 1) // length + 1):
             with self._lock:
-                number, values = self._cache.get(key, (-1, None))
+                number, values = self._cache.get(key, (-1, np.empty(0)))
             if number != chunk:
-                values = array[(*lead, slice(chunk * length, (chunk + 1) * length))]
+                place: Any = (*lead, slice(chunk * length, (chunk + 1) * length))
+                values = array[place]
                 with self._lock:
                     self._cache[key] = chunk, values
             low, high = max(part.start - chunk * length, 0), min(part.stop - chunk * length, length)

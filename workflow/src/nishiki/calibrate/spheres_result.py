@@ -12,7 +12,7 @@ from nishiki.capture.spheres.lamps import LampFit
 from nishiki.capture.spheres.measure import MeasuredSpheres, measure_spheres
 from nishiki.capture.taking import lights_text
 from nishiki.errors import UserError
-from nishiki.report.page import Figure, Figures, Section, Table
+from nishiki.report.page import Block, Figure, Figures, Section, Table
 from nishiki.report.pictures import encoded
 from nishiki.report.svg import lights_plot
 
@@ -64,17 +64,17 @@ def dome_text(names: list[str], directions: np.ndarray, positions: np.ndarray | 
     def listed(vectors: np.ndarray) -> list[dict[str, float]]:
         return [{axis: float(f"{v:.9g}") for axis, v in zip("xyz", vector, strict=True)} for vector in vectors]
 
-    near = positions is not None
+    near = [] if positions is None else listed(positions)
     content = {
         "label": "",
         "notes": "measured by nishiki calibrate spheres; lengths in mm",
         "imageWidth": float(f"{width_mm:.9g}"),
-        "domeDiameter": float(f"{2 * np.linalg.norm(positions, axis=1).mean():.6g}") if near else 0.0,
+        "domeDiameter": float(f"{2 * np.linalg.norm(positions, axis=1).mean():.6g}") if positions is not None else 0.0,
         "verticalOffset": 0.0,
         "lightConfiguration": "lights3d" if near else "directional",
         "directions": listed(directions),
-        "positionsSphere": listed(positions) if near else [],
-        "positions3d": listed(positions) if near else [],
+        "positionsSphere": near,
+        "positions3d": near,
         "ledAdjust": [],
         "names": names,
     }
@@ -93,11 +93,11 @@ def _numbers(measured: MeasuredSpheres, given: SphereInput) -> dict:
             "lens_sigma_deg": finite(np.degrees(measured.lens_sigma[i])),
             "highlights": [
                 None
-                if found[photograph, k] is None
+                if (highlight := found[photograph, k]) is None
                 else {
-                    "column": finite(found[photograph, k].pixel[0]),
-                    "row": finite(found[photograph, k].pixel[1]),
-                    "sigma_px": finite(found[photograph, k].sigma_px),
+                    "column": finite(highlight.pixel[0]),
+                    "row": finite(highlight.pixel[1]),
+                    "sigma_px": finite(highlight.sigma_px),
                     "residual_px": finite(fit.residuals_px[i, k]) if (i, k) in fit.residuals_px else None,
                 }
                 for k in range(len(outlines))
@@ -172,7 +172,7 @@ def _picture_section(found: Findings) -> Section:
         figures.append(Figure(f"Sphere {k + 1}", caption, encoded(draw_sphere(found, k))))
     caption = "Brightest of all photographs. Green: spheres. Grey: circles that were examined and are none."
     figures.append(Figure("All circles", caption, encoded(draw_findings(found))))
-    parts = [Figures(figures, 2)]
+    parts: list[Block] = [Figures(figures, 2)]
     if found.rejected:
         rows = [(c.row, c.column, c.radius, why) for c, why in found.rejected]
         parts.append(Table(("row", "column", "radius px", "why it is no sphere"), rows, "rrrl"))
@@ -189,10 +189,9 @@ def _comparison(fit: LampFit, names: list[str], path: Path) -> tuple[dict, Secti
             raise UserError(f"{path}: expected {len(names)} lamps, one a photograph, found {len(other.names)}")
         theirs = other.directions
     else:
-        places = [other.index(name) for name in names]
-        if None in places:
-            raise UserError(f"{path}: no lamp for the photograph {names[places.index(None)]}")
-        theirs = other.directions[places]
+        if unknown := [name for name in names if other.find(name) is None]:
+            raise UserError(f"{path}: no lamp for the photograph {unknown[0]}")
+        theirs = other.directions[[other.index(name) for name in names]]
     cosines = np.clip((fit.directions * theirs).sum(axis=1), -1, 1)
     angles = np.degrees(np.arccos(cosines))
     left, _, right = np.linalg.svd(fit.directions.T @ theirs)

@@ -62,8 +62,8 @@ class Capture(Photographed):
 
     def white_of(self, light: str) -> Frame | None:
         """Return the white board's frame under this light."""
-        place = self.lights.index(light)
-        return next((f for f in self.frames_of("white") if self.lights.index(f.light) == place), None)
+        place = self.lights.find(light)
+        return next((f for f in self.frames_of("white") if self.lights.find(f.light) == place), None)
 
 
 def payload_of(root: Path) -> Path:
@@ -130,6 +130,7 @@ def load_capture(root: Path | str) -> Capture | TurntableCapture | GoniometerCap
     """
     capture, problems = examine(Path(root))
     raise_errors(problems)
+    assert capture is not None  # without one there are errors
     return capture
 
 
@@ -220,7 +221,7 @@ def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> n
     for number, cells in enumerate(rows, start=2):
         row, where = dict(zip(names, cells, strict=False)), f"{path.name} row {number}"
         light = row.get("light", "")
-        place = lights.index(light)
+        place = lights.find(light)
         if place is None:
             problems.append(error("intensities-light", where, f"no light '{light}'"))
             continue
@@ -240,7 +241,7 @@ def match_frames(frames: tuple[Frame, ...], lights: Lights, settings: CaptureFil
     problems += _band_problems(frames, settings.camera.channels)
     observed = [f for f in frames if f.role in ("sample", "check")]
     whites = [f for f in frames if f.role == "white"]
-    seen, boards = (Counter(lights.index(f.light) for f in group) for group in (observed, whites))
+    seen, boards = (Counter(lights.find(f.light) for f in group) for group in (observed, whites))
     for place, name in enumerate(lights.names):
         for count, what in ((seen[place], "sample or check"), (boards[place], "white")):
             if count > 1:
@@ -254,7 +255,8 @@ def match_frames(frames: tuple[Frame, ...], lights: Lights, settings: CaptureFil
     if whites and settings.lights.intensities:
         what = "white frames are used; lights.intensities is not"
         problems.append(warning("intensities-unused", "capture.yaml", what))
-    samples = [lights.index(f.light) for f in frames if f.role == "sample" and lights.index(f.light) is not None]
+    places = (lights.find(f.light) for f in frames if f.role == "sample")
+    samples = [place for place in places if place is not None]
     return problems + direction_problems(lights.directions[samples], settings.lights.file)
 
 

@@ -197,7 +197,7 @@ def _frame(
         )
     problems += label_problems(row.get("view", ""), "view", where)
     problems += label_problems(light_name(light), "light", where)
-    exposure: dict[str, float | None] = dict.fromkeys(EXPOSURE_COLUMNS)
+    exposure: dict[str, Any] = dict.fromkeys(EXPOSURE_COLUMNS)
     for column, expected in EXPOSURE_COLUMNS.items():
         if text := row.get(column, ""):
             value = number_of(text)
@@ -252,10 +252,10 @@ def lamp_problems(frames: Iterable[Frame], lights: Lights, file: str) -> list[Pr
     """frame-without-light and light-without-frame where frames and lamps of a lights file do not belong together."""
     frames, problems = list(frames), []
     for frame in frames:
-        if frame.light and lights.index(frame.light) is None:
+        if frame.light and lights.find(frame.light) is None:
             what, remedy = f"light '{frame.light}' is not in the lights", "Add it to the lights, or correct the name"
             problems.append(error("frame-without-light", f"frames.csv row {frame.row}", what, remedy=remedy))
-    observed = {lights.index(f.light) for f in frames if f.role in ("sample", "check")}
+    observed = {lights.find(f.light) for f in frames if f.role in ("sample", "check")}
     for place, name in enumerate(lights.names):
         if place not in observed:
             what, remedy = f"light '{name}' has no photograph", "Add its row to frames.csv, or remove the light"

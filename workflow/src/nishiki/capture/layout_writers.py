@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,7 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     Raises CaptureError: file-missing, light-unknown, and those of `pair_by_name` and of reading headers.
     """
     raise_errors(file_problems(mask=options.mask))
-    unknown = [name for name in options.checks if layout.lights.index(name) is None]
+    unknown = [name for name in options.checks if layout.lights.find(name) is None]
     if unknown:
         expected, found = f"one of {', '.join(layout.lights.names)}", ", ".join(unknown)
         what = "no such light to keep for evaluation"
@@ -55,7 +56,7 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     folder.mkdir(parents=True)
     header = usual_header(layout.photographs)
     channels = layout.bands or channel_names(header)
-    names, held = layout.lights.names, {layout.lights.index(name) for name in options.checks}
+    names, held = layout.lights.names, {layout.lights.find(name) for name in options.checks}
     rows: list[tuple[str, ...]] = []
     notes: list[Problem] = []
     if layout.bands:
@@ -74,7 +75,7 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         if given is not None and not layout.bands:
             for photograph in photographs_in(given) if given.is_dir() else [given]:
                 rows.append((take(photograph, folder / role / photograph.name, link), role, ""))
-    settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "plane"}
+    settings: dict[str, Any] = {"format": FORMAT, "title": options.title or source.name, "geometry": "plane"}
     coding, doubts = choose_encoding(header, options.encoding, source.name)
     notes += doubts
     settings["camera"] = {"channels": list(channels), "encoding": coding}
@@ -85,7 +86,7 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         settings["pixel_pitch_mm"] = float(f"{pitch:.9g}")
     if layout.intensities is not None:
         settings["lights"]["intensities"] = "intensities.csv"
-        _write_intensities(folder / "intensities.csv", layout, channels)
+        _write_intensities(folder / "intensities.csv", layout.lights.names, layout.intensities, channels)
     if layout.mask is not None:
         settings["mask"], doubts = take_mask(layout.mask, folder / f"mask{layout.mask.suffix.lower()}", link)
         notes += doubts
@@ -143,7 +144,7 @@ def _take_bands(folder: Path, layout: Layout, held: set[int | None], options: Co
             chosen += [(path, role, "", band) for band, path in zip(bands, taken, strict=True)]
         chosen += [(path, role, "", "") for path in (() if found else photographs_in(given))]
     same = Counter((role, path.name) for path, role, _, _ in chosen)
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for path, role, light, band in chosen:
         name = path.name if same[role, path.name] == 1 else f"{path.parent.name}_{path.name}"
         place = folder / ("frames" if role in ("sample", "check") else role) / name
@@ -177,8 +178,7 @@ def write_tables(
     (folder / "lights.lp").write_text(lights_text(lights.names, lights.vectors), encoding="utf-8")
 
 
-def _write_intensities(path: Path, layout: Layout, channels: tuple[str, ...]) -> None:
-    values = layout.intensities
+def _write_intensities(path: Path, names: Sequence[str], values: np.ndarray, channels: tuple[str, ...]) -> None:
     if len(channels) == 1:
         values = values.mean(axis=1, keepdims=True)
     if values.shape[1] == 1:
@@ -186,7 +186,7 @@ def _write_intensities(path: Path, layout: Layout, channels: tuple[str, ...]) ->
     if values.shape[1] != len(channels):
         expected, found = f"{len(channels)} columns", f"{values.shape[1]}"
         refuse("intensities-invalid", "light intensities", "table", expected=expected, found=found)
-    rows = ([n, *(f"{v:.9g}" for v in row)] for n, row in zip(layout.lights.names, values, strict=True))
+    rows = ([n, *(f"{v:.9g}" for v in row)] for n, row in zip(names, values, strict=True))
     path.write_text(table_text([("light", *channels), *rows]), encoding="utf-8")
 
 
@@ -212,9 +212,9 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
     for path, file in zip(masks, file_names(masks), strict=True):
         copies[path], doubts = take_mask(path, folder / "silhouettes" / file, link)
         notes = (*notes, *doubts)
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
-        outline = copies.get(outlines.get(photograph), "")
+        outline = copies[outlines[photograph]] if photograph in outlines else ""
         name = take(photograph, folder / "frames" / file, link)
         rows.append((name, "sample", layout.views[i], layout.states[i], outline))
     for board, state in _states_of(photographs_in(white), layout, str(white)) if white else ():
@@ -228,7 +228,7 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
         block["cameras"] = "cameras.csv"
         block |= {"turn": options.turn} if options.turn else {}
         block |= {"camera_of": options.camera_of} if options.camera_of else {}
-        _write_cameras(folder / "cameras.csv", layout)
+        _write_cameras(folder / "cameras.csv", layout, layout.matrices)
     if layout.calibration is not None:
         block["calibration"] = take(layout.calibration, folder / layout.calibration.name, link)
     camera = {"channels": list(channel_names(header)), "encoding": coding}
@@ -248,10 +248,11 @@ def _match_silhouettes(layout: RoundLayout, folder: Path) -> tuple[dict[Path, Pa
     """
     present = sorted(files_with(folder, MASK_SUFFIXES), key=natural_key)
     below = Pictures(folder)
-    nested = [] if present else [below.find(f"{p}.png") or below.find(str(p)) for p in layout.photographs]
-    if nested and None not in nested and len(set(nested)) == len(nested):
-        raise_errors(problem for path in nested for problem in source_problems(path, folder))
-        return dict(zip(layout.photographs, nested, strict=True)), ()
+    nested = {} if present else {p: below.find(f"{p}.png") or below.find(str(p)) for p in layout.photographs}
+    found = {photograph: path for photograph, path in nested.items() if path is not None}
+    if found and len(set(found.values())) == len(layout.photographs):
+        raise_errors(problem for path in found.values() for problem in source_problems(path, folder))
+        return found, ()
     raise_errors(problem for path in present for problem in source_problems(path, folder))
     if len(present) == 1 and len(set(layout.views)) == 1:
         return {layout.photographs[0]: present[0]}, ()
@@ -299,9 +300,9 @@ def _ending(stem: str, known: set[str]) -> str:
     return next((stem[at:] for at in places if _state(stem[at:]) in known), stem)
 
 
-def _write_cameras(path: Path, layout: RoundLayout) -> None:
+def _write_cameras(path: Path, layout: RoundLayout, matrices: np.ndarray) -> None:
     """Every digit that float64 has, so that reading gives the same matrices."""
-    columns, numbers = MATRIX_COLUMNS, layout.matrices.reshape(-1, 12)
+    columns, numbers = MATRIX_COLUMNS, matrices.reshape(-1, 12)
     if layout.distortions is not None:
         columns, numbers = columns + LENS_COLUMNS, np.hstack([numbers, layout.distortions])
     rows = [["view", *columns], *([v, *map(repr, n)] for v, n in zip(layout.views, numbers.tolist(), strict=True))]

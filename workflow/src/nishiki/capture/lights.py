@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from nishiki.errors import require
 from nishiki.formats.files import bound, read_bytes
 from nishiki.formats.problems import Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import cells_of, expect_rows, label_problems, reading
@@ -37,9 +38,13 @@ class Lights:
     directions: np.ndarray
     warnings: tuple[Problem, ...] = ()  # what was tolerated
 
-    def index(self, name: str) -> int | None:
-        """Position of the light with this name; a photograph's file name stands for its light; None if unknown."""
+    def find(self, name: str) -> int | None:
+        """Find the position of the light with this name, or of a photograph with this file name; None if unknown."""
         return self._positions.get(name, self._positions.get(light_name(name)))
+
+    def index(self, name: str) -> int:
+        """Return the position of a light that is known."""
+        return require(self.find(name))
 
     @cached_property
     def _positions(self) -> dict[str, int]:

@@ -279,10 +279,11 @@ def _match_lamps(sorted_files: BandFiles, lights: Lights, kind: str) -> tuple[Li
     if max(Counter(filter(None, matched)).values(), default=2) == 1:  # a lamp without any file is called missing
         kept = [lamp or light for lamp, light in zip(matched, lights.names, strict=True)]
         return (lights, kept) if count > len(lamps) else None
-    if None in matched:
+    known = [lamp for lamp in matched if lamp is not None]
+    if len(known) < len(matched):
         return None
-    first = {lamp: matched.index(lamp) for lamp in matched if lamp is not None}
-    same = [lights.directions[i] @ lights.directions[first[lamp]] for i, lamp in enumerate(matched)]
+    first = {lamp: known.index(lamp) for lamp in known}
+    same = [lights.directions[i] @ lights.directions[first[lamp]] for i, lamp in enumerate(known)]
     if min(same) < SAME_DIRECTION or len(first) < 2:
         return None
     vectors = lights.vectors[list(first.values())]

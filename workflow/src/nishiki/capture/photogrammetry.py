@@ -285,14 +285,14 @@ def _chunk(chunk: ElementTree.Element, file: str) -> Registration:
     worlds = {part.get("id"): _transform(part.find("transform")) for part in chunk.iter("component")}
     own = _transform(chunk.find("transform"))
     enabled, off, unaligned, placed = [], [], [], []
-    for camera in chunk.find("cameras").iter("camera"):
+    for camera in chunk.iterfind("cameras//camera"):
         if camera.get("enabled", "true").lower() in ("false", "0"):
             off.append(camera.get("label"))
-        elif camera.find("transform") is None:
+        elif (transform := camera.findtext("transform")) is None:
             unaligned.append(camera.get("label"))
         else:
             enabled.append(camera)
-            numbers = np.array([finite(word) for word in camera.find("transform").text.split()])
+            numbers = np.array([finite(word) for word in transform.split()])
             placed.append(numbers.reshape(4, 4)[:3])
     if not enabled:
         raise ValueError(f"no camera is aligned, of {len(off) + len(unaligned)}")
@@ -339,7 +339,7 @@ def _transform(element: ElementTree.Element | None) -> tuple[float, np.ndarray, 
     if element is None or element.find("rotation") is None:
         return None
     rotation, translation = (
-        np.array([finite(word) for word in element.findtext(name).split()]) for name in ("rotation", "translation")
+        np.array([finite(word) for word in element.findtext(name, "").split()]) for name in ("rotation", "translation")
     )
     scale = positive(element.findtext("scale") or 1, "scale")
     return scale, rigid(rotation.reshape(3, 3)), translation.reshape(3)
@@ -359,7 +359,8 @@ def _sensor_lens(sensor: ElementTree.Element, file: str) -> tuple[tuple[int, int
         refuse("cameras-distorted", file, what, expected="frame, with k1, k2, k3, p1 and p2", remedy=remedy)
     resolution = lens.find("resolution")
     resolution = sensor.find("resolution") if resolution is None else resolution
-    rows, columns = whole(resolution.get("height")), whole(resolution.get("width"))
+    sides = {} if resolution is None else resolution.attrib
+    rows, columns = whole(sides.get("height")), whole(sides.get("width"))
     k1, k2, k3, p1, p2 = (values.get(name, 0.0) for name in ("k1", "k2", "k3", "p1", "p2"))
     if "f" in values:
         fx, fy, skew = values["f"] + values.get("b1", 0.0), values["f"], values.get("b2", 0.0)

@@ -87,7 +87,8 @@ def _of_project(content: dict, images: list, path: Path, kind: str | None, width
     """Photographs that are neither skipped nor hidden, and that have a lamp."""
     expect_rows(len(images), "lights", path.name, "lights")
     names = [_name(image, path.name) for image in images]
-    dome = content.get("dome") if isinstance(content.get("dome"), dict) else {}
+    stated_dome = content.get("dome")
+    dome = stated_dome if isinstance(stated_dome, dict) else {}
     taken = [i for i, image in enumerate(images) if image.get("skip") is not True]
     own = [images[i].get("direction") for i in taken]
     if own and all(isinstance(each, dict) for each in own) and any(each.get(axis) for each in own for axis in "xyz"):
@@ -214,7 +215,8 @@ def _crop(content: dict, file: str) -> tuple[tuple[int, int, int, int] | None, l
 def _shifts(content: dict, used: list[int], file: str) -> tuple[np.ndarray | None, list[Problem]]:
     """Return the shifts (used, 2) of photographs that a project states, None for none, and what to tell of them."""
     shifts = []
-    for align in content.get("aligns") if isinstance(content.get("aligns"), list) else []:
+    aligns = content.get("aligns")
+    for align in aligns if isinstance(aligns, list) else []:
         offsets = align.get("offsets") if isinstance(align, dict) else None
         if isinstance(offsets, list) and len(offsets) > max(used, default=-1):
             shifts.append([_vector(offsets[i][:2] if isinstance(offsets[i], list) else [], file) for i in used])

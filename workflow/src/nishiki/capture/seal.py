@@ -72,8 +72,9 @@ def payload_digests(folder: Path, *, known: dict[str, Entry] | None = None) -> d
     for path in payload_files(folder):
         name, facts = f"data/{path.relative_to(folder).as_posix()}", path.stat()
         before = (known or {}).get(name)
-        same = before and (before.bytes, before.mtime_ns) == (facts.st_size, facts.st_mtime_ns)
-        entries[name] = before if same else Entry(sha256_of(path), facts.st_size, facts.st_mtime_ns)
+        if before is None or (before.bytes, before.mtime_ns) != (facts.st_size, facts.st_mtime_ns):
+            before = Entry(sha256_of(path), facts.st_size, facts.st_mtime_ns)
+        entries[name] = before
     return entries
 
 

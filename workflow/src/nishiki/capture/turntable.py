@@ -134,7 +134,7 @@ def _lamps_named(frames: tuple[Frame, ...], lights: Lights | None) -> tuple[Fram
     alone = lights.names[0] if len(lights.names) == 1 else ""
 
     def called(frame: Frame) -> str:
-        place = lights.index(frame.light) if frame.light else None
+        place = lights.find(frame.light) if frame.light else None
         return lights.names[place] if place is not None else frame.light or alone
 
     return tuple(replace(f, light=called(f)) if f.role in ("sample", "white") else f for f in frames)

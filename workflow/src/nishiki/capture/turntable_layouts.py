@@ -16,6 +16,7 @@ from nishiki.capture.polariser import parse_state, state_warnings
 from nishiki.capture.registered import Pictures, Registration, aim_problems, reading_cameras
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.tables import camera_centre, camera_problems
+from nishiki.errors import require
 from nishiki.formats.files import bound, files_with, read_text
 from nishiki.formats.images import read_header
 from nishiki.formats.matlab import read_matlab
@@ -269,7 +270,7 @@ def _turntable(
 
 def read_series(source: Path, photographs: list[Path], options: ConvertOptions) -> RoundLayout:
     """Read one view in many states; a MATLAB file beside the photographs is the instrument's calibration."""
-    pairs = [STATES.fullmatch(p.stem).groups() for p in photographs]
+    pairs = [require(STATES.fullmatch(p.stem)).groups() for p in photographs]
     states = [parse_state(f"{generator}/{analyser}").name for generator, analyser in pairs]
     if len(set(states)) != len(states):
         found = next(state for state in states if states.count(state) > 1)

@@ -15,6 +15,7 @@ from nishiki.capture.lights import Lights
 from nishiki.capture.polariser import state_problems
 from nishiki.capture.schema_base import Positive, Session, read_mapping, validate
 from nishiki.capture.tables import camera_centre
+from nishiki.errors import require
 from nishiki.formats.files import bound
 from nishiki.formats.files import remedy as bound_remedy
 from nishiki.formats.problems import Problem, error, warning
@@ -106,13 +107,10 @@ class Turntable(Closed):
         return axes
 
     @property
-    def mesh_placement(self) -> tuple[float, tuple[int, ...], tuple[int, ...]]:
+    def mesh_placement(self) -> tuple[float, tuple[int, int, int], tuple[int, int, int]]:
         """What brings the mesh into the world of the cameras: scale, the axis that each new one is, and its sign."""
-        names = self.mesh_axes.split(",")
-        order, signs = (
-            tuple(f(name) for name in names) for f in (lambda n: "xyz".index(n[-1]), lambda n: 1 - 2 * (n[0] == "-"))
-        )
-        return self.mesh_scale, order, signs
+        x, y, z = (("xyz".index(name[-1]), 1 - 2 * (name[0] == "-")) for name in self.mesh_axes.split(","))
+        return self.mesh_scale, (x[0], y[0], z[0]), (x[1], y[1], z[1])
 
     @property
     def files(self) -> tuple[tuple[str, str], ...]:
@@ -329,7 +327,7 @@ def _camera_problems(
 ) -> list[Problem]:
     if matrices is None:
         return []
-    file, problems = settings.turntable.cameras, []
+    file, problems = require(settings.turntable.cameras), []
     for view in [view for view in views if view not in matrices]:
         remedy = "Add its row to the cameras, or remove its photographs"
         problems.append(error("view-without-camera", file, f"view '{view}' has no camera", remedy=remedy))

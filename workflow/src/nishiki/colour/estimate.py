@@ -172,7 +172,7 @@ def fit_estimator(
     responses = spectra @ weights.T
     problem = Problem(spectra, weights, responses, response_space(responses, noise=noise), noise)
     if method == "paper":
-        parts = fit_paper(problem, bases, white=white_width > 0)
+        parts = fit_paper(problem, None if callable(bases) else bases, white=white_width > 0)
     else:
         parts = fit_regression(problem, bases, None if method == "wiener" else centres)
     estimator = _assemble(problem, parts, method, white_width)

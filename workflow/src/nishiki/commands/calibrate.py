@@ -35,7 +35,7 @@ def corner(context: click.Context, parameter: click.Parameter, texts: tuple[str,
     try:
         return texts and tuple(tuple(float(part) for part in text.split(",", 1)) for text in texts)
     except ValueError:
-        raise click.BadParameter(f"expected X,Y in pixels, found {' '.join(texts)!r}") from None
+        raise click.BadParameter(f"expected X,Y in pixels, found {' '.join(texts or ())!r}") from None
 
 
 @calibrate.command(

@@ -50,8 +50,8 @@ def examine(name: str, *, quick: bool = False, open_page: bool = False) -> int:
     from nishiki.observations.check import check_capture
 
     judgements: list = []
-    level, tell = "quick" if quick else "full", Progress(f"check {name}").tell
-    problems = check_capture(Path(name), level=level, progress=tell, judged=judgements.append)
+    tell = Progress(f"check {name}").tell
+    problems = check_capture(Path(name), level="quick" if quick else "full", progress=tell, judged=judgements.append)
     errors = sum(problem.severity == "error" for problem in problems)
     for problem in group_problems(problems):
         print(f"{name}: {problem.severity}: {problem}")

@@ -157,12 +157,13 @@ def _from_photographs(source: Path, configfile: str, name: str, options: tuple[d
 def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
     """List what a conversion assumed: label, value, option of `run` and `convert` that changes it."""
     from nishiki.capture.folder import payload_of
+    from nishiki.capture.goniometer import GoniometerFile
     from nishiki.capture.schema import read_capture_file
 
     described = read_capture_file(payload_of(made.folder) / "capture.yaml")
     kinds = {problem.kind for problem in made.warnings}
     rows = [("title", described.title, "--title")]
-    if described.geometry == "goniometer":
+    if isinstance(described, GoniometerFile):
         values, azimuths = described.goniometer.values, described.goniometer.azimuths
         return [*rows, ("values", str(values), "--values"), ("azimuths", f"of the view from {azimuths}", "--azimuths")]
     name, stated = described.camera.encoding, "assumed" if "encoding-assumed" in kinds else "as stated"

@@ -13,7 +13,7 @@ from nishiki.engine.plan import Plan, PlannedStage, make_plan
 from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project, scene_with_exports
 from nishiki.engine.scheduling import Scheduling
 from nishiki.engine.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
-from nishiki.errors import UserError, of_the_machine, unknown_scene
+from nishiki.errors import UserError, of_the_machine, require, unknown_scene
 from nishiki.stages.base import SceneFacts
 from nishiki.stages.table import CHAIN
 
@@ -25,12 +25,14 @@ class Plans(Mapping):
     """Plans by scene, each made when it is first asked for: a job of one scene among thousands needs one."""
 
     def __init__(self, names: list[str], make: Callable[[str], Plan]):
-        self._names, self._make = dict.fromkeys(names), make
+        self._names: dict[str, Plan | None] = dict.fromkeys(names)
+        self._make = make
 
     def __getitem__(self, name: str) -> Plan:
-        if self._names[name] is None:
-            self._names[name] = self._make(name)
-        return self._names[name]
+        plan = self._names[name]
+        if plan is None:
+            plan = self._names[name] = self._make(name)
+        return plan
 
     def __contains__(self, name: object) -> bool:
         return name in self._names
@@ -203,7 +205,7 @@ class Workflow(Scheduling):
 
     def timings(self, swept: SceneSweep, variant: PlannedVariant) -> dict[str, list[str]]:
         """List the records of all repeats of the counted stages of a variant, by stage."""
-        numbers = range(1, self.sweep.settings.repeats + 1)
+        numbers = range(1, require(self.sweep).settings.repeats + 1)
         planned = variant.plan.stages
         return {
             name: [self.timing(swept.scene, name, planned[name].key, number) for number in numbers]

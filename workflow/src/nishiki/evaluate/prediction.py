@@ -6,6 +6,7 @@ import numpy as np
 
 from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.colour.colour import white_xyz, xyz_matrix
+from nishiki.errors import require
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shade import PlaneMaps, predict_observations
@@ -92,7 +93,7 @@ class SceneColour:
         coefficients : (rows, columns, K) of the same rows. Gloss has the colour of the lamp.
         """
         if self.matrix is None or coefficients is None:
-            return self.camera.xyz(band.channels).astype(np.float32)
+            return require(self.camera).xyz(band.channels).astype(np.float32)
         diffuse = (coefficients @ self.matrix.T.astype(np.float32)) * band.body[..., None]
         return diffuse + band.specular[..., None] * self.white.astype(np.float32)
 

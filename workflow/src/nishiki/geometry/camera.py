@@ -202,11 +202,11 @@ def ray_through_middle(camera: Camera) -> np.ndarray:
     return direction / np.linalg.norm(direction)
 
 
-def mirror_of(centres: np.ndarray) -> tuple[int, ...]:
+def mirror_of(centres: np.ndarray) -> tuple[int, int, int]:
     """Factors on the world's axes: -1 on the one nearest to the normal of the plane of the centres (n, 3)."""
     _, _, directions = np.linalg.svd(centres - centres.mean(axis=0))
-    axis = int(np.argmax(np.abs(directions[2])))
-    return tuple(-1 if k == axis else 1 for k in range(3))
+    x, y, z = (1 - 2 * (np.arange(3) == np.argmax(np.abs(directions[2])))).tolist()
+    return x, y, z
 
 
 def save_cameras(

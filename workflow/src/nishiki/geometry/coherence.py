@@ -8,6 +8,7 @@ its correction removes the contradiction. A rotation of all cameras about the ax
 of their focal lengths, leave the contradiction (almost) as it is and cannot be seen without a mesh.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, pairwise
@@ -96,7 +97,7 @@ def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera], *, m
         masks = [~mask if i in inverted else mask for i, mask in enumerate(outlines.masks)]
         share = float(Outlines(masks, outlines.cameras, misses).miss_shares().mean())
         if share < outlines.enough:
-            return replace(found, correction=Correction("silhouette-inverted", views=inverted), corrected=share)
+            return replace(found, correction=Correction("silhouette-inverted", views=tuple(inverted)), corrected=share)
     if found.contradiction <= NOTICEABLE and max(found.by_view) <= NOTICEABLE_VIEW:
         return found
     least, of_all = outlines.enough, (_reversals, _orders, _exchanges, _mirrors, _lenses, _steps, _odd_views)
@@ -106,7 +107,7 @@ def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera], *, m
         if family is _odd_views and found.correction is not None:
             break
         trial, share = _best_trial(outlines, family(outlines))
-        if share < least:
+        if trial is not None and share < least:
             found, least = replace(found, correction=trial.correction, corrected=share), share - EQUAL
         if least < max(NOTICEABLE * EXPLAINED, EXHAUSTED * found.contradiction):
             break
@@ -133,7 +134,7 @@ class Outlines:
 
     def miss_shares(
         self,
-        order: np.ndarray | None = None,
+        order: Sequence[int] | np.ndarray | None = None,
         cameras: list[Camera] | None = None,
         *,
         without: tuple[int, ...] = (),

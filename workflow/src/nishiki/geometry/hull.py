@@ -5,6 +5,7 @@ the zero level of the smallest, over the views, of the signed distances to the s
 surface lies between the grid points where the outlines put it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -69,7 +70,7 @@ def signed_distance(silhouette: np.ndarray) -> np.ndarray:
     return cv2.GaussianBlur(distance, (0, 0), SMOOTHING_PX)
 
 
-def field_of(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, finest_px: float = 0.0) -> Field:
+def field_of(silhouettes: Sequence[np.ndarray | None], cameras: list[Camera], *, finest_px: float = 0.0) -> Field:
     """Distance maps of the views that have a silhouette (None: none known there).
 
     finest_px: detail that nobody will ask for, pixels; larger pictures are kept at a coarser stride. Raises UserError
@@ -118,7 +119,7 @@ def _area_of(silhouette: np.ndarray, camera: Camera) -> tuple[slice, slice]:
     return span(rows, silhouette.shape[0]), span(columns, silhouette.shape[1])
 
 
-def bounding_box(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, misses: int = 0) -> np.ndarray:
+def bounding_box(silhouettes: Sequence[np.ndarray | None], cameras: list[Camera], *, misses: int = 0) -> np.ndarray:
     """(2, 3) float64: lowest and highest corner of all points that project into the silhouettes' convex outlines.
 
     Each edge of a convex outline spans a plane with the camera's centre; the smallest and largest x, y and z within all

@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Literal
 
 import numpy as np
 
@@ -135,9 +135,10 @@ def triangulated(content: bytes) -> bytes:
     face = elements[len(before)]
     begin = first + sum(element.count * element.least for element in before)
     lists = _lists(content, begin, face, little=b"binary_little_endian" in content[:first])
-    counts, starts, kind = next((each for name, each in lists.items() if name.startswith("vertex_ind")), (None,) * 3)
-    if counts is None or len(np.unique(counts)) < 2:
+    corners_of = next((each for name, each in lists.items() if name.startswith("vertex_ind")), None)
+    if corners_of is None or len(np.unique(corners_of[0])) < 2:
         return content
+    counts, starts, kind = corners_of
     fans = np.maximum(counts - 2, 0)
     owner = np.repeat(np.arange(len(counts)), fans)
     step = np.arange(len(owner)) - np.repeat(np.cumsum(fans) - fans, fans)
@@ -162,7 +163,7 @@ def _values(data: np.ndarray, starts: np.ndarray, places: np.ndarray, kind: str)
 
 def _lists(content: bytes, at: int, face: Element, *, little: bool) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
     """Of each list property of the faces: its lengths, where its values begin, and their type."""
-    order = "little" if little else "big"
+    order: Literal["little", "big"] = "little" if little else "big"
     sizes = [
         (name, np.dtype(KINDS[count or kind]).itemsize, np.dtype(KINDS[kind]).itemsize if count else 0)
         for name, count, kind in face.properties

@@ -1,6 +1,5 @@
 """Draw the outline of a mesh in a view, and check that a mesh lies where the silhouettes show the object."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations, product
 
@@ -65,11 +64,16 @@ def _disc(radius: int) -> np.ndarray:
 
 SCALES = (1.0, 1000.0, 100.0, 10.0, 0.1, 0.01, 0.001, 25.4, 1 / 25.4, 12.0, 1 / 12, 304.8, 1 / 304.8)
 """Between millimetres, centimetres, metres, inches and feet."""
-USUAL_AXES = (((0, 1, 2), (1, 1, 1)), ((0, 2, 1), (1, -1, 1)), ((0, 2, 1), (1, 1, -1)))
+Triple = tuple[int, int, int]
+USUAL_AXES: tuple[tuple[Triple, Triple], ...] = (
+    ((0, 1, 2), (1, 1, 1)),
+    ((0, 2, 1), (1, -1, 1)),
+    ((0, 2, 1), (1, 1, -1)),
+)
 """As it lies, y up to z up, and z up to y up: x, -z, y and x, z, -y."""
 AXES = USUAL_AXES + tuple(
     axes
-    for axes in product(permutations(range(3)), product((1, -1), repeat=3))
+    for axes in product(permutations((0, 1, 2), 3), product((1, -1), (1, -1), (1, -1)))
     if axes not in USUAL_AXES and np.linalg.det(np.eye(3)[list(axes[0])] * np.array(axes[1])[:, None]) > 0
 )
 """The 24 turns of a cube: new axis k is `signs[k]` times the mesh's axis `order[k]`."""
@@ -89,13 +93,13 @@ class Placement:
 
     overlap: float
     scale: float
-    order: tuple[int, int, int]
-    signs: tuple[int, int, int]
+    order: Triple
+    signs: Triple
     best: float
 
 
 def move_mesh(
-    vertices: np.ndarray, triangles: np.ndarray, scale: float, order: Sequence[int], signs: Sequence[int]
+    vertices: np.ndarray, triangles: np.ndarray, scale: float, order: Triple, signs: Triple
 ) -> tuple[np.ndarray, np.ndarray]:
     """Multiply a mesh by `scale`, and take its axis k from `order[k]` with the sign `signs[k]`.
 

@@ -69,8 +69,9 @@ def merge(
         *(_filled(each, triangles_of, 3 * cell) for each, triangles_of in zip(scans, faces, strict=True)), strict=True
     )
     points = np.concatenate(scans)
-    if all(triangles is not None for triangles in faces):
-        normals = [vertex_normals(*scan).astype(np.float64) for scan in zip(scans, faces, strict=True)]
+    meshes = [(each, triangles) for each, triangles in zip(scans, faces, strict=True) if triangles is not None]
+    if len(meshes) == len(scans):
+        normals = [vertex_normals(*mesh).astype(np.float64) for mesh in meshes]
     else:
         normals = [_outward_normals(each, points.mean(axis=0)) for each in scans]
     vertices, triangles = _poisson(points, np.concatenate(normals), cells)

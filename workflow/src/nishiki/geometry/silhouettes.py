@@ -175,9 +175,8 @@ def background_colours(picture: np.ndarray, background: str) -> Colours:
         covariance = 4 * covariance + np.diag([3.0, 2.0, 2.0]) ** 2
         centres.append(mine.mean(axis=0))
         inverses.append(np.linalg.inv(covariance))
-    centres = np.array(centres, np.float64)
-    coloured = np.hypot(centres[:, 1], centres[:, 2]) > 0.15 * centres[:, 0]
-    return Colours(centres, np.array(inverses), coloured, area)
+    lightness, a, b = np.array(centres, np.float64).T
+    return Colours(np.array(centres, np.float64), np.array(inverses), np.hypot(a, b) > 0.15 * lightness, area)
 
 
 def _fits(samples: np.ndarray, background: str) -> np.ndarray:

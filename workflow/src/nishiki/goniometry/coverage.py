@@ -164,7 +164,7 @@ def forward_shine(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray
     half = incident[rows] + outgoing[rows]
     half /= np.linalg.norm(half, axis=1, keepdims=True)
     ranks = [np.argsort(np.argsort(each)) for each in (np.round(half[:, 2], 6), np.log(values[rows]).mean(axis=1))]
-    return float(np.corrcoef(ranks)[0, 1])
+    return float(np.corrcoef(*ranks)[0, 1])
 
 
 def turned_views(incident: np.ndarray, outgoing: np.ndarray, turn: float) -> np.ndarray:

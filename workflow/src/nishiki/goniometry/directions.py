@@ -3,7 +3,7 @@
 import numpy as np
 
 
-def unit(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
+def unit(theta: np.ndarray | float, phi: np.ndarray | float) -> np.ndarray:
     """Compute unit vectors (..., 3) float64 away from the cloth; theta from the normal, phi from the weft, radians."""
     theta, phi = np.broadcast_arrays(np.asarray(theta, np.float64), np.asarray(phi, np.float64))
     across = np.sin(theta)

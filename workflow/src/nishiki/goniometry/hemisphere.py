@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.errors import UserError
+from nishiki.errors import UserError, require
 from nishiki.goniometry.coverage import cover
 from nishiki.goniometry.directions import IMAGES, disc, images, reduced, unit
 from nishiki.goniometry.interpolation import SmoothingSpline, fit_spline
@@ -60,8 +60,8 @@ def complete(measured: ReflectanceSet, *, grid_deg: float = 3.0) -> tuple[Reflec
         first.theta,
         first.phi,
         np.concatenate([part.basic.values for part in parts]),
-        np.logical_and.reduce([part.basic.measured for part in parts]),
-        np.logical_or.reduce([part.basic.extrapolated for part in parts]),
+        np.all([part.basic.measured for part in parts], axis=0),
+        np.any([require(part.basic.extrapolated) for part in parts], axis=0),
     )
     weights = solid_angles(basic)
     interpolation = Interpolation(

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -138,7 +138,8 @@ def _of(light: np.ndarray, view: np.ndarray, lights: np.ndarray, views: np.ndarr
     same_light = between(lights, light) < SAME
     with np.errstate(invalid="ignore"):
         same_pair = same_light & (between(views, view) < SAME)
-    for rule, chosen in (("own", same_pair), ("incidence", same_light)):
+    rules: tuple[tuple[Rule, np.ndarray], ...] = (("own", same_pair), ("incidence", same_light))
+    for rule, chosen in rules:
         which = np.flatnonzero(chosen)
         if len(which):
             return Boards(rule, which, np.ones(len(which)))
@@ -214,8 +215,14 @@ def average_repeats(
     return Averaged(rows, mean, np.sqrt(variance), usable, np.bincount(group))
 
 
-class Photograph(Protocol):
-    """linear (rows, columns, channels); saturated, usable (rows, columns) bool."""
+@dataclass(frozen=True)
+class Photograph:
+    """A photograph of the cloth or of a board.
+
+    linear (rows, columns, channels) float32: light as a fraction of full scale, divided by the exposure time where it
+    is given; saturated (rows, columns) bool: in any channel; usable (rows, columns) bool: finite and no defect, whether
+    saturated or not.
+    """
 
     linear: np.ndarray
     saturated: np.ndarray

@@ -21,6 +21,7 @@ from nishiki.brdf.gloss_profile import (
     specular_samples,
     unit_of,
 )
+from nishiki.errors import require
 from nishiki.evaluate.camera_colour import assumed_colour
 from nishiki.evaluate.relighting import difference_of
 from nishiki.model_selection.decision import Decision
@@ -50,7 +51,8 @@ class Sampled:
     def only(self, chosen: np.ndarray) -> "Sampled":
         """Select some of the pixels: numbers, or bool (pixels,)."""
         names = ("observations", "usable", "valid")
-        return replace(self, **{name: getattr(self, name)[:, :, chosen] for name in names}, cells=self.cells[:, chosen])
+        cells = require(self.cells)[:, chosen]
+        return replace(self, **{name: getattr(self, name)[:, :, chosen] for name in names}, cells=cells)
 
     def under(self, lights: np.ndarray) -> "Sampled":
         """Select some of the lights."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.colour.sampling import principal_basis
-from nishiki.errors import UserError
+from nishiki.errors import UserError, require
 from nishiki.goniometry.directions import disc, reduced
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import ReflectanceSet
@@ -265,7 +265,7 @@ def unseen_error(measured: ReflectanceSet, order: np.ndarray, number: int, *, gr
     """
     used, rest = order[:number], order[number:]
     try:
-        basic = complete(with_normal_rows(measured, np.sort(used)), grid_deg=grid_deg)[0].basic
+        basic = require(complete(with_normal_rows(measured, np.sort(used)), grid_deg=grid_deg)[0].basic)
     except UserError:
         return float("inf")
     cosine, errors = measured.outgoing[rest, 2][:, None], []

@@ -13,6 +13,7 @@ import numpy as np
 
 from nishiki.capture.folder import MIRROR_BALLS, Capture, examine
 from nishiki.capture.frames import LIT_ROLES, Frame
+from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import payload_files, verify_seal
 from nishiki.capture.taking import compare_exposures
 from nishiki.capture.turntable import TurntableCapture
@@ -55,44 +56,32 @@ def check_capture(
     if (root / "bagit.txt").is_file():
         problems += attempt(lambda: verify_seal(root, digests=level == "full"))
     elif root.is_dir():
-        problems += attempt(lambda: payload_files(root) and [])  # links that lead out, devices, unusable names
+        problems += attempt(lambda: (payload_files(root), [])[1])  # links that lead out, devices, unusable names
     if capture is not None:
         problems += _unlisted(capture)
         remarks, sound, size = _header_problems(capture)
         problems += remarks
-        if capture.geometry == "goniometer" and capture.table is not None:
+        if isinstance(capture, GoniometerCapture) and capture.table is not None:
             problems += table_problems(capture)
-        looks = {"turntable": _look_round, "goniometer": look_at_windows}
-        look = looks.get(capture.geometry, partial(_look_at_plane, judged))
         if size is not None and sound.observed:
-            problems += look(sound, size, level == "full", progress or (lambda file: None))
+            contents, tick = level == "full", progress or (lambda file: None)
+            if isinstance(sound, TurntableCapture):
+                problems += silhouette_problems(sound, size)
+                problems += turntable_content_problems(sound, tick) if contents else []
+            elif isinstance(sound, GoniometerCapture):
+                problems += look_at_windows(sound, size, contents, tick)
+            else:
+                problems += _same_directions(sound) + _strength_problems(sound) + _mask_problems(sound, size)
+                problems += _content_problems(sound, judged, tick) if contents else []
     distinct = list(dict.fromkeys(problems))
     return sorted(distinct, key=lambda p: p.severity != "error")
 
 
-def _look_at_plane(
-    judged: Callable[[Judgement], None],
-    capture: Capture,
-    size: tuple[int, int],
-    contents: bool,
-    tick: Callable[[str], None],
-) -> list[Problem]:
-    problems = _same_directions(capture) + _strength_problems(capture) + _mask_problems(capture, size)
-    return problems + (_content_problems(capture, judged, tick) if contents else [])
-
-
-def _look_round(
-    capture: TurntableCapture, size: tuple[int, int], contents: bool, tick: Callable[[str], None]
-) -> list[Problem]:
-    problems = silhouette_problems(capture, size)
-    return problems + (turntable_content_problems(capture, tick) if contents else [])
-
-
 def _listed(capture: AnyCapture) -> set[str]:
     """Every file that the capture's tables name."""
-    if capture.geometry == "goniometer":
+    if isinstance(capture, GoniometerCapture):
         return goniometer_files(capture)
-    if capture.geometry == "turntable":
+    if isinstance(capture, TurntableCapture):
         return listed_files(capture)
     settings = capture.settings
     named = [settings.lights.file, settings.lights.intensities, settings.camera.sensitivities, settings.illuminant]
@@ -159,9 +148,9 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
     sizes = {file: f"{header.rows} x {header.columns}" for file, header in headers.items()}
     problems += _exceptions(sizes, "image-size", "size differs", "Develop all photographs alike, without rotation")
     problems = [_turned(problem, headers) for problem in problems]
-    depths = {file: header.sample for file, header in headers.items()}
+    depths: dict[str, str] = {file: header.sample for file, header in headers.items()}
     problems += _exceptions(depths, "image-depth", "depth differs", "Develop all photographs alike")
-    kinds = {file: header.kind for file, header in headers.items() if file in shown}
+    kinds: dict[str, str] = {file: header.kind for file, header in headers.items() if file in shown}
     severe = {p.file for p in problems}
     odd = _exceptions(kinds, "image-format", "format differs", "Export all photographs by one program")
     problems += [replace(p, severity="warning") for p in odd if p.file not in severe]
@@ -174,8 +163,8 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
             error("bits-differ", "capture.yaml camera.bits", "bits", expected=f"at most {held}", found=f"{bits}")
         )
     size = usual.rows, usual.columns
-    if capture.geometry == "plane":
-        problems += attempt(lambda: region_of(capture, *size) and [])
+    if isinstance(capture, Capture):
+        problems += attempt(lambda: (region_of(capture, *size), [])[1])
     sound = tuple(f for f in capture.frames if all(name in headers and name not in severe for name in f.names))
     return problems, replace(capture, frames=sound), size
 
@@ -311,7 +300,7 @@ def _frame_content(
     reduced: ReducedPhotographs,
 ) -> list[Problem]:
     codes = decode()
-    if frame.role in ("sample", "check", "white") and reader.capture.lights.index(frame.light) is not None:
+    if frame.role in ("sample", "check", "white") and reader.capture.lights.find(frame.light) is not None:
         reduced.add(frame, codes)
     if frame.role == "white":
         return list(board_field(reader, frame, codes, darks, edges, usable).problems)

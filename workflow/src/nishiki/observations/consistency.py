@@ -15,6 +15,7 @@ import numpy as np
 
 from nishiki.capture.folder import MIRROR_BALLS, Capture
 from nishiki.capture.frames import Frame
+from nishiki.errors import require
 from nishiki.formats.problems import Problem, error, error_text, name_some, warning
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField, board_cosine
@@ -124,14 +125,16 @@ class ReducedPhotographs:
         edges = [np.flatnonzero(self.mask.any(axis=axis)) for axis in (1, 0)]
         self.step = max(1, -(-max(edge[-1] + 1 - edge[0] for edge in edges) // LONGEST))
         self.shape = tuple(int(edge[-1] + 1 - edge[0]) // self.step for edge in edges)
-        self.part = tuple(slice(e[0], e[0] + n * self.step) for e, n in zip(edges, self.shape, strict=True))
+        (top, *_), (left, *_) = edges
+        rows, columns = (n * self.step for n in self.shape)
+        self.part = slice(top, top + rows), slice(left, left + columns)
         covered = cv2.resize(self.mask[self.part].astype(np.float32), self.shape[::-1], interpolation=cv2.INTER_AREA)
         self.inside = covered >= INSIDE
         self.places: list[tuple[slice, slice]] | None = [] if self.step == 1 else None
 
     def add(self, frame: Frame, codes: np.ndarray) -> None:
         """Add the codes (rows, columns, channels) of a white frame or of a photograph of the object."""
-        place = self.reader.capture.lights.index(frame.light)
+        place = self.reader.capture.lights.find(frame.light)
         if place is None or frame.role not in ("sample", "check", "white"):
             return
         values = self._reduced(codes[self.part]) - self.darks.at(frame.exposure_s).mean(axis=(0, 1))
@@ -156,8 +159,8 @@ class ReducedPhotographs:
 
         cells = min(CELLS, self.step)
         size = (self.shape[1] * cells, self.shape[0] * cells)
-        hot: np.ndarray | None = (codes >= self.reader.saturated).view(np.uint8)
-        hot = np.multiply(hot, 255, out=hot) if hot.any() else None
+        saturated = (codes >= self.reader.saturated).view(np.uint8)
+        hot = np.multiply(saturated, 255, out=saturated) if saturated.any() else None
         if self.step > cells:
             codes = cv2.resize(codes, size, interpolation=cv2.INTER_AREA).reshape(*size[::-1], -1)
             hot = None if hot is None else cv2.resize(hot, size, interpolation=cv2.INTER_AREA).reshape(codes.shape)
@@ -226,7 +229,7 @@ class ReducedPhotographs:
 
     def _whole(self, pictures: np.ndarray) -> Window:
         corner = np.array([part.start for part in self.part[::-1]]) + (self.step - 1) / 2
-        return Window(pictures, self.inside, corner, np.full(2, float(self.step)))
+        return Window(list(pictures), self.inside, corner, np.full(2, float(self.step)))
 
     def _divided(self, values: np.ndarray, places: tuple[int, ...]) -> np.ndarray:
         """Divide the values by their boards or by the strengths of the lamps, unless their gains did that."""
@@ -248,7 +251,7 @@ class ReducedPhotographs:
             return np.stack([self.boards[i].mean(axis=2) for i in places])
         boards = []
         for frame, gain in zip(self.reader.capture.observed, self.gain, strict=True):
-            place = self.reader.capture.lights.index(frame.light)
+            place = self.reader.capture.lights.find(frame.light)
             level = self._board_cosine(place) / (frame.exposure or 1.0) / self._spread(gain)
             boards.append(np.broadcast_to(level.mean(axis=2), self.shape))
         return np.stack(boards)
@@ -321,7 +324,8 @@ def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Pr
     if judgement is None:
         return []
     problems = movement_problems(judgement) + pair_problems(judgement, capture)
-    problems += [] if judgement.arrangement is None else _arrangement_problems(judgement, capture)
+    if judgement.arrangement is not None:
+        problems += _arrangement_problems(judgement, judgement.arrangement, capture)
     found = judgement.consistency
     if found is None or any(problem.severity == "error" for problem in problems):
         return problems
@@ -336,7 +340,7 @@ def pair_problems(judgement: Judgement, capture: Capture) -> list[Problem]:
     if pairs is None:
         return []
     names = [capture.lights.names[i] for i in judgement.lights]
-    boards = [capture.white_of(name).file for name in names]
+    boards = [require(capture.white_of(name)).file for name in names]
     moved = np.flatnonzero(pairs.board != np.arange(len(names)))
     if len(moved):
         listed = name_some(f"{boards[pairs.board[j]]} for light {names[j]}" for j in moved)
@@ -406,9 +410,9 @@ def near_problems(near: NearLamps | None, capture: Capture) -> list[Problem]:
     return [warning("lamps-near", capture.settings.lights.file, what, found=said, remedy=remedy)]
 
 
-def _arrangement_problems(judgement: Judgement, capture: Capture) -> list[Problem]:
+def _arrangement_problems(judgement: Judgement, arrangement: Arrangement, capture: Capture) -> list[Problem]:
     """lights-order and lights-axes, as errors with the option of `convert` that mends them."""
-    arrangement, file = judgement.arrangement, capture.settings.lights.file
+    file = capture.settings.lights.file
     if arrangement.as_stated:
         decided = capture.settings.lights.axes_confirmed or (capture.payload / MIRROR_BALLS).exists()
         if decided or not arrangement.mirror_undecided:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -10,22 +11,9 @@ from nishiki.errors import UserError
 from nishiki.formats.files import read_json
 from nishiki.formats.stored import load_arrays, open_group, understood
 from nishiki.formats.zarr_store import chunk_path, read_chunk
+from nishiki.goniometry.readings import Photograph
 from nishiki.observations.blocks import block_edges, positions
 from nishiki.observations.goniometer_store import FORMAT, NAMES, STORE, TABLE
-
-
-@dataclass(frozen=True)
-class Photograph:
-    """A photograph of the cloth or of a board.
-
-    linear (rows, columns, channels) float32: light as a fraction of full scale, divided by the exposure time where it
-    is given; saturated (rows, columns) bool: in any channel; usable (rows, columns) bool: finite and no defect, whether
-    saturated or not.
-    """
-
-    linear: np.ndarray
-    saturated: np.ndarray
-    usable: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -60,7 +48,7 @@ class Measurements:
         with understood(self.folder / NAMES):
             self.kind: str = stored["kind"]
             self.channels: tuple[str, ...] = tuple(stored["channels"])
-            self.symmetry: str = stored["symmetry"]
+            self.symmetry: Literal["quarter", "half", "none"] = stored["symmetry"]
             self.weave: str = stored["weave"]
             self.threads_per_cm: list[float] | None = stored.get("threads_per_cm")
             shots = [

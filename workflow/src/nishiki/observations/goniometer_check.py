@@ -8,6 +8,7 @@ import numpy as np
 
 from nishiki.capture.frames import Frame
 from nishiki.capture.goniometer import GoniometerCapture
+from nishiki.errors import require
 from nishiki.formats.images import Region
 from nishiki.formats.masks import label_problems, read_labels
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, refuse, warning
@@ -38,20 +39,21 @@ def region_labels(capture: GoniometerCapture, size: tuple[int, int]) -> np.ndarr
     if capture.regions is None:
         return None
     block = capture.settings.goniometer
-    labels = read_labels(capture.regions, name=block.regions)
+    name = require(block.regions)
+    labels = read_labels(capture.regions, name=name)
     if block.regions_pitch_mm is None and labels.shape != size:
         expected, found = f"{size[0]} x {size[1]} as the frames", f"{labels.shape[0]} x {labels.shape[1]}"
         remedy = "Make it from a photograph along the normal, or give regions_pitch_mm and pixel_pitch_mm"
         what = "size of the regions"
-        refuse("regions-size", block.regions, what, expected=expected, found=found, remedy=remedy)
+        refuse("regions-size", name, what, expected=expected, found=found, remedy=remedy)
     present = set(np.unique(labels).tolist()) - {0}
     if not present:
-        refuse("regions-empty", block.regions, "no pixel has a label", remedy="Labels count from 1")
-    lost = [f"{label} ({name})" for name, label in block.region_names.items() if label not in present]
+        refuse("regions-empty", name, "no pixel has a label", remedy="Labels count from 1")
+    lost = [f"{label} ({region})" for region, label in block.region_names.items() if label not in present]
     if lost:
         found = ", ".join(lost)
         what, remedy = "a region that is named has no pixel", "Correct the label picture or goniometer.region_names"
-        refuse("regions-name", block.regions, what, found=found, remedy=remedy)
+        refuse("regions-name", name, what, found=found, remedy=remedy)
     return labels
 
 
@@ -119,7 +121,7 @@ def look_at_windows(capture: GoniometerCapture, size: tuple[int, int], contents:
     problems: list[Problem] = []
     try:
         labels = region_labels(capture, size)
-        problems += label_problems(labels, capture.settings.goniometer.regions) if labels is not None else []
+        problems += label_problems(labels, require(capture.settings.goniometer.regions)) if labels is not None else []
     except CaptureError as e:
         problems += e.problems
     return problems + (_content_problems(capture, tick) if contents else [])
@@ -166,7 +168,7 @@ def table_problems(capture: GoniometerCapture) -> list[Problem]:
     A reading that makes the reciprocal pairs agree is an error's remedy. Once goniometer.values or azimuths is given,
     what the table says stands, and a violation is a warning.
     """
-    block, table = capture.settings.goniometer, capture.table
+    block, table, file = capture.settings.goniometer, require(capture.table), capture.settings.goniometer.table or ""
     rows = (np.isfinite(table.values) & (table.values > 0)).all(axis=1)
     light, view = (unit(*np.radians(each[rows]).T) for each in (table.incident_deg, table.outgoing_deg))
     values, given = table.values[rows], block.model_fields_set & {"values", "azimuths"}
@@ -180,9 +182,7 @@ def table_problems(capture: GoniometerCapture) -> list[Problem]:
         )
         what, expected = "the surface would send back more light than it gets", f"a share of at most {MOST_ALBEDO:g}"
         remedy = _remedy("values", option) if albedo / factor <= MOST_ALBEDO else "Give the BRDF, in 1/sr"
-        problems.append(
-            tell("reflectance-energy", block.table, what, expected=expected, found=f"{albedo:.3g}", remedy=remedy)
-        )
+        problems.append(tell("reflectance-energy", file, what, expected=expected, found=f"{albedo:.3g}", remedy=remedy))
     apart, pairs = reciprocity(light, view, values, symmetry)
     shine = forward_shine(light, view, values)
     mirrored = turned_views(light, view, np.pi)
@@ -201,17 +201,17 @@ def table_problems(capture: GoniometerCapture) -> list[Problem]:
         found = f"{pairs} pairs {np.expm1(apart):.0%} apart"
         if fitting:
             key, option = min(fitting, key=lambda key: (key[0] != "values", fitting.index(key)))
-            found += f", {np.expm1(left[key, option][0]):.1%} with {key} {option}"
+            found += f", {np.expm1(left[key, option][0] or 0.0):.1%} with {key} {option}"
             problems.append(
-                tell("reciprocity", block.table, what, expected=expected, found=found, remedy=_remedy(key, option))
+                tell("reciprocity", file, what, expected=expected, found=found, remedy=_remedy(key, option))
             )
         else:
             remedy = "Check what the columns hold, and from where the angles are counted"
-            problems.append(warning("reciprocity", block.table, what, expected=expected, found=found, remedy=remedy))
+            problems.append(warning("reciprocity", file, what, expected=expected, found=found, remedy=remedy))
     elif shine is not None and shine < FORWARD and (forward_shine(light, mirrored, values) or 0.0) > shine + BACKWARD:
         what = "the surface would shine towards the lamp, not away from it"
         remedy = f"If it does not: {_remedy('azimuths', 'mirror')}"
-        problems.append(warning("shine-backward", block.table, what, found=f"correlation {shine:.2f}", remedy=remedy))
+        problems.append(warning("shine-backward", file, what, found=f"correlation {shine:.2f}", remedy=remedy))
     return problems
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from nishiki.capture.frames import Frame, inside
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import expect_sealed, sealed_digests
+from nishiki.errors import require
 from nishiki.formats.masks import label_problems
 from nishiki.formats.problems import Problem, group_problems
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
@@ -78,7 +79,7 @@ def write_goniometer(
     arrays = {"dark": levels} if labels is None else {"dark": levels, "regions": labels}
     write_small_arrays(group, reader, darks.defect, arrays)
     _write_names(capture, folder, reader, frames, darks, settings.white_block)
-    doubts = label_problems(labels, capture.settings.goniometer.regions) if labels is not None else []
+    doubts = label_problems(labels, require(capture.settings.goniometer.regions)) if labels is not None else []
     problems = (*capture.warnings, *doubts, *reader.warnings(), *darks.problems, *written.problems)
     return GoniometerDiagnostics(
         kind="photographs",
@@ -198,7 +199,7 @@ def write_names(folder: Path, capture: GoniometerCapture, more: dict) -> None:
 
 def _write_table(capture: GoniometerCapture, folder: Path) -> GoniometerDiagnostics:
     """Write the table as it was given; every file of a sealed capture is proven first."""
-    digests, table = sealed_digests(capture.root), capture.table
+    digests, table = sealed_digests(capture.root), require(capture.table)
     for name in sorted(digests):
         expect_sealed(inside(capture.payload, name, "manifest-sha256.txt"), name, digests)
     np.savez(folder / TABLE, incident_deg=table.incident_deg, outgoing_deg=table.outgoing_deg, values=table.values)

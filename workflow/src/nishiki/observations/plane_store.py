@@ -1,6 +1,6 @@
 """Writing the ingested frames: the camera's own codes, re-tiled, with all that is needed to read them as light."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -163,8 +163,10 @@ def _attributes(capture: Capture, reader: FrameReader, settings: Settings, band_
         positions = capture.lights.vectors[[capture.lights.index(f.light) for f in capture.observed]].tolist()
     row, column, _, _ = reader.region
     finite = np.isfinite(reader.saturated)
-    top = min(reader.saturated, len(reader.table) - 1) if reader.dtype.kind == "u" else reader.saturated
-    linear_top = float(reader.table[int(top)]) if reader.dtype.kind == "u" else float(top)
+    linear_top = top = float(reader.saturated)
+    if reader.dtype.kind == "u":
+        top = min(top, len(reader.table) - 1)
+        linear_top = float(reader.table[int(top)])
     return {
         "format": FORMAT,
         "lights": [capture.lights.names[capture.lights.index(f.light)] for f in capture.observed],
@@ -195,7 +197,7 @@ def _diagnostics(
     mask: np.ndarray,
     defect: np.ndarray,
     gains: Gains,
-    problems: tuple[Problem, ...],
+    problems: Iterable[Problem],
     band_rows: int,
 ) -> IngestDiagnostics:
     inside = int(mask.sum(dtype=np.int64))

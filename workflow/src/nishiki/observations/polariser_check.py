@@ -9,7 +9,7 @@ import numpy as np
 from nishiki.capture.frames import Frame
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.turntable import TurntableCapture
-from nishiki.errors import UserError
+from nishiki.errors import UserError, require
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning
 from nishiki.observations.blocks import CHECK_BLOCK, picture_edges
@@ -223,7 +223,7 @@ def _frame_problems(reader: FrameReader, frame: Frame, pictures: Pictures, level
 def _outline(frame: Frame | None, size: tuple[int, int]) -> np.ndarray:
     """Silhouette (rows, columns) uint8; all ones where there is none that can be used (which is reported apart)."""
     try:
-        outline = read_mask(frame.silhouette_path, name=frame.silhouette) if frame else None
+        outline = read_mask(require(frame.silhouette_path), name=frame.silhouette) if frame else None
     except CaptureError:
         outline = None
     return outline.astype(np.uint8) if outline is not None and outline.shape == size else np.ones(size, np.uint8)

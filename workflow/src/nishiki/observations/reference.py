@@ -244,12 +244,13 @@ def measure_gains(
         stored = capture.intensities[places] if capture.intensities is not None else np.ones((1, len(reader.stored)))
         gain = np.broadcast_to(scale / (stored @ reader.weights.T), (len(observed), len(reader.names)))
         return Gains(gain[:, None, None, :].astype(np.float32), (), (), np.zeros(shape, bool), ())
-    by_light = {capture.lights.index(f.light): i for i, f in enumerate(observed)}
-    whites = tuple(f for f in capture.frames_of("white") if capture.lights.index(f.light) in by_light)
-    gains, dead, problems = [None] * len(observed), np.zeros(shape, np.uint8), []
+    by_light = {capture.lights.find(f.light): i for i, f in enumerate(observed)}
+    whites = tuple(f for f in capture.frames_of("white") if capture.lights.find(f.light) in by_light)
+    gains: list[np.ndarray] = [np.empty(0)] * len(observed)  # one board a light, as the tables were checked
+    dead, problems = np.zeros(shape, np.uint8), []
     levels, uniformity = np.zeros(len(observed)), np.zeros(len(observed))
     for frame, codes in reader.read_all(whites):
-        i = by_light[capture.lights.index(frame.light)]
+        i = by_light[capture.lights.find(frame.light)]
         field = board_field(reader, frame, codes, darks, edges, mask)
         ratio = (frame.exposure or 1.0) / (observed[i].exposure or 1.0)
         gains[i] = field.gain * np.float32(ratio)
@@ -275,7 +276,7 @@ def board_field(
         darks.at(frame.exposure_s),
         edges,
         lit=(
-            board_cosine(reader, reader.capture.lights.index(frame.light), edges),
+            board_cosine(reader, reader.capture.lights.find(frame.light), edges),
             reader.capture.settings.white.reflectance,
         ),
         limits=(reader.saturated, reader.clip),

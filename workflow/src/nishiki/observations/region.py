@@ -3,14 +3,16 @@
 from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from nishiki.capture.folder import Capture
-from nishiki.capture.frames import Frame
+from nishiki.capture.frames import Frame, Photographed
 from nishiki.capture.goniometer import NORMAL_DEG, GoniometerCapture
 from nishiki.capture.seal import payload_files
 from nishiki.capture.turntable import TurntableCapture
+from nishiki.errors import require
 from nishiki.formats.images import Region, read_header
 from nishiki.formats.masks import Mask, examine_mask, expect_size, label_problems, read_labels
 from nishiki.formats.problems import Problem, refuse
@@ -21,7 +23,7 @@ MARGIN = 8
 """Least number of pixels that are kept around the object, where the photograph has them: pictures want a rim."""
 
 
-def region_of(capture: Capture, rows: int, columns: int) -> Region:
+def region_of(capture: Photographed, rows: int, columns: int) -> Region:
     """Return the region of interest, the whole picture if none; CaptureError (region-outside) if it leaves that."""
     region = capture.settings.region_of_interest or (0, 0, rows, columns)
     row, column, height, width = region
@@ -39,7 +41,7 @@ def object_mask(capture: Capture, size: tuple[int, int], region: Region) -> Mask
     """
     if capture.mask is None:
         return Mask(np.ones(region[2:], bool), ())
-    name = capture.settings.mask
+    name = require(capture.settings.mask)
     mask = examine_mask(capture.mask, name=name)
     expect_size(mask.inside, size, name, "mask")
     row, column, rows, columns = region
@@ -59,7 +61,7 @@ def region_numbers(
     """
     if capture.regions is None:
         return None, ()
-    name = capture.settings.regions
+    name = require(capture.settings.regions)
     full_labels = read_labels(capture.regions, name=name)
     expect_size(full_labels, size, name, "regions")
     row, column, rows, columns = region
@@ -73,7 +75,7 @@ def region_numbers(
 
 def region_around(mask: np.ndarray, region: Region, block: int) -> Region:
     """Bound the part of a region that holds its mask (rows, columns), with a rim of MARGIN pixels and a block."""
-    (top, bottom), (left, right) = (blocks_around(mask.any(axis=axis), block, MARGIN) for axis in (1, 0))
+    (top, bottom), (left, right) = (blocks_around(np.any(mask, axis=axis), block, MARGIN) for axis in (1, 0))
     return region[0] + top, region[1] + left, bottom - top, right - left
 
 
@@ -85,20 +87,24 @@ def window_of(outer: Region, inner: Region) -> tuple[slice, slice]:
 
 def edges_of(asked: Region, kept: Region, white_block: int) -> Edges:
     """Edges of the blocks of the asked region that lie in the kept one, counted from its corner."""
-    inside = window_of(asked, kept)
-    return tuple(edges_between(asked[2 + axis], white_block, inside[axis].start, inside[axis].stop) for axis in (0, 1))
+    rows, columns = window_of(asked, kept)
+    return (
+        edges_between(asked[2], white_block, rows.start, rows.stop),
+        edges_between(asked[3], white_block, columns.start, columns.stop),
+    )
 
 
 AnyCapture = Capture | TurntableCapture | GoniometerCapture
+SomeCapture = TypeVar("SomeCapture", bound=Photographed)
 LIGHT = "light "
 """Before a light's name among the parts that are left out: the photograph under that light."""
 
 
 @dataclass(frozen=True)
-class Choice:
+class Choice(Generic[SomeCapture]):
     """capture: without the files that are not needed; skipped: those files, by what they are."""
 
-    capture: AnyCapture
+    capture: SomeCapture
     skipped: dict[str, tuple[str, ...]]
 
     @property
@@ -107,30 +113,27 @@ class Choice:
         return frozenset(name for names in self.skipped.values() for name in names)
 
 
-def chosen(capture: AnyCapture, without: Collection[str] = ()) -> Choice:
+def chosen(capture: SomeCapture, without: Collection[str] = ()) -> Choice[SomeCapture]:
     """Leave these parts out of the capture, and what was photographed for their sake alone.
 
     without: names of parts (see `nishiki.engine.plan`), or 'light NAME'. White boards and dark frames that
     belong to no photograph that is left are left out with them.
     """
-    if isinstance(capture, TurntableCapture):
-        return _of_turntable(capture, set(without))
-    if isinstance(capture, GoniometerCapture):
-        return _of_goniometer(capture, set(without))
-    return _of_plane(capture, set(without))
+    reduce = {"plane": _of_plane, "turntable": _of_turntable, "goniometer": _of_goniometer}[capture.geometry]
+    return reduce(capture, set(without))
 
 
-def _of_plane(capture: Capture, without: set[str]) -> Choice:
+def _of_plane(capture: Capture, without: set[str]) -> Choice[Capture]:
     dropped = {"flat": set(capture.frames_of("flat"))}
     dropped["check"] = set(capture.frames_of("check")) if "check" in without else set()
     dropped["held out"] = {f for f in capture.frames_of("sample") if LIGHT + f.light in without}
     left = [f for f in capture.observed if not any(f in some for some in dropped.values())]
-    places = {capture.lights.index(f.light) for f in left}
-    dropped["white"] = {f for f in capture.frames_of("white") if capture.lights.index(f.light) not in places}
+    places = {capture.lights.find(f.light) for f in left}
+    dropped["white"] = {f for f in capture.frames_of("white") if capture.lights.find(f.light) not in places}
     return _reduced(capture, dropped)
 
 
-def _of_turntable(capture: TurntableCapture, without: set[str]) -> Choice:
+def _of_turntable(capture: TurntableCapture, without: set[str]) -> Choice[TurntableCapture]:
     dropped: dict[str, set[Frame]] = {}
     samples, whites = capture.frames_of("sample"), capture.frames_of("white")
     states = capture.states
@@ -154,13 +157,13 @@ def _of_turntable(capture: TurntableCapture, without: set[str]) -> Choice:
         skipped["silhouettes"] = outlines
         kept = replace(kept, frames=tuple(replace(f, silhouette="", silhouette_path=None) for f in kept.frames))
     if "mesh" in without and capture.mesh:
-        skipped["mesh"], kept = (capture.settings.turntable.mesh,), replace(kept, mesh=None)
+        skipped["mesh"], kept = (require(capture.settings.turntable.mesh),), replace(kept, mesh=None)
     if "scans" in without and capture.scans:
         skipped["scans"], kept = capture.settings.turntable.scans, replace(kept, scans=())
     return Choice(kept, {part: files for part, files in skipped.items() if files})
 
 
-def _of_goniometer(capture: GoniometerCapture, without: set[str]) -> Choice:
+def _of_goniometer(capture: GoniometerCapture, without: set[str]) -> Choice[GoniometerCapture]:
     if capture.table is not None or "oblique" not in without:
         return Choice(capture, {})
     from nishiki.goniometry.readings import assign_boards
@@ -179,7 +182,7 @@ def _angles(frames: Iterable[Frame]) -> np.ndarray:
     return np.array(rows, np.float64).reshape(-1, 4)
 
 
-def _reduced(capture: AnyCapture, dropped: dict[str, set[Frame]]) -> Choice:
+def _reduced(capture: SomeCapture, dropped: dict[str, set[Frame]]) -> Choice[SomeCapture]:
     """Leave out the dropped frames, and the dark frames of exposure times that nothing has then."""
     gone = set().union(*dropped.values()) if dropped else set()
     if any(f.role in ("sample", "check", "white") for f in gone):
@@ -257,9 +260,7 @@ def usage_of(
 ) -> CaptureUsage:
     """List what ingest reads with these settings (see `stages/ingest/__init__.py`); no file is decoded but a mask."""
     unopened = chosen(capture, without).files
-    stored = len(capture.settings.camera.channels)
-    if getattr(capture, "table", None) is not None:
-        stored = len(capture.channels)
+    stored = len(capture.channels if isinstance(capture, GoniometerCapture) else capture.settings.camera.channels)
     kept = stored if channels in ("auto", "all") else 1
     tiles = _tiles(capture, without, kept, tile_mib, white_block) if isinstance(capture, Capture) else None
     return CaptureUsage(_files(capture, unopened), (kept, stored), tiles)
@@ -268,7 +269,7 @@ def usage_of(
 def _files(capture: AnyCapture, unopened: frozenset[str]) -> tuple[Files, ...]:
     kinds = {Path(name).as_posix(): ROLES[f.role] for f in capture.frames for name in f.names}
     kinds |= {Path(f.silhouette).as_posix(): "silhouettes" for f in capture.frames if getattr(f, "silhouette", "")}
-    if capture.geometry == "turntable":
+    if isinstance(capture, TurntableCapture):
         block = capture.settings.turntable
         kinds |= {Path(scan).as_posix(): "range scans" for scan in block.scans}
         kinds |= {Path(block.mesh).as_posix(): "mesh file"} if block.mesh else {}

@@ -68,8 +68,8 @@ def move_codes(
         flags = method | cv2.WARP_INVERSE_MAP
         return cv2.warpAffine(picture, matrix, size, flags=flags, borderMode=border, borderValue=1)
 
-    hot = (codes >= saturated).any(axis=2).astype(np.uint8)
-    cold = (codes <= clip).all(axis=2).astype(np.uint8)
+    hot = np.any(codes >= saturated, axis=2).astype(np.uint8)
+    cold = np.all(codes <= clip, axis=2).astype(np.uint8)
     parts = [codes[:, :, k : k + MOST_CHANNELS] for k in range(0, codes.shape[2], MOST_CHANNELS)]
     warped = (warp(np.ascontiguousarray(part), cv2.INTER_LANCZOS4) for part in parts)
     moved = np.concatenate([part.reshape(*size[::-1], -1) for part in warped], axis=2)

@@ -40,10 +40,11 @@ def mesh_problems(
     from nishiki.geometry.placement import measure_placement, move_mesh  # compiled; reports read the constants above
 
     block = capture.settings.turntable
-    if capture.mesh is None or not installed("trimesh"):
+    if capture.mesh is None or block.mesh is None or not installed("trimesh"):
         return []
     try:
-        vertices, triangles = move_mesh(*read_triangles(capture.mesh), *block.mesh_placement)
+        vertices, triangles = read_triangles(capture.mesh)
+        vertices, triangles = move_mesh(vertices, triangles, *block.mesh_placement)
         if not face_vectors(vertices, triangles).any():
             raise UserError("its triangles have no area. Remedy: export the mesh again")
     except UserError as e:

@@ -1,6 +1,6 @@
 """Write the views of an object: the camera's codes, with lamps, cameras and boards beside them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.capture.turntable_rules import UNITS_MM
 from nishiki.colour.colour import encode
+from nishiki.errors import require
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
 from nishiki.formats.problems import Problem, group_problems, refuse
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
@@ -100,10 +101,13 @@ def geometry_files(capture: TurntableCapture) -> dict[str, str | list[str] | Non
 
 def geometry_sources(capture: TurntableCapture) -> list[tuple[Path, str]]:
     """Each file to copy into the artifact: (file of the capture, name in the artifact)."""
-    block, places = capture.settings.turntable, geometry_files(capture)
-    named = {key: capture.payload / getattr(block, key) for key in ("cameras", "correspondences", "mesh", "calibration")
-             if places[key]}  # fmt: skip
-    return [(path, places[key]) for key, path in named.items()] + list(zip(capture.scans, places["scans"], strict=True))
+    block = capture.settings.turntable
+    files = geometry_files(capture)
+    scans = files.pop("scans") or []
+    return [
+        *((capture.payload / getattr(block, key), place) for key, place in files.items() if isinstance(place, str)),
+        *zip(capture.scans, scans, strict=True),
+    ]
 
 
 STORE = "views.zarr"
@@ -191,7 +195,7 @@ def _write_silhouettes(
 
 def read_silhouette(frame: Frame, size: tuple[int, int]) -> Mask:
     """Read the silhouette of a view. CaptureError: silhouette-size, silhouette-empty, those of reading pictures."""
-    outline = examine_mask(frame.silhouette_path, name=frame.silhouette)
+    outline = examine_mask(require(frame.silhouette_path), name=frame.silhouette)
     expect_size(outline.inside, size, frame.silhouette, "silhouette")
     if not outline.inside.any():
         remedy = "Light pixels mark the object"
@@ -287,7 +291,7 @@ def _diagnostics(
     defect: np.ndarray,
     outlines: list[str],
     boards: list[list[str]],
-    problems: tuple[Problem, ...],
+    problems: Iterable[Problem],
 ) -> ViewsDiagnostics:
     inside = np.maximum(counts[:, 3], 1)
     return ViewsDiagnostics(

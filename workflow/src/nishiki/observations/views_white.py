@@ -82,7 +82,7 @@ def measure_whites(reader: FrameReader[TurntableCapture], darks: DarkField, edge
 def board_cosine(reader: FrameReader[TurntableCapture], place: int) -> float:
     """cos(theta_W) between lamp and board; 1 where only the lamp's position, or nothing, is known."""
     settings, lights = reader.capture.settings, reader.capture.lights
-    if lights is None or settings.lights.kind != "direction":
+    if lights is None or settings.lights is None or settings.lights.kind != "direction":
         return 1.0
     direction = lights.directions[lights.index(reader.capture.light_names[place])]
     return float(direction @ np.array(settings.white.normal))

@@ -138,10 +138,8 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
         for turn in turns:
             following: Trial | None = trial
             for _ in range(TURNS):
-                following = _add(trials, tiles, _reassigned(tiles, following, turn))
-                if following is None:
-                    break
-                turn = np.eye(3)
+                if following is not None:
+                    following, turn = _add(trials, tiles, _reassigned(tiles, following, turn)), np.eye(3)
     # the simplest arrangement that is better than that stated, and than which no other is better
     rivals = [(trial, axes) for trial in trials.values() for axes in range(len(AXES))]
     rivals = [rival for rival in rivals if _beyond_doubt((first, 0), rival)]

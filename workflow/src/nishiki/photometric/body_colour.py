@@ -61,7 +61,7 @@ def body_intensity(observations: np.ndarray, valid: np.ndarray) -> np.ndarray:
         out[...] = observations[..., 0]
         return out
     stack = np.ascontiguousarray(observations).reshape(lights, rows * columns, channels)
-    known = np.require(np.broadcast_to(valid, out.shape), bool, "CW").reshape(lights, rows * columns)
+    known = np.require(np.broadcast_to(valid, out.shape), bool, ["C", "W"]).reshape(lights, rows * columns)
     if rows * columns >= LANES:
         over_rows(_weigh, -(-rows * columns // LANES), stack, known, out.reshape(lights, rows * columns))
     elif out.size:

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from nishiki.errors import require
 from nishiki.polarisation.polariser_states import StateSums
 
 
@@ -127,7 +128,7 @@ class Series:
     def _noise_of_planes(self, part: np.ndarray, rows: slice):
         """(factor of slope, factor of floor) of I_off and of I_on / beta."""
         scales = self.kinds.level[0]
-        inverse = scales[1] * self.inverse[rows].astype(np.float64)
+        inverse = scales[1] * require(self.inverse)[rows].astype(np.float64)
         lit = np.maximum(part, 0)
         return (scales[0] * lit[0], scales[0] ** 2 * np.ones(1)), (inverse * lit[1], inverse**2)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 
-from nishiki.errors import UserError
+from nishiki.errors import UserError, require
 from nishiki.formats.stored import open_made_by
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, read_chunk, write_chunk
 from nishiki.polarisation.polariser_states import StateSums
@@ -39,15 +39,16 @@ def sum_planes(
     photographs: (values (rows, columns, channels) float32, valid (rows, columns) bool) in the order of the columns of
     weights (planes, states); taken one at a time, those of weight 0 too.
     """
-    planes = valid = None
+    planes: np.ndarray | None = None
+    valid: np.ndarray | None = None
     for column, (values, good) in zip(weights.T, photographs, strict=True):
-        if planes is None:
+        if planes is None or valid is None:
             planes, valid = np.zeros((len(weights), *values.shape), np.float32), np.ones(good.shape, bool)
         if not column.any():
             continue
         valid &= good & np.isfinite(values).all(axis=-1)
         add_weighted(planes, np.ascontiguousarray(values, np.float32), np.asarray(column, np.float32))
-    return planes, valid
+    return require(planes), require(valid)
 
 
 def add_weighted(planes: np.ndarray, values: np.ndarray, weights: np.ndarray) -> None:

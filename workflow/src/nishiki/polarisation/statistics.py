@@ -94,14 +94,13 @@ class Thinned:
             self.step += 1
         self.has_fit = sums.design.shape[1] > 0
         self.values: list[np.ndarray] = []
-        self.valid: np.ndarray | None = None
+        self.valid = np.ones([-(-side // self.step) for side in shape], bool)
 
     def add(self, values: np.ndarray, valid: np.ndarray) -> None:
         """Add the next photograph."""
         if not self.has_fit:
             return
-        some = valid[:: self.step, :: self.step]
-        self.valid = some.copy() if self.valid is None else self.valid & some
+        self.valid &= valid[:: self.step, :: self.step]
         self.values.append(values[:: self.step, :: self.step].copy())
 
     def blocks(self) -> Iterator[np.ndarray]:

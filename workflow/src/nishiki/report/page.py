@@ -199,7 +199,7 @@ FILMS = {".mp4": "video/mp4", ".webp": "image/webp", ".png": "image/png"}
 
 def contents(artifact: Artifact | None, name: str | None) -> bytes | None:
     """Return a file that the artifact lists; None where there is none."""
-    if artifact is None or name not in artifact.manifest["files"]:
+    if artifact is None or name is None or name not in artifact.manifest["files"]:
         return None
     return artifact.path(name).read_bytes()
 

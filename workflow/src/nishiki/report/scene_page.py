@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
@@ -35,14 +35,6 @@ LONGEST_TEXT = 160  # characters of a line
 THUMBNAIL, THUMBNAIL_COLUMNS = "thumbnail.jpg", 320
 
 
-class Declared(Protocol):
-    """What the page takes from the declaration of a stage (`nishiki.stages.base.Stage`)."""
-
-    settings: Any
-    does: str
-    limits: tuple[Limit, ...]
-
-
 class Head(NamedTuple):
     """The head of a page: title of the capture, what the scene is, and more as of `Page`."""
 
@@ -56,7 +48,7 @@ class Head(NamedTuple):
 
 def write_scene_page(
     context: Context,
-    stages: Mapping[str, Declared],
+    stages: Mapping[str, Any],
     head: Head,
     sections: Sequence[Section | None],
     *,
@@ -137,7 +129,7 @@ def first_picture(inputs: Mapping[str, Artifact]) -> bytes | None:
 
 def closing_sections(
     inputs: Mapping[str, Artifact],
-    stages: Mapping[str, Declared],
+    stages: Mapping[str, Any],
     stamp: Mapping[str, str],
     left_out: Mapping[str, str],
     more_left_out: Sequence[Block] = (),
@@ -203,7 +195,7 @@ def conditions(manifest: Mapping[str, Any], limits: Sequence[Limit]) -> list[tup
 
     A run stops where a result is beyond a limit and not allowed to be; beyond some it goes on with a warning.
     """
-    stage, rows = manifest["stage"], []
+    stage, rows = manifest["stage"], list[tuple[Cell, ...]]()
     for check in limit_checks(limits, manifest["diagnostics"], manifest["settings"].get("allow", ())):
         limit = check.limit
         stated = "none"
@@ -221,7 +213,7 @@ def conditions(manifest: Mapping[str, Any], limits: Sequence[Limit]) -> list[tup
     return rows
 
 
-def record(manifest: Mapping[str, Any], stage: Declared) -> Fold:
+def record(manifest: Mapping[str, Any], stage: Any) -> Fold:
     """Return settings, diagnostics, inputs, code and libraries of one stage."""
     name, key = manifest["stage"], manifest["key"]
     rows, changed = settings_rows(manifest["settings"], stage.settings)
@@ -232,7 +224,7 @@ def record(manifest: Mapping[str, Any], stage: Declared) -> Fold:
     libraries = [f"{library} {version}" for library, version in sorted(manifest.get("libraries", {}).items())]
     megabytes = sum(entry["bytes"] for entry in manifest["files"].values()) / 1e6
     code = Markup("<code>{}</code>").format
-    blocks = [
+    blocks: list[Block] = [
         Table(("name", "value", "default", "meaning"), rows, "lwww", "Settings", marked=changed),
         Table((), [(code(place), value) for place, value in flat(manifest["diagnostics"])], "lw", "Diagnostics"),
         Facts([
@@ -250,7 +242,8 @@ def record(manifest: Mapping[str, Any], stage: Declared) -> Fold:
 def settings_rows(values: Mapping[str, Any], model: type[Closed]) -> tuple[list[tuple[Cell, ...]], set[int]]:
     """Name, value, default and meaning of each setting in the order of the model; numbers of the changed ones."""
     defaults = model().model_dump(mode="json")
-    rows, changed = [], set()
+    rows: list[tuple[Cell, ...]] = []
+    changed = set()
     for number, (name, field) in enumerate(model.model_fields.items()):
         value = values.get(name, defaults[name])
         planned = name in PLANNED

@@ -68,7 +68,8 @@ class GPhotoCamera:
             value = getattr(exposure, quantity)
             if value is not None:
                 self._set_nearest(quantity, float(value))
-        taken = Exposure(**{quantity: self._value(quantity) for quantity in WIDGETS})
+        iso = self._value("iso")
+        taken = Exposure(self._value("seconds"), self._value("aperture"), None if iso is None else int(iso))
         self.exposure_s = taken.seconds or exposure.seconds or 0.0
         return taken
 
@@ -149,11 +150,10 @@ class GPhotoCamera:
     def _of_exposure(self, quantity: str) -> Any:
         return next((widget for name in WIDGETS[quantity] if (widget := self._widget(name)) is not None), None)
 
-    def _value(self, quantity: str) -> float | int | None:
+    def _value(self, quantity: str) -> float | None:
         """Read a quantity that the camera is set to; None where it is not reported."""
         widget = self._of_exposure(quantity)
-        number = None if widget is None else number_of(str(widget.get_value()))
-        return int(number) if number is not None and quantity == "iso" else number
+        return None if widget is None else number_of(str(widget.get_value()))
 
     def _set_nearest(self, quantity: str, value: float) -> None:
         widget = self._of_exposure(quantity)

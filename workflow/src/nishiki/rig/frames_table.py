@@ -228,10 +228,12 @@ def candidate_pairs(separation_deg: float) -> np.ndarray:
     return pairs[np.degrees(between(incident, outgoing)) >= separation_deg - 1e-6]
 
 
-def recommend_oblique(views_deg: np.ndarray, count: int, separation_deg: float) -> list[tuple[float, ...]]:
+def recommend_oblique(
+    views_deg: np.ndarray, count: int, separation_deg: float
+) -> list[tuple[float, float, float, float]]:
     """Pairs (theta_i, phi_i, theta_r, phi_r) in degrees, by lamp, that go with views (n, 2) of normal incidence."""
     pairs = candidate_pairs(separation_deg)
     fit = expected_fit(unit(*np.radians(views_deg).T))
     incident, outgoing = unit(*np.radians(pairs[:, :2]).T), unit(*np.radians(pairs[:, 2:]).T)
     chosen = pairs[choose_oblique(fit, incident, outgoing, count)]
-    return [tuple(map(float, pair)) for pair in chosen[np.lexsort(chosen.T[::-1])]]
+    return [(a, b, c, d) for a, b, c, d in chosen[np.lexsort(chosen.T[::-1])].tolist()]

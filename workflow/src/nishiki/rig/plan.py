@@ -13,7 +13,7 @@ from pydantic import Field, field_validator, model_validator
 from nishiki.artifacts.closed import Closed, parse
 from nishiki.capture.lights import Lights, read_lights
 from nishiki.capture.schema_base import Positive
-from nishiki.errors import UserError
+from nishiki.errors import UserError, require
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
 from nishiki.goniometry.directions import between, unit
 from nishiki.rig.described import States
@@ -177,7 +177,7 @@ class GoniometerPlan(Plan):
 
 
 AnyPlan = DomePlan | TurntablePlan | GoniometerPlan
-KINDS = {"dome": DomePlan, "turntable": TurntablePlan, "goniometer": GoniometerPlan}
+KINDS: dict[str, type[AnyPlan]] = {"dome": DomePlan, "turntable": TurntablePlan, "goniometer": GoniometerPlan}
 GEOMETRIES = {"dome": "plane", "turntable": "turntable", "goniometer": "goniometer"}
 
 
@@ -208,7 +208,7 @@ class ReadPlan:
         """Return the table of frames."""
         plan = self.settings
         if isinstance(plan, DomePlan):
-            groups = _dome_frames(plan, self.lights)
+            groups = _dome_frames(plan, require(self.lights))
         elif isinstance(plan, TurntablePlan):
             groups = _turntable_frames(plan)
         else:
@@ -246,11 +246,11 @@ def _frame(plan: AnyPlan, file: str, role: str, exposure: float | str | None, **
 
 
 def _dome_frames(plan: DomePlan, lights: Lights) -> dict[str, list[PlannedFrame]]:
-    unknown = [name for name in plan.checks_for if lights.index(name) is None]
+    unknown = [name for name in plan.checks_for if lights.find(name) is None]
     if unknown:
         known = ", ".join(lights.names[:8])
         raise UserError(f"plan: checks_for: no lamp {', '.join(unknown)} in {plan.lights}, which has {known} ...")
-    held = {lights.index(name) for name in plan.checks_for}
+    held = {lights.find(name) for name in plan.checks_for}
     (exposure,), (white_exposure,) = _exposures(plan, "object"), _exposures(plan, "white")
     groups: dict[str, list[PlannedFrame]] = {"object": [], "white": []}
     for i, name in enumerate(lights.names):
@@ -392,12 +392,12 @@ def incidence_cosines(plan: ReadPlan, frames: tuple[PlannedFrame, ...]) -> dict[
     The cosine of the lamp's angle from the normal, over the squared distance where lamps have positions; 1 where the
     lamp's place is not known.
     """
-    lights = plan.lights
+    lights, settings = plan.lights, plan.settings
     values = {}
     for frame in frames:
-        if lights is not None and frame.light:
+        if lights is not None and isinstance(settings, DomePlan) and frame.light:
             i = lights.index(frame.light)
-            distance = np.linalg.norm(lights.vectors[i]) if plan.settings.lights_kind == "position_mm" else 1.0
+            distance = np.linalg.norm(lights.vectors[i]) if settings.lights_kind == "position_mm" else 1.0
             values[frame.file] = float(lights.directions[i, 2] / distance**2)
         elif frame.angles_deg:
             values[frame.file] = math.cos(math.radians(frame.angles_deg[0]))

@@ -246,7 +246,7 @@ class CaptureRun:
         rejections = 0
         while True:
             path, taken, measures, reasons = self._expose(frame, lambda: self._exposure_of(frame))
-            if not reasons:
+            if measures is not None and not reasons:
                 return self._keep(frame, path, taken, measures)
             rejections += 1
             self._note("rejected", file=frame.file, attempt=rejections, reasons=reasons)

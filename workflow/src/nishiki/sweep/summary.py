@@ -160,9 +160,8 @@ def variant_row(
     records: dict[str, list[dict[str, Any]]],
     *,
     keys: dict[str, str],
-    **roles: bool,
 ) -> VariantRow:
-    """Summarise one variant. records: by counted stage, one a repeat; roles: the last fields of `VariantRow`."""
+    """Summarise one variant. records: by counted stage, one a repeat."""
     numbers = range(min((len(runs) for runs in records.values()), default=0))
     everything = [record for runs in records.values() for record in runs]
     different = {f"{record['stage']}: {name}" for record in everything for name in record["different"]}
@@ -186,5 +185,4 @@ def variant_row(
         keys=dict(keys),
         machines=tuple(sorted({f"{r['processor']}, {r['cpus']} cores, Python {r['python']}" for r in everything})),
         load=max((record["load_before"] for record in everything), default=0.0),
-        **roles,
     )

@@ -145,8 +145,9 @@ class Measured:
 
     def take(self, rows: np.ndarray) -> "Measured":
         """Select some of them."""
-        names = ("incident", "outgoing", "values", "normal")
-        return replace(self, **{name: np.ascontiguousarray(getattr(self, name)[rows]) for name in names})
+        parts = (self.incident, self.outgoing, self.values, self.normal)
+        incident, outgoing, values, normal = (np.ascontiguousarray(part[rows]) for part in parts)
+        return Measured(incident, outgoing, values, normal, self.quarter)
 
     @property
     def grey(self) -> np.ndarray:

@@ -182,8 +182,8 @@ def fit_highlight(residuals: np.ndarray, normals: np.ndarray, to_camera: np.ndar
     # residuals of neighbouring views are alike for other reasons too (wrong normals, shadows) that favour no direction
     best = int(np.argmax(gains))
     gain = float(gains[best] - np.quantile(gains, ELSEWHERE))
-    direction = tuple(float(v) for v in tried[best]) if gain > LEAST_GAIN else NOWHERE
-    return Highlight(direction, gain)
+    x, y, z = tried[best].tolist()
+    return Highlight((x, y, z) if gain > LEAST_GAIN else NOWHERE, gain)
 
 
 def _gain(lobe: np.ndarray, residuals: np.ndarray, fitted: np.ndarray, left: np.ndarray, before: float) -> float:

@@ -289,7 +289,8 @@ def _described(first: list[_First], widths: _Widths, gloss: _Gloss, finished: li
 def _totals(finished: list[tuple[np.ndarray, float, int]]) -> tuple[ObjectFit, float]:
     """Figures of all tiles from counts of flags, squared errors and samples of each; the mean squared error."""
     counts = sum((counted for counted, _, _ in finished), np.zeros(5, np.int64))
-    squares, samples = (sum(of_tile[k] for of_tile in finished) for k in (1, 2))
+    squares = sum(squared for _, squared, _ in finished)
+    samples = sum(number for _, _, number in finished)
     dark, filled, unseen, once = (counts[1:] / max(int(counts[0]), 1)).tolist()
     mean = squares / max(samples, 1)
     psnr = -10 * float(np.log10(max(mean, 1e-30))) if samples else None

@@ -163,7 +163,7 @@ def fit_lamps(
         away = (towards - shown) / (per_pixel * sigma_px)[:, None]
         return np.concatenate([(away * across[which, 0]).sum(axis=1), (away * across[which, 1]).sum(axis=1)])
 
-    def surface_residuals(x: np.ndarray) -> np.ndarray:
+    def surface_residuals(x: np.ndarray, falloff: Falloff) -> np.ndarray:
         u, inverse = lamp_of(x)
         places = np.column_stack([falloff.pixels * origin_of(outlines_of(x))[1], np.zeros(len(falloff.pixels))])
         towards = u[:, None, :] - inverse[:, None, None] * places
@@ -177,7 +177,7 @@ def fit_lamps(
         if len(once):
             parts.append(lamp_of(x)[1][once] / typical - 1)
         if falloff is not None:
-            parts.append(surface_residuals(x) / spread)
+            parts.append(surface_residuals(x, falloff) / spread)
         return np.concatenate(parts)
 
     x = np.zeros(lamps * unknowns + 3 * spheres)
@@ -187,7 +187,7 @@ def fit_lamps(
         fit = least_squares(residuals, x, x_scale="jac", method="trf", ftol=1e-8, xtol=1e-8, max_nfev=15)
         x = fit.x
         if falloff is not None:
-            spread = max(float(np.sqrt((surface_residuals(x) ** 2).mean())), 1e-4)
+            spread = max(float(np.sqrt((surface_residuals(x, falloff) ** 2).mean())), 1e-4)
         left = highlight_residuals(x).reshape(2, -1)
         chi = float((left**2).sum() / freedom) if freedom > 0 else chi
         if freedom >= LEAST_FREEDOM:  # many highlights that agree better than expected are that good

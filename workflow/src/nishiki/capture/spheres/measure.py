@@ -124,9 +124,10 @@ def measure_spheres(given: SphereInput) -> MeasuredSpheres:
         )
     crops = [crop_around(circle, (rows, columns)) for circle in circles]
     stacks = [cut_crop(crop, read) for crop in crops]
-    if any(stack is None for stack in stacks):
-        stacks = read_crops(given.photographs, crops)
-    for circle, crop, stack in zip(circles, crops, stacks, strict=True):
+    whole = [stack for stack in stacks if stack is not None]
+    if len(whole) < len(stacks):
+        whole = read_crops(given.photographs, crops)
+    for circle, crop, stack in zip(circles, crops, whole, strict=True):
         _measure_sphere(given, circle, crop, stack, findings)
     sightings, warnings = _sightings(findings, names)
     seen = sorted({s.lamp for s in sightings})
@@ -224,7 +225,7 @@ def _sightings(findings: Findings, names: list[str]) -> tuple[list[Sighting], li
     reasons: dict[str, list[str]] = {name: [] for name in names}
     found = findings.highlights
     for k in range(len(findings.outlines)):
-        known = [found[i, k] for i in range(len(names)) if found[i, k] is not None]
+        known = [highlight for i in range(len(names)) if (highlight := found[i, k]) is not None]
         peak = float(np.median([h.peak for h in known])) if known else 0.0
         area = float(np.median([h.area_px for h in known])) if known else 0.0
         for i, name in enumerate(names):

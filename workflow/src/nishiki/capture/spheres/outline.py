@@ -100,7 +100,7 @@ def fit_outline(stack: np.ndarray, seed: Sequence[float], camera: SphereCamera, 
         grid, strength, _ = _edge_strengths(stack, circle, max(reach, least_px / circle[2]))
         peak, part = _peaks(strength)
         at = np.where(peak, strength, 0).argmax(axis=1)
-        parameters, points = _fit_robustly(grid, part, at, peak.any(axis=1), camera, corner)
+        parameters, points = _fit_robustly(grid, part, at, np.any(peak, axis=1), camera, corner)
         circle = np.array(circle_of(parameters, camera))
         circle[:2] -= corner
     grid, strength, rising = _edge_strengths(stack, circle, max(2 * reach, BEYOND_PX / circle[2]))

@@ -201,7 +201,7 @@ def bright_blocks(stack: np.ndarray, free: np.ndarray) -> np.ndarray | None:
     def split(picture: np.ndarray) -> np.ndarray:
         return picture[..., : rows * BLOCK, : columns * BLOCK].reshape(-1, rows, BLOCK, columns, BLOCK)
 
-    light = split(stack).mean(axis=(2, 4))[:, split(free).all(axis=(2, 4))[0]]
+    light = split(stack).mean(axis=(2, 4))[:, np.all(split(free), axis=(2, 4))[0]]
     brightest = light.max(axis=0) if light.size else np.zeros(0)
     if len(brightest) >= LEAST_BLOCKS:
         light = light[:, (brightest > DARK * np.percentile(brightest, 99)) & (brightest < SATURATED)]

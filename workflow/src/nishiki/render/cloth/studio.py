@@ -41,9 +41,9 @@ def framed(
     low, high = points.min(axis=0), points.max(axis=0)
     middle, extent = (low + high) / 2, float(np.linalg.norm(high - low))
     eye = around(middle, elevation=elevation, azimuth=azimuth, distance=distance * extent)
-    target, size = middle, {"rows": rows, "columns": columns}
+    target = middle
     for _ in range(3):  # the middle of what is seen is not the middle of the points: a few steps settle it
-        camera = look_at(eye, target, field_of_view=0.5, **size)
+        camera = look_at(eye, target, rows=rows, columns=columns, field_of_view=0.5)
         seen = (points - eye) @ camera.rotation.T
         plane = seen[:, :2] / seen[:, 2:]
         centre = (plane.min(axis=0) + plane.max(axis=0)) / 2
@@ -51,7 +51,7 @@ def framed(
         target = target + depth * (centre[0] * camera.rotation[0] + centre[1] * camera.rotation[1])
     half = np.abs(plane - centre).max(axis=0)
     high = margin * max(half[1], half[0] * rows / columns)
-    return look_at(eye, target, field_of_view=float(2 * np.arctan(high)), **size)
+    return look_at(eye, target, rows=rows, columns=columns, field_of_view=float(2 * np.arctan(high)))
 
 
 class Viewpoint(NamedTuple):
@@ -183,7 +183,8 @@ def tubes() -> list[Surface]:
 def linear_colour(code: str) -> tuple[float, float, float]:
     """Return linear sRGB of #rrggbb, IEC 61966-2-1."""
     coded = np.array([int(code[k : k + 2], 16) for k in (1, 3, 5)]) / 255
-    return tuple(float(value) for value in decode(coded, "srgb"))
+    red, green, blue = decode(coded, "srgb").tolist()
+    return red, green, blue
 
 
 def turning(count: int) -> Iterator[float]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from nishiki.errors import require
 from nishiki.render.plane.scene import PlaneScene, View
 
 
@@ -30,7 +31,7 @@ def screen_to_plane(view: View, scene: PlaneScene) -> np.ndarray:
 
 def screen_shape(view: View, scene: PlaneScene) -> tuple[int, int]:
     """(rows, columns) of the picture."""
-    return scene.shape if view.rows is None else (view.rows, view.columns)
+    return scene.shape if view.rows is None else (view.rows, require(view.columns))
 
 
 def homogeneous_eye(view: View) -> np.ndarray:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nishiki.errors import UserError
+from nishiki.errors import UserError, require
 from nishiki.geometry.camera import Camera, look_at
 
 BANDS = 61  # 400 .. 700 nm every 5 nm
@@ -132,8 +132,8 @@ class View:
 
     def camera(self) -> Camera:
         """Return the pinhole camera of a view with an eye."""
-        size = {"rows": self.rows, "columns": self.columns}
-        return look_at(self.eye_mm, self.target_mm, up=self.up, field_of_view=self.field_of_view, **size)
+        size, angle = (require(self.rows), require(self.columns)), self.field_of_view
+        return look_at(self.eye_mm, self.target_mm, rows=size[0], columns=size[1], field_of_view=angle, up=self.up)
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ class Gloss:
     @classmethod
     def none(cls) -> "Gloss":
         """Return a matte surface: no specular term is computed."""
-        return cls(beta=[[0.0]], gamma=[[1.0]], refractive_index=[1.0])
+        return cls(np.zeros((1, 1)), np.ones((1, 1)), np.ones(1))
 
 
 @dataclass(frozen=True)

@@ -160,7 +160,7 @@ def write_all(settings: GoniometerSettings, capture: Path, truth: Path, options,
     cloths = tuple(make_cloth(cloth, **quality) for cloth in settings.cloths)
     report(f"cloth: {sum(len(cloth.points.area) for cloth in cloths)} points")
     angles = settings.angles_deg
-    rows, reflectance = [None] * len(angles), np.zeros((len(angles), len(cloths), len(settings.cloths[0].channels)))
+    rows, reflectance = [()] * len(angles), np.zeros((len(angles), len(cloths), len(settings.cloths[0].channels)))
     for done, shot in enumerate(photographs(cloths, settings), start=1):
         file = f"frames/{shot.row + 1:05d}.{options.format}"
         write_image(capture / file, shot.codes)

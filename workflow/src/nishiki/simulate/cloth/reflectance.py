@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from nishiki.errors import require
 from nishiki.simulate.cloth.geometry import Solids, escapes, make_solids
 from nishiki.simulate.cloth.points import Chains, Ends, SurfacePoints, make_chains, make_points
 from nishiki.simulate.cloth.settings import ClothSettings
@@ -186,10 +187,11 @@ def bounced(cloth: Cloth, lamps: Reach, views: Reach, index: np.ndarray) -> np.n
     out = np.zeros((len(index), cloth.dye.shape[1]))
     if cloth.chains is None:
         return out
+    of_lamps, of_views = ((require(reach.first), require(reach.last)) for reach in (lamps, views))
     for channel in range(out.shape[1]):
         weight = (0.5 * cloth.chains.weight[:, channel]).astype(np.float32)
-        matrix = (lamps.first[:, channel] * weight) @ views.last[:, channel].T
-        matrix += (lamps.last[:, channel] * weight) @ views.first[:, channel].T
+        matrix = (of_lamps[0][:, channel] * weight) @ of_views[1][:, channel].T
+        matrix += (of_lamps[1][:, channel] * weight) @ of_views[0][:, channel].T
         out[:, channel] = matrix[index[:, 0], index[:, 1]]
     return out
 

@@ -77,8 +77,10 @@ def mixture(parts: dict[str, float], wavelengths_nm: np.ndarray) -> np.ndarray:
     """Reflectance (wavelengths,) of a mixture given as pigment name → concentration (any positive scale)."""
     wavelengths_nm = np.asarray(wavelengths_nm, float)
     total = sum(parts.values())
-    absorption = sum(share / total * PIGMENTS[name].absorption(wavelengths_nm) for name, share in parts.items())
-    scattering = sum(share / total * PIGMENTS[name].scatter(wavelengths_nm) for name, share in parts.items())
+    absorption, scattering = np.zeros((2, *wavelengths_nm.shape))
+    for name, share in parts.items():
+        absorption += share / total * PIGMENTS[name].absorption(wavelengths_nm)
+        scattering += share / total * PIGMENTS[name].scatter(wavelengths_nm)
     return surface_corrected(thick_layer(absorption, scattering))
 
 

@@ -78,15 +78,18 @@ def points_of(folder: Path, views: Views) -> dict[str, np.ndarray] | None:
     return read_points(folder / name, name, views.views) if name else None
 
 
-def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Camera], list[float | None], dict, tuple]:
+def given(
+    views: Views, points: dict[str, np.ndarray] | None
+) -> tuple[list[Camera], list[float | None], dict, tuple | None]:
     """Return the given matrices with the distortion of a given lens, and their error where correspondences tell it."""
     rows, columns = views.shape
-    missing = [name for name in views.views if name not in views.matrices]
+    matrices = views.matrices or {}
+    missing = [name for name in views.views if name not in matrices]
     if missing:
         raise UserError(
             f"cameras: no matrix for view {', '.join(missing[:8])}. Remedy: one row of cameras.csv for every view"
         )
-    decomposed = cameras_of_matrices({name: views.matrices[name] for name in views.views}, rows=rows, columns=columns)
+    decomposed = cameras_of_matrices({name: matrices[name] for name in views.views}, rows=rows, columns=columns)
     shared = views.intrinsics["distortion"] if views.intrinsics else NO_DISTORTION
     distortions = views.attributes.get("distortions") or {}
     cameras = [replace(c, distortion=tuple(distortions.get(c.name, shared))) for c in decomposed.cameras]
@@ -119,8 +122,8 @@ def located(context: Context, views: Views, source: str, points: dict | None) ->
     diagnostics["calibration"] = calibration.as_dict() if calibration else None
     sights = (
         board_sights(views, boards)
-        if source == "boards"
-        else {name: Sight(name, table[:, 2:], table[:, :2]) for name, table in points.items()}
+        if boards and source == "boards"
+        else {name: Sight(name, table[:, 2:], table[:, :2]) for name, table in (points or {}).items()}
     )
     poses = [
         estimate_pose(sights[name], matrix, distortion, rows=rows, columns=columns, outlier_px=limit)

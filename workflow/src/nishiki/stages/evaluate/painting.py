@@ -11,7 +11,7 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import illuminant
-from nishiki.errors import UserError
+from nishiki.errors import UserError, require
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.evaluate.classes import NAMES, classify, levels
 from nishiki.evaluate.maps import Pool, height_error, normal_errors, reflectance_errors
@@ -134,17 +134,17 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
         angles = normal_errors(scene.normals, truth.normals, flags=scene.flags, mask=scene.frames.mask)
         out.write("angular_error", angles.map_deg, unit="degrees", nan="outside what truth and estimate share")
         result["normals"] = angles.as_dict()
-    has_height = truth.height_mm is not None and scene.height is not None and scene.height_unit == "mm"
-    if has_height:
+    if truth.height_mm is not None and scene.height is not None and scene.height_unit == "mm":
         inside = scene.frames.mask & scene.known
         error = height_error(scene.height, truth.height_mm, pixels=inside, pitch=scene.pitch)
         result["height"] = {"unit": "mm", **asdict(error)}
     if truth.paints is not None and scene.coefficients is not None:
+        basis, spectra = require(scene.basis), require(truth.spectra)
         errors = reflectance_errors(
             scene.coefficients,
-            scene.basis,
+            basis,
             truth.paints,
-            truth.spectra,
+            spectra,
             pixels=scene.frames.mask & scene.known & ~scene.model.mirrors,
             regions=truth.regions,
         )

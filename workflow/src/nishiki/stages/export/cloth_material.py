@@ -19,6 +19,7 @@ import numpy as np
 from nishiki.brdf.cloth.interface import halves, only_above
 from nishiki.brdf.slopes import anisotropic_lobe
 from nishiki.colour.colour import srgb_encode
+from nishiki.errors import require
 from nishiki.render.cloth.scene import Brdf
 from nishiki.render.display import three_channels
 
@@ -170,7 +171,7 @@ def _fit(
     free = np.ones(len(LEAST), bool)
     free[9:] = sheen
     colour = np.clip(np.median(true, axis=0) / 12.92, 0.002, 0.9)  # a guess: dark, where the coding is linear
-    best = None
+    best: tuple[GltfCloth, float] | None = None
     for roughness, anisotropy in STARTS:
         x = np.array([*colour, roughness, anisotropy, 0.8, 1, 1, 1, *(0.05 * sheen,) * 3, 0.5])
 
@@ -185,4 +186,4 @@ def _fit(
         )  # fmt: skip
         if best is None or 2 * solved.cost < best[1]:
             best = material(solved.x), float(2 * solved.cost)
-    return best
+    return require(best)

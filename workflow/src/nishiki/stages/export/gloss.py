@@ -80,7 +80,7 @@ class GltfMaterial:
         """w F at grazing light."""
         return self.weight
 
-    def fresnel(self, cos_q: np.ndarray | float) -> np.ndarray:
+    def fresnel(self, cos_q: np.ndarray | float) -> np.ndarray | float:
         """Return w F at the cosine of view and half vector."""
         normal = self.normal_reflectance
         return normal + (self.grazing_reflectance - normal) * (1 - cos_q) ** 5

@@ -1,6 +1,6 @@
 """Normals, height, diffuse colour and spectra of a painting as pictures of high depth and as a mesh."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -186,7 +186,7 @@ def write_spectral(context: Context, scene: ExportedScene) -> dict:
     to_rgb = scene.to_srgb().T
     path = context.output.path
     names = [channel(float(wavelength)) for wavelength in WAVELENGTHS_NM]
-    header = {
+    header: dict[str, str | float | Sequence[float]] = {
         "spectralLayoutVersion": "1.0",
         "chromaticities": REC_709,
         "comments": "Reflectance relative to a perfect white diffuser; R, G, B: the same under D65 for looking",

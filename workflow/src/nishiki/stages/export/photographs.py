@@ -11,6 +11,7 @@ representation of relightable images for the web, whose x0 is W p.
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -157,6 +158,6 @@ class GridPictures(Photographs):
         def some(maps: np.ndarray | None) -> np.ndarray | None:
             return None if maps is None else maps.reshape(-1, *maps.shape[2:])[pixels][None]
 
-        maps = {name: some(values) for name, values in model._asdict().items() if name != "gloss"}
+        maps: dict[str, Any] = {name: some(values) for name, values in model._asdict().items() if name != "gloss"}
         seen = predict_observations(model._replace(**maps), self._lamps)
         return np.stack([self.coded(each.observations[0]) for each in seen])

@@ -61,7 +61,7 @@ def table_angles(source: Measurements) -> np.ndarray:
 def from_table(source: Measurements) -> tuple[tuple[str, ...], Averaged, Readings | None]:
     """Return the rows of a table of reflectances; those with a value of 0 or below are not valid."""
     values = source.table[2][:, None, :]
-    valid = (values > 0).all(axis=2)
+    valid = np.all(values > 0, axis=2)
     values = np.where(valid[..., None], values, 0.0)
     ones = np.ones(len(values))
     return ("cloth",), average_repeats(table_angles(source), values, np.zeros_like(values), valid, ones), None

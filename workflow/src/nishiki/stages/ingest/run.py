@@ -13,6 +13,7 @@ from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample
+from nishiki.errors import require
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.goniometer_store import STORE as WINDOWS
 from nishiki.observations.goniometer_store import write_goniometer
@@ -30,10 +31,10 @@ def run(context: Context) -> dict:
 
     Beside the views of a turntable lie copies of the files of its geometry; of a table of reflectances only the table.
     """
-    capture, settings = load_capture(context.capture), context.settings
+    capture, settings = load_capture(require(context.capture)), context.settings
     write = WRITERS[capture.geometry]
     result = write(capture, context.output.folder, settings=settings, progress=context.progress)
-    if capture.geometry == "turntable":
+    if isinstance(capture, TurntableCapture):
         for source, name in geometry_sources(chosen(capture, settings.without).capture):
             shutil.copyfile(source, context.output.path(name))
     if getattr(capture, "table", None) is None:

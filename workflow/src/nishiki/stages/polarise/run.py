@@ -162,8 +162,9 @@ def boards_of(views: Views, light: str, sums: StateSums, settings: PolariseSetti
             raise UserError(f"polarise.beta: {min(settings.beta):g} is below beta_least = {settings.beta_least:g}")
         return None
     used = [state for state, column in zip(sums.states, sums.weights.T, strict=True) if column.any()]
-    images = {state: views.board(state, light=light) for state in used}
-    missing = [state for state, image in images.items() if image is None]
+    boards = {state: views.board(state, light=light) for state in used}
+    images = {state: board for state, board in boards.items() if board is not None}
+    missing = [state for state in used if state not in images]
     if sums.method == "circular":
         if missing:
             raise UserError(

@@ -1,5 +1,7 @@
 """Cloth pictures: pictures of the cloth, draped and on cylinders, under its lamps and in its dyes."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from nishiki.artifacts.stage import Context
@@ -75,7 +77,7 @@ def shown(settings: ClothRenderSettings, picture: ClothPicture, exposure: float)
     return developed(picture.linear, picture.coverage, exposure=exposure, soft=soft, background=1.0)
 
 
-def swatches(context: Context, brdf: Brdf, cloths: dict[str, Brdf]) -> dict:
+def swatches(context: Context, brdf: Brdf, cloths: Mapping[str, Brdf]) -> dict:
     """Cylinders: warp upright, oblique and around, as measured or in the first dye."""
     settings = context.settings
     columns, rows = settings.view.columns, round(settings.view.columns * 0.62)

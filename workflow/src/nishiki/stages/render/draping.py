@@ -60,15 +60,12 @@ def _sizes(mesh: Mesh) -> dict:
 
 def lights_of(settings: ClothRenderSettings) -> list[Lighting]:
     """Return the lamps."""
-    return [
-        Lighting(
-            np.radians(lamp.elevation_deg),
-            np.radians(lamp.azimuth_deg),
-            tuple(lamp.intensity * value for value in linear_colour(lamp.colour)),
-            np.radians(lamp.radius_deg),
-        )
-        for lamp in settings.lights.values()
-    ]
+    lights = []
+    for lamp in settings.lights.values():
+        red, green, blue = (lamp.intensity * value for value in linear_colour(lamp.colour))
+        elevation, azimuth, radius = np.radians((lamp.elevation_deg, lamp.azimuth_deg, lamp.radius_deg))
+        lights.append(Lighting(elevation, azimuth, (red, green, blue), radius))
+    return lights
 
 
 def room(settings: ClothRenderSettings) -> dict:

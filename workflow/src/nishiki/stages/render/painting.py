@@ -17,6 +17,7 @@ from nishiki.brdf.slopes import slope_covariance
 from nishiki.capture.tables import read_curves
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample
+from nishiki.errors import require
 from nishiki.evaluate.camera_colour import display_map, displayed_colours
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.display import adapted_exposure, display_image
@@ -249,11 +250,10 @@ def _picture_size(settings: ViewSettings, proportion: float) -> tuple[int, int]:
     rows, columns = settings.rows, settings.columns
     if rows is None and columns is None:
         rows, columns = (None, LONGER_SIDE) if proportion <= 1 else (LONGER_SIDE, None)
-    if rows is None:
-        rows = min(max(round(columns * proportion), SHORTEST_SIDE), 16 * columns)
-    elif columns is None:
-        columns = min(max(round(rows / proportion), SHORTEST_SIDE), 16 * rows)
-    return rows, columns
+    if rows is not None:
+        return rows, columns or min(max(round(rows / proportion), SHORTEST_SIDE), 16 * rows)
+    across = require(columns)
+    return min(max(round(across * proportion), SHORTEST_SIDE), 16 * across), across
 
 
 def white_sheet(lights: Iterable[LightSettings], ambient: float) -> float:

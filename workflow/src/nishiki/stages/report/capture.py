@@ -96,7 +96,7 @@ def facts_of_object(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
         facts.append(("Polarisers", ", ".join(states)))
     lights = capture.get("lights") or {}
     kinds = {"camera": "a lamp beside the camera", "direction": "known directions", "position_mm": "known places"}
-    kind = lights.get("kind") if isinstance(lights, dict) else None
+    kind = lights.get("kind", "") if isinstance(lights, dict) else ""
     facts.append(("Lighting", kinds.get(kind, "not stated; fitted")))
     return facts
 

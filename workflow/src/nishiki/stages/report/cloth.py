@@ -94,7 +94,10 @@ def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> S
     video = diagnostics.get("video") or {}
     if video.get("file") in render.manifest["files"]:
         moving = film(render, video["file"], "The film", f"{figure(video['frames'])} frames.", video_mb)
-        (groups["others"] if isinstance(moving, Figure) else named).append(moving)
+        if isinstance(moving, Figure):
+            groups["others"].append(moving)
+        else:
+            named.append(moving)
     if not any(groups.values()) and not named:
         return None
     model = ", ".join(filter(None, (model_name(diagnostics.get("model", "")), diagnostics.get("region"))))

@@ -53,6 +53,8 @@ PLANES = ("weft", "warp")
 
 def weave_section(weave: Artifact | None, widest: int) -> Section | None:
     """Return every region of weave.json; None where no weave was fitted."""
+    if weave is None:
+        return None
     regions = (read_json(weave, "weave.json") or {}).get("regions") or {}
     blocks: list[Block] = []
     for name, entry in regions.items():

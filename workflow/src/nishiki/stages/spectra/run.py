@@ -2,6 +2,7 @@
 
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,8 @@ def map_tiles(context: Context) -> dict:
     estimator, decision = fit(context, training)
     if decision:
         context.progress.tell(str(decision))
-    np.savez(context.output.path("estimator.npz"), **estimator.as_arrays())
+    arrays: dict[str, Any] = estimator.as_arrays()
+    np.savez(context.output.path("estimator.npz"), **arrays)
     maps = Maps(context.inputs["normals"].folder)
     reflectance = maps.group["reflectance"]
     rows, columns, _ = reflectance.shape

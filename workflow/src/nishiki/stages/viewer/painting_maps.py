@@ -220,11 +220,12 @@ def photographs_of(maps: PaintingMaps, frames: Observations, blocks: Blocks, pro
     photographs = np.concatenate(observed, axis=1)
     model = sampled_model(maps, frames, first, step)
     pitch = (frames.pixel_pitch_mm or 1.0) * step
-    centre = point_mm(frames, (rows - 1) / 2, (columns - 1) / 2) if frames.positions_mm is not None else None
+    positions = frames.positions_mm
+    centre = None if positions is None else point_mm(frames, (rows - 1) / 2, (columns - 1) / 2)
     predicted = np.stack([
         predict_light(
             model,
-            light_of(frames.directions[j], None if centre is None else frames.positions_mm[j], centre=centre,
+            light_of(frames.directions[j], None if positions is None else positions[j], centre=centre,
                      white_board=frames.white_board),
             pitch=pitch,
         ).channels.mean(axis=-1)
@@ -270,5 +271,5 @@ def sampled_model(maps: PaintingMaps, frames: Observations, first: list[int], st
             wider = slice(max(band.start - 1, 0), min(band.stop + 1, frames.shape[0]))
             slopes = slope_covariance(shading_normals(maps.normals, wider))
             parts["slopes"].append(sampled(slopes[band.start - wider.start :][: band.stop - band.start]))
-    joined = {name: np.concatenate(values) if values else None for name, values in parts.items()}
+    joined: dict[str, Any] = {name: np.concatenate(values) if values else None for name, values in parts.items()}
     return PlaneMaps(gloss=gloss, **joined)
