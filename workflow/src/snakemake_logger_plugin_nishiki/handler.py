@@ -220,7 +220,8 @@ class RunHandler(LogHandlerBase):
         """One line on what failed; the stage's own message stands above it already."""
         if self._interrupted:  # its jobs were ended, which is no failure of theirs
             return
-        log = next(iter(logs), "") or _log_file()
+        files = [each for each in logging.getLogger(LOGGER).handlers if isinstance(each, logging.FileHandler)]
+        log = next(iter(logs), "") or next((os.path.relpath(each.baseFilename) for each in files), "")
         why = message or status or "it left no message"
         self.screen.tell(text + ("" if message else f", {why}") + (f"; log: {log}" if log else ""))
         for job in jobs:
@@ -270,11 +271,3 @@ def _status_text(status: re.Match) -> str:
         name = status[2] or (signal.Signals(number).name if number in set(signal.Signals) else f"signal {number}")
         return f"killed by {name}" + (", most often for lack of memory" if name == "SIGKILL" else "")
     return f"exit status {status[1]}"
-
-
-def _log_file() -> str:
-    """Snakemake's log file, relative to the working folder where it lies below it."""
-    for handler in logging.getLogger(LOGGER).handlers:
-        if isinstance(handler, logging.FileHandler):
-            return os.path.relpath(handler.baseFilename)
-    return ""

@@ -203,12 +203,6 @@ def run_problem(data: bytes, manifest: bytes) -> str | None:
     return "damaged: its own digest is wrong"
 
 
-def _is_chunk(name: str) -> bool:
-    """Whether a file is a chunk of a Zarr store: all that we write end with a checksum (CRC-32C, or that of zstd)."""
-    parts = name.split("/")
-    return any(part.endswith(".zarr") for part in parts[:-1]) and parts[-1] != "zarr.json"
-
-
 def _tail(path: Path) -> str:
     """Return the last four bytes of a file as hexadecimal digits."""
     with open(path, "rb") as handle:
@@ -245,7 +239,11 @@ class ArtifactWriter:
         self.target = Path(target)
         self.target.parent.mkdir(parents=True, exist_ok=True)
         self.folder = self.target.parent / f".{self.target.name}.{owner()}.partial"
-        _remove_dead_partials(self.target)
+        # What killed runs of this very artifact left behind on this machine; those of living processes stay.
+        for path in self.target.parent.glob(f".{self.target.name}.*.partial"):
+            at, process = owner_of(path.name)
+            if at in ("", host()) and (not is_alive(process) or process == identity()):
+                shutil.rmtree(path, ignore_errors=True)
         self.folder.mkdir()
 
     def __enter__(self) -> "ArtifactWriter":
@@ -269,7 +267,8 @@ class ArtifactWriter:
         files: dict[str, dict[str, Any]] = {}
         for name, path in _files(self.folder):
             files[name] = {"bytes": path.stat().st_size, "sha256": file_digest(path)}
-            if _is_chunk(name) and files[name]["bytes"] >= 4:
+            # all chunks of a Zarr store that we write end with a checksum (CRC-32C, or that of zstd)
+            if ".zarr/" in name and not name.endswith("/zarr.json") and files[name]["bytes"] >= 4:
                 files[name]["tail"] = _tail(path)
         manifest = {"format": FORMAT, **manifest, "files": files}
         text = json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
@@ -294,14 +293,6 @@ def date_not_before(path: Path, inputs: Iterable[Path]) -> None:
     newest = max((item.stat().st_mtime_ns for item in inputs), default=0)
     if path.stat().st_mtime_ns < newest:
         os.utime(path, ns=(newest, newest))
-
-
-def _remove_dead_partials(target: Path) -> None:
-    """Remove what killed runs of this very artifact left behind on this machine; those of living processes stay."""
-    for path in target.parent.glob(f".{target.name}.*.partial"):
-        at, process = owner_of(path.name)
-        if at in ("", host()) and (not is_alive(process) or process == identity()):
-            shutil.rmtree(path, ignore_errors=True)
 
 
 def _retire(target: Path, successor: Path) -> Path | None:

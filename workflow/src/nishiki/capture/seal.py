@@ -80,7 +80,8 @@ def payload_digests(folder: Path, *, known: dict[str, Entry] | None = None) -> d
 
 def manifest_text(digests: dict[str, str]) -> str:
     """Manifest lines 'digest  name' sorted by name; line ends and '%' in names percent-encoded (RFC 8493, 2.1.3)."""
-    return "".join(f"{digests[name]}  {_encode(name)}\n" for name in sorted(digests))
+    lines = (f"{digests[name]}  {name}".replace("%", "%25").replace("\r", "%0D") for name in sorted(digests))
+    return "".join(line.replace("\n", "%0A") + "\n" for line in lines)
 
 
 def read_manifest(path: Path) -> dict[str, str]:
@@ -266,7 +267,3 @@ def _refuse_links(root: Path) -> None:
             [error("seal-link", name, "link in a sealed capture, or one to be sealed", remedy=remedy) for name in links]
         )
     payload_files(root)
-
-
-def _encode(name: str) -> str:
-    return name.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")

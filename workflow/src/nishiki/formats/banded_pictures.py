@@ -230,10 +230,13 @@ class ExrWriter:
 
     def _block(self, rows: np.ndarray) -> None:
         raw = np.ascontiguousarray(rows[..., self._order].transpose(0, 2, 1), "<f4").tobytes()
-        packed = zlib.compress(_differenced(raw), 4)
+        data = np.frombuffer(raw, np.uint8)
+        split = np.concatenate([data[::2], data[1::2]])  # even bytes before odd ones, each less the one before, + 128
+        split[1:] = np.diff(split) + np.uint8(128)
+        packed = zlib.compress(split.tobytes(), 4)
         self._offsets.append(self._file.tell())
-        data = packed if len(packed) < len(raw) else raw
-        self._file.write(struct.pack("<ii", self._row, len(data)) + data)
+        stored = packed if len(packed) < len(raw) else raw
+        self._file.write(struct.pack("<ii", self._row, len(stored)) + stored)
         self._row += len(rows)
 
     def _finish(self) -> None:
@@ -307,16 +310,8 @@ def _attribute(value: Attribute) -> tuple[str, bytes]:
     return "chromaticities", struct.pack("<8f", *value)
 
 
-def _differenced(raw: bytes) -> bytes:
-    """Even bytes before odd ones, each but the first as its difference from the one before, plus 128."""
-    data = np.frombuffer(raw, np.uint8)
-    split = np.concatenate([data[::2], data[1::2]])
-    split[1:] = np.diff(split) + np.uint8(128)
-    return split.tobytes()
-
-
 def _summed(packed: bytes) -> bytes:
-    """Invert `_differenced`."""
+    """Invert the differences of `_block`."""
     split = np.frombuffer(packed, np.uint8).copy()
     split[1:] -= np.uint8(128)
     split = np.add.accumulate(split, dtype=np.uint8)

@@ -170,8 +170,10 @@ def cameras_of_matrices(matrices: Mapping[str, np.ndarray], *, rows: int, column
             "expected the same side of a right-handed world. Remedy: check the signs of the rows and the order of "
             "these views"
         )
-    mirror = mirror_of(np.array([camera.centre for camera in cameras]))
-    flip = np.diag([*mirror, 1])
+    centres = np.array([camera.centre for camera in cameras])
+    normal = np.linalg.svd(centres - centres.mean(axis=0))[2][2]  # of the plane of the centres
+    x, y, z = (1 - 2 * (np.arange(3) == np.argmax(np.abs(normal)))).tolist()
+    mirror, flip = (x, y, z), np.diag([x, y, z, 1])
     cameras = [
         Camera.from_matrix(name, np.asarray(matrix, np.float64) @ flip, rows=rows, columns=columns)
         for name, matrix in matrices.items()
@@ -184,7 +186,10 @@ def point_in_sight(cameras: list[Camera]) -> np.ndarray | None:
 
     None where they are parallel or come from one place (largest angle between two rays below half a degree).
     """
-    rays = np.array([ray_through_middle(camera) for camera in cameras])
+    middles = [np.array([(camera.columns - 1) / 2, (camera.rows - 1) / 2, 1.0]) for camera in cameras]
+    through = zip(cameras, middles, strict=True)
+    rays = np.array([camera.rotation.T @ np.linalg.solve(camera.intrinsics, middle) for camera, middle in through])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     if len(cameras) < 2 or np.linalg.norm(np.cross(rays[:, None], rays[None]), axis=-1).max() < np.sin(np.radians(0.5)):
         return None
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
@@ -193,20 +198,6 @@ def point_in_sight(cameras: list[Camera]) -> np.ndarray | None:
     if spread <= 1e-9 * np.abs(centres).max():
         return None
     return np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
-
-
-def ray_through_middle(camera: Camera) -> np.ndarray:
-    """(3,) unit direction in the world, away from the camera, through the middle of its picture (no distortion)."""
-    middle = np.array([(camera.columns - 1) / 2, (camera.rows - 1) / 2, 1.0])
-    direction = camera.rotation.T @ np.linalg.solve(camera.intrinsics, middle)
-    return direction / np.linalg.norm(direction)
-
-
-def mirror_of(centres: np.ndarray) -> tuple[int, int, int]:
-    """Factors on the world's axes: -1 on the one nearest to the normal of the plane of the centres (n, 3)."""
-    _, _, directions = np.linalg.svd(centres - centres.mean(axis=0))
-    x, y, z = (1 - 2 * (np.arange(3) == np.argmax(np.abs(directions[2])))).tolist()
-    return x, y, z
 
 
 def save_cameras(

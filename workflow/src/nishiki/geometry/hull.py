@@ -256,7 +256,11 @@ def carve(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, cells:
     cell = float((box[1] - box[0]).max()) / cells
     origin = box[0] - 2.5 * cell
     shape = tuple(int(n) for n in np.ceil((box[1] - box[0]) / cell) + 6)
-    field = field_of(silhouettes, cameras, finest_px=_pixels_of(cell, box, cameras) / 4)
+    middle = box.mean(axis=0)
+    depths = [max((camera.rotation @ middle + camera.translation)[2], 1e-12) for camera in cameras]
+    focal = [np.sqrt(abs(np.linalg.det(camera.intrinsics))) for camera in cameras]
+    cell_px = min(cell * f / depth for f, depth in zip(focal, depths, strict=True))  # in the middle, of all views
+    field = field_of(silhouettes, cameras, finest_px=cell_px / 4)
     volume = np.empty(shape, np.float32)
     views = field.poses, field.lenses, field.frames, field.buffer
     fill = partial(fill_slab, views, (origin, cell), BLOCK, misses, BAND * cell)
@@ -267,14 +271,6 @@ def carve(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, cells:
             "check silhouettes and camera matrices, or omit the wrong view"
         )
     return Hull(surface_of(volume, origin, cell), cell, shape, box)
-
-
-def _pixels_of(cell: float, box: np.ndarray, cameras: list[Camera]) -> float:
-    """Smallest extent in pixels that a cell in the middle of the box has in any view."""
-    middle = box.mean(axis=0)
-    depths = [(camera.rotation @ middle + camera.translation)[2] for camera in cameras]
-    focal = [np.sqrt(abs(np.linalg.det(camera.intrinsics))) for camera in cameras]
-    return min(cell * f / max(depth, 1e-12) for f, depth in zip(focal, depths, strict=True))
 
 
 def surface_of(volume: np.ndarray, origin: np.ndarray, cell: float) -> Mesh:

@@ -206,7 +206,9 @@ class ReducedPhotographs:
             ]
             together = np.where(self.inside[:, :, None], np.stack(channels, axis=3), np.float32(np.nan))
             after = examine_photographs(together, lamps)
-            if _supported(before, after):
+            # Highlights of a mirror move with the lamp: where nothing can be predicted, nothing is concluded.
+            residuals = [np.nansum(each.residual) for each in (before, after) if each is not None]
+            if len(residuals) == 2 and residuals[1] < (1 - LEAST_IMPROVEMENT) * residuals[0]:
                 aligned, consistency = together, after
             else:
                 moved = np.zeros(len(places), bool)
@@ -286,16 +288,6 @@ class ReducedPhotographs:
             return to_lamp / distance  # the boards hold the fall-off, and their cosine differs from pixel to pixel
         usual = np.median(np.linalg.norm(positions, axis=1))
         return to_lamp / distance * (usual / distance) ** 2
-
-
-def _supported(before: Consistency | None, after: Consistency | None) -> bool:
-    """Return whether the photographs predict each other better once the movement is undone.
-
-    Highlights of a mirror move with the lamp: where nothing can be predicted, nothing is concluded.
-    """
-    if before is None or after is None:
-        return False
-    return bool(np.nansum(after.residual) < (1 - LEAST_IMPROVEMENT) * np.nansum(before.residual))
 
 
 def movement_problems(judgement: Judgement, registers: bool | None = None) -> list[Problem]:

@@ -13,7 +13,7 @@ from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid
 from nishiki.observations.linearise import straight_scale
 from nishiki.threads import over_rows
 
-FORMAT = 1  # of the file; readers refuse others
+STORE, FORMAT = "frames.zarr", 1  # name and version of the file; readers refuse others
 STRIP_BYTES = 8 << 20
 """Of float32 observations that are decoded at a time."""
 
@@ -31,7 +31,7 @@ class Observations:
     def __init__(self, folder: Path | str):
         """Open `frames.zarr`, or the folder that holds it. UserError where it is none."""
         path = Path(folder)
-        path = path if path.name.endswith(".zarr") else path / "frames.zarr"
+        path = path if path.name.endswith(".zarr") else path / STORE
         group, stored = open_made_by("ingest", path, "ingested frames", FORMAT, open_bands)
         self.path = path
         with understood(path):

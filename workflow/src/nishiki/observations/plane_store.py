@@ -13,6 +13,7 @@ from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.blocks import bands_with_object, rows_of_band
 from nishiki.observations.corrections import find_corrections
 from nishiki.observations.frames import FrameReader
+from nishiki.observations.plane import FORMAT, STORE
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import Gains, measure_darks, measure_gains, measure_room
 from nishiki.observations.region import chosen, edges_of, object_mask, region_around, region_numbers, window_of
@@ -25,9 +26,6 @@ from nishiki.observations.store_parts import (
     sample_warnings,
     write_small_arrays,
 )
-
-STORE = "frames.zarr"
-FORMAT = 1  # of the file; readers refuse others
 
 
 @dataclass(frozen=True)

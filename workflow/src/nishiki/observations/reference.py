@@ -64,8 +64,12 @@ def white_field(
     levels, unusable = block_levels(codes, table, *edges, float(saturated), float(clip))
     board = levels - dark
     bright_share = float((codes >= saturated).any(axis=2).mean())
+    least = TOO_DARK
+    if codes.dtype.kind != "u":  # float samples have no full scale: relative to their brightest
+        brightest = float(board[np.isfinite(board)].max(initial=0.0))
+        least = max(TOO_DARK * brightest, float(np.finfo(np.float32).tiny))
     with np.errstate(invalid="ignore"):
-        too_dark = ~(board >= least_level(codes.dtype, board))
+        too_dark = ~(board >= least)
         bad = (too_dark | (unusable > BAD_SHARE)).any(axis=2)
     needed = np.ones(bad.shape, bool) if needed is None else needed
     bad_share = float(bad[needed].mean())
@@ -80,14 +84,6 @@ def white_field(
     good = board[needed & ~bad]
     low, high = np.percentile(good, [5, 95], axis=0)
     return WhiteField(gain.astype(np.float32), np.median(good, axis=0), low / high, bad_share, problems)
-
-
-def least_level(dtype: np.dtype, board: np.ndarray) -> float:
-    """Level from which a board can be divided by: float samples have no full scale, so relative to their brightest."""
-    if np.dtype(dtype).kind == "u":
-        return TOO_DARK
-    known = board[np.isfinite(board)]
-    return max(TOO_DARK * float(known.max(initial=0.0)), float(np.finfo(np.float32).tiny))
 
 
 def _unusable_board(name: str, bright_share: float, board: np.ndarray) -> Problem:

@@ -15,7 +15,7 @@ from nishiki.observations.blocks import grid_of, on_one_grid, picture_edges
 from nishiki.observations.linearise import straight_scale
 
 __all__ = ["Views", "decode", "encode"]
-FORMAT = 1  # of the file; readers refuse others
+STORE, FORMAT = "views.zarr", 1  # name and version of the file; readers refuse others
 
 
 class Views:
@@ -33,7 +33,7 @@ class Views:
     def __init__(self, folder: Path | str):
         """Open `views.zarr`, or the folder that holds it. UserError where it is none."""
         path = Path(folder)
-        path = path if path.name.endswith(".zarr") else path / "views.zarr"
+        path = path if path.name.endswith(".zarr") else path / STORE
         group, stored = open_made_by("ingest", path, "ingested views", FORMAT)
         self.path, self._group, self.attributes = path, group, stored
         with understood(path):

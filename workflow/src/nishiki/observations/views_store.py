@@ -29,9 +29,8 @@ from nishiki.observations.store_parts import (
     sample_warnings,
     write_small_arrays,
 )
+from nishiki.observations.views import FORMAT, STORE
 from nishiki.observations.views_white import Whites, mean_boards, measure_whites
-
-FORMAT = 1  # of the file; readers refuse others
 
 
 def attributes_of(
@@ -108,9 +107,6 @@ def geometry_sources(capture: TurntableCapture) -> list[tuple[Path, str]]:
         *((capture.payload / getattr(block, key), place) for key, place in files.items() if isinstance(place, str)),
         *zip(capture.scans, scans, strict=True),
     ]
-
-
-STORE = "views.zarr"
 
 
 @dataclass(frozen=True)

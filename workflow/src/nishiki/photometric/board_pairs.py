@@ -93,7 +93,8 @@ def pair_boards(values: np.ndarray, boards: np.ndarray, lamps: np.ndarray) -> Bo
     directions = lamps.mean(axis=1)
     down, across = np.divmod(places, columns)
     terms = np.stack([np.ones(len(places)), across - across.mean(), down - down.mean()], axis=1) / (1, columns, rows)
-    of_boards = np.array([_fit_log(white, terms, patches) for white in whites]).T
+    levels = [(np.log(white), np.isfinite(np.log(white))) for white in whites]
+    of_boards = np.array([regress(terms[known], level[known], patches[known])[0] for level, known in levels]).T
     photographs = _without_gloss(photographs, whites, lamps, patches, terms)
     listed = order = np.arange(count)
     stay = SURE**2 / 2 * (1 - np.eye(count))
@@ -146,13 +147,6 @@ def _without_gloss(
         return photographs
     fits = [(photographs, fit), (matt, fit_lambert(matt / whites, lamps, patches, hold=FIRST))]
     return min(fits, key=lambda each: _measure(each[0] / whites, each[1], terms, patches)[0])[0]
-
-
-def _fit_log(white: np.ndarray, terms: np.ndarray, patches: np.ndarray) -> np.ndarray:
-    """Fit the logarithm of a board (pixels,) by terms (pixels, 3)."""
-    level = np.log(white)
-    known = np.isfinite(level)
-    return regress(terms[known], level[known], patches[known])[0]
 
 
 def _measure(values: np.ndarray, fit: Fit, terms: np.ndarray, patches: np.ndarray) -> tuple[float, np.ndarray]:

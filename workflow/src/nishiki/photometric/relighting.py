@@ -25,6 +25,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import half_vectors
+from nishiki.photometric.refine import LEAST_FACTOR
 from nishiki.small_matrices import solve_positive
 from nishiki.threads import over_rows
 
@@ -36,7 +37,6 @@ WIDTH_NORMAL, WIDTH_TERMS = 0.3, 0.25  # standard deviations expected of g - n a
 LEAST_PRIOR = 1e-4  # times a third of the number of lamps, as in `nishiki.photometric.solve`
 ALONG = 0.1  # of the prior on g along z, which is the level and not a tilt
 TERMS = {"plain": 3, "directional": 5}  # of the map `shading`
-LEAST_FACTOR = 0.01  # mean body factor, relative to Lambert's, below which a pixel keeps what it came with
 LARGEST = 1e30  # reflectance
 
 

@@ -90,18 +90,14 @@ def _stamped_png(encoded: np.ndarray, stamp: Mapping[str, str], srgb: bool) -> b
     content = encoded.tobytes()
     end = len(_PNG_SIGNATURE) + 25  # of IHDR, which comes first
     notes = [_chunk(b"sRGB", b"\x00")] if srgb else []  # perceptual intent
-    notes += [_text_chunk(f"nishiki.{name}", str(text)) for name, text in stamp.items()]
+    for name, text in stamp.items():
+        kind, between = (b"tEXt", b"\x00") if str(text).isascii() else (b"iTXt", b"\x00\x00\x00\x00\x00")
+        notes.append(_chunk(kind, f"nishiki.{name}".encode("ascii") + between + str(text).encode("utf-8")))
     return b"".join([content[:end], *notes, content[end:]])
 
 
 def _chunk(kind: bytes, body: bytes) -> bytes:
     return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-
-
-def _text_chunk(keyword: str, text: str) -> bytes:
-    if text.isascii():
-        return _chunk(b"tEXt", keyword.encode("ascii") + b"\x00" + text.encode("ascii"))
-    return _chunk(b"iTXt", keyword.encode("ascii") + b"\x00\x00\x00\x00\x00" + text.encode("utf-8"))
 
 
 @dataclass(frozen=True)

@@ -215,11 +215,12 @@ def table_of_variants(scene: dict[str, Any]) -> Table:
         for time in ("seconds", "cpu_seconds"):
             spread = row["times"][time]
             times += [spread["median"], f"{figure(spread['low'])} … {figure(spread['high'])}"]
-        others = [name for name in row["names"] if name != row["name"]]
+        name = row["name"] + "".join(f" ({meaning})" for kind, meaning in KINDS.items() if row[kind])
+        others = [other for other in row["names"] if other != row["name"]]
         changes = "; ".join(row["changes"]) + (f" (same as {', '.join(others)})" if others else "")
         rows.append(
             [
-                variant_name(row),
+                name if row["reproducible"] else Markup("{} <b>not reproducible</b>").format(name),
                 "yes" if row["ahead"][0] else "",
                 *(figure(value, 4) for value in row["errors"]),
                 *times,
@@ -238,9 +239,3 @@ def table_of_variants(scene: dict[str, Any]) -> Table:
         "stages counted; MB: of their artifacts.",
         marked={number for number, row in enumerate(scene["rows"]) if row["default"]},
     )  # fmt: skip
-
-
-def variant_name(row: dict[str, Any]) -> str:
-    """Format a variant's name, its kind, and whether its bytes were the same in every repeat."""
-    name = row["name"] + "".join(f" ({meaning})" for kind, meaning in KINDS.items() if row[kind])
-    return name if row["reproducible"] else Markup("{} <b>not reproducible</b>").format(name)

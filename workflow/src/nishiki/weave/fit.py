@@ -153,7 +153,8 @@ class WeaveModel:
     def parts(self, plane: str, theta_i, theta_r) -> tuple[np.ndarray, np.ndarray]:
         """Gloss and body (..., channels) sr^-1 in one plane ("weft", "warp") at signed angles (...,), radians."""
         rows = plane_rows(0 if plane == "weft" else 1, theta_i, theta_r)
-        both = _columns(self, rows)
+        widths, reading = (self.a_weft, self.a_warp), READINGS[self.reading]
+        both = columns(self.weft.shape, self.warp.shape, widths, rows, f0=self.f0, reading=reading)
         return both[..., :1] * (self.k_s * self.f0), both[..., 1:] * self.k_d
 
     def predict(self, plane: str, theta_i, theta_r) -> np.ndarray:
@@ -290,12 +291,6 @@ def _identifiability(model: WeaveModel, weft: Plane, warp: Plane, problem: Probl
 
 def _rows(weft: Plane, warp: Plane) -> np.ndarray:
     return np.concatenate([plane_rows(k, plane.theta_i, plane.theta_r) for k, plane in enumerate((weft, warp))])
-
-
-def _columns(model: WeaveModel, rows: np.ndarray) -> np.ndarray:
-    reading = READINGS[model.reading]
-    widths = (model.a_weft, model.a_warp)
-    return columns(model.weft.shape, model.warp.shape, widths, rows, f0=model.f0, reading=reading)
 
 
 def _predict(model: WeaveModel, values: dict[str, float], rows: np.ndarray, reading: int) -> np.ndarray:

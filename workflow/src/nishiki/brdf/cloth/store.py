@@ -4,7 +4,6 @@ import io
 import zipfile
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -51,14 +50,6 @@ KINDS = {  # where the class of a kind is
 }
 _KIND = "kind"
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every member: a file's bytes do not depend on when it was written
-
-
-def class_of(kind: str) -> Any:
-    """Import the dataclass of a kind of BRDF."""
-    if kind not in KINDS:
-        raise UserError(f"kind of BRDF: expected one of {', '.join(sorted(KINDS))}, found {kind!r}")
-    module, name = KINDS[kind].split(":")
-    return getattr(import_module(module), name)
 
 
 def save_brdf(path: Path, brdf) -> None:
@@ -137,4 +128,8 @@ def load_brdf(path: Path):
     arrays = load_arrays(path, name=f"{path}: expected a stored BRDF (.npz)")
     if _KIND not in arrays:
         raise UserError(f"{path}: expected a stored BRDF with its kind, found arrays {sorted(arrays)}")
-    return class_of(str(arrays.pop(_KIND))).from_arrays(arrays)
+    kind = str(arrays.pop(_KIND))
+    if kind not in KINDS:
+        raise UserError(f"kind of BRDF: expected one of {', '.join(sorted(KINDS))}, found {kind!r}")
+    module, name = KINDS[kind].split(":")
+    return getattr(import_module(module), name).from_arrays(arrays)

@@ -105,7 +105,8 @@ def _nodes_around(places: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]
     low = np.floor(places).astype(np.int64)
     share = places - low
     for corner in product((0, 1), repeat=3):
-        yield _packed(low + corner), np.prod(np.where(corner, share, 1 - share), axis=1)
+        i, j, k = np.clip(low + corner + _MIDDLE, 0, 2 * _MIDDLE - 1).T
+        yield (i << 2 * _BITS) | (j << _BITS) | k, np.prod(np.where(corner, share, 1 - share), axis=1)
 
 
 def _merged(keys: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,11 +116,6 @@ def _merged(keys: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         return keys, sums
     first = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
     return keys[first], np.add.reduceat(sums[order], first, axis=0)
-
-
-def _packed(nodes: np.ndarray) -> np.ndarray:
-    i, j, k = (np.clip(nodes[:, axis] + _MIDDLE, 0, 2 * _MIDDLE - 1) for axis in range(3))
-    return (i << 2 * _BITS) | (j << _BITS) | k
 
 
 def _unpacked(keys: np.ndarray) -> np.ndarray:

@@ -203,7 +203,9 @@ def notes(entry: dict[str, Any]) -> list[str]:
     """Return what the data cannot tell of the sections."""
     identifiability = entry.get("identifiability") or {}
     texts = []
-    if others := [text for text in identifiability.get("free") or [] if not is_length(text)]:
+    free = identifiability.get("free") or []  # products of powers; of lengths alone, no common scale is ever known
+    parts = {text: [factor.split("^")[0].rpartition("_")[0] for factor in text.split(" · ")] for text in free}
+    if others := [text for text in free if not set(parts[text]) <= {"l", "r", "m"}]:
         texts.append(f"The sections are the same for any value of {'; '.join(map(in_words, others))}.")
     pairs = list(zip(identifiability.get("weak") or [], identifiability.get("weak_error") or [], strict=True))
     if pairs:
@@ -215,11 +217,6 @@ def notes(entry: dict[str, Any]) -> list[str]:
     if entry.get("at_bounds"):
         texts.append(f"Ended at a bound, so not determined: {', '.join(map(bound_words, entry['at_bounds']))}.")
     return texts
-
-
-def is_length(product: str) -> bool:
-    """Return whether a product of powers is of lengths alone: their common scale is never known."""
-    return all(factor.split("^")[0].rpartition("_")[0] in ("l", "r", "m") for factor in product.split(" · "))
 
 
 def in_words(product: str) -> str:
