@@ -249,28 +249,16 @@ def capture_method(described: Session) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Digitisation:
-    """One digitised scene.
+    """One digitised scene."""
 
-    Attributes
-    ----------
-    scene, version : str
-        Name of the scene; version of this program.
-    digest : str
-        SHA-256 of the seal of the capture.
-    about : dict
-        What capture.yaml says under the keys of `ABOUT`; None or empty where nothing is said.
-    method : dict
-        `geometry`, `camera` (its model) and `pixel_pitch_mm` of capture.yaml; None where nothing is said.
-    stages : list of PackedStage
-        In the order of the flow.
-    """
-
-    scene: str
+    scene: str  # scene, version: name of the scene; version of this program
     version: str
-    digest: str
+    digest: str  # SHA-256 of the seal of the capture
+    # what capture.yaml says under the keys of `ABOUT`; None or empty where nothing is said
     about: dict[str, str | None]
+    # `geometry`, `camera` (its model) and `pixel_pitch_mm` of capture.yaml; None where nothing is said
     method: dict[str, Any]
-    stages: list[PackedStage]
+    stages: list[PackedStage]  # in the order of the flow
 
     def said(self, key: str) -> str:
         """Return the value of capture.yaml under a key of `about`; empty where it is missing."""

@@ -78,25 +78,13 @@ Model = TypeVar("Model", bound=Closed)
 
 @dataclass(frozen=True)
 class Fault:
-    """A value that a closed model refuses.
+    """A value that a closed model refuses."""
 
-    Attributes
-    ----------
-    kind : {"unknown-key", "missing-key", "wrong-value"}
-        What is wrong.
-    key : str
-        Its place, with dots; empty where several values contradict one another.
-    text, hint : str
-        What is expected, and where to look for the right key.
-    value : object
-        What was given.
-    """
-
-    kind: str
-    key: str
-    text: str = ""
+    kind: str  # what is wrong
+    key: str  # its place, with dots; empty where several values contradict one another
+    text: str = ""  # text, hint: what is expected, and where to look for the right key
     hint: str = ""
-    value: Any = None
+    value: Any = None  # what was given
 
     def __str__(self) -> str:
         if self.kind == "missing-key":

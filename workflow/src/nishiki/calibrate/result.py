@@ -51,37 +51,17 @@ NUMBERS, PAGE, LINES = "calibration.json", "calibration.html", "capture-lines.ya
 
 @dataclass(frozen=True)
 class Calibration:
-    """Result of one calibration.
+    """Result of one calibration."""
 
-    Attributes
-    ----------
-    kind : str
-        spheres, camera, target or geometry.
-    numbers : dict
-        Plain data, with uncertainties.
-    inputs : sequence of Path
-        Files that were read; their digests are kept.
-    lines : dict
-        Keys of capture.yaml and their values; names of files are those of `files`.
-    files : dict
-        Text or bytes by name, for a capture to use.
-    sections : sequence of Section
-        Of the page, with the pictures that show whether to trust it.
-    subtitle : str
-    warnings : sequence of str
-    failure : str
-        Why there is no result; the folder then holds the page and what was measured so far.
-    """
-
-    kind: str
-    numbers: dict
-    inputs: Sequence[Path]
-    lines: dict
-    sections: Sequence[Section]
+    kind: str  # spheres, camera, target or geometry
+    numbers: dict  # plain data, with uncertainties
+    inputs: Sequence[Path]  # files that were read; their digests are kept
+    lines: dict  # keys of capture.yaml and their values; names of files are those of `files`
+    sections: Sequence[Section]  # of the page, with the pictures that show whether to trust it
     subtitle: str
-    files: Mapping[str, str | bytes] = field(default_factory=dict)
+    files: Mapping[str, str | bytes] = field(default_factory=dict)  # text or bytes by name, for a capture to use
     warnings: Sequence[str] = ()
-    failure: str = ""
+    failure: str = ""  # why there is no result; the folder then holds the page and what was measured so far
 
 
 def write_calibration(folder: Path, result: Calibration) -> None:

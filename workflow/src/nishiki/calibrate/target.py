@@ -30,22 +30,13 @@ LIKENESS = 0.9
 
 @dataclass(frozen=True)
 class Patches:
-    """What a photograph shows of the 24 patches, in the order of the reference.
+    """What a photograph shows of the 24 patches, in the order of the reference."""
 
-    Attributes
-    ----------
-    mean, deviation : (24, 3) float64
-        Of the pixels in the middle of each patch, relative to full scale, as stored.
-    clipped : (24,) float64
-        Share of pixels with a channel at full scale.
-    corners : (24, 4, 2) float64
-        Corners of the squares that were averaged, (x, y) in pixels.
-    """
-
+    # mean, deviation: (24, 3) float64: of the pixels in the middle of each patch, relative to full scale, as stored
     mean: np.ndarray
     deviation: np.ndarray
-    clipped: np.ndarray
-    corners: np.ndarray
+    clipped: np.ndarray  # (24,) float64: share of pixels with a channel at full scale
+    corners: np.ndarray  # (24, 4, 2) float64: corners of the squares that were averaged, (x, y) in pixels
 
     @property
     def usable(self) -> np.ndarray:
@@ -55,25 +46,13 @@ class Patches:
 
 @dataclass(frozen=True)
 class ColourErrors:
-    """Differences of 24 colours from the reference.
+    """Differences of 24 colours from the reference."""
 
-    Attributes
-    ----------
-    xyz, lab : (24, 3)
-        Under D50; a perfect white has Y = 1 and L* = 100.
-    delta_e : (24,)
-        CIEDE2000; NaN where the patch is not usable.
-    lightness : float
-        Largest |difference of L*| of the grey scale.
-    white_balance : float
-        Largest distance in the plane of a* and b* of the grey scale.
-    """
-
-    xyz: np.ndarray
+    xyz: np.ndarray  # xyz, lab: (24, 3): under D50; a perfect white has Y = 1 and L* = 100
     lab: np.ndarray
-    delta_e: np.ndarray
-    lightness: float
-    white_balance: float
+    delta_e: np.ndarray  # (24,): CIEDE2000; NaN where the patch is not usable
+    lightness: float  # largest |difference of L*| of the grey scale
+    white_balance: float  # largest distance in the plane of a* and b* of the grey scale
 
     @property
     def summary(self) -> dict[str, float]:
@@ -291,21 +270,12 @@ def fitted_xyz(linear: np.ndarray, reference: np.ndarray, usable: np.ndarray) ->
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Sensitivities that a target supports.
+    """Sensitivities that a target supports."""
 
-    Attributes
-    ----------
-    curves : (3, 61) float64
-        On the working grid (400 to 700 nm, every 5 nm), the largest of each channel at 1, never negative.
-    residual : float
-        Root mean square of what they leave of the patches, relative to the white patch.
-    left_out : float
-        The same of patches that were left out in turn.
-    """
-
+    # (3, 61) float64: on the working grid (400 to 700 nm, every 5 nm), the largest of each channel at 1, never negative
     curves: np.ndarray
-    residual: float
-    left_out: float
+    residual: float  # root mean square of what they leave of the patches, relative to the white patch
+    left_out: float  # the same of patches that were left out in turn
 
 
 def chart_reflectances() -> tuple[tuple[str, ...], np.ndarray]:

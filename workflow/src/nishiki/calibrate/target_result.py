@@ -48,27 +48,17 @@ JUDGED = (
 
 @dataclass(frozen=True)
 class TargetInput:
-    """What a colour target is judged from.
+    """What a colour target is judged from."""
 
-    Attributes
-    ----------
-    photograph : Path
-        Of a ColorChecker Classic.
-    encoding : "linear", "srgb" or None
-        Of the stored values; None: as the file states; without a statement 8 bits are sRGB, all else is linear.
-    corners : (4, 2) or None
-        Middles of dark skin, bluish green, black and white, (x, y) in pixels; None: the target is searched.
-    light : str or None
-        Spectrum of the lamp: a CIE illuminant by name, or a table (CSV); None: no sensitivities are recovered.
-    reflectances : Path or None
-        Table of this very chart; None: the mean of thirty charts.
-    """
-
-    photograph: Path
+    photograph: Path  # of a ColorChecker Classic
+    # of the stored values; None: as the file states; without a statement 8 bits are sRGB, all else is linear
     encoding: str | None = None
+    # (4, 2) or None: middles of dark skin, bluish green, black and white, (x, y) in pixels; None: the target is
+    # searched
     corners: np.ndarray | None = None
+    # spectrum of the lamp: a CIE illuminant by name, or a table (CSV); None: no sensitivities are recovered
     light: str | None = None
-    reflectances: Path | None = None
+    reflectances: Path | None = None  # table of this very chart; None: the mean of thirty charts
 
 
 def calibrate_target(given: TargetInput) -> Calibration:

@@ -30,18 +30,10 @@ LEAST_STRENGTH = 0.01  # by which strengths differ that can be told from noise
 
 @dataclass(frozen=True)
 class PhotoSamples:
-    """Samples of photographs.
+    """Samples of photographs."""
 
-    Attributes
-    ----------
-    values : (photographs, rows, columns) float64
-        Linear mean of the channels, NaN where saturated.
-    chosen : (photographs,) int
-        Number of each photograph among those given.
-    """
-
-    values: np.ndarray
-    chosen: np.ndarray
+    values: np.ndarray  # (photographs, rows, columns) float64: linear mean of the channels, NaN where saturated
+    chosen: np.ndarray  # (photographs,) int: number of each photograph among those given
 
 
 def sample_photographs(photographs: Sequence[Path], encoding: str | None) -> PhotoSamples | None:
@@ -75,25 +67,13 @@ def misfit_of(samples: PhotoSamples, directions: np.ndarray) -> float | None:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether photographs show near lamps at some positions, or far ones in those directions; both may stay open.
+    """Whether photographs show near lamps at some positions, or far ones in those directions; both may stay open."""
 
-    Attributes
-    ----------
-    near, far : bool
-        One explains the photographs clearly better, and the other would have shown.
-    width_mm : float
-        Of the photographs on the object, where lamps are near; 0 where they do not show it.
-    factor : float
-        Millimetres a unit of the positions; 0 where it is not known.
-    unit : str
-        Name of that unit.
-    """
-
-    near: bool
+    near: bool  # near, far: one explains the photographs clearly better, and the other would have shown
     far: bool
-    width_mm: float = 0.0
-    factor: float = 0.0
-    unit: str = ""
+    width_mm: float = 0.0  # of the photographs on the object, where lamps are near; 0 where they do not show it
+    factor: float = 0.0  # millimetres a unit of the positions; 0 where it is not known
+    unit: str = ""  # name of that unit
 
 
 def judge(samples: PhotoSamples, vectors: np.ndarray, columns: int, width_mm: float | None) -> Verdict:

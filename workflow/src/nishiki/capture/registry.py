@@ -56,25 +56,15 @@ Each has a writer, see `convert.WRITERS`."""
 
 @dataclass(frozen=True)
 class FolderLayout:
-    """One kind of source.
+    """One kind of source."""
 
-    Attributes
-    ----------
-    name : str
-        What users call it.
-    matches : callable
-        Function (source, options) -> evidence, such as the lights file, or None; quick. CaptureError where the layout
-        is recognised and ambiguous.
-    read : callable
-        Function (source, evidence, options) -> SourceLayout. CaptureError where the source cannot be used.
-    files : bool
-        Whether a source may be a file.
-    """
-
-    name: str
+    name: str  # what users call it
+    # function (source, options) -> evidence, such as the lights file, or None; quick. CaptureError where the layout is
+    # recognised and ambiguous.
     matches: Callable[[Path, ConvertOptions], Any]
+    # function (source, evidence, options) -> SourceLayout. CaptureError where the source cannot be used.
     read: Callable[[Path, Any, ConvertOptions], SourceLayout]
-    files: bool = False
+    files: bool = False  # whether a source may be a file
 
 
 CAMERAS: tuple[tuple[str, Callable, Callable], ...] = (

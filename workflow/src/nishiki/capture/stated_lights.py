@@ -24,47 +24,24 @@ Sampler = Callable[[], PhotoSamples | None]
 
 @dataclass(frozen=True)
 class StatedLights:
-    """Lamps of a file and what else it states.
+    """Lamps of a file and what else it states."""
 
-    Attributes
-    ----------
-    lights : Lights
-        Names and vectors.
-    kind : str
-        `direction` or `position_mm`.
-    width_mm : float
-        Width of the whole photographs on the object, 0 if it is not known.
-    pitch_mm : float
-        Width of a pixel on the object, 0 if it is not known.
-    intensities : (lights, 1 or 3) float64 or None
-        Relative strengths.
-    region : tuple of int or None
-        Row, column, rows, columns that the file crops to.
-    open_kind : bool
-        Whether photographs have to tell directions from positions, see `decide`; without evidence they are directions
-        where `scaled`.
-    scaled : bool
-        Whether the vectors are of one length near 1.
-    rival : (lights, 3) float64 or None
-        Directions where the angles of the file are of another kind, `rival_kind`, or where lamps turn out to be far.
-    open_strengths : bool
-        Whether photographs have to tell what the intensities are, see `decide_strengths`.
-    shifts : (lights, 2) float64 or None
-        Columns and rows in pixels, see `Frame.shift_px`.
-    """
-
-    lights: Lights
-    kind: str = "direction"
-    width_mm: float = 0.0
-    pitch_mm: float = 0.0
-    intensities: np.ndarray | None = None
-    region: tuple[int, int, int, int] | None = None
+    lights: Lights  # names and vectors
+    kind: str = "direction"  # `direction` or `position_mm`
+    width_mm: float = 0.0  # width of the whole photographs on the object, 0 if it is not known
+    pitch_mm: float = 0.0  # width of a pixel on the object, 0 if it is not known
+    intensities: np.ndarray | None = None  # (lights, 1 or 3) float64 or None: relative strengths
+    region: tuple[int, int, int, int] | None = None  # row, column, rows, columns that the file crops to
+    # whether photographs have to tell directions from positions, see `decide`; without evidence they are directions
+    # where `scaled`
     open_kind: bool = False
-    scaled: bool = False
+    scaled: bool = False  # whether the vectors are of one length near 1
+    # (lights, 3) float64 or None: directions where the angles of the file are of another kind, `rival_kind`, or where
+    # lamps turn out to be far
     rival: np.ndarray | None = None
     rival_kind: str = ""
-    open_strengths: bool = False
-    shifts: np.ndarray | None = None
+    open_strengths: bool = False  # whether photographs have to tell what the intensities are, see `decide_strengths`
+    shifts: np.ndarray | None = None  # (lights, 2) float64 or None: columns and rows in pixels, see `Frame.shift_px`
 
 
 def read_lights_file(file: Path, kind: str | None, present: Collection[str]) -> StatedLights:

@@ -17,49 +17,25 @@ import numpy as np
 
 @dataclass(frozen=True)
 class TexturedMesh:
-    """Triangles with places in a texture.
+    """Triangles with places in a texture."""
 
-    Attributes
-    ----------
-    positions, normals : (n, 3) ndarray
-        Of the vertices, metres and unit vectors.
-    texture : (n, 2) ndarray
-        Places in the texture, 0 to 1, from its left and its top.
-    triangles : (t, 3) ndarray
-        Numbers of vertices, counter-clockwise seen from outside.
-    """
-
-    positions: np.ndarray
+    positions: np.ndarray  # positions, normals: (n, 3) ndarray: of the vertices, metres and unit vectors
     normals: np.ndarray
-    texture: np.ndarray
-    triangles: np.ndarray
+    texture: np.ndarray  # (n, 2) ndarray: places in the texture, 0 to 1, from its left and its top
+    triangles: np.ndarray  # (t, 3) ndarray: numbers of vertices, counter-clockwise seen from outside
 
 
 @dataclass(frozen=True)
 class SurfaceLook:
-    """Textures and constants of one material; rows of textures from the top.
+    """Textures and constants of one material; rows of textures from the top."""
 
-    Attributes
-    ----------
-    colour : (rows, columns, 3) uint8 ndarray
-        Colour of the base, sRGB.
-    roughness : float or (rows, columns) uint8 ndarray
-        0 to 1; of a texture 255 is 1.
-    reflectance : float
-        F0, 0 to below 1; where there are weights, of weight 1.
-    weight : (rows, columns) uint8 ndarray or None
-        Share of the reflectance, 255 is all.
-    normals : (rows, columns, 3) uint8 ndarray or None
-        Tangent space, y up, (n + 1) / 2.
-    metallic : float or (rows, columns) uint8 ndarray
-        1 of a metal, of a texture 255: the colour is that of its mirror, and the weight 1.
-    """
-
-    colour: np.ndarray
-    roughness: float | np.ndarray
-    reflectance: float
-    weight: np.ndarray | None = None
-    normals: np.ndarray | None = None
+    colour: np.ndarray  # (rows, columns, 3) uint8 ndarray: colour of the base, sRGB
+    roughness: float | np.ndarray  # float or (rows, columns) uint8 ndarray: 0 to 1; of a texture 255 is 1
+    reflectance: float  # F0, 0 to below 1; where there are weights, of weight 1
+    weight: np.ndarray | None = None  # (rows, columns) uint8 ndarray or None: share of the reflectance, 255 is all
+    normals: np.ndarray | None = None  # (rows, columns, 3) uint8 ndarray or None: tangent space, y up, (n + 1) / 2
+    # float or (rows, columns) uint8 ndarray: 1 of a metal, of a texture 255: the colour is that of its mirror, and the
+    # weight 1
     metallic: float | np.ndarray = 0.0
 
     @property

@@ -35,43 +35,25 @@ LEAST_IMPROVEMENT = 0.07  # of the misfit that undoing a movement takes away: 0.
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the photographs say of themselves and of their lamps.
+    """What the photographs say of themselves and of their lamps."""
 
-    Attributes
-    ----------
-    lights : tuple of int
-        Places of the lamps in the lights file.
-    names : tuple of str
-        Files of the photographs.
-    values : (lights, rows, columns, channels) float32
-        Reduced photographs, divided by their boards or strengths where there are any; NaN where saturated or outside
-        of the object.
-    lamps : (lights, 3) or (lights, rows, columns, 3) float64
-        Vectors to the lamps, see `examine_photographs`.
-    directions : (lights, 3) float64
-        Unit vectors to the lamps as stated.
-    movement : Movement
-        Of the camera between the photographs.
-    moved : (lights,) bool
-        Photographs that moved so that the others explain them better once the movement is undone.
-    aligned : (lights, rows, columns, channels) float32
-        `values` with that movement undone.
-    before, consistency : Consistency or None
-        What each photograph shows as it is, and with the movement undone; None where nothing can be told.
-    boards : (lights, rows, columns) float32 or None
-        The white boards at equal exposure; None where a photograph has none.
-    """
-
-    lights: tuple[int, ...]
-    names: tuple[str, ...]
+    lights: tuple[int, ...]  # places of the lamps in the lights file
+    names: tuple[str, ...]  # files of the photographs
+    # (lights, rows, columns, channels) float32: reduced photographs, divided by their boards or strengths where there
+    # are any; NaN where saturated or outside of the object
     values: np.ndarray
+    # (lights, 3) or (lights, rows, columns, 3) float64: vectors to the lamps, see `examine_photographs`
     lamps: np.ndarray
-    directions: np.ndarray
-    movement: Movement
+    directions: np.ndarray  # (lights, 3) float64: unit vectors to the lamps as stated
+    movement: Movement  # of the camera between the photographs
+    # (lights,) bool: photographs that moved so that the others explain them better once the movement is undone
     moved: np.ndarray
-    aligned: np.ndarray
+    aligned: np.ndarray  # (lights, rows, columns, channels) float32: `values` with that movement undone
+    # before, consistency: what each photograph shows as it is, and with the movement undone; None where nothing can be
+    # told
     before: Consistency | None
     consistency: Consistency | None
+    # (lights, rows, columns) float32 or None: the white boards at equal exposure; None where a photograph has none
     boards: np.ndarray | None
 
     @cached_property

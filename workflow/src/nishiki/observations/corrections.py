@@ -56,36 +56,20 @@ class Wishes(Protocol):
 
 @dataclass(frozen=True)
 class Corrections:
-    """What is put right.
+    """What is put right."""
 
-    Attributes
-    ----------
-    capture : Capture
-        The capture without the photographs that are left out.
-    kept : (lights,) int64
-        Numbers of those that remain, among the observed ones.
-    motions : dict of str to (2, 3) float64
-        By file, see `FrameReader.motions`.
-    gains : (lights,) float64
-        Strengths by which the remaining photographs are divided; 1 where nothing significant is known.
-    ambient : (channels,) float64
-        Light of the room to take off, relative to the albedo; 0 where there is none.
-    uncertainty : dict
-        Of what is put right, see `nishiki.photometric.expected_error.correction_error`; empty where nothing is.
-    measured : dict
-        What was measured and done, as plain values for the diagnostics.
-    problems : tuple of Problem
-        Warnings, one for each kind of correction.
-    """
-
-    capture: Capture
-    kept: np.ndarray
-    motions: dict[str, np.ndarray]
+    capture: Capture  # the capture without the photographs that are left out
+    kept: np.ndarray  # (lights,) int64: numbers of those that remain, among the observed ones
+    motions: dict[str, np.ndarray]  # dict of str to (2, 3) float64: by file, see `FrameReader.motions`
+    # (lights,) float64: strengths by which the remaining photographs are divided; 1 where nothing significant is known
     gains: np.ndarray
+    # (channels,) float64: light of the room to take off, relative to the albedo; 0 where there is none
     ambient: np.ndarray
+    # of what is put right, see `nishiki.photometric.expected_error.correction_error`; empty where nothing is
     uncertainty: dict[str, Any] = field(default_factory=dict)
+    # what was measured and done, as plain values for the diagnostics
     measured: dict[str, Any] = field(default_factory=dict)
-    problems: tuple[Problem, ...] = ()
+    problems: tuple[Problem, ...] = ()  # warnings, one for each kind of correction
 
     @property
     def strengths(self) -> np.ndarray:

@@ -39,28 +39,17 @@ WHITENING = 0.3  # part of the mean amplitude below which frequencies count less
 
 @dataclass(frozen=True)
 class Movement:
-    """Movement of each photograph against the first.
+    """Movement of each photograph against the first."""
 
-    Attributes
-    ----------
-    shift : (lights, 2) float64
-        Displacement of the picture's centre, columns and rows, pixels.
-    turn, scale : (lights,) float64
-        Turn in radians, from columns to rows, and change of scale; 0 where they are not significant.
-    sigma : (lights,) float64
-        Standard error of the displacement along one axis, pixels, infinite where nothing was measured.
-    reach : float
-        Half of the picture's diagonal, pixels.
-    centre : (2,) float64
-        Column and row of the picture's centre.
-    """
-
-    shift: np.ndarray
+    shift: np.ndarray  # (lights, 2) float64: displacement of the picture's centre, columns and rows, pixels
+    # turn, scale: (lights,) float64: turn in radians, from columns to rows, and change of scale; 0 where they are not
+    # significant
     turn: np.ndarray
     scale: np.ndarray
+    # (lights,) float64: standard error of the displacement along one axis, pixels, infinite where nothing was measured
     sigma: np.ndarray
-    reach: float
-    centre: np.ndarray
+    reach: float  # half of the picture's diagonal, pixels
+    centre: np.ndarray  # (2,) float64: column and row of the picture's centre
 
     @property
     def largest(self) -> np.ndarray:

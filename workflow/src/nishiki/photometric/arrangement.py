@@ -41,32 +41,19 @@ LETTERS = "xy"
 
 @dataclass(frozen=True)
 class Arrangement:
-    """How lamps belong to photographs, and which way their axes run, by what is seen.
+    """How lamps belong to photographs, and which way their axes run, by what is seen."""
 
-    Attributes
-    ----------
-    order : tuple of int
-        order[i]: the stated lamp that photograph i shows.
-    axes : str
-        Axes of the lamps in terms of those stated, as `x,-y`.
-    residual, curl : (float, float)
-        As stated, and then: median misfit relative to the albedo, and root mean square curl relative to that of slopes
-        in any direction.
-    sigmas : (float, float)
-        By how many standard errors residual and curl are better than as stated; 0 where nothing is to be changed.
-    mirror_undecided : bool
-        Whether the slopes have as little curl with one axis mirrored, although they are no noise.
-    unexplained : bool
-        Whether the stated arrangement is wrong and none was found that explains the photographs, or two that do and of
-        which the simpler one is far worse; order and axes are then those stated.
-    """
-
-    order: tuple[int, ...]
-    axes: str
+    order: tuple[int, ...]  # order[i]: the stated lamp that photograph i shows
+    axes: str  # axes of the lamps in terms of those stated, as `x,-y`
+    # residual, curl: as stated, and then: median misfit relative to the albedo, and root mean square curl relative to
+    # that of slopes in any direction
     residual: tuple[float, float]
     curl: tuple[float, float]
+    # by how many standard errors residual and curl are better than as stated; 0 where nothing is to be changed
     sigmas: tuple[float, float]
-    mirror_undecided: bool
+    mirror_undecided: bool  # whether the slopes have as little curl with one axis mirrored, although they are no noise
+    # whether the stated arrangement is wrong and none was found that explains the photographs, or two that do and of
+    # which the simpler one is far worse; order and axes are then those stated
     unexplained: bool = False
 
     @property

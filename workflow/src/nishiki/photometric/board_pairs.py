@@ -44,22 +44,13 @@ GRAZED, FACING = 0.3, 0.9  # cosines of the lamp beyond which shadows make a pho
 
 @dataclass(frozen=True)
 class BoardPairs:
-    """Which boards belong to the photographs.
+    """Which boards belong to the photographs."""
 
-    Attributes
-    ----------
-    board : (lights,) int64
-        The lamp whose board each photograph shows; its own where nothing is gained.
-    before, after : (lights,) float64
-        Logarithms of the photographs' gains with their own boards, and with these.
-    alone : (lights,) bool
-        Photographs that no board explains.
-    """
-
-    board: np.ndarray
+    board: np.ndarray  # (lights,) int64: the lamp whose board each photograph shows; its own where nothing is gained
+    # before, after: (lights,) float64: logarithms of the photographs' gains with their own boards, and with these
     before: np.ndarray
     after: np.ndarray
-    alone: np.ndarray
+    alone: np.ndarray  # (lights,) bool: photographs that no board explains
 
 
 @none_where_undetermined

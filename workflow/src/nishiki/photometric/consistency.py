@@ -40,43 +40,25 @@ SURE = 5.0  # standard errors at which a difference counts: once in two million 
 
 @dataclass(frozen=True)
 class Consistency:
-    """What each photograph (lights,) shows about itself, against the prediction from the others.
+    """What each photograph (lights,) shows about itself, against the prediction from the others."""
 
-    Attributes
-    ----------
-    residual : (lights,) float64
-        Median of |value - prediction| over the median prediction; NaN: not predicted.
-    gain, gain_sigma : (lights,) float64
-        Strength relative to the median photograph, and its standard error.
-    offset, offset_sigma : (lights,) float64
-        Light that does not follow the lamp, relative to the albedo under a frontal lamp, and its standard error; the
-        ambient light that all photographs share is included.
-    direction : (lights, 3) float64
-        Unit vector to the lamp that explains the photograph.
-    direction_sigma_deg : (lights,) float64
-        Standard error of that direction, degrees.
-    failed : tuple of int
-        Photographs in which the lamp did not burn.
-    repeats : tuple of (int, int)
-        Photographs of one lamp though two are stated; the first one fits its stated lamp worse.
-    ambient, ambient_sigma : float
-        Offset that all photographs share, and its standard error.
-    gain_covariance : (lights, lights) float64
-        Of the gains.
-    """
-
+    # (lights,) float64: median of |value - prediction| over the median prediction; NaN: not predicted
     residual: np.ndarray
+    # gain, gain_sigma: (lights,) float64: strength relative to the median photograph, and its standard error
     gain: np.ndarray
     gain_sigma: np.ndarray
+    # offset, offset_sigma: (lights,) float64: light that does not follow the lamp, relative to the albedo under a
+    # frontal lamp, and its standard error; the ambient light that all photographs share is included
     offset: np.ndarray
     offset_sigma: np.ndarray
-    direction: np.ndarray
-    direction_sigma_deg: np.ndarray
-    failed: tuple[int, ...]
+    direction: np.ndarray  # (lights, 3) float64: unit vector to the lamp that explains the photograph
+    direction_sigma_deg: np.ndarray  # (lights,) float64: standard error of that direction, degrees
+    failed: tuple[int, ...]  # photographs in which the lamp did not burn
+    # tuple of (int, int): photographs of one lamp though two are stated; the first one fits its stated lamp worse
     repeats: tuple[tuple[int, int], ...]
-    ambient: float
+    ambient: float  # ambient, ambient_sigma: offset that all photographs share, and its standard error
     ambient_sigma: float
-    gain_covariance: np.ndarray
+    gain_covariance: np.ndarray  # (lights, lights) float64: of the gains
 
     def holds(self, directions: np.ndarray) -> bool:
         """Whether Lambert's law predicts the photographs well enough to conclude anything from its parameters."""

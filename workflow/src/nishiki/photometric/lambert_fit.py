@@ -40,40 +40,24 @@ LARGEST_STEP, WIDEST, NEAREST = 0.3, 4.0, 0.05  # of the width in distances of t
 
 @dataclass(frozen=True)
 class Fit:
-    """Lambert's law fitted to pixels under all lamps.
+    """Lambert's law fitted to pixels under all lamps."""
 
-    Attributes
-    ----------
-    normals : (pixels, 3) float64
-        Albedo times normal.
-    gains : (lights,) float64
-        Strengths, of median 1.
-    covariance : (lights, lights) float64
-        Of the strengths.
-    ambient, ambient_sigma : float
-        Ambient light relative to the albedo, and its standard error.
-    weights : (lights, pixels) float64
-        Weight of each value, 0 to 1; 0 where the lamp lights the pixel at a grazing angle or not at all.
-    residuals, alone : (lights, pixels) float64
-        Value less its fit, and less its prediction by a fit without this value.
-    inverses : (pixels, 3, 3) float64
-        Inverse normal matrices M.
-    scale : (pixels,) float64
-        Robust standard deviation of the residuals.
-    width, width_sigma : float
-        Of the picture, in the unit of the lamps' positions, and its standard error; 0 of lamps that are far.
-    """
-
-    normals: np.ndarray
-    gains: np.ndarray
-    covariance: np.ndarray
-    ambient: float
+    normals: np.ndarray  # (pixels, 3) float64: albedo times normal
+    gains: np.ndarray  # (lights,) float64: strengths, of median 1
+    covariance: np.ndarray  # (lights, lights) float64: of the strengths
+    ambient: float  # ambient, ambient_sigma: ambient light relative to the albedo, and its standard error
     ambient_sigma: float
+    # (lights, pixels) float64: weight of each value, 0 to 1; 0 where the lamp lights the pixel at a grazing angle or
+    # not at all
     weights: np.ndarray
+    # residuals, alone: (lights, pixels) float64: value less its fit, and less its prediction by a fit without this
+    # value
     residuals: np.ndarray
     alone: np.ndarray
-    inverses: np.ndarray
-    scale: np.ndarray
+    inverses: np.ndarray  # (pixels, 3, 3) float64: inverse normal matrices M
+    scale: np.ndarray  # (pixels,) float64: robust standard deviation of the residuals
+    # width, width_sigma: of the picture, in the unit of the lamps' positions, and its standard error; 0 of lamps that
+    # are far
     width: float
     width_sigma: float
 

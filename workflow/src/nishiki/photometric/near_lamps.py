@@ -29,38 +29,22 @@ LAW_ERROR = 0.1  # of the width, by which rough and glossy matter shift it: 0 to
 
 @dataclass(frozen=True)
 class NearLamps:
-    """What photographs show of the distance of their lamps.
+    """What photographs show of the distance of their lamps."""
 
-    Attributes
-    ----------
-    width, sigma : float
-        Width of the picture in the unit of the vectors to the lamps, and its standard error with that of the law.
-    left : float
-        Share of the robust misfit under far lamps that is left under near ones.
-    misfit : float
-        Median misfit under near lamps, relative to the albedo.
-    agrees : bool
-        Whether samples without gloss give the same width.
-    turn_deg : float
-        Median angle by which far lamps in place of near ones turn the normals.
-    bow : float
-        Height by which they lower the edge of a flat object below its middle, in widths of the picture; negative where
-        they raise it.
-    gains : (lights,) float64
-        Strengths of the lamps where the distances are those of their vectors, of median 1.
-    even : bool
-        Whether these strengths are those of lamps, see `nishiki.photometric.consistency.is_even`.
-    """
-
+    # width, sigma: width of the picture in the unit of the vectors to the lamps, and its standard error with that of
+    # the law
     width: float
     sigma: float
-    left: float
-    misfit: float
-    agrees: bool
-    turn_deg: float
+    left: float  # share of the robust misfit under far lamps that is left under near ones
+    misfit: float  # median misfit under near lamps, relative to the albedo
+    agrees: bool  # whether samples without gloss give the same width
+    turn_deg: float  # median angle by which far lamps in place of near ones turn the normals
+    # height by which they lower the edge of a flat object below its middle, in widths of the picture; negative where
+    # they raise it
     bow: float
+    # (lights,) float64: strengths of the lamps where the distances are those of their vectors, of median 1
     gains: np.ndarray
-    even: bool
+    even: bool  # whether these strengths are those of lamps, see `nishiki.photometric.consistency.is_even`
 
     @property
     def shown(self) -> bool:

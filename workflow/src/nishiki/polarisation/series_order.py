@@ -25,20 +25,13 @@ FEWEST_FITTED = 3  # surplus photographs that tell whether random orders fit as 
 
 @dataclass(frozen=True)
 class SeriesOrder:
-    """Order of the states that explains the photographs of a series best.
+    """Order of the states that explains the photographs of a series best."""
 
-    Attributes
-    ----------
-    order : tuple of int
-        order[i]: the photograph that shows state i; the stated order unless another one is better beyond doubt.
-    others : tuple of tuple of int
-        Exchanges of two photographs that explain them as well as `order`.
-    unexplained, corrected : float
-        Share of the variation between the photographs that the angles leave, as stated and in `order`.
-    """
-
+    # order[i]: the photograph that shows state i; the stated order unless another one is better beyond doubt
     order: tuple[int, ...]
-    others: tuple[tuple[int, ...], ...]
+    others: tuple[tuple[int, ...], ...]  # exchanges of two photographs that explain them as well as `order`
+    # unexplained, corrected: share of the variation between the photographs that the angles leave, as stated and in
+    # `order`
     unexplained: float
     corrected: float
 

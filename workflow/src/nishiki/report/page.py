@@ -21,34 +21,17 @@ Cell = str | float | None
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
-
-    Attributes
-    ----------
-    head : sequence of str
-        Names of the columns; empty: the table has none.
-    rows : sequence of sequences of Cell
-        The cells.
-    align : str
-        A letter for each column: l (text), w (text of several lines), r (number).
-    caption : str
-        What stands above the table.
-    groups : sequence of (str, int)
-        Headings above those of the columns, each with the number of columns that it spans.
-    marked : collection of int
-        Numbers of the rows that are tinted.
-    last_is_sum : bool
-        Whether the last row sums up the others.
-    """
+    """A table."""
 
     kind: ClassVar[str] = "table"
-    head: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
-    align: str
-    caption: str = ""
+    head: Sequence[str]  # names of the columns; empty: the table has none
+    rows: Sequence[Sequence[Cell]]  # the cells
+    align: str  # a letter for each column: l (text), w (text of several lines), r (number)
+    caption: str = ""  # what stands above the table
+    # sequence of (str, int): headings above those of the columns, each with the number of columns that it spans
     groups: Sequence[tuple[str, int]] = ()
-    marked: Collection[int] = ()
-    last_is_sum: bool = False
+    marked: Collection[int] = ()  # numbers of the rows that are tinted
+    last_is_sum: bool = False  # whether the last row sums up the others
 
 
 @dataclass(frozen=True)
@@ -225,33 +208,17 @@ STATES = {"finished": "finished", "unfinished": "not finished", "failed": "faile
 
 @dataclass(frozen=True)
 class SceneCard:
-    """What the page shows of a scene.
+    """What the page shows of a scene."""
 
-    Attributes
-    ----------
-    scene : str
-        Its name in the scene table.
-    state : str
-        One of STATES.
-    detail : str
-        What comes next of an unfinished scene, why another one failed; empty for a finished one.
-    title, about : str
-        As on the page of the scene; empty where it has none yet.
-    page, viewer, thumbnail : str
-        Files relative to the folder of the results; empty where there is none.
-    figures : sequence of Tile
-        The figures that matter most.
-    """
-
-    scene: str
-    state: str
-    detail: str = ""
-    title: str = ""
+    scene: str  # its name in the scene table
+    state: str  # one of STATES
+    detail: str = ""  # what comes next of an unfinished scene, why another one failed; empty for a finished one
+    title: str = ""  # title, about: as on the page of the scene; empty where it has none yet
     about: str = ""
-    page: str = ""
+    page: str = ""  # page, viewer, thumbnail: files relative to the folder of the results; empty where there is none
     viewer: str = ""
     thumbnail: str = ""
-    figures: Sequence[Metric] = ()
+    figures: Sequence[Metric] = ()  # the figures that matter most
 
 
 def campaign_page(title: str, cards: Sequence[SceneCard], version: str) -> str:

@@ -53,21 +53,11 @@ def closed_on_failure(opened: Closable) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Exposure:
-    """Settings of a photograph; None leaves the camera's own.
+    """Settings of a photograph; None leaves the camera's own."""
 
-    Attributes
-    ----------
-    seconds : float or None
-        Exposure time in seconds.
-    aperture : float or None
-        f-number.
-    iso : int or None
-        Sensitivity.
-    """
-
-    seconds: float | None = None
-    aperture: float | None = None
-    iso: int | None = None
+    seconds: float | None = None  # exposure time in seconds
+    aperture: float | None = None  # f-number
+    iso: int | None = None  # sensitivity
 
 
 class Camera(Protocol):
@@ -90,15 +80,9 @@ class Camera(Protocol):
 
 
 class Lamps(Protocol):
-    """Lamps of which at most one shines.
+    """Lamps of which at most one shines."""
 
-    Attributes
-    ----------
-    count : int
-        Number of lamps.
-    """
-
-    count: int
+    count: int  # number of lamps
 
     def light(self, lamp: int | None) -> None:
         """Light this lamp alone, numbered from 1; None: all off. Returns when the light is steady."""
@@ -108,15 +92,9 @@ class Lamps(Protocol):
 
 
 class Axis(Protocol):
-    """A turning axis: a turntable, or one arm of a goniometer.
+    """A turning axis: a turntable, or one arm of a goniometer."""
 
-    Attributes
-    ----------
-    range_deg : tuple of float
-        Smallest and largest angle, in degrees.
-    """
-
-    range_deg: tuple[float, float]
+    range_deg: tuple[float, float]  # smallest and largest angle, in degrees
 
     def home(self) -> None:
         """Find the axis's reference, after which its position is known. Needed once after opening."""
@@ -132,15 +110,9 @@ class Axis(Protocol):
 
 
 class Polariser(Protocol):
-    """A polariser, or a pair of them, that a motor or a person puts into a state.
+    """A polariser, or a pair of them, that a motor or a person puts into a state."""
 
-    Attributes
-    ----------
-    states : tuple of str
-        Its states, named as in the column `polariser` of frames.csv: `off`, `on`, `45`, `0/90`.
-    """
-
-    states: tuple[str, ...]
+    states: tuple[str, ...]  # its states, named as in the column `polariser` of frames.csv: `off`, `on`, `45`, `0/90`
 
     def set(self, state: str) -> None:
         """Put it into one of its states.
@@ -154,23 +126,13 @@ class Polariser(Protocol):
 
 @dataclass(frozen=True)
 class Rig:
-    """The devices of a rig, open.
-
-    Attributes
-    ----------
-    camera : Camera
-    lamps : Lamps or None
-        None where the lamps are not switched by this computer.
-    axes : dict of str to Axis
-        By their names in the rig's description: `turntable`, or the axes of a goniometer.
-    polarisers : dict of str to Polariser
-        By their names in the rig's description.
-    """
+    """The devices of a rig, open."""
 
     camera: Camera
-    lamps: Lamps | None = None
+    lamps: Lamps | None = None  # None where the lamps are not switched by this computer
+    # by their names in the rig's description: `turntable`, or the axes of a goniometer
     axes: dict[str, Axis] = field(default_factory=dict)
-    polarisers: dict[str, Polariser] = field(default_factory=dict)
+    polarisers: dict[str, Polariser] = field(default_factory=dict)  # by their names in the rig's description
 
     def home(self) -> None:
         """Home every axis, in the order of the description."""

@@ -30,36 +30,18 @@ EXPOSURE_TOLERANCE = 0.15  # relative: EXIF rounds to the steps of the camera's 
 
 @dataclass(frozen=True)
 class Measures:
-    """What is measured in a photograph.
+    """What is measured in a photograph."""
 
-    Attributes
-    ----------
-    rows, columns, channels : int
-        Its size.
-    sample : str
-        Type of its codes: uint8, uint16, float32.
-    level : float
-        Mean of all channels above the black level, of full scale.
-    saturated, dark : float
-        Shares of the pixels with a saturated channel, and without light in any.
-    peak : float
-        Code, of full scale, that one pixel of a thousand exceeds.
-    sharpness : float or None
-        Ratio of the energies of fine and coarser detail; None where there is none.
-    exposure_s : float or None
-        As EXIF tells.
-    """
-
-    rows: int
+    rows: int  # rows, columns, channels: its size
     columns: int
     channels: int
-    sample: str
-    level: float
-    saturated: float
+    sample: str  # type of its codes: uint8, uint16, float32
+    level: float  # mean of all channels above the black level, of full scale
+    saturated: float  # saturated, dark: shares of the pixels with a saturated channel, and without light in any
     dark: float
-    peak: float
-    sharpness: float | None
-    exposure_s: float | None
+    peak: float  # code, of full scale, that one pixel of a thousand exceeds
+    sharpness: float | None  # ratio of the energies of fine and coarser detail; None where there is none
+    exposure_s: float | None  # as EXIF tells
 
 
 def read_photograph(path: Path) -> np.ndarray:

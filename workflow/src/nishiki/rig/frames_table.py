@@ -35,38 +35,22 @@ ALL_ROLES = tuple(dict.fromkeys(ROLES + TURNTABLE_ROLES))
 
 @dataclass(frozen=True)
 class PlannedFrame:
-    """A photograph that a rig takes.
+    """A photograph that a rig takes."""
 
-    Attributes
-    ----------
-    file : str
-        Name in the capture.
-    role, light, view, polariser, angles_deg
-        As in frames.csv.
-    lamp : int or None
-        Number of the lamp, from 1; None: lamps stay as they are, and are off for dark frames.
-    axes, polarisers : tuple of pairs
-        Angle in degrees of each axis and state of each polariser of the rig, by name.
-    exposure_s : float, str or None
-        Seconds; `auto:object` or `auto:white`; None: as the camera is set.
-    aperture, iso : float, int or None
-    seconds, bytes : float, int
-        What the frame is expected to take.
-    """
-
-    file: str
-    role: str
-    lamp: int | None = None
+    file: str  # name in the capture
+    role: str  # role, light, view, polariser, angles_deg: as in frames.csv
+    lamp: int | None = None  # number of the lamp, from 1; None: lamps stay as they are, and are off for dark frames
     light: str = ""
     view: str = ""
     polariser: str = ""
     angles_deg: tuple[float, ...] = ()
+    # axes, polarisers: angle in degrees of each axis and state of each polariser of the rig, by name
     axes: tuple[tuple[str, float], ...] = ()
     polarisers: tuple[tuple[str, str], ...] = ()
-    exposure_s: float | str | None = None
+    exposure_s: float | str | None = None  # seconds; `auto:object` or `auto:white`; None: as the camera is set
     aperture: float | None = None
     iso: int | None = None
-    seconds: float = 0.0
+    seconds: float = 0.0  # seconds, bytes: what the frame is expected to take
     bytes: int = 0
 
     @property

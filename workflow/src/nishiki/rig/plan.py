@@ -183,13 +183,7 @@ GEOMETRIES = {"dome": "plane", "turntable": "turntable", "goniometer": "goniomet
 
 @dataclass(frozen=True)
 class ReadPlan:
-    """A plan, the folder that its file names count from, and its lamps.
-
-    Attributes
-    ----------
-    settings : DomePlan, TurntablePlan or GoniometerPlan
-    folder : Path
-    """
+    """A plan, the folder that its file names count from, and its lamps."""
 
     settings: AnyPlan
     folder: Path

@@ -22,73 +22,37 @@ Crop = tuple[tuple[slice, slice], np.ndarray]
 
 @dataclass(frozen=True)
 class SphereInput:
-    """What is given of the spheres.
+    """What is given of the spheres."""
 
-    Attributes
-    ----------
-    photographs : sequence of Path
-        One a lamp.
-    seeds : sequence of (row, column, radius)
-        Circles in pixels to a quarter of the radius; empty: spheres are searched.
-    mask : Path or None
-        Picture that is non-zero on the spheres.
-    count : int or None
-        Number of spheres that must be found; None: as many as there are.
-    focal_px : float or None
-        Focal length in pixels; infinite: seen from afar; None: from Exif or the agreement of the spheres.
-    radius_mm : float or None
-        Of every sphere.
-    object_height_mm : float
-        Of the object's surface above the plane on which the spheres lie.
-    board : sequence of Path
-        Photographs of a flat board in the object's plane, one a lamp in the same order.
-    compare : Path or None
-        A lights file.
-    """
-
-    photographs: Sequence[Path]
+    photographs: Sequence[Path]  # one a lamp
+    # sequence of (row, column, radius): circles in pixels to a quarter of the radius; empty: spheres are searched
     seeds: Sequence[tuple[float, float, float]] = ()
-    mask: Path | None = None
-    count: int | None = None
+    mask: Path | None = None  # picture that is non-zero on the spheres
+    count: int | None = None  # number of spheres that must be found; None: as many as there are
+    # focal length in pixels; infinite: seen from afar; None: from Exif or the agreement of the spheres
     focal_px: float | None = None
-    radius_mm: float | None = None
-    object_height_mm: float = 0.0
-    board: Sequence[Path] = ()
-    compare: Path | None = None
+    radius_mm: float | None = None  # of every sphere
+    object_height_mm: float = 0.0  # of the object's surface above the plane on which the spheres lie
+    board: Sequence[Path] = ()  # photographs of a flat board in the object's plane, one a lamp in the same order
+    compare: Path | None = None  # a lights file
 
 
 @dataclass
 class Findings:
-    """What the photographs show so far; filled step by step, so that a failure can be drawn.
+    """What the photographs show so far; filled step by step, so that a failure can be drawn."""
 
-    Attributes
-    ----------
-    mean : (rows, columns) float32
-        Of all photographs, reduced, and the brightest of them.
-    brightest : (rows, columns) float32
-    factor : float
-        Pixels of a photograph in a pixel of these.
-    camera : SphereCamera
-    outlines : list of Outline
-        One a sphere.
-    crops : list of (picture, (column, row))
-        Brightest of all photographs around each sphere, and the crop's corner.
-    highlights : dict
-        By (photograph, sphere); None where there is none.
-    rejected : list of (Circle, str)
-        Circles that were examined and why they are no mirror spheres.
-    left_out : dict
-        Reason by the name of each photograph whose lamp cannot be measured.
-    """
-
-    mean: np.ndarray
-    brightest: np.ndarray
-    factor: float
+    mean: np.ndarray  # (rows, columns) float32: of all photographs, reduced, and the brightest of them
+    brightest: np.ndarray  # (rows, columns) float32
+    factor: float  # pixels of a photograph in a pixel of these
     camera: SphereCamera
-    outlines: list[Outline] = field(default_factory=list)
+    outlines: list[Outline] = field(default_factory=list)  # one a sphere
+    # list of (picture, (column, row)): brightest of all photographs around each sphere, and the crop's corner
     crops: list[tuple[np.ndarray, tuple[int, int]]] = field(default_factory=list)
+    # by (photograph, sphere); None where there is none
     highlights: dict[tuple[int, int], Highlight | None] = field(default_factory=dict)
+    # list of (Circle, str): circles that were examined and why they are no mirror spheres
     rejected: list[tuple[Circle, str]] = field(default_factory=list)
+    # reason by the name of each photograph whose lamp cannot be measured
     left_out: dict[str, str] = field(default_factory=dict)
 
 

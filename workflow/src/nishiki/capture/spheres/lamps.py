@@ -48,38 +48,22 @@ class Falloff:
 
 @dataclass(frozen=True)
 class LampFit:
-    """Result of `fit_lamps`, in the unit of the spheres' radius; seen from the origin.
+    """Result of `fit_lamps`, in the unit of the spheres' radius; seen from the origin."""
 
-    Attributes
-    ----------
-    directions : (lamps, 3)
-        Unit vectors.
-    direction_sigma : (lamps,)
-        Root mean square error of the direction that the fit expects, radians.
-    inverse_distance, inverse_distance_sigma : (lamps,)
-        0 where one sphere alone was given.
-    position_sigma : (lamps,)
-        Root mean square error of the position; infinite where the distance is not determined.
-    residuals_px : dict
-        Distance of each highlight from where the fit expects it, by (lamp, sphere), pixels.
-    chi_square : float
-        Mean squared residual of the highlights in units of their uncertainty, by degree of freedom; 1 where the
-        uncertainties are right. NaN without redundancy.
-    falloff_rms : float
-        Root mean square of the relative residuals on the surface; NaN without one.
-    pitch : float
-        Length of a pixel in the object's plane.
-    """
-
-    directions: np.ndarray
-    direction_sigma: np.ndarray
+    directions: np.ndarray  # (lamps, 3): unit vectors
+    direction_sigma: np.ndarray  # (lamps,): root mean square error of the direction that the fit expects, radians
+    # inverse_distance, inverse_distance_sigma: (lamps,): 0 where one sphere alone was given
     inverse_distance: np.ndarray
     inverse_distance_sigma: np.ndarray
+    # (lamps,): root mean square error of the position; infinite where the distance is not determined
     position_sigma: np.ndarray
+    # distance of each highlight from where the fit expects it, by (lamp, sphere), pixels
     residuals_px: dict[tuple[int, int], float]
+    # mean squared residual of the highlights in units of their uncertainty, by degree of freedom; 1 where the
+    # uncertainties are right. NaN without redundancy.
     chi_square: float
-    falloff_rms: float
-    pitch: float
+    falloff_rms: float  # root mean square of the relative residuals on the surface; NaN without one
+    pitch: float  # length of a pixel in the object's plane
 
     @property
     def positions(self) -> np.ndarray:

@@ -45,36 +45,18 @@ LEAST_MEASURED = 0.5  # of the photographs: balls that fewer have highlights on 
 
 @dataclass(frozen=True)
 class MeasuredSpheres:
-    """Lamps of all photographs with a highlight.
+    """Lamps of all photographs with a highlight."""
 
-    Attributes
-    ----------
-    photographs : list of Path
-        Those whose lamp was measured.
-    names : list of str
-        Of their lamps.
-    findings : Findings
-        Its highlights count all photographs that were given; `numbers` are those of the measured.
-    numbers : list of int
-    fit : LampFit
-        In millimetres where the spheres' radius is known, else in radii.
-    lens_sigma : (lamps,)
-        Part of the uncertainty of the directions that the unknown lens makes, radians; within fit.direction_sigma.
-    positioned : bool
-        Whether all lamps have positions worth writing.
-    scene : SceneFit or None
-        How well the lamps explain what lies beside the spheres.
-    warnings : list of str
-    """
-
-    photographs: list[Path]
-    names: list[str]
-    findings: Findings
+    photographs: list[Path]  # those whose lamp was measured
+    names: list[str]  # of their lamps
+    findings: Findings  # its highlights count all photographs that were given; `numbers` are those of the measured
     numbers: list[int]
-    fit: LampFit
+    fit: LampFit  # in millimetres where the spheres' radius is known, else in radii
+    # (lamps,): part of the uncertainty of the directions that the unknown lens makes, radians; within
+    # fit.direction_sigma
     lens_sigma: np.ndarray
-    positioned: bool
-    scene: SceneFit | None
+    positioned: bool  # whether all lamps have positions worth writing
+    scene: SceneFit | None  # how well the lamps explain what lies beside the spheres
     warnings: list[str]
 
 

@@ -26,22 +26,12 @@ LEAST_SIGMA_PX = 0.05  # of a centroid: pixels are samples
 
 @dataclass(frozen=True)
 class SphereCamera:
-    """The camera that sees the spheres.
+    """The camera that sees the spheres."""
 
-    Attributes
-    ----------
-    rows, columns : int
-        Size of the photographs.
-    focal_px : float or None
-        Focal length in pixels; None: orthographic (seen from afar).
-    centre : (float, float)
-        Principal point (column, row).
-    """
-
-    rows: int
+    rows: int  # rows, columns: size of the photographs
     columns: int
-    focal_px: float | None
-    centre: tuple[float, float]
+    focal_px: float | None  # focal length in pixels; None: orthographic (seen from afar)
+    centre: tuple[float, float]  # principal point (column, row)
 
     @classmethod
     def of(cls, rows: int, columns: int, focal_px: float | None = None, centre=None) -> "SphereCamera":
@@ -145,30 +135,14 @@ def pixel_of_direction(
 
 @dataclass(frozen=True)
 class Highlight:
-    """The image of a lamp on a sphere.
+    """The image of a lamp on a sphere."""
 
-    Attributes
-    ----------
-    pixel : (2,)
-        Column and row at which the sphere shows the lamp's middle.
-    sigma_px : float
-        Standard deviation of that place.
-    area_px : float
-        Pixels above half the peak.
-    peak : float
-        Largest value above what the sphere shows without the lamp.
-    second : float
-        Light of the next largest highlight relative to this one.
-    cut : bool
-        Whether it reaches the sphere's outline or the edge of the photograph.
-    """
-
-    pixel: np.ndarray
-    sigma_px: float
-    area_px: float
-    peak: float
-    second: float
-    cut: bool
+    pixel: np.ndarray  # (2,): column and row at which the sphere shows the lamp's middle
+    sigma_px: float  # standard deviation of that place
+    area_px: float  # pixels above half the peak
+    peak: float  # largest value above what the sphere shows without the lamp
+    second: float  # light of the next largest highlight relative to this one
+    cut: bool  # whether it reaches the sphere's outline or the edge of the photograph
 
 
 def find_highlight(

@@ -28,28 +28,15 @@ REFLECTION_PX = 0.15  # how far what the rim reflects shifts the whole edge, whi
 
 @dataclass(frozen=True)
 class Outline:
-    """Outline of a sphere.
+    """Outline of a sphere."""
 
-    Attributes
-    ----------
-    parameters : (3,)
-        m for a perspective camera, (column, row, radius) in pixels for an orthographic one.
-    covariance : (3, 3)
-        Of the parameters: the jackknife over sectors of the outline, and a shift and growth of all of it by
-        `REFLECTION_PX`.
-    rms_px : float
-        Root mean square distance of the edge points used.
-    support : float
-        Share of the directions in which the edge was found.
-    points : (n, 2)
-        Edge points used (column, row).
-    """
-
-    parameters: np.ndarray
+    parameters: np.ndarray  # (3,): m for a perspective camera, (column, row, radius) in pixels for an orthographic one
+    # (3, 3): of the parameters: the jackknife over sectors of the outline, and a shift and growth of all of it by
+    # `REFLECTION_PX`
     covariance: np.ndarray
-    rms_px: float
-    support: float
-    points: np.ndarray
+    rms_px: float  # root mean square distance of the edge points used
+    support: float  # share of the directions in which the edge was found
+    points: np.ndarray  # (n, 2): edge points used (column, row)
 
     def circle(self, camera: SphereCamera) -> tuple[float, float, float]:
         """Column, row and radius in pixels of the circle nearest to the outline."""

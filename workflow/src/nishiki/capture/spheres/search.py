@@ -26,24 +26,13 @@ BLUR = 0.7  # pixels; below, noise of single pixels makes highlights
 
 @dataclass(frozen=True)
 class Cluster:
-    """Moving highlights near one place, one a photograph.
+    """Moving highlights near one place, one a photograph."""
 
-    Attributes
-    ----------
-    score : float
-        Share of the photographs with a highlight, less a tenth for each further highlight a photograph.
-    centre : (2,)
-        Of the smallest circle around the highlights (column, row), in pixels of the whole photographs.
-    radius : float
-        Of that circle.
-    places : dict
-        Highlight (2,) by the photograph's number.
-    """
-
-    score: float
+    score: float  # share of the photographs with a highlight, less a tenth for each further highlight a photograph
+    # (2,): of the smallest circle around the highlights (column, row), in pixels of the whole photographs
     centre: np.ndarray
-    radius: float
-    places: dict[int, np.ndarray]
+    radius: float  # of that circle
+    places: dict[int, np.ndarray]  # highlight (2,) by the photograph's number
 
 
 @dataclass(frozen=True)
@@ -169,20 +158,11 @@ LEAST_Z = 0.2  # of normals whose slopes count
 
 @dataclass(frozen=True)
 class SceneFit:
-    """Agreement of lamps with a scene.
+    """Agreement of lamps with a scene."""
 
-    Attributes
-    ----------
-    residual : float
-        Share of the squared light that Lambert's law leaves.
-    by_chance : float
-        Share of random orders of the lamps that leave as little.
-    tilt_deg : float
-        Angle of the mean slope: a surface that returns to its height at the edge of the photograph is level on average.
-    """
-
-    residual: float
-    by_chance: float
+    residual: float  # share of the squared light that Lambert's law leaves
+    by_chance: float  # share of random orders of the lamps that leave as little
+    # angle of the mean slope: a surface that returns to its height at the edge of the photograph is level on average
     tilt_deg: float
 
     @property

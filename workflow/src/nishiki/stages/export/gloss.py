@@ -154,20 +154,14 @@ MATTE = GltfMaterial(1.0, 0.0, 1.5)
 
 @dataclass(frozen=True)
 class RegionGloss:
-    """Materials of one or several regions.
+    """Materials of one or several regions."""
 
-    Attributes
-    ----------
-    materials : tuple of GltfMaterial
-        One a region, all of the same index of refraction and factor; with several regions as 8 bits hold them.
-    labels : (rows, columns) uint8 ndarray or None
-        Region of each texel; None where there is one region only.
-    widened : (rows, columns) uint8 ndarray or None
-        Roughness of each texel's lobe with the slopes inside the texel, 255 is 1; None: that of the material.
-    """
-
+    # one a region, all of the same index of refraction and factor; with several regions as 8 bits hold them
     materials: tuple[GltfMaterial, ...]
+    # (rows, columns) uint8 ndarray or None: region of each texel; None where there is one region only
     labels: np.ndarray | None = None
+    # (rows, columns) uint8 ndarray or None: roughness of each texel's lobe with the slopes inside the texel, 255 is 1;
+    # None: that of the material
     widened: np.ndarray | None = None
 
     def of(self, rows: np.ndarray, columns: np.ndarray) -> GltfMaterial:

@@ -84,18 +84,10 @@ FIRST_STEP = (
 
 @dataclass(frozen=True)
 class LobeBasis:
-    """Gloss as tables and weights.
+    """Gloss as tables and weights."""
 
-    Attributes
-    ----------
-    tables : (8, 3, 91) float64 ndarray
-        D of each function, for red, green and blue.
-    weights : (rows, columns, 8) uint8 ndarray
-        Shares of 255 of the functions at texels.
-    """
-
-    tables: np.ndarray
-    weights: np.ndarray
+    tables: np.ndarray  # (8, 3, 91) float64 ndarray: d of each function, for red, green and blue
+    weights: np.ndarray  # (rows, columns, 8) uint8 ndarray: shares of 255 of the functions at texels
 
     @classmethod
     def of(cls, ks: np.ndarray, sigma: np.ndarray) -> "LobeBasis":

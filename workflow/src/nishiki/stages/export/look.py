@@ -32,22 +32,13 @@ class Texels(NamedTuple):
 
 @dataclass(frozen=True)
 class PaintingLook:
-    """Material and textures of a painting.
+    """Material and textures of a painting."""
 
-    Attributes
-    ----------
-    gloss : PaintingGloss
-        Lobes of its regions, as each format takes them.
-    colours, normals : (rows, columns, 3) uint8 ndarray
-        Base colour, sRGB; normals of the relief, y up, (n + 1) / 2.
-    step : int
-        Pixels along the side of a texel.
-    """
-
-    gloss: PaintingGloss
+    gloss: PaintingGloss  # lobes of its regions, as each format takes them
+    # colours, normals: (rows, columns, 3) uint8 ndarray: base colour, sRGB; normals of the relief, y up, (n + 1) / 2
     colours: np.ndarray
     normals: np.ndarray
-    step: int
+    step: int  # pixels along the side of a texel
 
     def texels(self, rows: slice, columns: int) -> Texels:
         """Those that stand for pixels."""

@@ -205,27 +205,17 @@ def block_mean(values: np.ndarray, step: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Relief:
-    """Some rows of vertices of the mesh, and the triangles between them and the row above.
+    """Some rows of vertices of the mesh, and the triangles between them and the row above."""
 
-    Attributes
-    ----------
-    step : int
-        Pixels along the side of the square that a vertex stands for.
-    places, normals : (v, 3) float32 ndarray
-        Positions in the scene's unit, origin in the middle of the picture; unit normals.
-    colours : (v, 3) float32 ndarray
-        Linear sRGB, 0 where none was asked for.
-    texture : (v, 2) float32 ndarray
-        Place in the picture, 0 to 1, from its left and its top.
-    triangles : (t, 3) int64 ndarray
-        Numbers of vertices, counted from the first of the whole mesh; counter-clockwise seen from the camera.
-    """
-
-    step: int
+    step: int  # pixels along the side of the square that a vertex stands for
+    # places, normals: (v, 3) float32 ndarray: positions in the scene's unit, origin in the middle of the picture; unit
+    # normals
     places: np.ndarray
     normals: np.ndarray
-    colours: np.ndarray
-    texture: np.ndarray
+    colours: np.ndarray  # (v, 3) float32 ndarray: linear sRGB, 0 where none was asked for
+    texture: np.ndarray  # (v, 2) float32 ndarray: place in the picture, 0 to 1, from its left and its top
+    # (t, 3) int64 ndarray: numbers of vertices, counted from the first of the whole mesh; counter-clockwise seen from
+    # the camera
     triangles: np.ndarray
 
 
