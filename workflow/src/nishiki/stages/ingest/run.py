@@ -17,9 +17,10 @@ from nishiki.errors import require
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.goniometer_store import STORE as WINDOWS
 from nishiki.observations.goniometer_store import write_goniometer
-from nishiki.observations.plane_store import STORE, write_observations
+from nishiki.observations.plane import STORE
+from nishiki.observations.plane_store import write_observations
 from nishiki.observations.region import chosen, usage_of
-from nishiki.observations.views_store import STORE as VIEWS
+from nishiki.observations.views import STORE as VIEWS
 from nishiki.observations.views_store import geometry_sources, write_views
 
 WRITERS = {"plane": write_observations, "turntable": write_views, "goniometer": write_goniometer}
