@@ -362,7 +362,7 @@ def test_codes_near_the_top_of_fewer_bits_are_told_where_no_bits_are_stated(tmp_
     told = [p for p in check_capture(folder, level="full") if p.kind == "bits-unsaid"]
     assert [f"camera.bits: {bits};" in str(p) for p in told] == ([True] if bits else [])
     diagnostics = write_observations(load_capture(folder), tmp_path / "o", settings=IngestSettings())
-    assert any("camera.bits" in text for text in diagnostics.warnings) == bool(bits)
+    assert any("camera.bits" in text for text in diagnostics["warnings"]) == bool(bits)
     edit_yaml(folder, camera={**camera, "bits": 16})
     assert "bits-unsaid" not in {p.kind for p in check_capture(folder, level="full")}
 

@@ -104,7 +104,7 @@ def difference(field, reference, margin=8):
 def clean(tmp_path_factory):
     folder = tmp_path_factory.mktemp("clean")
     field, diagnostics, _ = digitise(write_set(folder / "s", [seen(light) for light in lamps()]), folder)
-    done = diagnostics.corrections["done"]
+    done = diagnostics["corrections"]["done"]
     assert not any(done.values()), done
     return field
 
@@ -145,7 +145,7 @@ def test_a_moved_camera_is_registered(clean, tmp_path, kind):
     moves = [MOVEMENTS[kind](j) for j in range(LAMPS)]
     source = write_set(tmp_path / "s", [seen(light, **move) for light, move in zip(lamps(), moves, strict=True)])
     field, diagnostics, _ = digitise(source, tmp_path)
-    measured = list(diagnostics.corrections["photographs"].values())
+    measured = list(diagnostics["corrections"]["photographs"].values())
     for move, row in zip(moves, measured, strict=True):
         assert np.allclose(row["shift_px"], move.get("shift", (0, 0)), atol=0.3)
         assert np.isclose(row["turn_deg"], np.degrees(move.get("turn", 0)), atol=0.3)
@@ -158,8 +158,8 @@ def test_a_movement_may_be_left_as_it_is(tmp_path):
     convert(source, tmp_path / "c")
     settings = IngestSettings(correct={"registration": "never"})
     diagnostics = write_observations(load_capture(tmp_path / "c"), tmp_path / "o", settings=settings)
-    assert diagnostics.corrections["done"]["registered"] == []
-    assert any("camera" in text for text in diagnostics.warnings)
+    assert diagnostics["corrections"]["done"]["registered"] == []
+    assert any("camera" in text for text in diagnostics["warnings"])
     judgements = []
     problems = check_capture(tmp_path / "c", level="full", judged=judgements.append)
     assert "camera-moved" in {problem.kind for problem in problems}
@@ -177,7 +177,7 @@ def test_a_stated_shift_is_undone(clean, tmp_path):
     (tmp_path / "c/frames.csv").write_text("\n".join([table[0] + ",shift_x_px,shift_y_px", *stated]) + "\n")
     settings = IngestSettings(correct={"registration": "never"})
     diagnostics = write_observations(load_capture(tmp_path / "c"), tmp_path / "o", settings=settings)
-    assert np.abs([row["shift_px"] for row in diagnostics.corrections["photographs"].values()]).max() < 0.2
+    assert np.abs([row["shift_px"] for row in diagnostics["corrections"]["photographs"].values()]).max() < 0.2
     observed = nishiki.read_observations(tmp_path / "c")
     field = nishiki.estimate_normals(observed.values.mean(axis=3), observed.directions, valid=observed.valid)
     assert difference(field, clean, margin=14) < ACCURATE
@@ -197,7 +197,7 @@ def test_room_light_of_a_frame_without_lamp_is_taken_off(clean, tmp_path):
     source = write_set(tmp_path / "s", [0.8 * seen(light) + room for light in lamps()])
     write_set(tmp_path / "dark", [room], np.array([[0, 0, 1.0]]))
     field, diagnostics, _ = digitise(source, tmp_path, ambient=tmp_path / "dark" / "p00.png")
-    assert not any(diagnostics.corrections["done"].values())
+    assert not any(diagnostics["corrections"]["done"].values())
     assert difference(field, clean) < ACCURATE / 5
     assert difference(digitise(source, tmp_path, "plain", {"ambient": "never"})[0], clean) > 1
 
@@ -213,7 +213,7 @@ def test_recorded_exposures_are_divided_out(clean, tmp_path):
     header = (tmp_path / "c" / "frames.csv").read_text().splitlines()[0]
     assert header == "file,role,light,exposure_s,iso"
     assert difference(field, clean) < ACCURATE
-    assert not any(diagnostics.corrections["done"].values())
+    assert not any(diagnostics["corrections"]["done"].values())
 
 
 @pytest.mark.slow
@@ -221,7 +221,7 @@ def test_lamps_of_unequal_strength_are_calibrated_by_the_photographs(clean, tmp_
     strengths = np.random.default_rng(5).uniform(0.6, 1.0, LAMPS)
     source = write_set(tmp_path / "s", [s * seen(light) for s, light in zip(strengths, lamps(), strict=True)])
     field, diagnostics, _ = digitise(source, tmp_path)
-    gains = np.array([diagnostics.corrections["photographs"][f"p{j:02d}"]["gain"] for j in range(LAMPS)])
+    gains = np.array([diagnostics["corrections"]["photographs"][f"p{j:02d}"]["gain"] for j in range(LAMPS)])
     assert np.allclose(gains / gains.mean(), strengths / strengths.mean(), rtol=0.03)
     assert difference(field, clean) < ACCURATE
 
@@ -232,7 +232,7 @@ def test_failed_lamps_and_repeated_photographs_are_left_out(clean, tmp_path):
     pictures[4] = np.zeros_like(pictures[4])
     pictures[8] = pictures[7]
     field, diagnostics, lights = digitise(write_set(tmp_path / "s", pictures), tmp_path)
-    assert set(diagnostics.corrections["done"]["left_out"]) == {"p04", "p08"}
+    assert set(diagnostics["corrections"]["done"]["left_out"]) == {"p04", "p08"}
     assert "p04" not in lights
     assert not failed(check_capture(tmp_path / "c", level="full"))
     page = capture_section(
@@ -305,6 +305,6 @@ def test_captures_of_bug_reports(data, tmp_path, case, done):
     scene = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(scene)
     field, diagnostics, _ = digitise(folder / case, tmp_path)
-    assert {name for name, what in diagnostics.corrections["done"].items() if what} == done
+    assert {name for name, what in diagnostics["corrections"]["done"].items() if what} == done
     cosine = np.clip((field.normals * scene.scene()[0]).sum(axis=2), -1, 1)
     assert np.degrees(np.arccos(cosine))[field.valid].mean() < ACCURATE

@@ -60,7 +60,7 @@ def reflectances(folder, target, settings=None):
 def test_ingest_keeps_the_windows_linear(tmp_path):
     folder = make_goniometer(tmp_path / "c", exposure_s=0.5, white_exposure_s=0.25)
     measured, result = opened(folder, tmp_path / "o")
-    assert (result.rows, result.columns, result.measurements, result.whites) == (16, 16, 29, 1)
+    assert (result["rows"], result["columns"], result["measurements"], result["whites"]) == (16, 16, 29, 1)
     assert measured.channels == ("red", "green", "blue")
     values = cloth(*directions(NORMAL))
     board = measured.read(measured.whites[0]).linear
@@ -92,7 +92,7 @@ def test_hot_pixels_are_left_out_and_saturated_ones_told(tmp_path):
     bright[8, 10, 1] = 65535
     write_frame(folder / "frames/s3.png", bright)
     measured, result = opened(folder, tmp_path / "o", white_block=4)
-    assert (result.defects, result.saturated) == (1, 1)
+    assert (result["defects"], result["saturated"]) == (1, 1)
     shot = measured.read(measured.samples[3])
     assert np.argwhere(~shot.usable).tolist() == [[7, 8]]
     assert np.argwhere(shot.saturated).tolist() == [[6, 6]]

@@ -210,5 +210,5 @@ def test_check_and_ingest_tell_an_exchanged_board(tmp_path, options):
     assert told.kind == "white-exchanged"
     expect_facts(told.found, "white/L01.png", "L01", "white/L09.png", "L09")
     diagnostics = write_observations(load_capture(folder), tmp_path, settings=IngestSettings())
-    (told,) = (text for text in diagnostics.warnings if "white/" in text)
+    (told,) = (text for text in diagnostics["warnings"] if "white/" in text)
     expect_facts(told, "white/L01.png", "L01", "white/L09.png", "L09")

@@ -51,7 +51,7 @@ def test_white_board_and_dark_frames_leave_albedo_times_cosine(tmp_path, block, 
     values, valid = observations.read(slice(0, ROWS))
     np.testing.assert_allclose(values, truth(), rtol=tolerance)
     assert valid.all()
-    assert diagnostics.warnings == ()
+    assert diagnostics["warnings"] == ()
     assert observations.roles == ("sample",) * 4 + ("check",)
     np.testing.assert_array_equal(observations.indices("check"), [4])
 
@@ -95,7 +95,7 @@ def test_darks_are_matched_by_exposure(tmp_path):
     np.testing.assert_allclose(observations.read(slice(0, ROWS))[0], truth(), rtol=2e-3)
     edit_text(folder / "frames.csv", "dark/dark.png,dark,,0.5", "dark/dark.png,dark,,0.7")
     _, diagnostics = ingest(folder, tmp_path / "o2", white_block=4)
-    assert "dark" in "".join(diagnostics.warnings)
+    assert "dark" in "".join(diagnostics["warnings"])
 
 
 def test_near_lamp_cosine_on_the_board_varies_over_the_picture(tmp_path):
@@ -130,7 +130,7 @@ def test_the_board_need_not_be_larger_than_the_object(tmp_path):
     values, valid = read_whole(observations)
     np.testing.assert_array_equal(valid, np.broadcast_to(mask, valid.shape))
     np.testing.assert_allclose(values[:, mask], truth()[:, mask], rtol=2e-3)
-    assert diagnostics.warnings == ()
+    assert diagnostics["warnings"] == ()
     assert check_capture(folder, level="full") == []
 
 
@@ -150,8 +150,8 @@ def test_only_the_bounding_box_of_the_mask_is_kept_and_its_observations_stay_the
     whole, _ = ingest(folder, tmp_path / "w", white_block=block)
     assert kept.shape[0] < whole.shape[0]
     assert kept.shape[1] < whole.shape[1]
-    assert diagnostics.region == tuple(kept.attributes["region_of_interest"])
-    assert diagnostics.photograph == (ROWS, COLUMNS)
+    assert diagnostics["region"] == tuple(kept.attributes["region_of_interest"])
+    assert diagnostics["photograph"] == (ROWS, COLUMNS)
     (values, valid), (expected, _) = read_whole(kept), read_whole(whole)
     np.testing.assert_array_equal(valid, np.broadcast_to(mask, valid.shape))
     np.testing.assert_allclose(values[:, mask], expected[:, mask], rtol=1e-6)
@@ -176,10 +176,10 @@ def test_what_may_not_be_used_is_marked(tmp_path):
     expected[2, 5, 6] = expected[2, 7, 8] = False
     expected[:, 20, 21] = False
     np.testing.assert_array_equal(valid, expected)
-    assert diagnostics.defects == 1
-    assert diagnostics.saturated[2] == 1 / mask.sum()
-    assert diagnostics.dark[2] == 1 / mask.sum()
-    assert diagnostics.mask_pixels == mask.sum()
+    assert diagnostics["defects"] == 1
+    assert diagnostics["saturated"][2] == 1 / mask.sum()
+    assert diagnostics["dark"][2] == 1 / mask.sum()
+    assert diagnostics["mask_pixels"] == mask.sum()
 
 
 @pytest.mark.slow
@@ -308,7 +308,7 @@ def test_hot_pixels_of_any_bits(tmp_path, bits):
     dark[10, 11] += int(0.01 * 2**bits)
     cv2.imwrite(str(folder / "dark/dark.png"), dark)
     observations, diagnostics = ingest(folder, tmp_path / "o", white_block=8)
-    assert diagnostics.defects == 1
+    assert diagnostics["defects"] == 1
     assert not observations.read(slice(0, ROWS))[1][0, 20, 21]
 
 
@@ -332,7 +332,7 @@ def test_hot_pixels_of_float_files_in_any_unit(tmp_path, unit, white):
     edit_text(folder / "frames.csv", ".png", ".exr")
     edit_yaml(folder, camera={})
     observations, diagnostics = ingest(folder, tmp_path / "o", white_block=8)
-    assert diagnostics.defects == 1
+    assert diagnostics["defects"] == 1
     assert not observations.read(slice(0, ROWS))[1][:, 20, 21].any()
 
 
@@ -403,7 +403,7 @@ def test_measured_sets(data, tmp_path, name):
     inside = observations.mask
     assert not valid[:, ~inside].any()
     assert valid[:, inside].mean() > 0.5
-    assert len(diagnostics.saturated) == len(observations.lights) == len(values)
+    assert len(diagnostics["saturated"]) == len(observations.lights) == len(values)
 
 
 @pytest.mark.slow

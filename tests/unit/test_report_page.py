@@ -3,7 +3,6 @@
 import importlib
 import json
 import re
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +70,7 @@ def ingested(root: Path, *, channels: str, **options) -> Artifact:
                 "sensitivities": np.exp(-0.5 * ((WAVELENGTHS_NM - centres) / 35) ** 2),
             }
         np.savez(writer.path("curves.npz"), **curves)
-        return {"capture": capture.settings.model_dump(mode="json"), **asdict(found)}
+        return {"capture": capture.settings.model_dump(mode="json"), **found}
 
     return artifact(root, IngestSettings(channels=channels), fill)
 

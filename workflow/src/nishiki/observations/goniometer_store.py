@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,40 +27,21 @@ FORMAT = 1  # of the file; readers refuse others
 CHUNK_BYTES = 4 << 20
 
 
-@dataclass(frozen=True)
-class GoniometerDiagnostics:
-    """What ingest found.
-
-    kind: photographs or table; measurements, whites: how many; rows, columns: kept of each photograph; saturated, dark:
-    photographs of the cloth with a saturated pixel, or without light, in the window kept; white_level: mean of the
-    boards as a fraction of full scale, least and greatest; defects: hot pixels.
-    """
-
-    kind: str
-    channels: tuple[str, ...]
-    measurements: int
-    whites: int
-    rows: int
-    columns: int
-    saturated: int
-    dark: int
-    white_level: tuple[float, ...]
-    defects: int
-    warnings: tuple[str, ...]
-    coding: str = ""
-
-
 def write_goniometer(
     capture: GoniometerCapture,
     folder: Path | str,
     *,
     settings: Settings,
     progress: Callable[[int, int, str], None] | None = None,
-) -> GoniometerDiagnostics:
+) -> dict[str, Any]:
     """Write `goniometer.json` with `goniometer.zarr` or `table.npz`; read them with `Measurements`.
 
     progress(done, of, file) is called once a photograph. Raises CaptureError (a UserError) for photographs that cannot
     be used.
+
+    Returns what ingest found. kind: photographs or table; measurements, whites: how many; rows, columns: kept of each
+    photograph; saturated, dark: photographs of the cloth with a saturated pixel, or without light, in the window kept;
+    white_level: mean of the boards as a fraction of full scale, least and greatest; defects: hot pixels.
     """
     folder = Path(folder)
     if capture.table is not None:
@@ -81,20 +63,20 @@ def write_goniometer(
     _write_names(capture, folder, reader, frames, darks, settings.white_block)
     doubts = label_problems(labels, require(capture.settings.goniometer.regions)) if labels is not None else []
     problems = (*capture.warnings, *doubts, *reader.warnings(), *darks.problems, *written.problems)
-    return GoniometerDiagnostics(
-        kind="photographs",
-        channels=reader.names,
-        measurements=len(capture.observed),
-        whites=len(frames) - len(capture.observed),
-        rows=reader.region[2],
-        columns=reader.region[3],
-        saturated=written.saturated,
-        dark=written.dark,
-        white_level=(min(written.levels), max(written.levels)),
-        defects=int(darks.defect.sum()),
-        warnings=tuple(map(str, group_problems(problems))),
-        coding=reader.coding.name,
-    )
+    return {
+        "kind": "photographs",
+        "channels": reader.names,
+        "measurements": len(capture.observed),
+        "whites": len(frames) - len(capture.observed),
+        "rows": reader.region[2],
+        "columns": reader.region[3],
+        "saturated": written.saturated,
+        "dark": written.dark,
+        "white_level": (min(written.levels), max(written.levels)),
+        "defects": int(darks.defect.sum()),
+        "warnings": tuple(map(str, group_problems(problems))),
+        "coding": reader.coding.name,
+    }
 
 
 @dataclass(frozen=True)
@@ -197,23 +179,24 @@ def write_names(folder: Path, capture: GoniometerCapture, more: dict) -> None:
     (folder / NAMES).write_text(json.dumps(names, indent=1, sort_keys=True, allow_nan=False) + "\n")
 
 
-def _write_table(capture: GoniometerCapture, folder: Path) -> GoniometerDiagnostics:
+def _write_table(capture: GoniometerCapture, folder: Path) -> dict[str, Any]:
     """Write the table as it was given; every file of a sealed capture is proven first."""
     digests, table = sealed_digests(capture.root), require(capture.table)
     for name in sorted(digests):
         expect_sealed(inside(capture.payload, name, "manifest-sha256.txt"), name, digests)
     np.savez(folder / TABLE, incident_deg=table.incident_deg, outgoing_deg=table.outgoing_deg, values=table.values)
     write_names(folder, capture, {"kind": "table", "channels": list(table.channels), "frames": []})
-    return GoniometerDiagnostics(
-        kind="table",
-        channels=table.channels,
-        measurements=len(table.values),
-        whites=0,
-        rows=1,
-        columns=1,
-        saturated=0,
-        dark=int((table.values <= 0).any(axis=1).sum()),
-        white_level=(),
-        defects=0,
-        warnings=tuple(map(str, group_problems(capture.warnings))),
-    )
+    return {
+        "kind": "table",
+        "channels": table.channels,
+        "measurements": len(table.values),
+        "whites": 0,
+        "rows": 1,
+        "columns": 1,
+        "saturated": 0,
+        "dark": int((table.values <= 0).any(axis=1).sum()),
+        "white_level": (),
+        "defects": 0,
+        "warnings": tuple(map(str, group_problems(capture.warnings))),
+        "coding": "",
+    }

@@ -1,73 +1,49 @@
 """Writing the ingested frames: the camera's own codes, re-tiled, with all that is needed to read them as light."""
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
-from nishiki.formats.problems import Problem, group_problems
+from nishiki.formats.problems import Problem
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.blocks import bands_with_object, rows_of_band
 from nishiki.observations.corrections import find_corrections
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.plane import FORMAT, STORE
 from nishiki.observations.plane_decode import count_unusable
-from nishiki.observations.reference import Gains, measure_darks, measure_gains, measure_room
+from nishiki.observations.reference import measure_darks, measure_gains, measure_room
 from nishiki.observations.region import chosen, edges_of, object_mask, region_around, region_numbers, window_of
 from nishiki.observations.resampling import subtract_room
 from nishiki.observations.store_parts import (
     ALL_SATURATED,
     PhotographCounter,
     Settings,
+    describe_samples,
     refuse_unusable,
     sample_warnings,
     write_small_arrays,
 )
 
 
-@dataclass(frozen=True)
-class IngestDiagnostics:
-    """What ingest found. Shares are of the pixels inside the mask, one a light (sample and check, in order).
-
-    rows, columns: of the part of the photographs that is kept; region: that part (row, column, rows, columns), the
-    bounding box of the mask with a rim; photograph: its rows and columns;
-    saturated: saturated in any channel; dark: at the lowest code in all channels; not_finite: counts; white_level:
-    median of the board as a fraction of full scale per light, and white_uniformity: 5th / 95th percentile over the
-    board per light, both of the worst channel, empty without a board; defects: hot or dead pixels;
-    coding: how codes became light; corrections: what was measured and put right, see
-    `nishiki.observations.corrections`.
-    """
-
-    rows: int
-    columns: int
-    channels: tuple[str, ...]
-    lights: tuple[str, ...]
-    dtype: str
-    band_rows: int
-    mask_pixels: int
-    region: tuple[int, int, int, int]
-    photograph: tuple[int, int]
-    saturated: tuple[float, ...]
-    dark: tuple[float, ...]
-    not_finite: tuple[int, ...]
-    white_level: tuple[float, ...]
-    white_uniformity: tuple[float, ...]
-    defects: int
-    warnings: tuple[str, ...]
-    coding: str = ""
-    corrections: dict = field(default_factory=dict)
-
-
 def write_observations(
     capture: Capture, folder: Path | str, *, settings: Settings, progress: Callable[[int, int, str], None] | None = None
-) -> IngestDiagnostics:
+) -> dict[str, Any]:
     """Write `frames.zarr` into the folder, which must not hold one; read it with `Observations`.
 
     progress(done, of, file) is called once a photograph. Two frames at a time are in memory. Raises CaptureError
     (a UserError) for photographs that cannot be used.
+
+    Returns what ingest found. saturated (in any channel), dark (at the lowest code in all channels), not_finite: of the
+    pixels inside the mask, one a light (sample and check, in order); region: the part of the photographs that is kept
+    (row, column, rows, columns), the bounding box of the mask with a rim; white_level: median of the board as a
+    fraction of full scale per light, and white_uniformity: 5th / 95th percentile over the board per light, both of the
+    worst channel, empty without a board; defects: hot or dead pixels; coding: how codes became light; corrections: what
+    was measured and put right, see `nishiki.observations.corrections`.
     """
     choice = chosen(capture, settings.without)
     capture = choice.capture
@@ -103,8 +79,21 @@ def write_observations(
         subtract_room(Path(folder) / STORE, corrections.ambient, corrections.gains)
     doubts = (*capture.warnings, *outline.problems, *label_warnings, *reader.warnings(), *corrections.problems)
     problems = (*doubts, *darks.problems, *gains.problems, *problems)
-    diagnostics = _diagnostics(reader, counts, mask, defect, gains, problems, band_rows)
-    return replace(diagnostics, corrections=corrections.measured)
+    inside = int(mask.sum(dtype=np.int64))
+    return {
+        **describe_samples(reader, counts, inside, problems),
+        "rows": rows,
+        "columns": columns,
+        "lights": tuple(frame.light for frame in capture.observed),
+        "band_rows": band_rows,
+        "mask_pixels": inside,
+        "region": reader.region,
+        "photograph": (reader.rows, reader.columns),
+        "white_level": gains.levels,
+        "white_uniformity": gains.uniformity,
+        "defects": int((defect & (mask > 0)).sum()),
+        "corrections": corrections.measured,
+    }
 
 
 def cropped(reader: FrameReader, mask: np.ndarray, white_block: int) -> tuple[FrameReader, np.ndarray]:
@@ -187,34 +176,3 @@ def _attributes(capture: Capture, reader: FrameReader, settings: Settings, band_
         "to_srgb": None if reader.to_srgb is None else reader.to_srgb.tolist(),
         "compression": settings.compression,
     }
-
-
-def _diagnostics(
-    reader: FrameReader,
-    counts: np.ndarray,
-    mask: np.ndarray,
-    defect: np.ndarray,
-    gains: Gains,
-    problems: Iterable[Problem],
-    band_rows: int,
-) -> IngestDiagnostics:
-    inside = int(mask.sum(dtype=np.int64))
-    return IngestDiagnostics(
-        rows=mask.shape[0],
-        columns=mask.shape[1],
-        channels=reader.names,
-        lights=tuple(f.light for f in reader.capture.observed),
-        dtype=str(reader.dtype),
-        band_rows=band_rows,
-        mask_pixels=inside,
-        region=reader.region,
-        photograph=(reader.rows, reader.columns),
-        saturated=tuple((counts[:, 0] / inside).tolist()),
-        dark=tuple((counts[:, 1] / inside).tolist()),
-        not_finite=tuple(counts[:, 2].tolist()),
-        white_level=gains.levels,
-        white_uniformity=gains.uniformity,
-        defects=int((defect & (mask > 0)).sum()),
-        warnings=tuple(map(str, group_problems(problems))),
-        coding=reader.coding.name,
-    )

@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
 from nishiki.capture.frames import Frame
 from nishiki.capture.seal import sha256_of
 from nishiki.formats.files import Refused
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error, group_problems, warning
 from nishiki.formats.text_tables import refusal
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.frames import FrameReader
@@ -80,6 +80,25 @@ def attempt(work: Callable[[], Iterable[Problem]]) -> list[Problem]:
         return list(e.problems)
     except Refused as e:
         return [refusal(e, "file-refused")]
+
+
+def describe_samples(
+    reader: FrameReader, counts: np.ndarray, inside: np.ndarray | int, problems: Iterable[Problem]
+) -> dict[str, Any]:
+    """Describe the samples of frames by their counts (frames, ..): saturated, dark and not finite ones.
+
+    The first two are given as shares of the pixels `inside`, (frames,) or one number; beside them channels, type, how
+    codes became light, and warnings.
+    """
+    return {
+        "channels": reader.names,
+        "dtype": str(reader.dtype),
+        "saturated": tuple((counts[:, 0] / inside).tolist()),
+        "dark": tuple((counts[:, 1] / inside).tolist()),
+        "not_finite": tuple(counts[:, 2].tolist()),
+        "warnings": tuple(map(str, group_problems(problems))),
+        "coding": reader.coding.name,
+    }
 
 
 class RepeatedFiles:

@@ -1,8 +1,8 @@
 """Write the views of an object: the camera's codes, with lamps, cameras and boards beside them."""
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from nishiki.capture.turntable_rules import UNITS_MM
 from nishiki.colour.colour import encode
 from nishiki.errors import require
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
-from nishiki.formats.problems import Problem, group_problems, refuse
+from nishiki.formats.problems import Problem, refuse
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.blocks import Edges, picture_edges
 from nishiki.observations.frames import FrameReader
@@ -25,6 +25,7 @@ from nishiki.observations.store_parts import (
     PhotographCounter,
     Settings,
     Tick,
+    describe_samples,
     refuse_unusable,
     sample_warnings,
     write_small_arrays,
@@ -109,47 +110,22 @@ def geometry_sources(capture: TurntableCapture) -> list[tuple[Path, str]]:
     ]
 
 
-@dataclass(frozen=True)
-class ViewsDiagnostics:
-    """What ingest found.
-
-    Shares are of the pixels inside the silhouette where one is given, else of the picture, one a frame (by light, view,
-    polariser state): saturated in any channel; at the lowest code in all; not_finite: counts.
-
-    white_level: median of the board as a fraction of full scale, by light, empty without a normalising board; defects:
-    hot or dead pixels.
-    """
-
-    rows: int
-    columns: int
-    channels: tuple[str, ...]
-    views: tuple[str, ...]
-    lights: tuple[str, ...]
-    states: tuple[str, ...]
-    dtype: str
-    saturated: tuple[float, ...]
-    dark: tuple[float, ...]
-    not_finite: tuple[int, ...]
-    white_level: tuple[float, ...]
-    defects: int
-    silhouettes: int
-    boards: int
-    calibration_pictures: int
-    warnings: tuple[str, ...]
-    coding: str = ""
-
-
 def write_views(
     capture: TurntableCapture,
     folder: Path | str,
     *,
     settings: Settings,
     progress: Callable[[int, int, str], None] | None = None,
-) -> ViewsDiagnostics:
+) -> dict[str, Any]:
     """Write `views.zarr` into the folder, which must not hold one; read it with `Views`.
 
     progress(done, of, file) is called once a photograph. Two photographs at a time are in memory, and the sum of the
     white boards of one polariser state. Raises CaptureError (a UserError) for photographs that cannot be used.
+
+    Returns what ingest found. saturated (in any channel), dark (at the lowest code in all), not_finite: of the pixels
+    inside the silhouette where one is given, else of the picture, one a frame (by light, view, polariser state);
+    white_level: median of the board as a fraction of full scale, by light, empty without a normalising board; defects:
+    hot or dead pixels.
     """
     choice = chosen(capture, settings.without)
     capture, opened = choice.capture, "photographs" not in choice.skipped
@@ -170,7 +146,19 @@ def write_views(
     block = settings.white_block
     group.update(**attributes_of(capture, reader, whites, white_block=block, silhouettes=outlines, boards=boards))
     problems = (*capture.warnings, *doubts, *reader.warnings(), *darks.problems, *whites.problems, *problems)
-    return _diagnostics(capture, reader, counts, whites, defect, outlines, boards, problems)
+    return {
+        **describe_samples(reader, counts, np.maximum(counts[:, 3], 1), problems),
+        "rows": reader.rows,
+        "columns": reader.columns,
+        "views": capture.views,
+        "lights": capture.light_names,
+        "states": capture.states,
+        "white_level": whites.levels,
+        "defects": int(defect.sum()),
+        "silhouettes": len(outlines),
+        "boards": len(boards),
+        "calibration_pictures": len(capture.frames_of("board")),
+    }
 
 
 def _write_silhouettes(
@@ -277,35 +265,3 @@ def grey_picture(codes: np.ndarray, reader: FrameReader) -> np.ndarray:
     if reader.coding.linear:
         grey = encode(np.nan_to_num(grey), "srgb")
     return np.rint(255 * np.clip(grey, 0, 1)).astype(np.uint8)[:, :, None]
-
-
-def _diagnostics(
-    capture: TurntableCapture,
-    reader: FrameReader,
-    counts: np.ndarray,
-    whites: Whites,
-    defect: np.ndarray,
-    outlines: list[str],
-    boards: list[list[str]],
-    problems: Iterable[Problem],
-) -> ViewsDiagnostics:
-    inside = np.maximum(counts[:, 3], 1)
-    return ViewsDiagnostics(
-        rows=reader.rows,
-        columns=reader.columns,
-        channels=reader.names,
-        views=capture.views,
-        lights=capture.light_names,
-        states=capture.states,
-        dtype=str(reader.dtype),
-        saturated=tuple((counts[:, 0] / inside).tolist()),
-        dark=tuple((counts[:, 1] / inside).tolist()),
-        not_finite=tuple(counts[:, 2].tolist()),
-        white_level=whites.levels,
-        defects=int(defect.sum()),
-        silhouettes=len(outlines),
-        boards=len(boards),
-        calibration_pictures=len(capture.frames_of("board")),
-        warnings=tuple(map(str, group_problems(problems))),
-        coding=reader.coding.name,
-    )

@@ -1,7 +1,6 @@
 """Ingest: photographs of a sealed capture to linear, white-normalised observations."""
 
 import shutil
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -50,7 +49,7 @@ def run(context: Context) -> dict:
         white_block=settings.white_block,
     )
     described = {"capture": capture.settings.model_dump(mode="json"), "read": read.as_dict()}
-    return {**described, **asdict(result)}
+    return {**described, **result}
 
 
 def write_curves(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> None:
