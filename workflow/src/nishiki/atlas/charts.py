@@ -175,15 +175,11 @@ MANY = 50
 
 @dataclass(frozen=True)
 class Rules:
-    """Say how a mesh is cut.
+    """Say how a mesh is cut."""
 
-    range_of_normals: over which normals are averaged before they are judged, of the mesh's extent; smallest: area
-    below which a piece is merged, of the whole surface; steepest_deg: largest angle between a triangle and its chart.
-    """
-
-    range_of_normals: float = 0.02
-    smallest: float = 0.01
-    steepest_deg: float = 80.0
+    range_of_normals: float = 0.02  # over which normals are averaged before they are judged, of the mesh's extent
+    smallest: float = 0.01  # area below which a piece is merged, of the whole surface
+    steepest_deg: float = 80.0  # largest angle between a triangle and its chart
 
 
 @dataclass(frozen=True)

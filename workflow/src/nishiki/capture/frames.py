@@ -312,16 +312,12 @@ class SourcePhotographs:
 
 @dataclass(frozen=True)
 class Photographed:
-    """The folder and the photographs of a capture of any geometry.
+    """The folder and the photographs of a capture of any geometry."""
 
-    root: the folder; payload: where capture.yaml lies (root, or root/data of a sealed one); frames: in the order of
-    frames.csv.
-    """
-
-    root: Path
-    payload: Path
+    root: Path  # the folder
+    payload: Path  # where capture.yaml lies (root, or root/data of a sealed one)
     settings: Any  # the CaptureFile, TurntableFile or GoniometerFile
-    frames: tuple[Frame, ...]
+    frames: tuple[Frame, ...]  # in the order of frames.csv
 
     @property
     def geometry(self) -> str:

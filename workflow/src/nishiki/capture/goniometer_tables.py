@@ -48,17 +48,14 @@ LEAST_SPREAD = 0.1  # greatest theta, in whatever unit, below which angles tell 
 
 @dataclass(frozen=True)
 class ReflectanceTable:
-    """A table of measured reflectances.
+    """A table of measured reflectances."""
 
-    incident_deg, outgoing_deg (n, 2) float64: theta and phi; values (n, channels) float64, sr^-1; channels: names;
-    warnings: what was tolerated.
-    """
-
+    # incident_deg, outgoing_deg (n, 2) float64: theta and phi; values (n, channels) float64, sr^-1
     incident_deg: np.ndarray
     outgoing_deg: np.ndarray
     values: np.ndarray
-    channels: tuple[str, ...]
-    warnings: tuple[Problem, ...] = ()
+    channels: tuple[str, ...]  # names
+    warnings: tuple[Problem, ...] = ()  # what was tolerated
 
 
 def read_table(path: Path, name: str, *, values: str = "brdf", azimuths: str = "cloth") -> ReflectanceTable:

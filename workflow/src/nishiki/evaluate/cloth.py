@@ -15,24 +15,19 @@ LEAST_VIEWS = 8
 
 @dataclass(frozen=True)
 class Judged:
-    """One model at one incidence.
+    """One model at one incidence."""
 
-    theta_i_deg, phi_i_deg: of the light; plane: weft, warp, or its azimuth within a quarter; views: compared; rms_rel:
-    root mean square error over root mean square, weighted by cos theta_r and the solid angle of each view's cell;
-    bias_rel: weighted mean error over weighted mean; peak_direction_deg: between the brightest predicted and the
-    brightest measured view, peak_value_rel: predicted over measured brightest value, less 1; both None where there are
-    fewer than 8 views; noise_rel: what rms_rel noise alone would give, None where unknown.
-    """
-
-    theta_i_deg: float
+    theta_i_deg: float  # theta_i_deg, phi_i_deg: of the light
     phi_i_deg: float
-    plane: str
-    views: int
+    plane: str  # weft, warp, or its azimuth within a quarter
+    views: int  # compared
+    # root mean square error over root mean square, weighted by cos theta_r and the solid angle of each view's cell
     rms_rel: float
-    bias_rel: float
+    bias_rel: float  # weighted mean error over weighted mean
+    # between the brightest predicted and the brightest measured view; None where there are fewer than 8 views
     peak_direction_deg: float | None
-    peak_value_rel: float | None
-    noise_rel: float | None
+    peak_value_rel: float | None  # predicted over measured brightest value, less 1; None likewise
+    noise_rel: float | None  # what rms_rel noise alone would give, None where unknown
 
 
 def plane_name(phi_deg: float) -> str:

@@ -81,20 +81,15 @@ _BAND_ROWS = 256  # that are in memory as float64
 
 @dataclass(frozen=True)
 class NormalErrors:
-    """Angles between estimated and true normals, degrees.
+    """Angles between estimated and true normals, degrees."""
 
-    map_deg: (rows, columns) float32, NaN where there is no truth; inside: all pixels with a truth, those without an
-    estimate included; estimated: those with one; unflagged, flagged: the estimated ones without and with a flag;
-    by_slope: (from, to) in degrees of the true slope -> estimated pixels; no_estimate: pixels inside without one.
-    """
-
-    map_deg: np.ndarray
-    inside: Summary
-    estimated: Summary
-    unflagged: Summary
+    map_deg: np.ndarray  # (rows, columns) float32, NaN where there is no truth
+    inside: Summary  # all pixels with a truth, those without an estimate included
+    estimated: Summary  # those with one
+    unflagged: Summary  # unflagged, flagged: the estimated ones without and with a flag
     flagged: Summary
-    by_slope: dict[tuple[float, float], Summary]
-    no_estimate: int
+    by_slope: dict[tuple[float, float], Summary]  # (from, to) in degrees of the true slope -> estimated pixels
+    no_estimate: int  # pixels inside without one
 
     def as_dict(self) -> dict:
         """Return plain values, for JSON."""
@@ -159,18 +154,14 @@ def normal_errors(
 
 @dataclass(frozen=True)
 class HeightError:
-    """Height against truth after removal of the best plane from the difference; unit of the heights.
+    """Height against truth after removal of the best plane from the difference; unit of the heights."""
 
-    rms, p90, worst: of the remaining difference; relief_rms: of the truth about its own best plane, to compare with;
-    tilt_deg: tilt of the removed plane where heights and pitch share a unit; pixels: number compared.
-    """
-
-    rms: float | None
+    rms: float | None  # rms, p90, worst: of the remaining difference
     p90: float | None
     worst: float | None
-    relief_rms: float | None
-    tilt_deg: float | None
-    pixels: int
+    relief_rms: float | None  # of the truth about its own best plane, to compare with
+    tilt_deg: float | None  # tilt of the removed plane where heights and pitch share a unit
+    pixels: int  # number compared
 
 
 def height_error(height: np.ndarray, truth: np.ndarray, *, pixels: np.ndarray, pitch: float = 1.0) -> HeightError:

@@ -41,16 +41,12 @@ class SquaredError:
 
 @dataclass(frozen=True)
 class LightScore:
-    """One light's prediction against the photograph.
+    """One light's prediction against the photograph."""
 
-    error, de00: over all compared pixels; by_class: class name -> (error, de00); excluded: pixels of the object that
-    were not compared, by reason.
-    """
-
-    error: SquaredError
+    error: SquaredError  # error, de00: over all compared pixels
     de00: Summary
-    by_class: dict[str, tuple[SquaredError, Summary]]
-    excluded: dict[str, int]
+    by_class: dict[str, tuple[SquaredError, Summary]]  # class name -> (error, de00)
+    excluded: dict[str, int]  # pixels of the object that were not compared, by reason
 
     def as_dict(self) -> dict:
         """Return plain values, for JSON."""

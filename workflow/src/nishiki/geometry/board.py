@@ -13,17 +13,13 @@ LEAST_CORNERS = 4  # of a pose
 
 @dataclass(frozen=True)
 class BoardShape:
-    """Describe a board.
+    """Describe a board."""
 
-    squares_x, squares_y: counts; square, marker: lengths of a side in the world's unit; dictionary: OpenCV's name of
-    the marker set.
-    """
-
-    squares_x: int
+    squares_x: int  # squares_x, squares_y: counts
     squares_y: int
-    square: float
+    square: float  # square, marker: lengths of a side in the world's unit
     marker: float
-    dictionary: str = "DICT_4X4_50"
+    dictionary: str = "DICT_4X4_50"  # OpenCV's name of the marker set
 
 
 @dataclass(frozen=True)

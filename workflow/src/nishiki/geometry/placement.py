@@ -85,17 +85,13 @@ EQUAL = 0.01  # overlaps that differ by less are equal
 
 @dataclass(frozen=True)
 class Placement:
-    """Hold the fit of a mesh to silhouettes.
+    """Hold the fit of a mesh to silhouettes."""
 
-    overlap: mean intersection over union of the mesh's outline and the silhouettes, as it lies; scale, order, signs: of
-    the reading that overlaps most, see `move_mesh`; best: its overlap.
-    """
-
-    overlap: float
-    scale: float
+    overlap: float  # mean intersection over union of the mesh's outline and the silhouettes, as it lies
+    scale: float  # scale, order, signs: of the reading that overlaps most, see `move_mesh`
     order: Triple
     signs: Triple
-    best: float
+    best: float  # its overlap
 
 
 def move_mesh(

@@ -260,15 +260,13 @@ class TurntablePoses:
 
 @dataclass(frozen=True)
 class Choice:
-    """Compare single poses with poses on one axis.
+    """Compare single poses with poses on one axis."""
 
-    cameras: the poses that predict left-out points better. turn: the poses on one axis. free_px, turn_px: root mean
-    square error at left-out points (each third of the points in its turn), None where a view has fewer than 6 points.
-    """
-
-    cameras: tuple[Camera, ...]
+    cameras: tuple[Camera, ...]  # the poses that predict left-out points better
     on_axis: bool
-    turn: TurntablePoses
+    turn: TurntablePoses  # the poses on one axis
+    # free_px, turn_px: root mean square error at left-out points (each third of the points in its turn), None where a
+    # view has fewer than 6 points
     free_px: float | None
     turn_px: float | None
 

@@ -174,21 +174,16 @@ def smoothed(mesh: Mesh, cameras: list[Camera], *, most_px: float, rounds: int =
 
 @dataclass(frozen=True)
 class Shape:
-    """Hold facts of a mesh.
-
-    open_edges: edges of one triangle only; crowded_edges: of more than two; parts: connected parts; watertight: no
-    open, crowded or inconsistently turned edge; genus: number of handles over all parts, None where not watertight;
-    volume, area: world's unit cubed (None where not watertight) and squared.
-    """
+    """Hold facts of a mesh."""
 
     vertices: int
     triangles: int
-    open_edges: int
-    crowded_edges: int
-    parts: int
-    watertight: bool
-    genus: int | None
-    volume: float | None
+    open_edges: int  # edges of one triangle only
+    crowded_edges: int  # of more than two
+    parts: int  # connected parts
+    watertight: bool  # no open, crowded or inconsistently turned edge
+    genus: int | None  # number of handles over all parts, None where not watertight
+    volume: float | None  # volume, area: world's unit cubed (None where not watertight) and squared
     area: float
 
 

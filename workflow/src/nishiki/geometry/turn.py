@@ -20,20 +20,15 @@ EQUAL_STEPS_DEG = 0.05
 
 @dataclass(frozen=True)
 class CircleCheck(PlainFields):
-    """The circle nearest to the camera centres.
+    """The circle nearest to the camera centres."""
 
-    axis: (3,) unit, the way the cameras go round (counter-clockwise seen from its tip); centre: (3,) of the circle;
-    radius: mean; radius_min, radius_max: over the views, relative to the mean; off_plane: largest distance from the
-    plane of the circle, relative to the radius; steps_deg: from view to view, the last one back to the first view.
-    """
-
-    axis: tuple[float, ...]
-    centre: tuple[float, ...]
-    radius: float
-    radius_min: float
+    axis: tuple[float, ...]  # (3,) unit, the way the cameras go round (counter-clockwise seen from its tip)
+    centre: tuple[float, ...]  # (3,) of the circle
+    radius: float  # mean
+    radius_min: float  # radius_min, radius_max: over the views, relative to the mean
     radius_max: float
-    off_plane: float
-    steps_deg: tuple[float, ...]
+    off_plane: float  # largest distance from the plane of the circle, relative to the radius
+    steps_deg: tuple[float, ...]  # from view to view, the last one back to the first view
 
     @property
     def full(self) -> bool:

@@ -19,22 +19,16 @@ REACH = np.radians(7.5)  # a view stands for directions this near
 
 @dataclass(frozen=True)
 class IncidenceCoverage:
-    """Hold the coverage of one direction of light.
+    """Hold the coverage of one direction of light."""
 
-    theta_deg, phi_deg: of the light (phi 0 along the normal); rows: indices of its measurements; views: how many;
-    unusable: of these, in the region where most are; covered: share of the hemisphere's solid angle within 7.5 degrees
-    of a usable view or its mirror image; gap_deg: from the worst direction of the hemisphere to the nearest view;
-    steepest_deg: greatest theta_r.
-    """
-
-    theta_deg: float
+    theta_deg: float  # theta_deg, phi_deg: of the light (phi 0 along the normal)
     phi_deg: float
-    rows: np.ndarray
-    views: int
-    unusable: int
-    covered: float
-    gap_deg: float
-    steepest_deg: float
+    rows: np.ndarray  # indices of its measurements
+    views: int  # how many
+    unusable: int  # of these, in the region where most are
+    covered: float  # share of the hemisphere's solid angle within 7.5 degrees of a usable view or its mirror image
+    gap_deg: float  # from the worst direction of the hemisphere to the nearest view
+    steepest_deg: float  # greatest theta_r
 
     def as_dict(self) -> dict:
         """Plain values for JSON, without the rows."""

@@ -19,18 +19,14 @@ LESS = 0.05  # of the error of left-out views, by which it falls for yarns that 
 
 @dataclass(frozen=True)
 class Interpolation:
-    """Hold the interpolation of a hemisphere.
+    """Hold the interpolation of a hemisphere."""
 
-    basic: the grid; left_out (regions,): relative error of the views, each predicted from the others, as the root mean
-    square of the logarithm; smoothing (regions,): chosen by it; points (regions,): views of
-    the reduced hemisphere that entered; measured, extrapolated: shares of the hemisphere's solid angle.
-    """
-
-    basic: BasicReflectance
+    basic: BasicReflectance  # the grid
+    # (regions,): relative error of the views, each predicted from the others, as the root mean square of the logarithm
     left_out: tuple[float, ...]
-    smoothing: tuple[float, ...]
-    points: tuple[int, ...]
-    measured: float
+    smoothing: tuple[float, ...]  # (regions,): chosen by it
+    points: tuple[int, ...]  # (regions,): views of the reduced hemisphere that entered
+    measured: float  # measured, extrapolated: shares of the hemisphere's solid angle
     extrapolated: float
 
 

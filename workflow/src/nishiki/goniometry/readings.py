@@ -155,17 +155,13 @@ def _of(light: np.ndarray, view: np.ndarray, lights: np.ndarray, views: np.ndarr
 
 @dataclass(frozen=True)
 class Averaged:
-    """Hold averages over repeats.
+    """Hold averages over repeats."""
 
-    rows (m,): index of the first measurement of each pair of directions; values, noise (m, regions, channels); valid
-    (m, regions); repeats (m,): measurements that were brought together.
-    """
-
-    rows: np.ndarray
-    values: np.ndarray
+    rows: np.ndarray  # (m,): index of the first measurement of each pair of directions
+    values: np.ndarray  # values, noise: (m, regions, channels)
     noise: np.ndarray
-    valid: np.ndarray
-    repeats: np.ndarray
+    valid: np.ndarray  # (m, regions)
+    repeats: np.ndarray  # (m,): measurements that were brought together
 
 
 def reflectance(
@@ -217,29 +213,22 @@ def average_repeats(
 
 @dataclass(frozen=True)
 class Photograph:
-    """A photograph of the cloth or of a board.
+    """A photograph of the cloth or of a board."""
 
-    linear (rows, columns, channels) float32: light as a fraction of full scale, divided by the exposure time where it
-    is given; saturated (rows, columns) bool: in any channel; usable (rows, columns) bool: finite and no defect, whether
-    saturated or not.
-    """
-
+    # (rows, columns, channels) float32: light as a fraction of full scale, divided by the exposure time where it is
+    # given
     linear: np.ndarray
-    saturated: np.ndarray
-    usable: np.ndarray
+    saturated: np.ndarray  # (rows, columns) bool: in any channel
+    usable: np.ndarray  # (rows, columns) bool: finite and no defect, whether saturated or not
 
 
 @dataclass(frozen=True)
 class Regions:
-    """Hold the labels of regions.
+    """Hold the labels of regions."""
 
-    labels: picture of the cloth along its normal; numbers: labels in order; upright, scale: see
-    `windows.regions_in_view`.
-    """
-
-    labels: np.ndarray
-    numbers: tuple[int, ...]
-    upright: str
+    labels: np.ndarray  # picture of the cloth along its normal
+    numbers: tuple[int, ...]  # labels in order
+    upright: str  # upright, scale: see `windows.regions_in_view`
     scale: float
 
 

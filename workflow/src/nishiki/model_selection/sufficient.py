@@ -18,15 +18,11 @@ MOST_BASES = 16  # that a fit may have
 
 @dataclass(frozen=True)
 class Bases:
-    """Hold the choice of bases.
+    """Hold the choice of bases."""
 
-    count: sufficient number of bases; loss: its addition to the expected error, as a part of it; counts, losses: of
-    every number tried.
-    """
-
-    count: int
-    loss: float
-    counts: tuple[int, ...]
+    count: int  # sufficient number of bases
+    loss: float  # its addition to the expected error, as a part of it
+    counts: tuple[int, ...]  # counts, losses: of every number tried
     losses: tuple[float, ...]
 
 

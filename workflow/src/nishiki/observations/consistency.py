@@ -85,20 +85,18 @@ class Judgement:
 
 @dataclass
 class ReducedPhotographs:
-    """Photographs and boards reduced frame by frame to linear light, and windows at full resolution.
-
-    mask (rows, columns): the object; gain (lights, r, c, channels): of the observed frames, see
-    `nishiki.observations.reference.Gains`; without it boards and intensities are divided by here. photographs, boards:
-    by place of the lamp, (rows, columns, channels) float32, NaN where saturated; windows, files: of the photographs.
-    """
+    """Photographs and boards reduced frame by frame to linear light, and windows at full resolution."""
 
     reader: FrameReader
     darks: DarkField
-    mask: np.ndarray
+    mask: np.ndarray  # (rows, columns): the object
+    # (lights, r, c, channels): of the observed frames, see `nishiki.observations.reference.Gains`; without it boards
+    # and intensities are divided by here
     gain: np.ndarray | None = None
+    # photographs, boards: by place of the lamp, (rows, columns, channels) float32, NaN where saturated
     photographs: dict[int, np.ndarray] = field(default_factory=dict)
     boards: dict[int, np.ndarray] = field(default_factory=dict)
-    windows: dict[int, list[np.ndarray]] = field(default_factory=dict)
+    windows: dict[int, list[np.ndarray]] = field(default_factory=dict)  # windows, files: of the photographs
     files: dict[int, str] = field(default_factory=dict)
 
     def __post_init__(self):

@@ -38,26 +38,22 @@ def unusable_coding(coding: Coding, file: str) -> Problem:
 
 @dataclass(frozen=True)
 class FrameReader(Generic[AnyCapture]):
-    """How to read this capture's photographs.
-
-    rows, columns, dtype, coding: of the first frame, which all others must match; bits: significant ones of a code,
-    None where all are; digests: of a sealed capture's files, against
-    which every photograph is proven before it is decoded; empty otherwise; largest: largest code of each frame seen.
-    motions: by file, (2, 3) column and row in the region, as it was photographed, of what is read at a column and row;
-    room: (rows, columns, channels) float16 linear light of the room at exposure 1, subtracted from the object's.
-    """
+    """How to read this capture's photographs."""
 
     capture: AnyCapture
     channels: str
-    rows: int
+    rows: int  # rows, columns, dtype, coding: of the first frame, which all others must match
     columns: int
     dtype: np.dtype
     coding: Coding
-    bits: int | None
+    bits: int | None  # significant ones of a code, None where all are
     region: Region
+    # of a sealed capture's files, against which every photograph is proven before it is decoded; empty otherwise
     digests: dict[str, str]
-    largest: list[float] = field(default_factory=list)
+    largest: list[float] = field(default_factory=list)  # largest code of each frame seen
+    # by file, (2, 3) column and row in the region, as it was photographed, of what is read at a column and row
     motions: Mapping[str, np.ndarray] = field(default_factory=dict)
+    # (rows, columns, channels) float16 linear light of the room at exposure 1, subtracted from the object's
     room: np.ndarray | None = None
 
     @classmethod

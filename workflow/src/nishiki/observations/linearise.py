@@ -46,17 +46,13 @@ def saturation_code(dtype: np.dtype, fraction: float | None, bits: int | None = 
 
 @dataclass(frozen=True)
 class Linearity:
-    """Straight line through patch values: value = slope * reflectance + intercept.
-
-    r_squared: share of the variance that the line explains; worst_deviation: largest distance from the line as a
-    fraction of the largest value; worst_patch: its index.
-    """
+    """Straight line through patch values: value = slope * reflectance + intercept."""
 
     slope: float
     intercept: float
-    r_squared: float
-    worst_deviation: float
-    worst_patch: int
+    r_squared: float  # share of the variance that the line explains
+    worst_deviation: float  # largest distance from the line as a fraction of the largest value
+    worst_patch: int  # its index
 
 
 def check_linearity(values: np.ndarray, reflectances: np.ndarray) -> Linearity:

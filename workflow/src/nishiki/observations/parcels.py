@@ -18,15 +18,13 @@ the side with which this many parcels cover the picture, if that is smaller."""
 
 @dataclass(frozen=True)
 class Parcel:
-    """rows, columns: place inside the band; directions (lights, 3) unit vectors to the lamps.
-
-    scale (lights,) float32: factor on the observations that removes the lamp's fall-off with the square of the distance
-    where no white board has removed it; 1 otherwise.
-    """
+    """rows, columns: place inside the band; directions (lights, 3) unit vectors to the lamps."""
 
     rows: slice
     columns: slice
     directions: np.ndarray
+    # (lights,) float32: factor on the observations that removes the lamp's fall-off with the square of the distance
+    # where no white board has removed it; 1 otherwise
     scale: np.ndarray
 
 

@@ -23,17 +23,13 @@ MIN_GOOD_BLOCKS = 0.5  # share below which a board is refused
 
 @dataclass(frozen=True)
 class WhiteField:
-    """gain (r, c, channels) float32, NaN where the board cannot be used; relative to the exposure of the board.
-
-    level: median of the board (channels,), fraction of full scale; uniformity: 5th / 95th percentile of the blocks, per
-    channel; bad_blocks: share of the needed blocks that cannot be used; problems: what the user should know.
-    """
+    """gain (r, c, channels) float32, NaN where the board cannot be used; relative to the exposure of the board."""
 
     gain: np.ndarray
-    level: np.ndarray
-    uniformity: np.ndarray
-    bad_blocks: float
-    problems: tuple[Problem, ...]
+    level: np.ndarray  # median of the board (channels,), fraction of full scale
+    uniformity: np.ndarray  # 5th / 95th percentile of the blocks, per channel
+    bad_blocks: float  # share of the needed blocks that cannot be used
+    problems: tuple[Problem, ...]  # what the user should know
 
 
 def white_field(
@@ -105,14 +101,11 @@ SAME_EXPOSURE = 0.01  # relative difference of times that count as one
 
 @dataclass(frozen=True)
 class DarkField:
-    """Dark level by exposure: levels[i] (r, c, channels) or (1, 1, channels) float32 for exposures_s[i] (None: any).
-
-    defect (rows, columns) bool: hot pixels.
-    """
+    """Dark level by exposure: levels[i] (r, c, channels) or (1, 1, channels) float32 for exposures_s[i] (None: any)."""
 
     exposures_s: tuple[float | None, ...]
     levels: tuple[np.ndarray, ...]
-    defect: np.ndarray
+    defect: np.ndarray  # (rows, columns) bool: hot pixels
     problems: tuple[Problem, ...]
 
     def at(self, exposure_s: float | None) -> np.ndarray:

@@ -74,18 +74,13 @@ class Movement:
 
 @dataclass(frozen=True)
 class Window:
-    """The same window of all photographs.
+    """The same window of all photographs."""
 
-    pictures: of all lights, (rows, columns) float32 or float16 linear light; inside: (rows, columns) bool, the object;
-    corner: column and row of its first pixel in the whole picture; step: pixels of the whole picture to one of the
-    window; margin: pixels around it that serve the alignment only.
-    """
-
-    pictures: Sequence[np.ndarray]
-    inside: np.ndarray
-    corner: np.ndarray
-    step: np.ndarray
-    margin: int = 0
+    pictures: Sequence[np.ndarray]  # of all lights, (rows, columns) float32 or float16 linear light
+    inside: np.ndarray  # (rows, columns) bool, the object
+    corner: np.ndarray  # column and row of its first pixel in the whole picture
+    step: np.ndarray  # pixels of the whole picture to one of the window
+    margin: int = 0  # pixels around it that serve the alignment only
 
     @property
     def centre(self) -> np.ndarray:

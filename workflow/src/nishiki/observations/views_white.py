@@ -24,8 +24,6 @@ class Whites:
     gain (lights, r, c, channels) float32 at the exposure of the board's light, NaN where the board cannot be used; ones
     (lights, 1, 1, channels) where none normalises. scale: factor of each observed frame for its exposure time; longest:
     `Frame.exposure` to which all are brought, or None; levels: of the boards, worst channel, by light.
-
-    defect (rows, columns) bool: dead pixels.
     """
 
     gain: np.ndarray
@@ -33,7 +31,7 @@ class Whites:
     longest: float | None
     normalised: bool
     levels: tuple[float, ...]
-    defect: np.ndarray
+    defect: np.ndarray  # (rows, columns) bool: dead pixels
     problems: tuple[Problem, ...]
 
 

@@ -15,19 +15,15 @@ LIT = 0.1
 
 @dataclass(frozen=True)
 class SeparationStatistics:
-    """Of one view, over the valid pixels of the object and all channels.
+    """Of one view, over the valid pixels of the object and all channels."""
 
-    valid: share of the object's pixels; diffuse, specular: means; negative: share of specular values below 0;
-    negative_mean: their mean; noise: standard deviation of the specular values' noise; doubtful: share of values below
-    -3 noise, which noise alone leaves at about 0.1 %. None where nothing is valid.
-    """
-
-    valid: float
-    diffuse: float | None
+    valid: float  # share of the object's pixels
+    diffuse: float | None  # diffuse, specular: means
     specular: float | None
-    negative: float | None
-    negative_mean: float | None
-    noise: float | None
+    negative: float | None  # share of specular values below 0
+    negative_mean: float | None  # their mean
+    noise: float | None  # standard deviation of the specular values' noise
+    # share of values below -3 noise, which noise alone leaves at about 0.1 %. None where nothing is valid.
     doubtful: float | None
 
 

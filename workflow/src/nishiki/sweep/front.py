@@ -11,17 +11,14 @@ NEGLIGIBLE = 0.01
 
 @dataclass(frozen=True)
 class Point:
-    """Place a variant in the plane of time and loss.
-
-    time: median over the repeats; low, high: least and greatest of them; loss: the error, less is better (the negative
-    of a measure of which more is better). For the drawing: the figure itself, what the variant is (default, paper,
-    peer, apart, nothing), what its tooltip says.
-    """
+    """Place a variant in the plane of time and loss."""
 
     name: str
-    time: float
-    low: float
+    time: float  # median over the repeats
+    low: float  # low, high: least and greatest of them
     high: float
+    # the error, less is better (the negative of a measure of which more is better). For the drawing: the figure itself,
+    # what the variant is (default, paper, peer, apart, nothing), what its tooltip says.
     loss: float
     figure: float = 0.0
     kind: str = ""

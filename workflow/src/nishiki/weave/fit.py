@@ -129,21 +129,17 @@ NOTHING = 1e-6  # a length over the period, or a strength, that is left out of w
 
 @dataclass(frozen=True)
 class WeaveModel:
-    """Both sections and what their surface does with light.
+    """Both sections and what their surface does with light."""
 
-    weft, warp: sections, each scaled to a period of 1. a_weft, a_warp: widths of D = exp(-theta_h^2 / a^2) (the paper's
-    e and a). index: refractive index. k_s, k_d (channels,): strengths of gloss and body (k_d stands for the paper's k_d
-    d), one pair for both planes. reading: "paper" or "shaded".
-    """
-
-    weft: WeftSection
+    weft: WeftSection  # weft, warp: sections, each scaled to a period of 1
     warp: WarpSection
-    a_weft: float
+    a_weft: float  # a_weft, a_warp: widths of D = exp(-theta_h^2 / a^2) (the paper's e and a)
     a_warp: float
-    index: float
+    index: float  # refractive index
+    # k_s, k_d (channels,): strengths of gloss and body (k_d stands for the paper's k_d d), one pair for both planes
     k_s: np.ndarray
     k_d: np.ndarray
-    reading: str = "paper"
+    reading: str = "paper"  # "paper" or "shaded"
 
     @property
     def f0(self) -> float:

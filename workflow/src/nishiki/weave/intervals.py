@@ -114,17 +114,12 @@ LEAST = 0.05  # share of a direction's largest part from which a parameter is na
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Hold the identifiability of the unknowns.
+    """Hold the identifiability of the unknowns."""
 
-    free: products of powers that change nothing. weak: those determined to no better than WEAK, the worst first;
-    weak_error: the relative change of one standard deviation. singular: values of the Jacobian over the largest,
-    falling.
-    """
-
-    free: list[str]
-    weak: list[str]
-    weak_error: list[float]
-    singular: list[float]
+    free: list[str]  # products of powers that change nothing
+    weak: list[str]  # those determined to no better than WEAK, the worst first
+    weak_error: list[float]  # the relative change of one standard deviation
+    singular: list[float]  # values of the Jacobian over the largest, falling
 
 
 def identify(predict, parameters: dict[str, float], weight: np.ndarray, *, variance: float) -> Identifiability:

@@ -177,21 +177,16 @@ def columns(weft, warp, widths, rows: np.ndarray, *, f0: float, reading: int) ->
 
 @dataclass(frozen=True)
 class WeaveBrdf(ArrayFields):
-    """Weave model in 4-D, reciprocal; see the fields of `nishiki.weave.fit.WeaveModel`.
-
-    diffuse, specular (channels,): k_d and k_s F0, sr^-1. weft, warp (6,): theta_a, l, r, m, n, contact. width (2,): of
-    the lobes, weft and warp plane. index: refractive index. reading: 0 the paper's, 2 the shaded
-    one. UserError for others, which earlier versions had.
-    """
+    """Weave model in 4-D, reciprocal; see the fields of `nishiki.weave.fit.WeaveModel`."""
 
     KIND: ClassVar[str] = "weave"
-    diffuse: np.ndarray
+    diffuse: np.ndarray  # diffuse, specular (channels,): k_d and k_s F0, sr^-1
     specular: np.ndarray
-    weft: np.ndarray
+    weft: np.ndarray  # weft, warp (6,): theta_a, l, r, m, n, contact
     warp: np.ndarray
-    width: np.ndarray
-    index: float
-    reading: int
+    width: np.ndarray  # (2,): of the lobes, weft and warp plane
+    index: float  # refractive index
+    reading: int  # 0 the paper's, 2 the shaded one. UserError for others, which earlier versions had.
 
     def __post_init__(self) -> None:
         if self.reading not in (PAPER, SHADED):

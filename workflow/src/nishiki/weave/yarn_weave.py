@@ -38,23 +38,20 @@ LEAST = 1e-3  # share of a place below which a yarn is left out
 
 
 class Form(NamedTuple):
-    """What the compiled functions take of a weave; lengths in warp spacings.
+    """What the compiled functions take of a weave; lengths in warp spacings."""
 
-    up: (rows, columns) 1 where the warp lies on top, else -1, a whole repeat; warp_middle (columns,), weft_middle
-    (rows,): middle of a yarn's one stretch below (warp) or above (weft) the others, in crossings; low, high: (2,) least
-    and largest smoothed side of warp and weft at their crossings; arch (2,): rise of a float.
-    """
-
+    # (rows, columns) 1 where the warp lies on top, else -1, a whole repeat; warp_middle (columns,), weft_middle
+    # (rows,): middle of a yarn's one stretch below (warp) or above (weft) the others, in crossings
     up: np.ndarray
     warp_middle: np.ndarray
     weft_middle: np.ndarray
-    low: np.ndarray
+    low: np.ndarray  # low, high: (2,) least and largest smoothed side of warp and weft at their crossings
     high: np.ndarray
     ratio: float
     half_width: np.ndarray
     half_thickness: np.ndarray
     amplitude: np.ndarray
-    arch: np.ndarray
+    arch: np.ndarray  # (2,): rise of a float
     bend: float
     step: int
     together: int

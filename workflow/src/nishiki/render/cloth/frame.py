@@ -35,21 +35,18 @@ class RenderVariant:
 
 @dataclass(frozen=True)
 class ClothPicture:
-    """A picture of a cloth.
+    """A picture of a cloth."""
 
-    linear (rows, columns, 3) float32: radiance relative to a white that faces a lamp of colour 1, mean over the whole
-    pixel (0 where nothing is); coverage (rows, columns) float32: part of the pixel that shows a surface, cloth: that
-    shows material 0; samples: points shaded; evaluated: places of the BRDF computed for all takes; bent: share of them
-    whose normal was turned towards the eye; shadowed: share of the lamps' light on them that other surfaces took away.
-    """
-
+    # (rows, columns, 3) float32: radiance relative to a white that faces a lamp of colour 1, mean over the whole pixel
+    # (0 where nothing is)
     linear: np.ndarray
+    # (rows, columns) float32: part of the pixel that shows a surface, cloth: that shows material 0
     coverage: np.ndarray
     cloth: np.ndarray
-    samples: int
-    evaluated: int
-    bent: float
-    shadowed: float
+    samples: int  # points shaded
+    evaluated: int  # places of the BRDF computed for all takes
+    bent: float  # share of them whose normal was turned towards the eye
+    shadowed: float  # share of the lamps' light on them that other surfaces took away
 
 
 @dataclass

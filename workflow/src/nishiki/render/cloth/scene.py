@@ -64,16 +64,13 @@ class Surface:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A distant lamp towards `direction`, or a near one at `place` (one of the two).
-
-    colour (3,): of white paper that faces it (at `distance` from a near one); radius: its angular radius, radians, or
-    that of a near lamp at `distance`.
-    """
+    """A distant lamp towards `direction`, or a near one at `place` (one of the two)."""
 
     direction: tuple[float, float, float] | None = None
     place: tuple[float, float, float] | None = None
+    # (3,): of white paper that faces it (at `distance` from a near one)
     colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    radius: float = 0.02
+    radius: float = 0.02  # its angular radius, radians, or that of a near lamp at `distance`
     distance: float = 1.0
 
     def __post_init__(self):

@@ -81,12 +81,10 @@ class Lighting:
 
 @dataclass(frozen=True)
 class Studio:
-    """A cloth with lamps and camera.
+    """A cloth with lamps and camera."""
 
-    scene: the cloth (material 0) and the paper (material 1, where there is one); camera at this azimuth about `middle`;
-    lights, and as lamps in the scene; light from around.
-    """
-
+    # the cloth (material 0) and the paper (material 1, where there is one); camera at this azimuth about `middle`;
+    # lights, and as lamps in the scene; light from around
     scene: ClothScene
     camera: Camera
     azimuth: float

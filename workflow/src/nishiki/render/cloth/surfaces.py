@@ -109,15 +109,11 @@ coordinates of a triangle count as degenerate."""
 
 @dataclass(frozen=True)
 class TangentField:
-    """Tangents of the weft.
+    """Tangents of the weft."""
 
-    weft (v, 3) float64: unit vectors across the normals; filled (v,) bool: transported from the neighbours, since
-    nothing was known there; arbitrary: vertices in parts of the surface where nothing was known at all.
-    """
-
-    weft: np.ndarray
-    filled: np.ndarray
-    arbitrary: int
+    weft: np.ndarray  # (v, 3) float64: unit vectors across the normals
+    filled: np.ndarray  # (v,) bool: transported from the neighbours, since nothing was known there
+    arbitrary: int  # vertices in parts of the surface where nothing was known at all
 
 
 def from_texture(

@@ -101,18 +101,14 @@ class Ambient:
 
 @dataclass(frozen=True)
 class View:
-    """Who looks: without an eye the frontal orthographic view, with one a pinhole camera.
+    """Who looks: without an eye the frontal orthographic view, with one a pinhole camera."""
 
-    eye_mm, target_mm: (3,) in the unit of the pitch from the centre of the painting, eye with z > 0; up: (3,), not
-    parallel to the line of sight; field_of_view: of the image's height, radians; rows, columns: of the image (for the
-    frontal view the default is the size of the maps).
-    """
-
+    # eye_mm, target_mm: (3,) in the unit of the pitch from the centre of the painting, eye with z > 0
     eye_mm: tuple | None = None
     target_mm: tuple = (0.0, 0.0, 0.0)
-    up: tuple = (0.0, 1.0, 0.0)
-    field_of_view: float = np.radians(30.0)
-    rows: int | None = None
+    up: tuple = (0.0, 1.0, 0.0)  # (3,), not parallel to the line of sight
+    field_of_view: float = np.radians(30.0)  # of the image's height, radians
+    rows: int | None = None  # rows, columns: of the image (for the frontal view the default is the size of the maps)
     columns: int | None = None
 
     def __post_init__(self):
@@ -138,16 +134,14 @@ class View:
 
 @dataclass(frozen=True)
 class Gloss:
-    """Torrance-Sparrow parameters, one row a region; a scene without regions has one row.
+    """Torrance-Sparrow parameters, one row a region; a scene without regions has one row."""
 
-    beta, gamma: (regions, lobes), strength relative to the white reference and half width at half maximum in radians;
-    refractive_index: (regions,) >= 1; transmission: (regions,) share (0 to 1) of the loss at a surface of that index
-    that the body's light suffers on its way in and out (`nishiki.brdf.torrance_sparrow.transmittance`).
-    """
-
+    # beta, gamma: (regions, lobes), strength relative to the white reference and half width at half maximum in radians
     beta: np.ndarray
     gamma: np.ndarray
-    refractive_index: np.ndarray
+    refractive_index: np.ndarray  # (regions,) >= 1
+    # (regions,) share (0 to 1) of the loss at a surface of that index that the body's light suffers on its way in and
+    # out (`nishiki.brdf.torrance_sparrow.transmittance`)
     transmission: np.ndarray | float = 0.0
 
     def __post_init__(self):

@@ -159,16 +159,12 @@ class Ends:
 
 @dataclass(frozen=True)
 class Chains:
-    """Hold random walks.
+    """Hold random walks."""
 
-    first, last: both ends. weight: (n, channels) area × π × transmission of the inner points, mm². order: (n,) number
-    of points, 2 to 1 + bounces.
-    """
-
-    first: Ends
+    first: Ends  # first, last: both ends
     last: Ends
-    weight: np.ndarray
-    order: np.ndarray
+    weight: np.ndarray  # (n, channels) area × π × transmission of the inner points, mm²
+    order: np.ndarray  # (n,) number of points, 2 to 1 + bounces
 
 
 def make_chains(solids: Solids, points: SurfacePoints, settings: ClothSettings, *, count: int, bounces: int) -> Chains:
