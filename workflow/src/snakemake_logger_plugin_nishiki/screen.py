@@ -22,13 +22,11 @@ class Screen:
     ----------
     stream : text stream
         Standard error.
-    live : bool, optional
-        Whether to keep a live line; default: on a terminal.
     """
 
-    def __init__(self, stream: TextIO, *, live: bool | None = None):
+    def __init__(self, stream: TextIO):
         self.stream = stream
-        self.live = stream.isatty() and os.environ.get("TERM", "dumb") != "dumb" if live is None else live
+        self.live = stream.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         self._shown = ""
         self._last = time.monotonic()
 

@@ -19,10 +19,10 @@ from nishiki.report.page import Facts, Listing, Page, Section, render_page
 from nishiki.version import PROJECT_VERSION
 
 
-def list_photographs(names: Sequence[str], *, least: int = 1, what: str = "photographs") -> list[Path]:
+def list_photographs(names: Sequence[str], *, what: str = "photographs") -> list[Path]:
     """Files as given, folders replaced by the photographs in them in natural order; masks in folders are left out.
 
-    UserError where a name is no file, two are called alike, they are fewer than `least`, or sizes differ.
+    UserError where a name is no file, two are called alike, there is none, or sizes differ.
     """
     paths: list[Path] = []
     for name in names:
@@ -33,8 +33,8 @@ def list_photographs(names: Sequence[str], *, least: int = 1, what: str = "photo
             paths.append(path)
         else:
             raise UserError(f"{name}: no such file or folder. Remedy: correct the path of the {what}")
-    if len(paths) < least:
-        raise UserError(f"{what}: expected at least {least}, found {len(paths)}")
+    if not paths:
+        raise UserError(f"{what}: expected at least one, found none")
     headers = [read_header(path) for path in paths]
     sizes = {(h.rows, h.columns, h.channels, h.sample) for h in headers}
     if len(sizes) > 1:

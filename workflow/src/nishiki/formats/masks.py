@@ -77,9 +77,9 @@ def examine_mask(path: Path, *, name: str | None = None) -> Mask:
     return Mask(inside, tuple(problems))
 
 
-def alpha_problems(path: Path, *, name: str | None = None) -> list[Problem]:
+def alpha_problems(path: Path) -> list[Problem]:
     """Warn (alpha-unused) where a photograph has a shape in its alpha channel, as one that was cut out has."""
-    name = name or path.name
+    name = path.name
     if not read_header(path, name=name).alpha:
         return []
     codes, count = _read_with_alpha(path, name)

@@ -42,9 +42,9 @@ def refusal(e: Refused, kind: str) -> Problem:
     return error(kind, e.file, e.what, expected=e.expected, found=e.found, remedy=e.remedy)
 
 
-def lines_of(content: bytes, *, encoding: str = "utf-8-sig") -> Iterator[tuple[int, str]]:
+def lines_of(content: bytes) -> Iterator[tuple[int, str]]:
     """Lines that are neither empty nor comments (#), with their numbers from 1, without their ends."""
-    stream = io.TextIOWrapper(io.BytesIO(content), encoding=encoding)
+    stream = io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig")
     for number, line in enumerate(stream, start=1):
         if line.strip() and not line.lstrip().startswith("#"):
             yield number, line.rstrip("\n")

@@ -280,10 +280,10 @@ def _joined(clouds: list[Cloud], motions: dict[int, Motion], without: int | None
     )
 
 
-def _together(clouds: list[Cloud], motions: dict[int, Motion], overlap: float, rounds: int = 3) -> np.ndarray:
+def _together(clouds: list[Cloud], motions: dict[int, Motion], overlap: float) -> np.ndarray:
     """Each scan against all others in turn, the first held; changes motions, returns the residuals."""
     residuals = np.zeros(len(clouds))
-    for _ in range(rounds if len(clouds) > 1 else 0):
+    for _ in range(3 if len(clouds) > 1 else 0):
         for index in range(len(clouds)):
             target = _joined(clouds, motions, without=index)
             motion, residuals[index] = align(

@@ -96,7 +96,7 @@ def _fitted(values: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray, weights: 
     return diffuse[..., None] * kd[:, None] + lobe[..., None] * ks[:, None]
 
 
-def decide_object_gloss(gain: Gain | None, setting: str, *, limit_db: float = LIMIT_DB) -> Decision:
+def decide_object_gloss(gain: Gain | None, setting: str) -> Decision:
     """Decide whether an object shows gloss; gain: None where the setting decides."""
     if gain is None:
         words = {"keep": "specular part kept", "drop": "no gloss: Lambert"}[setting]
@@ -107,4 +107,4 @@ def decide_object_gloss(gain: Gain | None, setting: str, *, limit_db: float = LI
     else:
         words = "no gloss: Lambert"
         loss = f"{max(gain.gain_db, 0.0):.2g} dB of the model alone on unseen observations"
-    return Decision("specular", words, criterion, gain.gain_db, limit_db, loss, "object_brdf.specular: keep")
+    return Decision("specular", words, criterion, gain.gain_db, LIMIT_DB, loss, "object_brdf.specular: keep")

@@ -98,9 +98,6 @@ def measured_choice(
     directions: np.ndarray,
     samples: Sequence[LightSample],
     solve: Solve,
-    *,
-    limit_deg: float = LIMIT_DEG,
-    fewest: int = FEWEST,
 ) -> tuple[np.ndarray, Decision | None]:
     """As `static_choice`, with the number found: the fewest lights by which half of the sample's normals stay in place.
 
@@ -108,20 +105,20 @@ def measured_choice(
     until the check is passed. None decided where there are no more than `fewest` lights, or no pixel to judge by.
     """
     count = len(directions)
-    if count <= fewest or not samples:
+    if count <= FEWEST or not samples:
         return np.arange(count), None
     order = spread_order(directions)
     full = [solve(sample.observations, sample.directions, sample.valid) for sample in samples]
-    number, predicted = _predicted_number(order, samples, full, limit_deg, fewest)
+    number, predicted = _predicted_number(order, samples, full, LIMIT_DEG, FEWEST)
     moved = np.inf
     while number < count:
         moved = moved_deg(np.sort(order[:number]), samples, full, solve)
-        if moved <= limit_deg:
+        if moved <= LIMIT_DEG:
             break
         number = min(count, number + -(-number // 4))
     saved = number < count
     if not np.isfinite(moved):  # none fewer was worth checking: what a quarter fewer would cost
-        moved = added_deg(order[: max(fewest, 3 * count // 4)], samples, full)
+        moved = added_deg(order[: max(FEWEST, 3 * count // 4)], samples, full)
     if saved:
         loss = f"half of the normals move by less than {moved:.2g} degrees (noise alone predicts {predicted:.2g})"
     else:
@@ -131,7 +128,7 @@ def measured_choice(
         f"{number} of {count} lights" + ", evenly spread" * saved,
         "median angle to the normals of all lights on a sample, degrees",
         float(moved),
-        limit_deg,
+        LIMIT_DEG,
         loss,
         OVERRIDE,
     )

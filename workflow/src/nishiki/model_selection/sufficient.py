@@ -226,30 +226,34 @@ def static_choice(measured: ReflectanceSet, setting: str | int) -> tuple[np.ndar
     return np.sort(order[: int(setting)]), decision
 
 
-def measured_choice(
-    measured: ReflectanceSet, *, grid_deg: float, limit: float = VIEWS_LIMIT, fewest: int = FEWEST
-) -> tuple[np.ndarray | None, Decision | None]:
+def measured_choice(measured: ReflectanceSet, *, grid_deg: float) -> tuple[np.ndarray | None, Decision | None]:
     """As `static_choice`, with the number found: the fewest views from which the others are told within the limit.
 
-    Numbers grow by GROWTH from `fewest`; of each the hemisphere is completed from the views used on a grid
+    Numbers grow by GROWTH from FEWEST; of each the hemisphere is completed from the views used on a grid
     of `grid_deg` degrees (`hemisphere.complete`) and compared with the measured values of the others (`unseen_error`).
-    None decided where there are not more than `fewest` views.
+    None decided where there are not more than FEWEST views.
     """
     order = normal_order(measured)
-    error, number = np.inf, min(fewest, len(order))
+    error, number = np.inf, min(FEWEST, len(order))
     while number < len(order):
         error = unseen_error(measured, order, number, grid_deg=grid_deg)
-        if error <= limit:
+        if error <= VIEWS_LIMIT:
             break
         number = min(len(order), int(np.ceil(GROWTH * number)))
-    if len(order) <= fewest:
+    if len(order) <= FEWEST:
         return None, None
     saved = number < len(order)
     words = f"{number} of {len(order)} views at normal incidence" + ", evenly spread" * saved
     loss = f"unused views are predicted within {100 * error:.2g} % (rms, cosine-weighted)" if saved else "nothing"
     criterion = "relative error at the views at normal incidence that are not used"
     decision = Decision(
-        "measurements", words, criterion, float(error), limit, loss, "cloth_brdf.measurements: all, auto or a number"
+        "measurements",
+        words,
+        criterion,
+        float(error),
+        VIEWS_LIMIT,
+        loss,
+        "cloth_brdf.measurements: all, auto or a number",
     )
     return np.sort(order[:number]) if saved else None, decision
 
