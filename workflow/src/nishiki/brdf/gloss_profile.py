@@ -424,12 +424,17 @@ def fit_gloss(
 
 
 def blurred_lobes(profile: SpecularProfile, gamma: np.ndarray) -> np.ndarray:
-    """(rows, lobes) mean of each lobe of strength 1 in the rows of a profile, blurred by the rows' sigma.
+    """(rows, lobes) mean of each lobe of strength 1 in the rows of a profile, blurred by the rows' sigma."""
+    return scattered_lobes(gamma, profile.phi, profile.sigma**2)
+
+
+def scattered_lobes(gamma: np.ndarray, phi: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Lobes (..., lobes) of strength 1 at angles phi (...,) of half vectors that scatter by a variance (...,).
 
     Directions that scatter by sigma along each tangent turn exp(-phi^2 / 2 s^2) into s^2 / (s^2 + sigma^2)
     exp(-phi^2 / 2 (s^2 + sigma^2)).
     """
     s2 = (np.asarray(gamma) / GAMMA_PER_SIGMA) ** 2
-    blurred = s2 + profile.sigma[:, None] ** 2
+    blurred = s2 + np.asarray(variance)[..., None]
     with np.errstate(under="ignore"):
-        return s2 / blurred * np.exp(-(profile.phi[:, None] ** 2) / (2 * blurred))
+        return s2 / blurred * np.exp(-(phi[..., None] ** 2) / (2 * blurred))

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nishiki.brdf.gloss_profile import GlossProfile, specular_samples
-from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
+from nishiki.brdf.gloss_profile import GlossProfile, scattered_lobes, specular_samples
 from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss import GLOSS_ERROR, MODEL_ERROR, NOISE, TILT_ERROR, TOLERANCE, RefinedNormals
 
@@ -96,10 +95,8 @@ def equations(tile: "GlossTile", fit: RefinedNormals, gloss: GlossProfile) -> np
     rest = observed - body - shine
     weight = np.where(attenuation > 0, (1 + rest**2 / (TOLERANCE**2 * variance)) ** -2.0 / variance, 0)
 
-    narrow = (gloss.gamma / GAMMA_PER_SIGMA) ** 2
-    wide = narrow + np.minimum(fit.sigma[0, kept], LARGEST_SIGMA)[:, None] ** 2 / 2
-    with np.errstate(under="ignore"):
-        lobes = narrow / wide * np.exp(-(phi[..., None] ** 2) / (2 * wide)) * attenuation[..., None]
+    scatter = np.minimum(fit.sigma[0, kept], LARGEST_SIGMA) ** 2 / 2
+    lobes = scattered_lobes(gloss.gamma, phi, scatter) * attenuation[..., None]
     passed, lossless = (parts(normals, replace(gloss, transmission=share))[0] for share in (1.0, 0.0))
     lost = passed - lossless
     shared = np.concatenate([lobes, np.stack([lost, observed + lost * gloss.transmission], axis=-1)], axis=-1)
