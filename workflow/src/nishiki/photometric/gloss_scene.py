@@ -21,6 +21,7 @@ import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, fit_gloss, specular_samples, unit_of
 from nishiki.brdf.torrance_sparrow import MIRROR
+from nishiki.errors import require
 from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss import RefinedNormals, refine_normals
 from nishiki.photometric.gloss_equations import LARGEST_SIGMA, step
@@ -56,7 +57,12 @@ class GlossTile:
     reflectance: np.ndarray
     cells: np.ndarray | None = None
 
-    def only(self, chosen: np.ndarray) -> "GlossTile":
+    @property
+    def places(self) -> np.ndarray:
+        """(rows, columns) int: cells of tiles that have them."""
+        return require(self.cells)
+
+    def only(self, chosen: np.ndarray | slice) -> "GlossTile":
         """Return the same of some pixels of a tile (lights, 1, pixels, ...): numbers, or bool (pixels,)."""
         of_lights = {name: getattr(self, name)[:, :, chosen] for name in ("observations", "valid")}
         names = ("normals", "flags", "sigma", "reflectance", "cells")
@@ -103,9 +109,9 @@ def fit_scene_gloss(
     unit = unit_of([tile.reflectance for tile in tiles])  # noise and cells of the histogram are relative to it
     nothing = GlossProfile(np.zeros(WIDTHS.size), WIDTHS, refractive_index, unit=unit)
     profile = nothing if start is None else replace(start, unit=unit)
-    fits: Sequence[RefinedNormals | None] = [None] * len(tiles)
+    fits: list[RefinedNormals] = []
     for _ in range(ROUNDS if start is None else 1):
-        profile = strengthened(profile, tiles, fits) if start is None else profile
+        profile = strengthened(profile, tiles, fits or [None] * len(tiles)) if start is None else profile
         fits = [refined(tile, profile) for tile in tiles]
     first = profile
     for _ in range(ROUNDS):
@@ -135,7 +141,8 @@ def find_finishes(
     own (cells,) bool: those whose cost under any other exceeds their own by the median of the finish or more.
     """
     nothing, metals = gloss.bare(), brightest_metals(tiles, gloss)
-    few, cells = [tile.only(np.s_[::THIN]) for tile in tiles], 1 + max(int(tile.cells.max()) for tile in tiles)
+    few = [tile.only(slice(None, None, THIN)) for tile in tiles]
+    cells = 1 + max(int(tile.places.max()) for tile in tiles)
     starts = [[replace(gloss, transmission=1.0), other] for other in (nothing, *metals)]
     while starts and len(starts[0]) <= MOST_FINISHES:
         tries = [_settle(few, start, cells) for start in starts]
@@ -185,7 +192,7 @@ def fit_glosses(
     starts: Sequence[GlossProfile | None] | None = None,
 ) -> list[SceneGloss]:
     """Fit the gloss of each label of the cells (cells,) by itself; that of all where the tiles hold none of it."""
-    parts = [[tile.only(labels[tile.cells[0]] == k) for tile in tiles] for k in range(int(labels.max()) + 1)]
+    parts = [[tile.only(labels[tile.places[0]] == k) for tile in tiles] for k in range(int(labels.max()) + 1)]
     parts = [[tile for tile in part if tile.flags.size] or list(tiles) for part in parts]
     starts = [None] * len(parts) if starts is None else starts
     fits = zip(parts, starts, strict=True)
@@ -194,16 +201,16 @@ def fit_glosses(
 
 def _settle(tiles, profiles, cells: int) -> tuple[list[GlossProfile], np.ndarray, np.ndarray]:
     """Return profiles fitted to their cells, the labels of the cells, and all costs (profiles, cells), settled."""
-    profiles, labels = list(profiles), None
+    profiles, labels = list(profiles), np.zeros(cells, np.int64)
     for number in range(MOST_ROUNDS):
         fits = [[refined(tile, profile) for tile in tiles] for profile in profiles]
         costs = np.stack([cell_costs(tiles, each, cells) for each in fits])
         before, labels = labels, costs.argmin(axis=0)
-        if number == MOST_ROUNDS - 1 or (before is not None and np.array_equal(labels, before)):
+        if number == MOST_ROUNDS - 1 or (number and np.array_equal(labels, before)):
             break
         for k, profile in enumerate(profiles):
             if profile.beta.any() and (labels == k).any():
-                profiles[k] = strengthened(profile, tiles, fits[k], [labels[tile.cells] == k for tile in tiles])
+                profiles[k] = strengthened(profile, tiles, fits[k], [labels[tile.places] == k for tile in tiles])
     return profiles, labels, costs
 
 
@@ -212,8 +219,8 @@ def cell_costs(tiles: Sequence[GlossTile], fits: Sequence[RefinedNormals], count
     total, values = np.zeros(count), np.zeros(count)
     for tile, fit in zip(tiles, fits, strict=True):
         done = (fit.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
-        total += np.bincount(tile.cells[done], fit.cost[done], count)
-        values += np.bincount(tile.cells[done], tile.valid.sum(axis=0)[done], count) * tile.observations.shape[-1]
+        total += np.bincount(tile.places[done], fit.cost[done], count)
+        values += np.bincount(tile.places[done], tile.valid.sum(axis=0)[done], count) * tile.observations.shape[-1]
     return total / np.maximum(values, 1)
 
 
