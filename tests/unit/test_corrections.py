@@ -3,7 +3,6 @@
 import hashlib
 import struct
 import zlib
-from dataclasses import asdict
 
 import cv2
 import numpy as np
@@ -236,7 +235,7 @@ def test_failed_lamps_and_repeated_photographs_are_left_out(clean, tmp_path):
     assert "p04" not in lights
     assert not failed(check_capture(tmp_path / "c", level="full"))
     page = capture_section(
-        asdict(diagnostics), lights=list(lights), kinds=["sample"] * len(lights), directions=lamps(len(lights))
+        diagnostics, lights=list(lights), kinds=["sample"] * len(lights), directions=lamps(len(lights))
     )
     assert any({row[0] for row in getattr(block, "rows", ())} == {"p04", "p08"} for block in page.blocks)
     assert difference(field, clean) < 2 * ACCURATE  # two lamps less
