@@ -5,12 +5,12 @@ A surface has the same BRDF with light and view exchanged (Helmholtz; von Helmho
 another direction, and values in per cent violate one or the other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from nishiki.goniometry.directions import angles, images, unit
+from nishiki.goniometry.directions import Symmetry, angles, images, unit
 from nishiki.goniometry.table import ReflectanceSet
 
 PROBES = 4000  # even directions
@@ -47,7 +47,7 @@ def coverage(measured: ReflectanceSet) -> tuple[IncidenceCoverage, ...]:
     return tuple(_of(measured, light, np.flatnonzero(group == i)) for i, light in enumerate(lights))
 
 
-def cover(views: np.ndarray, same: Sequence[np.ndarray]) -> tuple[float, float]:
+def cover(views: np.ndarray, same: Iterable[np.ndarray]) -> tuple[float, float]:
     """Return the share of the hemisphere within REACH of a view (n, 3) or its images, and the widest gap in radians."""
     from scipy.spatial import cKDTree
 
@@ -88,7 +88,7 @@ OBLIQUE = np.cos(np.radians(20.0))
 
 
 def reciprocity(
-    incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, symmetry: str
+    incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, symmetry: Symmetry
 ) -> tuple[float | None, int]:
     """Disagreement of pairs that differ by the exchange of light and view: mean of |ln ratio|; and number of pairs.
 
@@ -123,7 +123,7 @@ def reciprocity(
     return float(np.abs(logs[pairs[:, 0]] - logs[pairs[:, 1]]).mean()), len(pairs)
 
 
-def typical_albedo(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, symmetry: str) -> float | None:
+def typical_albedo(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, symmetry: Symmetry) -> float | None:
     """Share of the light that is sent back, in the brightest channel, median over the directions of light.
 
     A direction of light counts where its views leave little of the hemisphere open; each part of the hemisphere has the

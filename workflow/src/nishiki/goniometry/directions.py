@@ -1,5 +1,7 @@
 """Convert angles of the goniometer to unit vectors, and mirror directions in the symmetry planes of a weave."""
 
+from typing import Literal
+
 import numpy as np
 
 
@@ -37,7 +39,8 @@ def disc(directions: np.ndarray) -> np.ndarray:
     return np.stack([radius * np.cos(phi), radius * np.sin(phi)], axis=-1)
 
 
-IMAGES = {
+Symmetry = Literal["unknown", "quarter", "half", "none"]
+IMAGES: dict[Symmetry, tuple[tuple[int, int], ...]] = {
     "quarter": ((1, 1), (-1, 1), (1, -1), (-1, -1)),  # mirror planes through weft and normal, warp and normal
     "half": ((1, 1), (-1, -1)),  # a half turn about the normal: what a twill's diagonal leaves
     "none": ((1, 1),),
@@ -45,12 +48,12 @@ IMAGES = {
 ON_PLANE = 1e-9  # sine
 
 
-def images(symmetry: str) -> np.ndarray:
+def images(symmetry: Symmetry) -> np.ndarray:
     """Return matrices (k, 3, 3) float64 to the directions with the same reflectance, the first the identity."""
     return np.array([np.diag([x, y, 1.0]) for x, y in IMAGES[symmetry]])
 
 
-def reduced(incident: np.ndarray, outgoing: np.ndarray, symmetry: str) -> tuple[np.ndarray, np.ndarray]:
+def reduced(incident: np.ndarray, outgoing: np.ndarray, symmetry: Symmetry) -> tuple[np.ndarray, np.ndarray]:
     """Bring each pair (n, 3), (n, 3) to the representative of its symmetric pairs.
 
     quarter: light with x >= 0 and y >= 0; half: light with y > 0, or y = 0 and x >= 0. Where the light does not tell
@@ -72,7 +75,7 @@ def reduced(incident: np.ndarray, outgoing: np.ndarray, symmetry: str) -> tuple[
     return incident, outgoing
 
 
-def departure(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, symmetry: str) -> tuple[float, int]:
+def departure(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, symmetry: Symmetry) -> tuple[float, int]:
     """Measure the contradiction between measurements that the symmetry makes equal.
 
     Return the root mean square of their logarithms about the mean of each, and their number. values (n, channels) > 0;

@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.errors import UserError, require
 from nishiki.goniometry.coverage import cover
-from nishiki.goniometry.directions import IMAGES, disc, images, reduced, unit
+from nishiki.goniometry.directions import IMAGES, Symmetry, disc, images, reduced, unit
 from nishiki.goniometry.interpolation import SmoothingSpline, fit_spline
 from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
 
@@ -77,7 +77,12 @@ def positive(values: np.ndarray) -> np.ndarray:
 
 
 def interpolate(
-    outgoing: np.ndarray, values: np.ndarray, noise: np.ndarray, *, symmetry: str = "quarter", grid_deg: float = 3.0
+    outgoing: np.ndarray,
+    values: np.ndarray,
+    noise: np.ndarray,
+    *,
+    symmetry: Symmetry = "quarter",
+    grid_deg: float = 3.0,
 ) -> Interpolation:
     """BRDF values (n, channels) > 0 at views (n, 3), light along the normal, on a regular grid of one region.
 
@@ -114,7 +119,7 @@ def interpolate(
     return Interpolation(basic, (left_out,), (predict.smoothing,), (len(predict.points),), *shares)
 
 
-def choose_symmetry(measured: ReflectanceSet) -> dict[str, float]:
+def choose_symmetry(measured: ReflectanceSet) -> dict[Symmetry, float]:
     """Predict each view at normal incidence from the views at other places, under every symmetry.
 
     A symmetry that the cloth has predicts better, for its images are views too; one that it has not puts views of
@@ -130,7 +135,7 @@ def choose_symmetry(measured: ReflectanceSet) -> dict[str, float]:
     """
     along = measured.outgoing[measured.normal_incidence]
     widely = {name: cover(along, images(name))[0] if len(along) else 0.0 for name in IMAGES}
-    errors: dict[str, list[float]] = {name: [] for name in IMAGES if widely[name] > ALL_ROUND * widely["quarter"]}
+    errors: dict[Symmetry, list[float]] = {name: [] for name in IMAGES if widely[name] > ALL_ROUND * widely["quarter"]}
     for r in range(len(measured.regions)):
         usable = measured.normal_incidence & measured.valid[:, r] & positive(measured.values[:, r])
         if usable.sum() < FEWEST:
@@ -146,7 +151,9 @@ def choose_symmetry(measured: ReflectanceSet) -> dict[str, float]:
     return dict(sorted(means.items(), key=lambda entry: entry[1] > most))
 
 
-def _fit(outgoing: np.ndarray, values: np.ndarray, noise: np.ndarray, symmetry: str) -> tuple[SmoothingSpline, float]:
+def _fit(
+    outgoing: np.ndarray, values: np.ndarray, noise: np.ndarray, symmetry: Symmetry
+) -> tuple[SmoothingSpline, float]:
     """Fit the spline; return with it the error of the views, each predicted from those at other places."""
     views = reduced(np.tile([0.0, 0.0, 1.0], (len(outgoing), 1)), outgoing, symmetry)[1]
     points, logs, sigma, group = gathered(disc(views), values, noise)

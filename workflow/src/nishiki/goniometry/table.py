@@ -5,17 +5,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.formats.files import read_json
 from nishiki.formats.stored import load_arrays
-from nishiki.goniometry.directions import angles
+from nishiki.goniometry.directions import Symmetry, angles
 from nishiki.goniometry.interpolation import coefficients, evaluate
 
-Symmetry = Literal["unknown", "quarter", "half", "none"]
 NORMAL_DEG = 1.0
 
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from nishiki.errors import UserError
 from nishiki.formats.files import read_json
 from nishiki.formats.stored import load_arrays, open_group, understood
 from nishiki.formats.zarr_store import chunk_path, read_chunk
+from nishiki.goniometry.directions import Symmetry
 from nishiki.goniometry.readings import Photograph
 from nishiki.observations.blocks import block_edges, positions
 from nishiki.observations.goniometer_store import FORMAT, NAMES, STORE, TABLE
@@ -48,7 +48,7 @@ class Measurements:
         with understood(self.folder / NAMES):
             self.kind: str = stored["kind"]
             self.channels: tuple[str, ...] = tuple(stored["channels"])
-            self.symmetry: Literal["quarter", "half", "none"] = stored["symmetry"]
+            self.symmetry: Symmetry = stored["symmetry"]
             self.weave: str = stored["weave"]
             self.threads_per_cm: list[float] | None = stored.get("threads_per_cm")
             shots = [

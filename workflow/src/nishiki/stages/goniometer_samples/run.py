@@ -7,7 +7,7 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
 from nishiki.goniometry.coverage import FEWEST_PAIRS, IncidenceCoverage, coverage, reciprocity, typical_albedo
-from nishiki.goniometry.directions import departure, disc, images, unit
+from nishiki.goniometry.directions import Symmetry, departure, disc, images, unit
 from nishiki.goniometry.hemisphere import Interpolation, choose_symmetry, complete, directional_albedo
 from nishiki.goniometry.readings import Averaged, Readings, Regions, average_repeats, read_all
 from nishiki.goniometry.table import ReflectanceSet, write_reflectances
@@ -39,7 +39,7 @@ def run(context: Context) -> dict:
         threads_per_cm=source.threads_per_cm,
         normal_deg=settings.normal_deg,
     )
-    made, errors = None, {}
+    made, errors = None, dict[Symmetry, float]()
     if measured.symmetry == "unknown":
         errors = choose_symmetry(measured)
         measured = replace(measured, symmetry=next(iter(errors), "quarter"))
