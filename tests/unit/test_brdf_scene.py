@@ -8,7 +8,7 @@ from captures import make_capture
 from published_fits import brightest_light_samples, fit_brightest_light, thin
 
 from nishiki.artifacts.maps import Maps, MapWriter
-from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram
+from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, fit_gloss
 from nishiki.brdf.torrance_sparrow import attenuation, half_vector_geometry, specular, transmittance
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
@@ -96,8 +96,6 @@ def test_regions_and_unusable_samples():
         profile = histogram.profile(region=region)
         expected = beta * np.exp2(-((profile.phi / gamma) ** 2))
         np.testing.assert_allclose(profile.value, expected, rtol=0.01, atol=0.01 * beta)
-    with pytest.raises(UserError, match="regions"):
-        SpecularHistogram.empty().add_tile(observations, normals, albedo, lights, regions=regions)
 
 
 def test_outliers_are_fenced_off():
@@ -116,13 +114,19 @@ def test_outliers_are_fenced_off():
     assert 0.05 < np.average(fenced.rejected, weights=fenced.weight) < 0.09
 
 
-def test_messages():
-    normals, lights = relief(), ring()
-    observations, albedo = photographs(normals, lights, beta=0.0, gamma=0.1)
+def test_a_surface_without_contrast_has_no_gloss():
     with pytest.raises(UserError, match="contrast"):
         SpecularHistogram.empty(refractive_index=1.0)
-    with pytest.raises(UserError, match="agree"):
-        SpecularHistogram.empty().add_tile(observations, normals[:4], albedo, lights)
+
+
+def test_a_lobe_at_the_bound_is_no_fit():
+    """Some bright samples beside the mirror direction: a lobe of the least width would hold all of the strength."""
+    phi = np.abs(np.random.default_rng(2).normal(0, 0.2, 20_000))
+    spike, broad = np.where(phi < 0.004, 5.0, 0.0), 2.0 * np.exp2(-((phi / 0.2) ** 2))
+    for value in (spike, spike + broad):
+        profile = fit_gloss(SpecularHistogram.empty().add_samples(phi, 0.04 * value, np.full(phi.size, 0.04)))
+        assert profile.beta[0] == 0
+        assert profile.value(0.2) == pytest.approx(broad.max() / 2 * (value is not spike), abs=0.1)
 
 
 @pytest.mark.parametrize(("reflectance", "unit"), [(0.4, 1.0), (4e7, 1e8), (2e-6, 1e-5), (0.0, 1.0)])

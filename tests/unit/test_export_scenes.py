@@ -8,7 +8,7 @@ from nishiki.errors import UserError
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.formats.usd import write_materialx, write_usdz
 from nishiki.packages import MODULES
-from nishiki.stages.export.gloss import GltfMaterial, white_at_grazing
+from nishiki.stages.export.gloss import GltfMaterial, WhiteAtGrazing
 
 RANDOM = np.random.default_rng(5)
 PICTURE = RANDOM.integers(0, 256, (12, 20, 3)).astype(np.uint8)
@@ -169,7 +169,7 @@ def test_formats_without_a_weight_reflect_the_same_below_75_degrees_between_ligh
     cosines = np.cos(np.radians(np.arange(0, 37.6, 0.5)))
     for strength in (0.2, 1.0, 3.0):
         material = GltfMaterial(0.4, strength, 1.45)
-        white = white_at_grazing(material)
+        white = WhiteAtGrazing(**vars(material))
         look = SurfaceLook(PICTURE, white.roughness, white.normal_reflectance)
         assert np.abs(white.fresnel(cosines) - material.fresnel(cosines)).max() < 4e-4
         np.testing.assert_allclose(white.fresnel(cosines), exact_reflectance(cosines, look.index), atol=0.005)

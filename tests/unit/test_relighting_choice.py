@@ -9,6 +9,7 @@ from nishiki.model_selection.relighting import (
     Fitted,
     Sampled,
     choose_model,
+    interpolated,
     joint_fit_counts,
     left_out_errors,
 )
@@ -94,6 +95,18 @@ def test_errors_are_those_of_the_left_out_lamps():
     assert (errors["black"] > 1).all()
     np.testing.assert_allclose(errors["first"][:5], 0, atol=0.01)
     assert (errors["first"][5:] > 0.1).all()
+
+
+def test_lamps_outside_of_the_others_do_not_count():
+    around = np.arange(9) * 2 * np.pi / 9
+    ring = np.column_stack([0.7 * np.cos(around), 0.7 * np.sin(around), np.full(9, 0.714)])
+    assert interpolated(ring).all()
+    inner = ring * [0.5, 0.5, 1]
+    far = np.array([[0.0, 0.95, 0.31]])
+    lights = np.concatenate([ring, inner, far])
+    assert np.flatnonzero(~interpolated(lights)).tolist() == [18]
+    few = np.concatenate([ring[:3], far])  # nearly all are outside: then all count
+    assert interpolated(few).all()
 
 
 def test_the_margin_and_the_scatter_of_the_lamps():

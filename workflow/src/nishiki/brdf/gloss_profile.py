@@ -111,14 +111,6 @@ class SpecularHistogram:
         """
         shape = np.shape(observations)
         regions = np.zeros(shape[1:], int) if regions is None else regions
-        if np.max(regions, initial=-1) >= self.weights.shape[0]:
-            count = self.weights.shape[0]
-            raise UserError(
-                f"regions: expected indices below {count}, found {regions.max()}; make empty(regions=...) larger"
-            )
-        if np.shape(normals) != (*shape[1:], 3) or len(lights) != shape[0]:
-            shapes = f"{np.shape(normals)} and {len(lights)} lights"
-            raise UserError(f"normals, lights: expected them to agree with observations {shape}, found {shapes}")
         gloss = GlossProfile(np.zeros(1), np.ones(1), self.refractive_index, 0.0) if gloss is None else gloss
         samples = specular_samples(
             np.asarray(observations)[..., None],
@@ -398,7 +390,11 @@ def predicted_radiance(directions, normals, reflectance, gloss, *, shading=None)
 def fit_gloss(
     histogram: SpecularHistogram, *, transmission: float = 1.0, ladder: np.ndarray = LADDER, region: int = 0
 ) -> GlossProfile:
-    """Fit the profile that explains a region's specular samples; all beta 0 where nothing positive is left."""
+    """Fit the profile that explains a region's specular samples; all beta 0 where nothing positive is left.
+
+    ladder : (lobes,) half widths, radians, rising. The narrowest is left out where it holds much of the strength: a
+    lobe at the bound is no fit.
+    """
     from scipy.optimize import nnls
 
     profile = histogram.profile(region=region)
@@ -415,7 +411,8 @@ def fit_gloss(
             beta, rest = nnls(columns, value / error, maxiter=MOST_STEPS)
             fewer = np.delete(columns, end, axis=1)
             without = nnls(fewer, value / error, maxiter=MOST_STEPS)[1]
-            if without**2 - rest**2 > EVIDENCE * max(rest**2 / enough.sum(), 1):
+            believed = without**2 - rest**2 > EVIDENCE * max(rest**2 / enough.sum(), 1)
+            if believed and beta[0] <= MUCH * beta.sum():
                 break
             columns[:, end] = 0
         else:

@@ -32,6 +32,8 @@ FOLDS = 5  # of cross-validation, over lamps
 FEWEST = 8  # lights: with fewer, what the rest of them says differs too much from what all of them say
 MARGIN = 0.05  # part of the plain model's error that the directional terms must take off
 ERRORS = 3.0  # and standard errors of that gain over the lamps: one lamp of a wrong strength outweighs nine others
+BESIDE = 0.5  # of the distance to the nearest other lamp: one nearer to the hull of the others is not extrapolated
+SURE = 1e3  # weight with which shares of the others sum to one
 DARKEST = 1e-9  # median sample: a black scene has no level
 MID_GREY = 0.2  # that the median sample becomes: a colour difference depends on the level, which may have any unit
 LARGEST_SIGMA = 0.1  # radians: where normals are worse, their blur of the gloss is no longer a small one
@@ -144,6 +146,19 @@ def left_out_errors(
                 differences = colour_differences(predicted / unit, piece.scaled / unit, compared)
                 total[:, left_out] += differences.sum(axis=(1, 2), dtype=np.float64), compared.sum(axis=(1, 2))
     return {name: total / np.maximum(count, 1) for name, (total, count) in sums.items()}
+
+
+def interpolated(directions: np.ndarray) -> np.ndarray:
+    """Tell which lights (n, 3) the others surround, or nearly, when they are left out; all if FEWEST / 2 are not."""
+    from scipy.optimize import nnls
+
+    fold, near = np.arange(len(directions)) % FOLDS, np.zeros(len(directions), bool)
+    corners = np.column_stack([directions[:, :2], np.full(fold.size, SURE)])
+    for light, place in enumerate(corners):
+        others = corners[fold != fold[light]]
+        apart = np.linalg.norm(nnls(others.T, place)[0] @ others - place)
+        near[light] = apart <= BESIDE * np.linalg.norm(others - place, axis=1).min()
+    return near | (near.sum() < FEWEST / 2)
 
 
 def remaining_gloss(pieces: Sequence[Sampled], candidates: Sequence[Fitted]) -> GlossProfile:

@@ -131,7 +131,7 @@ def gather(
         region = np.where(left_out | ~glossy[region_index], -1, region_index)
         reflectance = maps.read("reflectance", band).mean(axis=-1)
         sigma = np.sqrt(joint[region_index] * maps.read("sigma", band) ** 2 / 2 + slope_variance(maps, band))
-        shading = shading_of(maps, band)
+        shading = maps.read("shading", band) if "shading" in maps else None  # Lambert's law only
         for parcel in parcels(frames, band, lights):
             area = parcel.rows, parcel.columns
             for number in np.flatnonzero(glossy):
@@ -156,11 +156,6 @@ def slope_variance(maps: Maps, band: slice) -> np.ndarray:
     first = max(band.start - 1, 0)
     covariance = slope_covariance(shading_normals(maps, slice(first, band.stop + 1)))
     return 0.5 * (covariance[..., 0] + covariance[..., 2])[band.start - first :][: band.stop - band.start]
-
-
-def shading_of(maps: Maps, band: slice) -> np.ndarray | None:
-    """Return body shading of the normals stage; None where its solver knows Lambert's law only."""
-    return maps.read("shading", band) if "shading" in maps else None
 
 
 def reflectances(frames: Observations, maps: Maps) -> list[np.ndarray]:

@@ -113,11 +113,6 @@ class WhiteAtGrazing(GltfMaterial):
         return 1.0
 
 
-def white_at_grazing(material: GltfMaterial) -> GltfMaterial:
-    """Return a material as formats without a weight take it."""
-    return WhiteAtGrazing(**vars(material))
-
-
 def best_material(errors: np.ndarray, index: float, metallic: float = 0.0) -> GltfMaterial:
     """Return the material of the least of the errors (roughness, strength) of `coded_errors`."""
     rough, strong = np.unravel_index(int(np.argmin(errors)), errors.shape)
@@ -278,7 +273,7 @@ def _widened(
 
 
 def _white(gloss: RegionGloss) -> RegionGloss:
-    return replace(gloss, materials=tuple(white_at_grazing(material) for material in gloss.materials))
+    return replace(gloss, materials=tuple(WhiteAtGrazing(**vars(material)) for material in gloss.materials))
 
 
 def _stored(materials: Sequence[GltfMaterial]) -> tuple[GltfMaterial, ...]:

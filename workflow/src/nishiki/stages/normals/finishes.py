@@ -36,7 +36,7 @@ class Finish:
 
     gloss : fitted to its part of the sample, None where none was looked for; share : of the sample; profile : that
     decides where the finish is, and with which normals are fitted where `joint`; errors : mean CIEDE2000 of captured
-    lamps left out, by candidate.
+    lamps left out that the others surround, by candidate.
     """
 
     gloss: SceneGloss | None
@@ -144,7 +144,7 @@ def fitted_finish(
     member (cells,) bool: its cells; clear (cells,) bool, or all.
     """
     from nishiki.brdf.gloss_profile import GlossProfile
-    from nishiki.model_selection.relighting import Fitted, joint_fit_counts, left_out_errors
+    from nishiki.model_selection.relighting import Fitted, interpolated, joint_fit_counts, left_out_errors
 
     joint = {} if gloss is None else {"joint": gloss.found, "first": gloss.first, "bare": gloss.found.bare()}
 
@@ -175,10 +175,12 @@ def fitted_finish(
     if not here:
         found = None if gloss is None else gloss.found
         return Finish(gloss, share, found, gloss is not None and gloss.significant, {})
-    errors = left_out_errors(here, fit, pieces)
+    told, inside = left_out_errors(here, fit, pieces), interpolated(here[0].parcel.directions)
+    errors = {name: error[inside] for name, error in told.items()}
     if gloss is None:
         return Finish(None, share, None, False, errors)
-    told = errors if clear is True or not surely else left_out_errors(surely, fit, pieces)
+    if clear is not True and surely:
+        told = left_out_errors(surely, fit, pieces)
     counts = any(joint_fit_counts({"normals": told["normals"], "joint": told[name]}) for name in joint)
     best = min(joint, key=lambda name: told[name].mean())
     errors["joint"] = errors[best]
