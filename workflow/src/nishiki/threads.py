@@ -74,6 +74,11 @@ def over_rows(kernel: Callable[..., None], rows: int, *arguments) -> None:
         pass
 
 
+def strips(rows: int, most: int = 256) -> Iterator[slice]:
+    """Cut 0 .. rows - 1 into slices of at most so many rows, which bound the memory."""
+    return (slice(start, min(start + most, rows)) for start in range(0, rows, most))
+
+
 def over_items(work: Callable[[Item], object], items: Iterable[Item], most: int | None = None) -> None:
     """Call `work` for every item, several at a time, where it stores what it finds itself."""
     for _ in in_threads(work, items, most, STRIPS_A_THREAD * threads()):

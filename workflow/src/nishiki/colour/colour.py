@@ -23,6 +23,7 @@ import numpy as np
 from nishiki.colour.sampling import WAVELENGTHS_NM, checked_spectra, normalised
 from nishiki.errors import UserError
 from nishiki.formats.coding import BRADFORD, BT709_XY, D65
+from nishiki.threads import strips
 
 TABLES = Path(__file__).with_name("cie.csv")
 """Columns by wavelength: colour-matching functions x, y, z, then relative powers of the illuminants."""
@@ -241,7 +242,6 @@ def _through(values: np.ndarray, encoding: str, curve) -> np.ndarray:
         raise ValueError(f"encoding {encoding!r}: linear or srgb")
     flat = np.ascontiguousarray(values).reshape(-1)
     out = np.empty_like(flat)
-    for start in range(0, len(flat), BLOCK):
-        part = slice(start, start + BLOCK)
+    for part in strips(len(flat), BLOCK):
         curve(flat[part], out[part])
     return out.reshape(values.shape)

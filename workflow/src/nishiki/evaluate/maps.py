@@ -8,6 +8,7 @@ import numpy as np
 from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_matrix, xyz_to_lab
 from nishiki.errors import UserError
 from nishiki.photometric.flags import NO_ESTIMATE
+from nishiki.threads import strips
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,6 @@ class Pool:
 
 SLOPE_EDGES_DEG = (0.0, 10.0, 20.0, 30.0, 50.0, 90.0)
 """Classes of the angle between true normal and z."""
-_BAND_ROWS = 256  # that are in memory as float64
 
 
 @dataclass(frozen=True)
@@ -132,8 +132,7 @@ def normal_errors(
         )
     angles = np.empty(truth.shape[:2], np.float32)
     slopes = np.empty(truth.shape[:2], np.float32)
-    for start in range(0, len(truth), _BAND_ROWS):
-        band = slice(start, start + _BAND_ROWS)
+    for band in strips(len(truth)):
         angles[band] = angular_error_deg(estimate[band], truth[band])
         slopes[band] = angular_error_deg(truth[band], np.broadcast_to([0.0, 0.0, 1.0], truth[band].shape))
     inside = np.isfinite(slopes) if mask is None else np.isfinite(slopes) & mask
@@ -275,8 +274,7 @@ def reflectance_errors(
     eyes = {
         name: (xyz_matrix(illuminant(name), np.eye(basis.shape[1])).T, white_xyz(illuminant(name))) for name in maps
     }
-    for start in range(0, shape[0], _ROWS):
-        band = slice(start, start + _ROWS)
+    for band in strips(shape[0], _ROWS):
         used = pixels[band]
         estimated = coefficients[band][used].astype(np.float64) @ basis
         true = spectra[paints[band][used]].mean(axis=1, dtype=np.float64)

@@ -170,11 +170,6 @@ def write_tiff(
         )  # fmt: skip
 
 
-def strips(rows: int, band_rows: int) -> Iterator[slice]:
-    """Bands of rows from top to bottom, all as high but the last."""
-    return (slice(start, min(start + band_rows, rows)) for start in range(0, rows, band_rows))
-
-
 MAGIC, VERSION, LONG_NAMES = 20000630, 2, 0x400
 BLOCK_ROWS = 16  # of ZIP compression, fixed by the format
 ZIP = 3  # number of this compression

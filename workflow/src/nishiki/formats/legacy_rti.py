@@ -32,6 +32,7 @@ import numpy as np
 from nishiki.formats.files import Refused, expect_bound, expect_memory, open_regular
 from nishiki.formats.images import read_jpeg_bytes
 from nishiki.formats.problems import CaptureError
+from nishiki.threads import strips
 
 HEADING_BYTES = 4096  # more than any such heading has
 LARGEST = 1e6  # of scales and biases, which belong to values of 0 to 255
@@ -109,7 +110,6 @@ class TextHeading:
 
 
 ORDER = (3, 5, 4, 1, 2, 0)  # of the file's terms among 1, u, v, u^2, u v, v^2
-ROWS_AT_A_TIME = 256  # in memory as float32
 PLANES = {"PTM_FORMAT_RGB": 18, "PTM_FORMAT_LRGB": 9, "PTM_FORMAT_JPEG_RGB": 18, "PTM_FORMAT_JPEG_LRGB": 9}
 PTM_REMEDY = "Save it again as PTM_FORMAT_RGB or PTM_FORMAT_LRGB, or convert the photographs that it was made from"
 
@@ -140,8 +140,7 @@ class PtmFile:
         offset, weights = np.float32(-self.bias @ weights), weights.astype(np.float32)
         rows, columns = self.shape
         picture = np.empty((rows, columns, 3), np.float32)
-        for start in range(0, rows, ROWS_AT_A_TIME):
-            band = slice(start, start + ROWS_AT_A_TIME)
+        for band in strips(rows):
             values = (self.terms[:, band].astype(np.float32) @ weights + offset).transpose(1, 2, 0)
             picture[band] = values if self.colours is None else values * (self.colours[band] / np.float32(255))
         return picture[::-1]
@@ -195,10 +194,10 @@ def write_ptm(path: Path, planes: Sequence[np.ndarray], scale: np.ndarray, bias:
         file.write((" ".join(f"{span[term]:.9g}" for term in ORDER) + "\n").encode("ascii"))
         file.write((" ".join(f"{zero[term]:.0f}" for term in ORDER) + "\n").encode("ascii"))
         for colour in range(3):
-            for stop in range(rows, 0, -ROWS_AT_A_TIME):
-                block = np.empty((min(ROWS_AT_A_TIME, stop), columns, 6), np.uint8)
+            for band in strips(rows):  # the file begins with the lowest row
+                block = np.empty((band.stop - band.start, columns, 6), np.uint8)
                 for place, term in enumerate(ORDER):
-                    codes = planes[term][stop - len(block) : stop, :, colour].astype(np.float64)
+                    codes = planes[term][rows - band.stop : rows - band.start, :, colour].astype(np.float64)
                     value = (codes / 255 - bias[term, colour]) * scale[term, colour]
                     block[..., place] = np.clip(np.rint(value * 255 / span[term] + zero[term]), 0, 255)
                 file.write(block[::-1].tobytes())
@@ -320,8 +319,7 @@ class HshFile:
         (harmonics,) = hemispherical_harmonics(np.asarray(light, float)[None], math.isqrt(len(self.scale)))
         weights, offset = (harmonics * self.scale / 255).astype(np.float32), np.float32(harmonics @ self.bias)
         picture = np.empty((*self.shape, 3), np.float32)
-        for start in range(0, len(picture), ROWS_AT_A_TIME):
-            band = slice(start, start + ROWS_AT_A_TIME)
+        for band in strips(len(picture)):
             picture[band] = self.terms[band].astype(np.float32) @ weights + offset
         return picture
 

@@ -23,6 +23,7 @@ import numpy as np
 from nishiki.formats.files import Refused, expect_bound, expect_memory, json_object, read_bytes, read_text
 from nishiki.formats.legacy_rti import LARGEST_ORDER, hemispherical_harmonics
 from nishiki.formats.relight_planes import REMEDY, has_planes, read_plane, within
+from nishiki.threads import strips
 
 INFO = "info.json"
 BASIS = "materials.bin"
@@ -31,7 +32,6 @@ LAYERS = re.compile(r"plane_\d+|materials|normals|albedo|height|depth|means?|med
 TABULATED = ("rbf", "bilinear")
 LEAST_WIDTH = 0.001  # of Gaussians and of the spans of components
 OFF_UNIT = 0.01  # of a light's length
-ROWS_AT_A_TIME = 256  # in memory as float32
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,7 @@ class RelightFolder:
         offset, weights = self._transfer(light)
         steps = (weights * self.scale[:, None] / 255).astype(np.float32)
         offset = (offset - (self.bias * self.scale) @ weights).astype(np.float32)
-        for start in range(0, len(picture), ROWS_AT_A_TIME):
-            band = slice(start, start + ROWS_AT_A_TIME)
+        for band in strips(len(picture)):
             codes = self.codes[band].astype(np.float32)
             picture[band] = codes @ steps + offset
             if self.colour_space == "lrgb":

@@ -11,7 +11,7 @@ from nishiki.formats.stored import open_bands, open_made_by, understood
 from nishiki.formats.zarr_store import chunk_path, read_chunk, read_chunk_into
 from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid, positions
 from nishiki.observations.linearise import straight_scale
-from nishiki.threads import over_rows
+from nishiki.threads import over_rows, strips
 
 STORE, FORMAT = "frames.zarr", 1  # name and version of the file; readers refuse others
 STRIP_BYTES = 8 << 20
@@ -68,8 +68,7 @@ class Observations:
 
     def bands(self) -> list[slice]:
         """Row slices that cover the picture, each of bounded memory."""
-        rows = self.shape[0]
-        return [slice(start, min(start + self.band_rows, rows)) for start in range(0, rows, self.band_rows)]
+        return list(strips(self.shape[0], self.band_rows))
 
     @cached_property
     def mask(self) -> np.ndarray:

@@ -20,9 +20,9 @@ from nishiki.observations.blocks import field_rows
 from nishiki.observations.linearise import straight_scale
 from nishiki.observations.plane import Observations
 from nishiki.photometric.lambert_fit import solve_normals
+from nishiki.threads import strips
 
 FINE_CODES = 1 << 16  # steps of linear light in a table from light to 8-bit codes: 20 of the smallest sRGB step
-ROWS = 256  # that are computed at a time
 MOST_CHANNELS = 4  # that OpenCV resamples at a time
 REACH = 4  # pixels, of the kernel of Lanczos
 
@@ -91,14 +91,14 @@ def subtract_light(codes: np.ndarray, light: np.ndarray, table: np.ndarray, satu
     out, middles = np.empty_like(codes), (table[1:] + table[:-1]) / 2
     coded = np.searchsorted(middles, np.linspace(0, table[-1], FINE_CODES)) if len(table) < FINE_CODES else None
     scale = straight_scale(table, codes.dtype)
-    for top in range(0, len(codes), ROWS):
-        part = codes[top : top + ROWS]
-        linear = np.clip(table[part] - light[top : top + ROWS], 0, table[-1])
+    for band in strips(len(codes)):
+        part = codes[band]
+        linear = np.clip(table[part] - light[band], 0, table[-1])
         if coded is not None:
             fresh = coded[np.rint(linear * ((FINE_CODES - 1) / table[-1])).astype(np.int64)]
         else:
             fresh = np.rint(linear / scale) if scale > 0 else np.searchsorted(middles, linear)
-        out[top : top + ROWS] = np.where(part >= saturated, part, fresh.astype(codes.dtype))
+        out[band] = np.where(part >= saturated, part, fresh.astype(codes.dtype))
     return out
 
 

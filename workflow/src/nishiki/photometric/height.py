@@ -25,6 +25,7 @@ from numpy.polynomial import legendre
 
 from nishiki.errors import UserError
 from nishiki.summary import Summarised
+from nishiki.threads import strips
 
 
 def divergence(differences, weights):
@@ -289,7 +290,6 @@ DEGREE = 3  # of the polynomials of the normals' components: heights of degree 4
 MOST_BLOCKS = 128  # along the longer side: the fit sees the mean normals of this many squares
 FLAT_WITHIN = 0.05  # length of a difference of unit normals (3 degrees) beyond which a square counts less
 ROUNDS = 8  # of reweighting
-BAND = 256  # rows turned at a time
 
 
 def flatten_normals(normals, valid):
@@ -317,8 +317,7 @@ def flatten_normals(normals, valid):
     x = np.linspace(-1, 1, columns)
     y = np.linspace(-1, 1, rows) if rows > 1 else np.zeros(1)
     squares = 0.0
-    for start in range(0, rows, BAND):
-        band = slice(start, start + BAND)
+    for band in strips(rows):
         inside = valid[band]
         s = np.moveaxis(legendre.leggrid2d(y[band], x, smooth), 0, -1)[inside]
         s /= np.linalg.norm(s, axis=-1, keepdims=True)

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from nishiki.threads import strips
+
 TILE, BORDER = 512, 4
 """Side of a tile and width of its border, pixels: the border is that of two steps of mean pixels."""
 FACTOR = 4
@@ -111,7 +113,6 @@ THRESHOLDS = (0, 1, 2, 3, 4, 6, 8, 11, 16, 22, 32, 45, 64, 90, 128, 180, 256, 36
 MOST = 255  # byte of an error that needs two
 PLANE = (256, -256, 0, 0, 0)
 """Weights of W + N - NW."""
-BAND_ROWS = 256  # in memory
 
 
 def height_block(
@@ -158,8 +159,8 @@ def encode(codes: np.ndarray) -> tuple[bytes, dict[str, list[int]]]:
     weights = _fitted_weights(codes)
     padded = np.zeros((codes.shape[0] + 1, codes.shape[1] + 2), np.uint8)  # bytes, with nothing beside the map
     large = []
-    for first in range(0, len(codes), BAND_ROWS):
-        last = min(first + BAND_ROWS, len(codes))
+    for band in strips(len(codes)):
+        first, last = band.start, band.stop
         errors = _errors(codes[max(first - 2, 0) : last], weights)[min(first, 2) :]
         padded[first + 1 : last + 1, 1:-1] = np.minimum(errors, MOST)
         large.append(errors[errors >= MOST])

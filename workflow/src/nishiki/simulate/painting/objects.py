@@ -12,6 +12,7 @@ from nishiki.simulate.painting.picture import BRANCHES, CanvasMap, branch_curve,
 from nishiki.simulate.painting.relief import level_out, pixel_maps, weave_under_paint
 from nishiki.simulate.painting.settings import SimulationSettings
 from nishiki.simulate.randomness import fractal_noise, line_noise, plane_noise, subkey
+from nishiki.threads import strips
 
 # (width mm, spacing mm, thickness mm, only where the plan wants strokes finer than this share)
 LAYERS = ((3.6, 3.0, 0.050, 9.0), (2.2, 1.75, 0.075, 9.0), (1.5, 1.20, 0.085, 0.85), (1.0, 0.85, 0.080, 0.50))
@@ -197,8 +198,7 @@ def _varnish_waves(settings):
     waves = np.zeros((settings.rows, settings.columns, 2), np.float32)
     if settings.relief == "flat":
         return waves
-    for start in range(0, settings.rows, 256):
-        band = slice(start, min(start + 256, settings.rows))
+    for band in strips(settings.rows):
         y, x = np.mgrid[band, 0 : settings.columns] * (settings.pitch_mm / 3.0)
         for axis in range(2):
             waves[band, :, axis] = 0.10 * (

@@ -9,6 +9,7 @@ import numpy as np
 
 from nishiki.simulate.painting.paints import REGION
 from nishiki.simulate.randomness import fractal_noise, subkey
+from nishiki.threads import strips
 
 
 @dataclass
@@ -63,8 +64,7 @@ _PATCH_NAMES = (
 def plan_landscape(rows: int, columns: int, *, seed: int) -> CanvasMap:
     """Plan the picture; bands of rows keep the memory of the intermediate arrays bounded."""
     plan = CanvasMap.blank(rows, columns)
-    for start in range(0, rows, 256):
-        band = slice(start, min(start + 256, rows))
+    for band in strips(rows):
         u, v = np.meshgrid((np.arange(columns) + 0.5) / rows, (np.arange(rows)[band] + 0.5) / rows)
         _plan_band(plan.rows_of(band), u, v, columns / rows, seed)
     return plan

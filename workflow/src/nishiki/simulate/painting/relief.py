@@ -5,12 +5,11 @@ import math
 import numba
 import numpy as np
 
-from nishiki.threads import over_rows
+from nishiki.threads import over_rows, strips
 
 THREAD_MM = 1.15  # distance of neighbouring threads
 WEAVE_MM = 0.055  # height of a thread's crest over its trough
 HIDING_MM = 0.20  # paint of this thickness hides the weave to 1/e
-_BAND = 256  # rows at a time, for the memory of the intermediate arrays
 
 
 def weave_under_paint(paint_mm: np.ndarray, *, step_mm: float, scale: float = 1.0) -> np.ndarray:
@@ -22,8 +21,7 @@ def weave_under_paint(paint_mm: np.ndarray, *, step_mm: float, scale: float = 1.
     out = np.empty(paint_mm.shape, np.float32)
     x = (np.arange(paint_mm.shape[1]) + 0.5)[None, :] * step_mm / (THREAD_MM * scale)
     along, sign_x = np.sin(np.pi * x), np.cos(np.pi * np.floor(x))
-    for start in range(0, len(out), _BAND):
-        band = slice(start, start + _BAND)
+    for band in strips(len(out)):
         y = (np.arange(len(out))[band] + 0.5)[:, None] * step_mm / (THREAD_MM * scale)
         across, sign_y = np.sin(np.pi * y), np.cos(np.pi * np.floor(y))
         warp = np.abs(along) * (0.5 + 0.5 * across * sign_x)
@@ -37,13 +35,12 @@ def level_out(height_mm: np.ndarray) -> np.ndarray:
     """One pass of the 3×3 binomial filter: wet paint and varnish round off what is finer than a sample."""
     out = np.empty_like(height_mm)
     quarter, half = np.float32(0.25), np.float32(0.5)
-    for start in range(0, len(out), _BAND):
-        stop = min(start + _BAND, len(out))
-        rows = np.clip(np.arange(start - 1, stop + 1), 0, len(out) - 1)
+    for band in strips(len(out)):
+        rows = np.clip(np.arange(band.start - 1, band.stop + 1), 0, len(out) - 1)
         part = height_mm[rows]
         part = half * part[1:-1] + quarter * (part[:-2] + part[2:])
         part = np.pad(part, ((0, 0), (1, 1)), mode="edge")
-        out[start:stop] = half * part[:, 1:-1] + quarter * (part[:, :-2] + part[:, 2:])
+        out[band] = half * part[:, 1:-1] + quarter * (part[:, :-2] + part[:, 2:])
     return out
 
 
@@ -77,8 +74,8 @@ def pixel_maps(height_mm: np.ndarray, *, step_mm: float, supersampling: int):
     rows, columns = height_mm.shape[0] // s, height_mm.shape[1] // s
     normals = np.empty((rows, columns, 3), np.float32)
     mean, steepest = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
-    for start in range(0, rows, _BAND):
-        stop = min(start + _BAND, rows)
+    for band in strips(rows):
+        start, stop = band.start, band.stop
         blocks = (stop - start, s, columns, s)
         p, q = slopes_of_rows(height_mm, start * s, stop * s, step_mm)
         square = p * p + q * q

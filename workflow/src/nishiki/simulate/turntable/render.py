@@ -12,7 +12,7 @@ from nishiki.simulate.reflection import metal_fresnel
 from nishiki.simulate.turntable.materials import INDEX, describe, reflected
 from nishiki.simulate.turntable.settings import AIM_MM, LAMP_RADIUS_MM, TurntableSettings, Viewpoint
 from nishiki.simulate.turntable.shape import SimulatedSurface, make_surface
-from nishiki.threads import over_rows
+from nishiki.threads import over_rows, strips
 
 OFFSET_MM = 0.02  # rays start so far above the surface
 _SMOOTHEST = 0.28  # the mirror image of the surroundings is at least so blurred: there are few rays a vertex
@@ -247,9 +247,7 @@ def see(scene: SimulatedScene, view: Viewpoint, settings: TurntableSettings) -> 
         np.zeros((*shape, 3), np.float32),
         np.full(shape, 255, np.uint8),
     )
-    band = max(_RAYS // (settings.columns * settings.samples**2), 1)
-    for start in range(0, settings.rows, band):
-        rows = slice(start, min(start + band, settings.rows))
+    for rows in strips(settings.rows, max(_RAYS // (settings.columns * settings.samples**2), 1)):
         met = _aim(scene, view, settings, rows, np.hstack([indirect, mirror]))
         _collect(met, *_shade(scene, view, settings, met), settings, Radiance(*(a[rows] for a in vars(light).values())))
     return light

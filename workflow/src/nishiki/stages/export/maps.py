@@ -8,11 +8,12 @@ from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import srgb_encode
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
-from nishiki.formats.banded_pictures import EnviWriter, ExrWriter, strips, write_tiff
+from nishiki.formats.banded_pictures import EnviWriter, ExrWriter, write_tiff
 from nishiki.formats.coding import ROMM, icc_profile
 from nishiki.render.display import normals_as_colours
 from nishiki.stages.export.registry import software
 from nishiki.stages.export.scene import ExportedScene, reliefs
+from nishiki.threads import strips
 
 AXES = "x right, y up, z out of the surface towards the camera; row 0 is the top"
 

@@ -12,13 +12,13 @@ from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import CameraColour, read_camera_colour
-from nishiki.formats.banded_pictures import strips
 from nishiki.formats.coding import D50
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.plane.scene import Gloss
 from nishiki.render.plane.shade import PlaneMaps
 from nishiki.report.page import read_json
+from nishiki.threads import strips
 
 D65 = np.linalg.inv(srgb_matrix()).sum(axis=1)
 """White of sRGB."""
