@@ -14,6 +14,7 @@ from nishiki.goniometry.directions import Symmetry
 from nishiki.goniometry.readings import Photograph
 from nishiki.observations.blocks import block_edges, positions
 from nishiki.observations.goniometer_store import FORMAT, NAMES, STORE, TABLE
+from nishiki.observations.linearise import StoredArrays
 
 
 @dataclass(frozen=True)
@@ -26,12 +27,11 @@ class Shot:
     place: int
 
 
-class Measurements:
+class Measurements(StoredArrays):
     """The ingested measurements of one capture, opened for reading.
 
     kind: 'photographs' or 'table'; channels: names; samples, whites: the photographs (none of a table); symmetry,
-    weave, threads_per_cm: as the capture states; regions: label picture (rows, columns) uint16 or None; attributes:
-    everything stored.
+    weave, threads_per_cm: as the capture states; attributes: everything stored.
     """
 
     def __init__(self, folder: Path | str):
@@ -48,6 +48,7 @@ class Measurements:
         with understood(self.folder / NAMES):
             self.kind: str = stored["kind"]
             self.channels: tuple[str, ...] = tuple(stored["channels"])
+            self.dtype = np.dtype(stored.get("dtype"))  # none of a table
             self.symmetry: Symmetry = stored["symmetry"]
             self.weave: str = stored["weave"]
             self.threads_per_cm: list[float] | None = stored.get("threads_per_cm")
@@ -71,29 +72,24 @@ class Measurements:
         """(channels,) float64."""
         return np.array(self.attributes["white_reflectance"])
 
-    @cached_property
-    def regions(self) -> np.ndarray | None:
-        return self._group["regions"][...] if "regions" in self._group else None
-
     def read(self, shot: Shot) -> Photograph:
         """One photograph's window. UserError where the store is damaged."""
         depth = self.attributes["frames_a_chunk"]
         codes = self._block(shot.place // depth)[shot.place % depth]
-        linear = self._lut[codes] if codes.dtype.kind == "u" else codes
+        linear = self.lut[codes] if codes.dtype.kind == "u" else codes
         linear = linear - self._dark(self.attributes["frames"][shot.place]["dark"])
         if shot.exposure_s is not None:
             linear = linear / np.float32(shot.exposure_s)
         finite = np.isfinite(linear).all(axis=2)
         limit = self.attributes["saturation_code"]
         saturated = (codes >= limit).any(axis=2) if limit is not None else np.zeros(codes.shape[:2], bool)
-        return Photograph(
-            np.where(finite[..., None], linear, np.float32(0)), saturated & finite, finite & ~self._defect
-        )
+        usable = finite if self.defect is None else finite & ~self.defect
+        return Photograph(np.where(finite[..., None], linear, np.float32(0)), saturated & finite, usable)
 
     def _read_block(self, place: int) -> np.ndarray:
         shape = (self.attributes["frames_a_chunk"], *self.attributes["shape"], len(self.channels))
         path = chunk_path(self.folder / STORE / "codes", place, 0)
-        return read_chunk(path, shape, np.dtype(self.attributes["dtype"]), compression="zstd")
+        return read_chunk(path, shape, self.dtype, compression="zstd")
 
     def _dark_level(self, place: int) -> np.ndarray:
         """Dark level over the window, bilinear between the centres of its blocks."""
@@ -111,12 +107,3 @@ class Measurements:
             return open_group(self.folder / STORE)
         except FileNotFoundError as e:
             raise UserError(f"{self.folder}: {STORE} is missing; run ingest again") from e
-
-    @cached_property
-    def _lut(self) -> np.ndarray:
-        return self._group["lut"][...]
-
-    @cached_property
-    def _defect(self) -> np.ndarray:
-        shape = tuple(self.attributes["shape"])
-        return self._group["defect"][...] != 0 if "defect" in self._group else np.zeros(shape, bool)

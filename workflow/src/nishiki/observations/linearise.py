@@ -1,6 +1,8 @@
 """From stored codes to linear light, and whether the camera really is linear."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +34,43 @@ def straight_scale(table: np.ndarray, dtype: np.dtype) -> np.float32:
         return np.float32(1.0)
     straight = np.arange(len(table)) * (table[-1].astype(np.float64) / (len(table) - 1))
     return np.float32(straight[1] if np.allclose(table, straight, rtol=1e-6, atol=0) else 0.0)
+
+
+class StoredArrays:
+    """Read what ingest stores beside the codes of photographs, of any geometry, each array at its first use."""
+
+    _group: Any
+    dtype: np.dtype  # of the codes
+
+    @cached_property
+    def lut(self) -> np.ndarray:
+        """Linear value by code; two zeros for float samples."""
+        return np.asarray(self._group["lut"][...]) if self.dtype.kind == "u" else np.zeros(2, np.float32)
+
+    @cached_property
+    def scale(self) -> np.float32:
+        """Linear value of one code, see `straight_scale`."""
+        return straight_scale(self.lut, self.dtype)
+
+    @cached_property
+    def gain(self) -> np.ndarray:
+        """(lights, r, c, channels) float32 on block centres; NaN where the white board could not be used."""
+        return np.asarray(self._group["gain"][...])
+
+    @cached_property
+    def dark(self) -> np.ndarray:
+        """(frames or 1, r or 1, c or 1, channels) float32, fraction of full scale."""
+        return np.asarray(self._group["dark"][...])
+
+    @cached_property
+    def defect(self) -> np.ndarray | None:
+        """(rows, columns) bool: hot and dead pixels, or None where none are known."""
+        return np.asarray(self._group["defect"][...]) > 0 if "defect" in self._group else None
+
+    @cached_property
+    def regions(self) -> np.ndarray | None:
+        """(rows, columns) label of the region of each pixel, or None where the capture names no regions."""
+        return np.asarray(self._group["regions"][...]) if "regions" in self._group else None
 
 
 def saturation_code(dtype: np.dtype, fraction: float | None, bits: int | None = None) -> np.number:

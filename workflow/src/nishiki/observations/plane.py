@@ -10,7 +10,7 @@ import numpy as np
 from nishiki.formats.stored import open_bands, open_made_by, understood
 from nishiki.formats.zarr_store import chunk_path, read_chunk, read_chunk_into
 from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid, positions
-from nishiki.observations.linearise import straight_scale
+from nishiki.observations.linearise import StoredArrays
 from nishiki.threads import over_rows, strips
 
 STORE, FORMAT = "frames.zarr", 1  # name and version of the file; readers refuse others
@@ -18,7 +18,7 @@ STRIP_BYTES = 8 << 20
 """Of float32 observations that are decoded at a time."""
 
 
-class Observations:
+class Observations(StoredArrays):
     """The ingested frames of one capture, opened for reading.
 
     lights: names; roles: 'sample' | 'check'; directions (lights, 3) float64; positions_mm (lights, 3) or None;
@@ -74,35 +74,6 @@ class Observations:
     def mask(self) -> np.ndarray:
         """(rows, columns) bool: the object."""
         return np.asarray(self._group["mask"][...]) > 0
-
-    @cached_property
-    def regions(self) -> np.ndarray | None:
-        """(rows, columns) uint8 label of the region of each pixel, or None where the capture names no regions."""
-        return np.asarray(self._group["regions"][...]) if "regions" in self._group else None
-
-    @cached_property
-    def defect(self) -> np.ndarray | None:
-        """(rows, columns) bool: hot and dead pixels, or None where none are known."""
-        return np.asarray(self._group["defect"][...]) > 0 if "defect" in self._group else None
-
-    @cached_property
-    def gain(self) -> np.ndarray:
-        """(lights, r, c, channels) float32 on block centres; NaN where the white board could not be used."""
-        return np.asarray(self._group["gain"][...])
-
-    @cached_property
-    def dark(self) -> np.ndarray:
-        """(lights or 1, r or 1, c or 1, channels) float32, fraction of full scale."""
-        return np.asarray(self._group["dark"][...])
-
-    @cached_property
-    def table(self) -> np.ndarray:
-        """Linear value by code; two zeros for float samples."""
-        return np.asarray(self._group["lut"][...]) if self.dtype.kind == "u" else np.zeros(2, np.float32)
-
-    @cached_property
-    def _scale(self) -> np.float32:
-        return straight_scale(self.table, self.dtype)
 
     def read(
         self,
@@ -161,7 +132,7 @@ class Observations:
         out = np.empty((*codes.shape[:3], last - first if channel is None else 1), np.float32)
         valid = np.empty(codes.shape[:3], bool)
         over_rows(
-            decode, len(codes) * rows, codes, (self.table, self._scale, *self.limits), (gain, dark, usable),
+            decode, len(codes) * rows, codes, (self.lut, self.scale, *self.limits), (gain, dark, usable),
             (place_rows, row_weights, between, column_weights), (first, last, channel is not None), (out, valid),
         )  # fmt: skip
         return (out if channel is None else out[..., 0]), valid

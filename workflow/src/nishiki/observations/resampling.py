@@ -125,7 +125,7 @@ def subtract_room(store: Path, ambient: np.ndarray, strengths: np.ndarray) -> No
         for light, photograph in enumerate(codes):
             gain = field_rows(observations.gain[light] * scale[light], observations.edges, start, start + len(room))
             share = np.divide(room, gain, out=np.zeros_like(room), where=gain > 0)
-            part = subtract_light(photograph, share, observations.table, saturated)
+            part = subtract_light(photograph, share, observations.lut, saturated)
             rest = np.zeros((observations.band_rows - len(part), *part.shape[1:]), part.dtype)
             place = chunk_path(store / "codes", light, number)
             write_chunk(place, np.concatenate([part, rest]), compression=compression)

@@ -9,16 +9,16 @@ import numpy as np
 
 from nishiki.colour.colour import decode, encode
 from nishiki.errors import UserError
-from nishiki.formats.stored import open_group, open_made_by, understood
+from nishiki.formats.stored import open_made_by, understood
 from nishiki.formats.zarr_store import chunk_path, read_chunk
 from nishiki.observations.blocks import grid_of, on_one_grid, picture_edges
-from nishiki.observations.linearise import straight_scale
+from nishiki.observations.linearise import StoredArrays
 
 __all__ = ["Views", "decode", "encode"]
 STORE, FORMAT = "views.zarr", 1  # name and version of the file; readers refuse others
 
 
-class Views:
+class Views(StoredArrays):
     """The ingested views of one capture, opened for reading; one photograph is in memory at a time.
 
     views: names in the order of the turn; lights, states: names, ('',) where there is but one without a name; shape
@@ -73,12 +73,12 @@ class Views:
 
         frame = self.index(view, state=state, light=light)
         codes = self.codes(view, state=state, light=light)
-        gain = self._gain[frame // (len(self.views) * len(self.states))] * np.float32(self.attributes["scale"][frame])
-        fields = on_one_grid(gain, self._dark[frame if len(self._dark) > 1 else 0])
+        gain = self.gain[frame // (len(self.views) * len(self.states))] * np.float32(self.attributes["scale"][frame])
+        fields = on_one_grid(gain, self.dark[frame if len(self.dark) > 1 else 0])
         edges = picture_edges(self.shape, self.attributes["white_block"])
         grid = grid_of(fields[0].shape[:2], self.shape, edges)
         out, valid = np.empty(codes.shape, np.float32), np.empty(self.shape, bool)
-        view_values(codes, (self._table, self._scale, self._saturated), fields, grid, self._usable, out, valid)
+        view_values(codes, (self.lut, self.scale, self._saturated), fields, grid, self._usable, out, valid)
         return out, valid
 
     def codes(self, view: str | int, *, state: str | None = None, light: str | None = None) -> np.ndarray:
@@ -122,25 +122,8 @@ class Views:
         return names.index(name)
 
     @cached_property
-    def _table(self) -> np.ndarray:
-        return self._group["lut"][...] if self.dtype.kind == "u" else np.zeros(2, np.float32)
-
-    @cached_property
-    def _scale(self) -> np.float32:
-        return straight_scale(self._table, self.dtype)
-
-    @cached_property
-    def _gain(self) -> np.ndarray:
-        return self._group["gain"][...]
-
-    @cached_property
-    def _dark(self) -> np.ndarray:
-        return self._group["dark"][...]
-
-    @cached_property
     def _usable(self) -> np.ndarray:
-        defect = self._group["defect"][...] if "defect" in self._group else np.zeros(self.shape, np.uint8)
-        return (defect == 0).astype(np.uint8)
+        return np.ones(self.shape, np.uint8) if self.defect is None else (~self.defect).astype(np.uint8)
 
     @property
     def _saturated(self) -> np.number:
@@ -171,5 +154,4 @@ def largest_value(views: Views) -> float | None:
     """Largest linear value that a photograph of this capture can hold; None for floating-point frames."""
     if views.dtype.kind != "u":
         return None
-    group = open_group(views.path)
-    return float(group["lut"][...].max() * group["gain"][...].max() * max(views.attributes["scale"]))
+    return float(views.lut.max() * views.gain.max() * max(views.attributes["scale"]))
