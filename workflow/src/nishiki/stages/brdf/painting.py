@@ -124,7 +124,6 @@ def gather(
     )
     lowest = np.cos(np.radians(settings.max_slope_deg))
     for band in context.progress.over(frames.bands(), "band"):
-        observations, valid = frames.read(band, lights=lights, channel="mean")
         normals = shading_normals(maps, band)
         left_out = ((maps.read("flags", band) & NO_ESTIMATE) != 0) | (normals[..., 2] < lowest)
         region_index = np.zeros(left_out.shape, int) if labels is None else labels[band].astype(int)
@@ -132,22 +131,25 @@ def gather(
         reflectance = maps.read("reflectance", band).mean(axis=-1)
         sigma = np.sqrt(joint[region_index] * maps.read("sigma", band) ** 2 / 2 + slope_variance(maps, band))
         shading = maps.read("shading", band) if "shading" in maps else None  # Lambert's law only
-        for parcel in parcels(frames, band, lights):
-            area = parcel.rows, parcel.columns
-            for number in np.flatnonzero(glossy):
-                here = np.where(region[area] == number, number, -1)
-                if (here < 0).all():
-                    continue
-                histogram = histogram.add_tile(
-                    np.where(valid[:, *area], observations[:, *area] * parcel.scale[:, None, None], np.nan),
-                    normals[area],
-                    reflectance[area],
-                    parcel.directions,
-                    sigma=sigma[area],
-                    regions=here,
-                    shading=None if shading is None else shading[area],
-                    gloss=glosses[number],
-                )
+        for rows, observations, valid in frames.strips(band, lights=lights, channel="mean"):
+            strip = slice(rows.start - band.start, rows.stop - band.start)
+            for parcel in parcels(frames, rows, lights):
+                inner = parcel.rows, parcel.columns
+                area = slice(strip.start + inner[0].start, strip.start + inner[0].stop), parcel.columns
+                for number in np.flatnonzero(glossy):
+                    here = np.where(region[area] == number, number, -1)
+                    if (here < 0).all():
+                        continue
+                    histogram = histogram.add_tile(
+                        np.where(valid[:, *inner], observations[:, *inner] * parcel.scale[:, None, None], np.nan),
+                        normals[area],
+                        reflectance[area],
+                        parcel.directions,
+                        sigma=sigma[area],
+                        regions=here,
+                        shading=None if shading is None else shading[area],
+                        gloss=glosses[number],
+                    )
     return histogram
 
 
