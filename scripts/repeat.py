@@ -15,7 +15,7 @@ from pathlib import Path
 import _project
 from nishiki.artifacts.artifact import MANIFEST, Artifact, open_artifact
 from nishiki.sweep.summary import processor
-from nishiki.threads import VARIABLES
+from nishiki.threads import ALONE, VARIABLES
 
 RECORDED = ("seconds", "cpu_seconds", "peak_memory_mib", "host", "platform", "python", "cpus", "finished")
 
@@ -49,7 +49,7 @@ def repeat(first: Artifact, folder: Path, rest: list[str], threads: int) -> tupl
     script = _project.PROJECT / "scripts" / "stage.py"
     done = subprocess.run(
         [sys.executable, str(script), first.stage, *rest, "--output", str(target)],
-        env={**os.environ, **dict.fromkeys(VARIABLES, str(threads))},
+        env={**os.environ, **dict.fromkeys(VARIABLES, str(threads)), **ALONE},
         check=False,
     )
     if done.returncode:

@@ -16,7 +16,7 @@ from nishiki.engine.workflow import Workflow
 from nishiki.stages.table import CHAIN
 from nishiki.engine.running_lock import scenes_to_make
 from nishiki.processes import interrupt_when_terminated
-from nishiki.threads import VARIABLES as THREADS
+from nishiki.threads import ALONE, VARIABLES as THREADS
 from snakemake.exceptions import WorkflowError
 
 shell.prefix(f"export PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH; ")
@@ -37,7 +37,12 @@ SCRIPTS = SCRIPTS.replace("{", "{{").replace("}", "}}")
 
 # The one command of all stages; {rule} names the stage.
 RUN_STAGE = (
-    " ".join(f"{name}={{threads}}" for name in THREADS)
+    " ".join(
+        [
+            *(f"{name}={{threads}}" for name in THREADS),
+            *(f"{name}={n}" for name, n in ALONE.items()),
+        ]
+    )
     + " python "
     + SCRIPTS
     + "/stage.py {rule} --scene {wildcards.scene} {params.source} --settings {params.settings:q}"

@@ -16,8 +16,11 @@ from typing import TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 """What each library reads its number of threads from; the workflow sets all of them for every job."""
+ALONE = {"OPENBLAS_NUM_THREADS": "1"}
+"""Set for every job, too: products of matrices are called by several threads of ours, for which threads of OpenBLAS's
+wait busily; with two of each, the export of relightable images took twice the processor time."""
 STRIPS_A_THREAD = 4
 """More strips than threads, so that a thread with easy rows helps out where rows are hard."""
 

@@ -223,3 +223,26 @@ def apply_estimator(responses, e, coefficients, sigma, flags):
             sigma[p] = 0.0
             flag = NOT_FINITE
         flags[p] = flag
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def code_pixels(values, matrix, table, out):
+    """Fill out (pictures, 3, n) with the nodes of a table next to matrix (3, channels) times values.
+
+    values: (pictures, n, channels). The matrix brings a value of 1 to the last node; values below 0, and those that are
+    no number, take the first.
+    """
+    last = np.float32(table.size - 1)
+    channels = values.shape[2]
+    for j in range(values.shape[0]):
+        for k in range(3):
+            for p in range(values.shape[1]):
+                place = np.float32(0.5)
+                if channels == 3:  # a distance between neighbours that the compiler knows: SIMD code
+                    place += matrix[k, 0] * values[j, p, 0] + matrix[k, 1] * values[j, p, 1]
+                    place += matrix[k, 2] * values[j, p, 2]
+                else:
+                    for c in range(channels):
+                        place += matrix[k, c] * values[j, p, c]
+                place = place if place > np.float32(0) else np.float32(0)
+                out[j, k, p] = table[np.int32(place if place < last else last)]

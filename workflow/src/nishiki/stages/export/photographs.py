@@ -23,6 +23,8 @@ from nishiki.render.plane.shade import predict_observations
 from nishiki.stages.export.light_models import GRID_SIDE, grid_weights
 from nishiki.stages.export.scene import ExportedScene
 
+CODED_STEPS = 65535  # of the table of coded values: at most .0001 off the curve
+
 
 class Photographs:
     """The photographs as sRGB-coded colours relative to a white that faces the lamp."""
@@ -33,12 +35,16 @@ class Photographs:
     def __init__(self, frames: Observations, scene: ExportedScene):
         colour = scene.camera_colour()
         self.frames = frames
-        self.matrix = xyz_to_srgb_linear(colour.matrix.T, white=colour.white).T
+        self.matrix = np.float32(CODED_STEPS * xyz_to_srgb_linear(colour.matrix.T, white=colour.white).T)
+        self.table = np.float32(encode(np.arange(CODED_STEPS + 1) / CODED_STEPS, "srgb"))
 
     def coded(self, observations: np.ndarray) -> np.ndarray:
-        """Code observations (..., pixels, channels) as sRGB: (..., 3, pixels) float32, 0 to 1."""
-        linear = np.float32(self.matrix) @ np.swapaxes(observations, -1, -2)
-        return encode(np.clip(linear, 0, 1, out=linear), "srgb")
+        """Code observations (pictures, pixels, channels) as sRGB: (pictures, 3, pixels) float32, 0 to 1."""
+        from nishiki.colour.kernels import code_pixels
+
+        out = np.empty((len(observations), 3, observations.shape[1]), np.float32)
+        code_pixels(np.ascontiguousarray(observations, np.float32), self.matrix, self.table, out)
+        return out
 
     def strips(self, band: slice, lights: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Yield some rows of a band at a time: (lights, 3, n) values in 0 to 1 and (lights, n) bool of their pixels."""
@@ -160,4 +166,4 @@ class GridPictures(Photographs):
 
         maps: dict[str, Any] = {name: some(values) for name, values in model._asdict().items() if name != "gloss"}
         seen = predict_observations(model._replace(**maps), self._lamps)
-        return np.stack([self.coded(each.observations[0]) for each in seen])
+        return np.concatenate([self.coded(each.observations) for each in seen])
