@@ -10,10 +10,10 @@ import pytest
 import nishiki.simulate
 from nishiki import threads
 from nishiki.errors import UserError
-from nishiki.simulate.capture import FINE_NM, CameraSettings, dark_frame, expose, sensitivities
+from nishiki.simulate.capture import BOARD_REFLECTANCE, FINE_NM, CameraSettings, dark_frame, expose, sensitivities
 from nishiki.simulate.painting import photographs
 from nishiki.simulate.painting.objects import make_object
-from nishiki.simulate.painting.photographs import BOARD_REFLECTANCE, make_tables, photograph, white_board
+from nishiki.simulate.painting.photographs import make_tables, photograph, white_board
 from nishiki.simulate.painting.settings import (
     LightSettings,
     SimulationSettings,

@@ -9,11 +9,11 @@ import pytest
 from nishiki import threads
 from nishiki.errors import UserError
 from nishiki.geometry.visibility import cast, make_tree
-from nishiki.simulate.capture import CameraSettings
+from nishiki.simulate.capture import BOARD_REFLECTANCE, CameraSettings
 from nishiki.simulate.turntable.materials import INDEX, NUMBERS, describe, reflected
 from nishiki.simulate.turntable.photographs import components, make_optics, photograph, signal, white_board
 from nishiki.simulate.turntable.render import bounced, cosine_directions, irradiance, look_around, make_scene, see
-from nishiki.simulate.turntable.settings import BETA, BOARD_REFLECTANCE, LAMP_MM, LEAK, TurntableSettings, place_views
+from nishiki.simulate.turntable.settings import BETA, LAMP_MM, LEAK, TurntableSettings, place_views
 from nishiki.simulate.turntable.shape import SimulatedSurface, distance, make_surface, scanned
 
 SMALL = TurntableSettings(rows=64, columns=64, views=4, triangles=4000, samples=3, directions=64)

@@ -22,6 +22,7 @@ from nishiki.observations.views_store import read_silhouette, view_problems
 from nishiki.observations.views_white import measure_whites
 from nishiki.polarisation.polariser_states import equal_steps, sums_of
 from nishiki.polarisation.series_order import SeriesOrder, find_order, remove_nuisance, series_design
+from nishiki.polarisation.statistics import LIT
 
 SIDE = 96
 """Pixels of the longer side to which photographs are averaged; noise counts little then."""
@@ -29,8 +30,6 @@ EXCHANGED = 1.02
 """Light of the crossed over that of the parallel state from which the states are exchanged. Off and on give 0.3 to 0.5,
 angles 0.2 to 0.99, light never more than 1; a lamp that varies between photographs adds 1 %."""
 RETARDERS, MOST_NAMED = 25, 6  # terms of a series of retarders; views and photographs that a message names
-LIT = 0.1
-"""Share of the brightest hundredth from which a pixel shows the object."""
 
 
 class PolariserLevels:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.capture.frames import Frame
+from nishiki.capture.taking import SAME_EXPOSURE
 from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
 from nishiki.observations.block_kernels import block_levels, count_outliers
 from nishiki.observations.blocks import Edges
@@ -96,7 +97,6 @@ def _unusable_board(name: str, bright_share: float, board: np.ndarray) -> Proble
 
 HOT = 0.02  # of full scale above its block in the dark; see `hot_limit` for samples without a full scale
 DEAD = 0.1  # of its block's level on the white board
-SAME_EXPOSURE = 0.01  # relative difference of times that count as one
 
 
 @dataclass(frozen=True)

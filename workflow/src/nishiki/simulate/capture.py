@@ -137,6 +137,7 @@ def expose(signal: np.ndarray, camera: CameraSettings, *, key: int, first_row: i
 
 
 DARK_FRAMES = 3  # photographs
+BOARD_REFLECTANCE = 0.98  # of the white board
 
 
 class Progress:

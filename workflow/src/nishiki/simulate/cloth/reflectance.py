@@ -15,13 +15,13 @@ from nishiki.errors import require
 from nishiki.simulate.cloth.geometry import Solids, escapes, make_solids
 from nishiki.simulate.cloth.points import Chains, Ends, SurfacePoints, make_chains, make_points
 from nishiki.simulate.cloth.settings import ClothSettings
+from nishiki.simulate.randomness import GOLDEN_RATIO
 from nishiki.simulate.reflection import body, in_frame, reflect_filament
 from nishiki.threads import over_rows
 
 _DIRECTIONS = 64  # held at a time
 _STRONG = 0.05  # ends that pass on less than this (1/sr) are traced by lot, at least one in
 _LOT = 8.0
-_GOLDEN = 0.6180339887498949  # ratio: its multiples are even whatever their number
 BINS_A_YARN = 2  # of the openness
 
 
@@ -229,7 +229,7 @@ def _ends(start, stop, lamps, ends, solids, cloth, out):
             mirror = reflect_filament((ix, iy, iz), (ox, oy, oz), surface[k])
             if point[p] < 0:
                 share = min(max(iz * mirror / _STRONG, 1.0 / _LOT), 1.0)
-                if p * _GOLDEN - math.floor(p * _GOLDEN) >= share:
+                if p * GOLDEN_RATIO - math.floor(p * GOLDEN_RATIO) >= share:
                     continue
                 if not escapes(place[p, 0], place[p, 1], place[p, 2], dx, dy, dz, numbers, free):
                     continue

@@ -8,6 +8,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.simulate.capture import (
+    BOARD_REFLECTANCE,
     DARK_FRAMES,
     CameraSettings,
     Truth,
@@ -37,7 +38,6 @@ from nishiki.simulate.painting.settings import (
 from nishiki.simulate.painting.shading import shade
 from nishiki.simulate.randomness import subkey
 
-BOARD_REFLECTANCE = 0.98  # of the white board
 WAVELENGTHS_NM = np.arange(400.0, 700.5, 5.0)
 _BAND_ROWS = 256  # in memory
 

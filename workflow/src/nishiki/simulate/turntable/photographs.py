@@ -7,6 +7,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.simulate.capture import (
+    BOARD_REFLECTANCE,
     DARK_FRAMES,
     Truth,
     camera_from,
@@ -23,7 +24,6 @@ from nishiki.simulate.turntable.settings import (
     AIM_MM,
     BETA,
     BLUR_PIXELS,
-    BOARD_REFLECTANCE,
     CLOTH,
     LEAK,
     PRESETS,
@@ -204,7 +204,7 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
         ("red", "green", "blue"),
         settings.camera,
         lights={"file": "lights.csv", "kind": "position_mm"} if lamp else {"kind": "camera"},
-        white={"reflectance": constants.BOARD_REFLECTANCE, "normal": [0, 0, 1]},
+        white={"reflectance": BOARD_REFLECTANCE, "normal": [0, 0, 1]},
         turntable={
             "full_turn": True,
             "unit": "mm",
@@ -264,7 +264,7 @@ def truth_attributes(settings: TurntableSettings, views: tuple[Viewpoint, ...]) 
         "lamp_radius_mm": constants.LAMP_RADIUS_MM,
         "beta": list(constants.BETA),
         "leak": list(constants.LEAK),
-        "board_reflectance": constants.BOARD_REFLECTANCE,
+        "board_reflectance": BOARD_REFLECTANCE,
         "settings": asdict(settings),
     }
 
@@ -297,5 +297,5 @@ Light is relative to a perfect white on the axis that faces the lamp, without no
 of a photograph are (full scale − black) × sensitivity × total + black, with crossed polarisers
 (full scale − black) × sensitivity × beta × (diffuse + leak × specular) + black, plus noise; those of the board likewise
 with sensitivity × (board + {constants.STRAY}). Where observations are divided by the board, the truth to compare them
-with is total / (board + {constants.STRAY}) × {constants.BOARD_REFLECTANCE}.
+with is total / (board + {constants.STRAY}) × {BOARD_REFLECTANCE}.
 """

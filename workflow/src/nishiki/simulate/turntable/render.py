@@ -7,7 +7,7 @@ import numba
 import numpy as np
 
 from nishiki.geometry.visibility import Hits, RayTree, cast, make_tree
-from nishiki.simulate.randomness import hash_uint, subkey, uniform
+from nishiki.simulate.randomness import GOLDEN_RATIO, hash_uint, subkey, uniform
 from nishiki.simulate.reflection import metal_fresnel
 from nishiki.simulate.turntable.materials import INDEX, describe, reflected
 from nishiki.simulate.turntable.settings import AIM_MM, LAMP_RADIUS_MM, TurntableSettings, Viewpoint
@@ -179,7 +179,6 @@ def mirrored(surface: SimulatedSurface, around: Surroundings, radiosity: np.ndar
 
 _LAMP_POINTS = 8  # lamp points a vertex, for the light that bounces
 _RAYS = 1 << 18  # at a time
-_GOLDEN = 0.6180339887498949  # ratio: its multiples are even whatever their number
 
 
 @dataclass(frozen=True)
@@ -280,7 +279,7 @@ def irradiance(scene: SimulatedScene, view: Viewpoint) -> np.ndarray:
     surface = scene.surface
     origins, total = surface.vertices + OFFSET_MM * surface.normals, np.zeros(len(surface.vertices))
     for point in range(_LAMP_POINTS):
-        a, b = (np.full(len(total), x) for x in ((point + 0.5) / _LAMP_POINTS, point * _GOLDEN % 1.0))
+        a, b = (np.full(len(total), x) for x in ((point + 0.5) / _LAMP_POINTS, point * GOLDEN_RATIO % 1.0))
         rays, distance = lamp_rays(origins, view.lamp, a, b)
         cosine = np.einsum("ij,ij->i", surface.normals, rays)
         facing = np.flatnonzero(cosine > 0.0)
@@ -343,7 +342,7 @@ def _shade(scene, view, settings, met: _Points) -> tuple[np.ndarray, np.ndarray,
     # One point of the lamp's disc a sample; together the pixel's samples cover the disc (a sunflower pattern).
     ring = (met.sample + met.numbers[:, 3]) / settings.samples**2
     origins = met.points + OFFSET_MM * met.normals
-    rays, distance = lamp_rays(origins, view.lamp, ring, (met.numbers[:, 2] + met.sample * _GOLDEN) % 1.0)
+    rays, distance = lamp_rays(origins, view.lamp, ring, (met.numbers[:, 2] + met.sample * GOLDEN_RATIO) % 1.0)
     facing = np.flatnonzero(np.einsum("ij,ij->i", met.normals, rays) > 0.0)
     free = cast(scene.tree, origins[facing], rays[facing], far=distance[facing], any_hit=True).triangle < 0
     lit = facing[free]

@@ -16,7 +16,6 @@ LEAK = (0.008, 0.010, 0.013)  # share of the mirror reflection that the crossed 
 WHITE_RATIO = (0.86, 1.0, 0.78)  # what a white gives in each channel, the largest = 1
 STRAY = 0.0015  # light scattered inside the lens, of a white's
 CLOTH = 0.004  # the black cloth behind the object, of a white's
-BOARD_REFLECTANCE = 0.98  # of the white board
 AIM_MM = (0.0, 86.0, 0.0)  # the point of the axis that the camera looks at
 _WIDTH_MM, _HEIGHT_MM = 204.0, 200.0  # what the picture must hold, at the axis
 LEAST_TRIANGLES = 3500  # with fewer, thin parts fall apart
