@@ -52,32 +52,19 @@ class _Points:
     """Observations times the roots of their weights, columns scaled to a mean of 1, freed of the best diffuse part.
 
     The scaling makes the fit equivariant under any radiometric scale that the float type can hold.
-
-    Attributes
-    ----------
-    square, lobe, diffuse : (observations, points) ndarray
-        phi^2, a and q; 0 where an observation does not count.
-    left : (channels, observations, points) ndarray
-        y' = y - k0 q.
-    alone, along : (channels, points) ndarray
-        Strength k0 >= 0 of the diffuse column alone, and q.y'.
-    total : (points,) ndarray
-        q.q.
-    scales : (3, points) ndarray
-        Of the lobe, of q, and of the observations.
-    used : (points,) ndarray
-        Observations that count.
     """
 
+    # square, lobe, diffuse: (observations, points) ndarray: phi^2, a and q; 0 where an observation does not count
     square: np.ndarray
     lobe: np.ndarray
     diffuse: np.ndarray
-    left: np.ndarray
+    left: np.ndarray  # (channels, observations, points) ndarray: y' = y - k0 q
+    # alone, along: (channels, points) ndarray: strength k0 >= 0 of the diffuse column alone, and q.y'
     alone: np.ndarray
     along: np.ndarray
-    total: np.ndarray
-    scales: np.ndarray
-    used: np.ndarray
+    total: np.ndarray  # (points,) ndarray: q.q
+    scales: np.ndarray  # (3, points) ndarray: of the lobe, of q, and of the observations
+    used: np.ndarray  # (points,) ndarray: observations that count
 
     @classmethod
     def of(cls, phi, attenuation, diffuse, weights, values) -> "_Points":

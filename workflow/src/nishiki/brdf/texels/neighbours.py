@@ -22,13 +22,10 @@ _MIDDLE = 1 << (_BITS - 1)
 
 @dataclass(frozen=True)
 class Lattice:
-    """Cells in space.
+    """Cells in space."""
 
-    edge: of the finest lattice's cells, in the object's unit; origin (3,): a place near the object, from which nodes
-    are counted, up to 2^20 each way (farther ones are held at that).
-    """
-
-    edge: float
+    edge: float  # of the finest lattice's cells, in the object's unit
+    # (3,): a place near the object, from which nodes are counted, up to 2^20 each way (farther ones are held at that)
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def places(self, positions: np.ndarray) -> np.ndarray:

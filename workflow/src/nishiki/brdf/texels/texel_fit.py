@@ -229,15 +229,12 @@ def lambert(data: Observed) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Strengths:
-    """K_d and K_s (points, channels) at given sigma.
-
-    information (points,): what the data alone say of K_s; residual (points,): root mean square of the weighted
-    residuals of the observations that K_s follows from.
-    """
+    """K_d and K_s (points, channels) at given sigma."""
 
     kd: np.ndarray
     ks: np.ndarray
-    information: np.ndarray
+    information: np.ndarray  # (points,): what the data alone say of K_s
+    # (points,): root mean square of the weighted residuals of the observations that K_s follows from
     residual: np.ndarray
 
 

@@ -29,20 +29,12 @@ GAP = 2  # texels between two charts
 
 @dataclass(frozen=True)
 class TextureAtlas:
-    """One texture for all charts.
+    """One texture for all charts."""
 
-    Attributes
-    ----------
-    shape : (int, int)
-        Rows and columns of the texture.
-    origin : (tiles, 2) int64 ndarray
-        Row and column of the first texel of each tile.
-    corners : (f, 3, 2) float64 ndarray
-        Row and column of the corners of each triangle, in texels from the texture's first; NaN where it has no place.
-    """
-
-    shape: tuple[int, int]
-    origin: np.ndarray
+    shape: tuple[int, int]  # rows and columns of the texture
+    origin: np.ndarray  # (tiles, 2) int64 ndarray: row and column of the first texel of each tile
+    # (f, 3, 2) float64 ndarray: row and column of the corners of each triangle, in texels from the texture's first; NaN
+    # where it has no place
     corners: np.ndarray
 
     @property
@@ -102,30 +94,18 @@ LEAST_ALPHA = 0.03**2  # roughness below which viewers show nothing of distant l
 
 @dataclass(frozen=True)
 class ObjectLook:
-    """Textures of an object.
+    """Textures of an object."""
 
-    Attributes
-    ----------
-    decoded, layout
-        The object, and the places of its charts in the textures.
-    colour, roughness, specular : (rows, columns, 3) or (rows, columns) uint8 ndarray
-        Base colour, sRGB; square root of alpha; share of the reflectance along the normal.
-    factor : float
-        The reflectance of share 1, as a factor of that of glass (0.04).
-    scale : float
-        Strength of the lamp with which albedo is at most 1.
-    clipped : float
-        Share of the texels that are brighter than white nevertheless.
-    """
-
-    decoded: DecodedObject
+    decoded: DecodedObject  # decoded, layout: the object, and the places of its charts in the textures
     layout: TextureAtlas
+    # colour, roughness, specular: (rows, columns, 3) or (rows, columns) uint8 ndarray: base colour, sRGB; square root
+    # of alpha; share of the reflectance along the normal
     colour: np.ndarray
     roughness: np.ndarray
     specular: np.ndarray
-    factor: float
-    scale: float
-    clipped: float
+    factor: float  # the reflectance of share 1, as a factor of that of glass (0.04)
+    scale: float  # strength of the lamp with which albedo is at most 1
+    clipped: float  # share of the texels that are brighter than white nevertheless
 
     @property
     def normal_reflectance(self) -> float:

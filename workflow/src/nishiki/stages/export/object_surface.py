@@ -21,28 +21,15 @@ from nishiki.stages.export.registry import ExportedSurface
 
 @dataclass(frozen=True)
 class SeenPoints:
-    """Surface points behind the covered pixels of a captured view, under its first light.
+    """Surface points behind the covered pixels of a captured view, under its first light."""
 
-    Attributes
-    ----------
-    positions, normals : (n, 3) float64 ndarray
-        Of the points, in the cameras' world; normals of unit length.
-    places : (n, 2) float64 ndarray
-        Row and column in the textures, in texels.
-    centre : (3,) float64 ndarray
-        The camera's place.
-    lamp : Lamp
-        The light.
-    covered : (rows, columns) bool ndarray
-        The pixels, in whose order the points come.
-    """
-
+    # positions, normals: (n, 3) float64 ndarray: of the points, in the cameras' world; normals of unit length
     positions: np.ndarray
     normals: np.ndarray
-    places: np.ndarray
-    centre: np.ndarray
-    lamp: ViewLamp
-    covered: np.ndarray
+    places: np.ndarray  # (n, 2) float64 ndarray: row and column in the textures, in texels
+    centre: np.ndarray  # (3,) float64 ndarray: the camera's place
+    lamp: ViewLamp  # the light
+    covered: np.ndarray  # (rows, columns) bool ndarray: the pixels, in whose order the points come
 
     @classmethod
     def of(cls, look: ObjectLook, view: int) -> "SeenPoints":
