@@ -45,18 +45,14 @@ ITERATIONS = 8  # steps of the search
 
 @dataclass(frozen=True)
 class HalfVectorTable:
-    """A BRDF as a table over the half vector.
+    """A BRDF as a table over the half vector."""
 
-    theta (a,), phi (b,): of the light, radians; facets, area (around, polar): D and sigma; visible (b, a, around,
-    polar): v, of integral 1 over the square; values (b, a, channels, side, side): q, 0 for an eye below the horizon.
-    """
-
-    theta: np.ndarray
-    phi: np.ndarray
-    facets: np.ndarray
+    theta: np.ndarray  # (a,) of the light, radians
+    phi: np.ndarray  # (b,) of the light, radians
+    facets: np.ndarray  # facets, area (around, polar): D and sigma
     area: np.ndarray
-    visible: np.ndarray
-    values: np.ndarray
+    visible: np.ndarray  # (b, a, around, polar): v, of integral 1 over the square
+    values: np.ndarray  # (b, a, channels, side, side): q, 0 for an eye below the horizon
 
     @property
     def channels(self) -> int:

@@ -20,19 +20,15 @@ ROUNDING = 1e-12  # of a depth, relative to its terms
 
 @dataclass(frozen=True)
 class Camera(PlainFields):
-    """One calibrated view.
-
-    intrinsics (3, 3) float64, upper triangular, last element 1; rotation (3, 3) world to camera, translation (3,) in
-    the world's unit; distortion: k1, k2, p1, p2, k3 (Brown's model, as OpenCV orders them); rows, columns: of its
-    picture.
-    """
+    """One calibrated view."""
 
     name: str
-    intrinsics: np.ndarray
-    rotation: np.ndarray
-    translation: np.ndarray
-    rows: int
+    intrinsics: np.ndarray  # (3, 3) float64, upper triangular, last element 1
+    rotation: np.ndarray  # (3, 3) world to camera
+    translation: np.ndarray  # (3,) in the world's unit
+    rows: int  # rows, columns: of its picture
     columns: int
+    # k1, k2, p1, p2, k3 (Brown's model, as OpenCV orders them)
     distortion: tuple[float, ...] = field(default=NO_DISTORTION)
 
     @classmethod

@@ -234,18 +234,14 @@ class Regions:
 
 @dataclass(frozen=True)
 class Readings:
-    """Hold the reflectances read from photographs.
+    """Hold the reflectances read from photographs."""
 
-    values, noise (n, regions, channels) float64, sr^-1; valid (n, regions); pixels, saturated (n, regions): number and
-    share of saturated ones; rules: number of samples by the rule of their board.
-    """
-
-    values: np.ndarray
+    values: np.ndarray  # values, noise (n, regions, channels) float64, sr^-1
     noise: np.ndarray
-    valid: np.ndarray
-    pixels: np.ndarray
+    valid: np.ndarray  # (n, regions)
+    pixels: np.ndarray  # pixels, saturated (n, regions): number and share of saturated ones
     saturated: np.ndarray
-    rules: dict[str, int] = field(default_factory=dict)
+    rules: dict[str, int] = field(default_factory=dict)  # number of samples by the rule of their board
 
 
 def read_all(

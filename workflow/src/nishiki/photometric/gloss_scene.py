@@ -41,20 +41,16 @@ METAL_LEVEL, METAL_WIDTHS = 0.7, slice(5, 8)  # of metals to start from: reflect
 
 @dataclass(frozen=True)
 class GlossTile:
-    """Pixels under one set of directions, with the normals that the fit starts from.
+    """Pixels under one set of directions, with the normals that the fit starts from."""
 
-    observations (lights, rows, columns, channels); valid (lights, rows, columns) bool; directions (lights, 3); normals
-    (rows, columns, 3); flags, sigma (rows, columns); reflectance (rows, columns, channels); cells (rows, columns) int:
-    number of the cell of the picture, where finishes are told apart.
-    """
-
-    observations: np.ndarray
-    valid: np.ndarray
-    directions: np.ndarray
-    normals: np.ndarray
-    flags: np.ndarray
+    observations: np.ndarray  # (lights, rows, columns, channels)
+    valid: np.ndarray  # (lights, rows, columns) bool
+    directions: np.ndarray  # (lights, 3)
+    normals: np.ndarray  # (rows, columns, 3)
+    flags: np.ndarray  # flags, sigma (rows, columns)
     sigma: np.ndarray
-    reflectance: np.ndarray
+    reflectance: np.ndarray  # (rows, columns, channels)
+    # (rows, columns) int: number of the cell of the picture, where finishes are told apart
     cells: np.ndarray | None = None
 
     @property

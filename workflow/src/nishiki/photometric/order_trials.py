@@ -58,18 +58,14 @@ class Tiles:
 
 @dataclass(frozen=True)
 class Trial:
-    """An order with its fit.
-
-    misfit (lights, tiles) relative to the albedo, energies (tiles, 4) of the derivatives that AXES names, (4,) how far
-    the normals then point outwards, and the turns about the line of sight, with and without mirroring y, after which
-    the curl is least, as matrices (2, 3, 3).
-    """
+    """An order with its fit."""
 
     order: np.ndarray
     fit: Fit
-    misfit: np.ndarray
-    energies: np.ndarray
-    outwards: np.ndarray
+    misfit: np.ndarray  # (lights, tiles) relative to the albedo
+    energies: np.ndarray  # (tiles, 4) of the derivatives that AXES names
+    outwards: np.ndarray  # (4,) how far the normals then point outwards
+    # (2, 3, 3): turns about the line of sight, with and without mirroring y, after which the curl is least
     turns: np.ndarray
 
 

@@ -22,17 +22,13 @@ LEAST = 8  # finite reflectances of a plane
 
 @dataclass(frozen=True)
 class Plane:
-    """Hold reflectances with lamps and views in one plane.
+    """Hold reflectances with lamps and views in one plane."""
 
-    theta_i, theta_r (n,) signed radians from the normal, below pi/2; values (n, channels) sr^-1; sigma (n,) standard
-    deviation of the mean over channels; measured: False where taken from the interpolated hemisphere.
-    """
-
-    theta_i: np.ndarray
+    theta_i: np.ndarray  # theta_i, theta_r (n,) signed radians from the normal, below pi/2
     theta_r: np.ndarray
-    values: np.ndarray
-    sigma: np.ndarray
-    measured: bool = True
+    values: np.ndarray  # (n, channels) sr^-1
+    sigma: np.ndarray  # (n,) standard deviation of the mean over channels
+    measured: bool = True  # False where taken from the interpolated hemisphere
 
     @property
     def mean(self) -> np.ndarray:

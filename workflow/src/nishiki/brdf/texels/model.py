@@ -49,17 +49,14 @@ class ViewLamp:
 
 @dataclass(frozen=True)
 class Lighting(PlainFields):
-    """The lamps of a capture, in the lamp frame.
+    """The lamps of a capture, in the lamp frame."""
 
-    kind: "camera" (the lamp is at the camera's centre), "direction", "position" (in the world's unit), "environment"
-    (fitted, see `nishiki.brdf.texels.environment`) or "unknown" (nothing can be predicted yet).  vectors: one row
-    (x, y, z) a light; harmonics: (9, channels) nested tuples a light; reference: as in `ViewLamp`.
-    """
-
+    # "camera" (the lamp is at the camera's centre), "direction", "position" (in the world's unit), "environment"
+    # (fitted, see `nishiki.brdf.texels.environment`) or "unknown" (nothing can be predicted yet)
     kind: str
-    vectors: tuple[tuple[float, ...], ...] = field(default=((0.0, 0.0, 0.0),))
-    harmonics: tuple = field(default=())
-    reference: float = 0.0
+    vectors: tuple[tuple[float, ...], ...] = field(default=((0.0, 0.0, 0.0),))  # one row (x, y, z) a light
+    harmonics: tuple = field(default=())  # (9, channels) nested tuples a light
+    reference: float = 0.0  # as in `ViewLamp`
 
     def __post_init__(self):
         if self.kind not in KINDS:

@@ -108,17 +108,14 @@ def _pick(stack: np.ndarray, texel: np.ndarray, view: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Tile:
-    """A tile's texels.
+    """A tile's texels."""
 
-    values (M, T, T, channels) linear of the total radiance or, with `specular` given, of the diffuse component; visible
-    (M, T, T); positions, normals (T, T, 3); inside (T, T).
-    """
-
+    # (M, T, T, channels) linear of the total radiance or, with `specular` given, of the diffuse component
     values: np.ndarray
-    visible: np.ndarray
-    positions: np.ndarray
+    visible: np.ndarray  # (M, T, T)
+    positions: np.ndarray  # positions, normals (T, T, 3)
     normals: np.ndarray
-    inside: np.ndarray
+    inside: np.ndarray  # (T, T)
     specular: np.ndarray | None = None
 
     @property

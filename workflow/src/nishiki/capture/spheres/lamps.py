@@ -36,14 +36,11 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Falloff:
-    """Light on a flat surface.
+    """Light on a flat surface."""
 
-    pixels (n, 2) of the surface, which is the object's plane: to the right of and above the photograph's middle;
-    log_light (lamps, n), NaN where saturated or dark.
-    """
-
+    # (n, 2) of the surface, which is the object's plane: to the right of and above the photograph's middle
     pixels: np.ndarray
-    log_light: np.ndarray
+    log_light: np.ndarray  # (lamps, n), NaN where saturated or dark
 
 
 @dataclass(frozen=True)

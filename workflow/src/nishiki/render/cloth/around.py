@@ -17,16 +17,12 @@ THETAS, PHIS, LIGHTS = 10, 16, (14, 28)
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What surrounds the vertices.
-
-    open (v, 2), from_above (v, 2): cosine-weighted share of unblocked directions at each vertex, front and back, and
-    how far up those point, 0 to 1; corners (f, 3): of the triangles.
-    """
+    """What surrounds the vertices."""
 
     light: AmbientLight
-    open: np.ndarray
-    from_above: np.ndarray
-    corners: np.ndarray
+    open: np.ndarray  # (v, 2): cosine-weighted share of unblocked directions at each vertex, front and back
+    from_above: np.ndarray  # (v, 2): how far up those point, 0 to 1
+    corners: np.ndarray  # (f, 3): of the triangles
 
     @classmethod
     def of(cls, scene: ClothScene, light: AmbientLight) -> "Surroundings":

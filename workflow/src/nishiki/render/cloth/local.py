@@ -19,26 +19,21 @@ LIFT = 2e-4
 
 @dataclass(frozen=True)
 class Fragments:
-    """Points that a picture shows, in the order of the picture.
+    """Points that a picture shows, in the order of the picture."""
 
-    pixel (n,) int64 in the band; number (n,) int64: that of the pixel in the picture times a_pixel, the samples a pixel
-    has, plus that of the sample in its pixel; triangle (n,) int32, weights (n, 2) float32 of its corners 0 and 1;
-    material (n,); back (n,) bool: seen from behind; place (n, 3) float64; frame (n, 3, 3): weft, warp, normal, turned
-    to the eye; outgoing (n, 3): the eye in this frame; stands (n,): the sample whose BRDF value serves for this one,
-    itself included; bent: how many normals were turned.
-    """
-
-    pixel: np.ndarray
+    pixel: np.ndarray  # (n,) int64 in the band
+    # (n,) int64: that of the pixel in the picture times a_pixel, the samples a pixel has, plus that of the sample in
+    # its pixel
     number: np.ndarray
-    triangle: np.ndarray
-    weights: np.ndarray
-    material: np.ndarray
-    back: np.ndarray
-    place: np.ndarray
-    frame: np.ndarray
-    outgoing: np.ndarray
-    stands: np.ndarray
-    bent: int
+    triangle: np.ndarray  # (n,) int32
+    weights: np.ndarray  # (n, 2) float32 of its corners 0 and 1
+    material: np.ndarray  # (n,)
+    back: np.ndarray  # (n,) bool: seen from behind
+    place: np.ndarray  # (n, 3) float64
+    frame: np.ndarray  # (n, 3, 3): weft, warp, normal, turned to the eye
+    outgoing: np.ndarray  # (n, 3): the eye in this frame
+    stands: np.ndarray  # (n,): the sample whose BRDF value serves for this one, itself included
+    bent: int  # how many normals were turned
     a_pixel: int
 
     def take(self, rows: np.ndarray) -> "Fragments":

@@ -101,14 +101,11 @@ def _distinct(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Reach:
-    """Hold the reach of directions (d, 3).
-
-    lit (d, points) float32, n·d where the point is reached, else 0; first, last (d, channels, chains) float32, or None:
-    light that enters a path at either end.
-    """
+    """Hold the reach of directions (d, 3)."""
 
     directions: np.ndarray
-    lit: np.ndarray
+    lit: np.ndarray  # (d, points) float32, n·d where the point is reached, else 0
+    # first, last (d, channels, chains) float32, or None: light that enters a path at either end
     first: np.ndarray | None
     last: np.ndarray | None
 
