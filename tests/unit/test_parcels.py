@@ -68,3 +68,30 @@ def test_lamps_that_are_very_near_have_small_parcels_where_these_are_few():
     assert sides == {2}
     near.shape = (6000, COLUMNS)
     assert next(parcels(near, slice(0, ROWS), np.arange(3))).rows.stop == 8
+
+
+@pytest.mark.parametrize("white_board", [True, False])
+def test_normals_of_a_parcel_are_corrected_to_those_of_pixel_by_pixel_directions(white_board):
+    near = scene(np.append(POSITIONS, [[20.0, -15.0, 90.0], [-60.0, 40.0, 70.0]], axis=0) / 3, white_board=white_board)
+    rng = np.random.default_rng(1)
+    true = np.concatenate([rng.uniform(-0.4, 0.4, (ROWS, COLUMNS, 2)), np.ones((ROWS, COLUMNS, 1))], axis=2)
+    true /= np.linalg.norm(true, axis=2, keepdims=True)
+    before, after, levels = [], [], []
+    for parcel in parcels(near, slice(0, ROWS), np.arange(5)):
+        area = true[parcel.rows, parcel.columns]
+        places = np.mgrid[parcel.rows, parcel.columns].transpose(1, 2, 0)
+        lamps = np.array([[[towards(*place, lamp) for lamp in near.positions_mm] for place in row] for row in places])
+        distance = np.linalg.norm(lamps, axis=3)
+        seen = 0.7 * np.einsum("rclk,rck->rcl", lamps, area) / distance
+        if not white_board:
+            seen *= np.square(np.linalg.norm(near.positions_mm, axis=1) / distance)
+        vectors = (seen * parcel.scale) @ np.linalg.pinv(parcel.directions).T
+        albedo = np.linalg.norm(vectors, axis=2)
+        maps = {"normals": vectors / albedo[..., None], "albedo": albedo, "reflectance": albedo[..., None]}
+        better = parcel.at_pixels(maps)
+        for found, errors in ((maps, before), (better, after)):
+            errors.append(np.linalg.norm(found["normals"] - area, axis=2).ravel())
+        levels.append(better["albedo"].ravel())
+        np.testing.assert_array_equal(better["albedo"], better["reflectance"][..., 0])
+    assert np.concatenate(after).mean() < 0.1 * np.concatenate(before).mean()
+    assert np.concatenate(levels) == pytest.approx(0.7, rel=0.02)

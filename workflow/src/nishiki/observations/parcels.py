@@ -26,6 +26,23 @@ class Parcel:
     # (lights,) float32: factor on the observations that removes the lamp's fall-off with the square of the distance
     # where no white board has removed it; 1 otherwise
     scale: np.ndarray
+    # (2, 3, 3): error of Lambert's vector, as a factor on it, a row and a column away from the centre
+    drift: np.ndarray | None = None
+
+    def at_pixels(self, maps: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Correct normals (rows, columns, 3), and levels beside them, for the lamps' directions at every pixel.
+
+        To first order in the distance from the centre, and as all lamps together say; under distant lamps nothing.
+        """
+        if self.drift is None:
+            return maps
+        down, right = (np.arange(n) - (n - 1) / 2 for n in maps["normals"].shape[:2])
+        error = np.multiply.outer(down, self.drift[0])[:, None] + np.multiply.outer(right, self.drift[1])
+        vectors = maps["normals"] - np.einsum("rcij,rcj->rci", error, maps["normals"])
+        length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+        levels = {name: maps[name] * length for name in ("reflectance",) if name in maps}
+        levels |= {name: maps[name] * length[..., 0] for name in ("albedo",) if name in maps}
+        return maps | levels | {"normals": vectors / np.maximum(length, 1e-9)}
 
 
 def parcels(frames: Observations, band: slice, lights: np.ndarray) -> Iterator[Parcel]:
@@ -46,12 +63,22 @@ def parcels(frames: Observations, band: slice, lights: np.ndarray) -> Iterator[P
         for left in range(0, columns, step):
             area = slice(top, min(top + step, rows)), slice(left, min(left + step, columns))
             centre = point_mm(frames, band.start + _middle(area[0]), _middle(area[1]))
-            towards = positions - centre
-            distance = np.linalg.norm(towards, axis=1)
-            fall_off = (
-                np.ones(len(lights)) if frames.white_board else (distance / np.linalg.norm(positions, axis=1)) ** 2
+            falls = 0 if frames.white_board else 2  # power of the distance that the observations still hold
+            middle, *beside = (
+                _towards(positions, centre + frames.pixel_pitch_mm * np.array(step), falls)
+                for step in ((0, 0, 0), (0, -1, 0), (1, 0, 0))
             )
-            yield Parcel(*area, towards / distance[:, None], fall_off.astype(np.float32))
+            length = np.linalg.norm(middle, axis=1, keepdims=True)
+            inverse = np.linalg.pinv(middle / length)
+            drift = np.stack([inverse @ ((vectors - middle) / length) for vectors in beside])
+            fall_off = (np.linalg.norm(positions, axis=1) ** -falls / length[:, 0]).astype(np.float32)
+            yield Parcel(*area, middle / length, fall_off, drift)
+
+
+def _towards(positions: np.ndarray, place: np.ndarray, falls: int) -> np.ndarray:
+    """Vectors (lights, 3) from a place to the lamps, as long as the distance to the power -falls."""
+    towards = positions - place
+    return towards / np.linalg.norm(towards, axis=1, keepdims=True) ** (1 + falls)
 
 
 def point_mm(frames: Observations, row: float, column: float) -> np.ndarray:

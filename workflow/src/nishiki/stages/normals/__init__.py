@@ -43,7 +43,7 @@ LIMITS = (
 )
 
 
-class NormalsSettings(Guarded, stage="normals", version=5, limits=LIMITS):
+class NormalsSettings(Guarded, stage="normals", version=6, limits=LIMITS):
     """Settings of photometric stereo (Tominaga and Tanaka 2004, section 3.3) and of the reflectance of each channel."""
 
     solver: Literal["default", "lobe", "least_squares"] = Field(

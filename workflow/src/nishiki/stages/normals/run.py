@@ -72,6 +72,7 @@ def map_tiles(context: Context) -> dict:
                 if model is not None:
                     together = np.array([gloss is not None for gloss in glosses])[here]
                     maps.update(relit(observations[area], valid[area], parcel, maps, model, together))
+                maps = parcel.at_pixels(maps)
                 for name in maps.keys() & arrays.keys():
                     tile_maps[name][strip][area[1:]] = maps[name]
                 row = _sparse(strip.start + parcel.rows.start, strip.start + parcel.rows.stop)
