@@ -21,9 +21,10 @@ from nishiki.brdf.torrance_sparrow import MIRROR, attenuation, fresnel, half_vec
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss import JointScene, JointSettings, channel_rotation, refine_normals
+from nishiki.photometric.gloss_equations import GlossTile
 from nishiki.photometric.gloss_kernel import Pixel
 from nishiki.photometric.gloss_prediction import NODES, NODES_PER_UNIT, predict
-from nishiki.photometric.gloss_scene import GlossTile, find_finishes, fit_scene_gloss
+from nishiki.photometric.gloss_scene import find_finishes, fit_scene_gloss
 from nishiki.photometric.light_selection import select_diffuse
 from nishiki.photometric.reflectance import diffuse_reflectance
 from nishiki.photometric.solve import estimate_normals

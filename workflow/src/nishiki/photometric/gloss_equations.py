@@ -12,17 +12,14 @@ V. Pereyra, SIAM J. Numer. Anal. 10, 1973). They are solved with strengths of ze
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile, scattered_lobes, specular_samples
+from nishiki.errors import require
 from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss import GLOSS_ERROR, MODEL_ERROR, NOISE, TILT_ERROR, TOLERANCE, RefinedNormals
-
-if TYPE_CHECKING:
-    from nishiki.photometric.gloss_scene import GlossTile
 
 LARGEST_SIGMA = 0.1  # radians: where the normals are worse the blur is no longer a small one
 STEP = 1e-3  # radians, of the differences along the tangents
@@ -30,7 +27,34 @@ SMALLEST = 1e-9  # of the largest eigenvalue: less is no information
 MEASURED = 0.01  # fall of the squared error, relative, from which the lamps tell the transmission from a tilt
 
 
-def step(tiles: Sequence["GlossTile"], fits: Sequence[RefinedNormals], gloss: GlossProfile) -> GlossProfile:
+@dataclass(frozen=True)
+class GlossTile:
+    """Pixels under one set of directions, with the normals that the fit starts from."""
+
+    observations: np.ndarray  # (lights, rows, columns, channels)
+    valid: np.ndarray  # (lights, rows, columns) bool
+    directions: np.ndarray  # (lights, 3)
+    normals: np.ndarray  # (rows, columns, 3)
+    flags: np.ndarray  # flags, sigma (rows, columns)
+    sigma: np.ndarray
+    reflectance: np.ndarray  # (rows, columns, channels)
+    # (rows, columns) int: number of the cell of the picture, where finishes are told apart
+    cells: np.ndarray | None = None
+
+    @property
+    def places(self) -> np.ndarray:
+        """(rows, columns) int: cells of tiles that have them."""
+        return require(self.cells)
+
+    def only(self, chosen: np.ndarray | slice) -> "GlossTile":
+        """Return the same of some pixels of a tile (lights, 1, pixels, ...): numbers, or bool (pixels,)."""
+        of_lights = {name: getattr(self, name)[:, :, chosen] for name in ("observations", "valid")}
+        names = ("normals", "flags", "sigma", "reflectance", "cells")
+        of_pixels = {name: value[:, chosen] for name in names if (value := getattr(self, name)) is not None}
+        return replace(self, **of_lights, **of_pixels)
+
+
+def step(tiles: Sequence[GlossTile], fits: Sequence[RefinedNormals], gloss: GlossProfile) -> GlossProfile:
     """Return the gloss after one step from a joint fit with `gloss`.
 
     The transmission is 1 where another one does not lower the squared error by MEASURED: under a ring of lamps at one
@@ -66,7 +90,7 @@ def _solve(total: np.ndarray, least: float) -> tuple[float, np.ndarray]:
     return float(total[-1, -1] - found @ (2 * total[:-1, -1] - total[:-1, :-1] @ found)), found
 
 
-def equations(tile: "GlossTile", fit: RefinedNormals, gloss: GlossProfile) -> np.ndarray:
+def equations(tile: GlossTile, fit: RefinedNormals, gloss: GlossProfile) -> np.ndarray:
     """Return the normal equations (lobes + 2, lobes + 2) of strengths, transmission and right-hand side of a tile."""
     kept = (fit.flags[0] & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
     normals, level = fit.normals[0, kept].astype(float), fit.reflectance[0, kept].mean(axis=-1).astype(float)

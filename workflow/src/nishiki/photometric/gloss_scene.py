@@ -21,10 +21,9 @@ import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, fit_gloss, specular_samples, unit_of
 from nishiki.brdf.torrance_sparrow import MIRROR
-from nishiki.errors import require
 from nishiki.photometric import flags as bits
 from nishiki.photometric.gloss import RefinedNormals, refine_normals
-from nishiki.photometric.gloss_equations import LARGEST_SIGMA, step
+from nishiki.photometric.gloss_equations import LARGEST_SIGMA, GlossTile, step
 
 WIDTHS = np.geomspace(0.01, 0.3, 9)  # radians, half widths: what is wider is light from paint to paint as well
 ROUNDS = 2
@@ -37,33 +36,6 @@ MOST_FINISHES = 4
 BRIGHTEST = 1e-3  # share of the samples whose mean is the colour of a metal
 COLOURED = 0.8  # least channel of a metal, relative to its largest: others mirror like a dielectric of no body
 METAL_LEVEL, METAL_WIDTHS = 0.7, slice(5, 8)  # of metals to start from: reflectance, and lobes among WIDTHS
-
-
-@dataclass(frozen=True)
-class GlossTile:
-    """Pixels under one set of directions, with the normals that the fit starts from."""
-
-    observations: np.ndarray  # (lights, rows, columns, channels)
-    valid: np.ndarray  # (lights, rows, columns) bool
-    directions: np.ndarray  # (lights, 3)
-    normals: np.ndarray  # (rows, columns, 3)
-    flags: np.ndarray  # flags, sigma (rows, columns)
-    sigma: np.ndarray
-    reflectance: np.ndarray  # (rows, columns, channels)
-    # (rows, columns) int: number of the cell of the picture, where finishes are told apart
-    cells: np.ndarray | None = None
-
-    @property
-    def places(self) -> np.ndarray:
-        """(rows, columns) int: cells of tiles that have them."""
-        return require(self.cells)
-
-    def only(self, chosen: np.ndarray | slice) -> "GlossTile":
-        """Return the same of some pixels of a tile (lights, 1, pixels, ...): numbers, or bool (pixels,)."""
-        of_lights = {name: getattr(self, name)[:, :, chosen] for name in ("observations", "valid")}
-        names = ("normals", "flags", "sigma", "reflectance", "cells")
-        of_pixels = {name: value[:, chosen] for name in names if (value := getattr(self, name)) is not None}
-        return replace(self, **of_lights, **of_pixels)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ from nishiki.stages.normals.parcel import fit_finishes, relit, scaled, solve
 if TYPE_CHECKING:
     from nishiki.brdf.gloss_profile import GlossProfile
     from nishiki.model_selection.relighting import Sampled
-    from nishiki.photometric.gloss_scene import GlossTile, SceneGloss
+    from nishiki.photometric.gloss_equations import GlossTile
+    from nishiki.photometric.gloss_scene import SceneGloss
 
 SAMPLE_PIXELS = 15_000  # of the scene, for its finishes
 RELIGHTING_PIXELS = 2000  # likewise, for the model that predicts lamps
@@ -352,7 +353,7 @@ def joined(pieces: Sequence[Sampled]) -> Sampled:
 
 def gloss_tiles(pieces: Sequence[Sampled], settings: NormalsSettings) -> list[GlossTile]:
     """Return sampled pixels with their estimates from the selected lights."""
-    from nishiki.photometric.gloss_scene import GlossTile
+    from nishiki.photometric.gloss_equations import GlossTile
 
     tiles = []
     for piece in pieces:
