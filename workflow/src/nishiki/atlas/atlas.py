@@ -39,7 +39,7 @@ class Atlas(ArrayFields):
         """
         flat = np.ascontiguousarray(triangle, np.int32).reshape(-1)
         weights = np.ascontiguousarray(barycentric, np.float32).reshape(-1, 2)
-        from nishiki.atlas.surface import place  # compiled: not needed by those who only read an atlas
+        from nishiki.atlas.cells import place  # compiled: not needed by those who only read an atlas
 
         located = place(flat, weights, self.chart, self.corners, self.chart_grid, self.cells, self.size)
         return tuple(values.reshape(np.shape(triangle)) for values in located)
@@ -84,7 +84,7 @@ def build_atlas(plane: np.ndarray, chart: np.ndarray, texels_per_unit: np.ndarra
     starts[owner] = np.cumsum(lengths) - lengths
     grid = np.column_stack([starts[group], shape]).astype(np.int32)
     used = np.zeros(lengths.sum(), np.bool_)
-    from nishiki.atlas.surface import mark_cells
+    from nishiki.atlas.cells import mark_cells
 
     mark_cells(chart, corners, grid, used, stride)
     cells = np.where(used, np.cumsum(used) - 1, -1).astype(np.int32)

@@ -6,86 +6,13 @@ import numba
 import numpy as np
 
 from nishiki.atlas.atlas import Atlas
+from nishiki.atlas.cells import cell_range, touches
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
 from nishiki.geometry.visibility import Raster
 
 REACH = 1.5
 """Texels by which a surface is continued past its border, at most; the nearest point of the border counts beyond."""
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def touches(corners, row, column, half_rows, half_columns):
-    """Whether a triangle (3, 2) and the open rectangle about (row, column) have a common point (separating axes)."""
-    for axis in range(2):
-        middle, half = (row, half_rows) if axis == 0 else (column, half_columns)
-        low = min(corners[0, axis], min(corners[1, axis], corners[2, axis]))
-        high = max(corners[0, axis], max(corners[1, axis], corners[2, axis]))
-        if low >= middle + half or high <= middle - half:
-            return False
-    for k in range(3):
-        a, b, c = k, (k + 1) % 3, (k + 2) % 3
-        down, right = np.float64(corners[b, 0]) - corners[a, 0], np.float64(corners[b, 1]) - corners[a, 1]
-        side = down * (column - corners[a, 1]) - right * (row - corners[a, 0])
-        third = down * (np.float64(corners[c, 1]) - corners[a, 1]) - right * (np.float64(corners[c, 0]) - corners[a, 0])
-        if third < 0:
-            side, third = -side, -third
-        reach = abs(down) * half_columns + abs(right) * half_rows
-        if third > 0 and side + reach <= 0:
-            return False
-    return True
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def mark_cells(chart, corners, grid, used, stride):
-    """Cells one of whose texels a surface point looks up: within one texel of a triangle, rows and columns apart."""
-    for i in range(len(chart)):
-        if chart[i] < 0:
-            continue
-        first, rows, columns = grid[chart[i], 0], grid[chart[i], 1], grid[chart[i], 2]
-        points = corners[i]
-        top, bottom = cell_range(points[:, 0], stride, rows)
-        left, right = cell_range(points[:, 1], stride, columns)
-        for row in range(top, bottom + 1):
-            for column in range(left, right + 1):
-                if not used[first + row * columns + column]:
-                    half = stride / 2 + 1
-                    used[first + row * columns + column] = touches(
-                        points, (row + 0.5) * stride, (column + 0.5) * stride, half, half
-                    )
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def cell_range(values, stride, count):
-    """First and last cell that three coordinates, widened by a texel, reach."""
-    low = min(values[0], min(values[1], values[2]))
-    high = max(values[0], max(values[1], values[2]))
-    first = min(max(int(np.floor((low - 1.0) / stride)), 0), count - 1)
-    return first, min(max(int(np.floor((high + 1.0) / stride)), first), count - 1)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def place(triangle, weights, chart, corners, grid, cells, size):
-    """See `Atlas.locate`: points (n,) -> tile, s, t."""
-    count, stride = len(triangle), size - 1
-    tile = np.full(count, -1, np.int32)
-    s, t = np.zeros(count, np.float32), np.zeros(count, np.float32)
-    for i in range(count):
-        f = triangle[i]
-        if f < 0 or chart[f] < 0:
-            continue
-        u, v = np.float64(weights[i, 0]), np.float64(weights[i, 1])
-        w = 1 - u - v
-        row = u * corners[f, 0, 0] + v * corners[f, 1, 0] + w * corners[f, 2, 0]
-        column = u * corners[f, 0, 1] + v * corners[f, 1, 1] + w * corners[f, 2, 1]
-        first, rows, columns = grid[chart[f], 0], grid[chart[f], 1], grid[chart[f], 2]
-        down = min(max(int(np.floor(row / stride)), 0), rows - 1)
-        across = min(max(int(np.floor(column / stride)), 0), columns - 1)
-        tile[i] = cells[first + down * columns + across]
-        if tile[i] >= 0:
-            s[i] = min(max(row - down * stride, 0.0), np.float64(stride))
-            t[i] = min(max(column - across * stride, 0.0), np.float64(stride))
-    return tile, s, t
 
 
 def texel_triangles(atlas: Atlas) -> np.ndarray:
