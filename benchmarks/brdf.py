@@ -22,7 +22,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 sys.path.insert(1, str(Path(__file__).resolve().parents[1] / "tests"))
 sys.path.insert(2, str(Path(__file__).resolve().parents[1] / "workflow/src"))
-from published_fits import fit_brightest_light, fit_points, point_problem
+from published_fits import fit_brightest_light, fit_points, histogram_of, point_problem
 from reflectance_table import (
     chosen_by_incidences,
     directions,
@@ -33,7 +33,7 @@ from reflectance_table import (
 
 import _project  # noqa: F401
 from nishiki.brdf.fit import fit_torrance_sparrow
-from nishiki.brdf.gloss_profile import SpecularHistogram, fit_gloss
+from nishiki.brdf.gloss_profile import fit_gloss
 from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular
 
 VIEW = np.array([0.0, 0.0, 1.0])
@@ -224,9 +224,9 @@ def scenes():
         photographs = clean + 0.003 * rng.normal(size=clean.shape)
         truth = np.minimum(diffuse(new) + ggx(normals, new, alpha), 2)
         start = time.process_time()
-        histogram = SpecularHistogram.empty().add_tile(photographs, noisy, albedo, lights, sigma=sigma)
+        histogram = histogram_of(photographs, noisy, albedo, lights, sigma=sigma)
         start = time.process_time()
-        histogram = SpecularHistogram.empty().add_tile(photographs, noisy, albedo, lights, sigma=sigma)
+        histogram = histogram_of(photographs, noisy, albedo, lights, sigma=sigma)
         gather = time.process_time() - start
         runs = [("ladder", lambda h=histogram: fit_gloss(h))]
         runs.append(("brightest_light", lambda p=photographs: fit_brightest_light(p, noisy, albedo, lights)))

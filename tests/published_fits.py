@@ -5,9 +5,32 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.brdf import variable_projection as vp
+from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, specular_samples
 from nishiki.brdf.torrance_sparrow import attenuation, body_factor, half_vector_geometry
 
 START_GAMMA = 0.1
+
+
+def histogram_of(
+    observations, normals, diffuse_albedo, lights, *, sigma=0.0, regions=None, gloss=None
+) -> SpecularHistogram:
+    """Gather every observation (light, row, column) of a picture, relative to the white reference; NaN is left out.
+
+    normals (row, column, 3); diffuse_albedo (row, column); lights (light, 3); sigma (row, column), deviation of the
+    normals per tangent axis, radians; regions: integers (row, column), -1 leaves a pixel out, None is one region;
+    gloss: whose transmission and index count, None: Lambert's law.
+    """
+    gloss = GlossProfile(np.zeros(1), np.ones(1), transmission=0.0) if gloss is None else gloss
+    regions = np.zeros(np.shape(diffuse_albedo), int) if regions is None else regions
+    sigma = np.broadcast_to(sigma, regions.shape)
+    histogram = SpecularHistogram.empty(regions=int(regions.max()) + 1)
+    for region in np.unique(regions[regions >= 0]):
+        here = regions == region
+        samples = specular_samples(
+            observations[:, here, None], lights, normals[here], diffuse_albedo[here, None], gloss, valid=True
+        )
+        histogram = histogram.add_samples(*samples, sigma=sigma[here], region=region)
+    return histogram
 
 
 @dataclass(frozen=True)
@@ -151,7 +174,7 @@ def brightest_light_samples(
 ):
     """(phi, value, F G / cos_r) of the brightest light of each pixel less steep than 50 degrees; flat arrays.
 
-    Arguments as `SpecularHistogram.add_tile`; smoothing: standard deviation in pixels of the Gaussian that smooths the
+    Arguments as `histogram_of`; smoothing: standard deviation in pixels of the Gaussian that smooths the
     normals, 0 for none (more than the scale of the relief makes every facet look like a rough one). The diffuse part
     albedo * cos theta_i is predicted with the normals as given.
     """

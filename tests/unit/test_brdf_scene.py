@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from captures import make_capture
-from published_fits import brightest_light_samples, fit_brightest_light, thin
+from published_fits import brightest_light_samples, fit_brightest_light, histogram_of, thin
 
 from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, fit_gloss
@@ -61,7 +61,7 @@ def test_a_tile_equals_its_samples():
     geometry = half_vector_geometry(normals[None], lights[:, None, None], VIEW)
     factor = attenuation(geometry, INDEX)
     residual = observations - albedo * np.maximum(geometry.cos_i, 0)
-    tile = SpecularHistogram.empty().add_tile(observations, normals, albedo, lights).profile(reject=np.inf)
+    tile = histogram_of(observations, normals, albedo, lights).profile(reject=np.inf)
     plain = SpecularHistogram.empty().add_samples(geometry.phi, residual, factor).profile(reject=np.inf)
     strong = plain.weight > 1e-3 * plain.weight.max()
     assert abs(tile.count.sum() - plain.count.sum()) < 10  # a float32 normal may change the side of a horizon
@@ -75,12 +75,14 @@ def test_a_tile_equals_its_samples():
 def test_parts_of_a_picture_add_up():
     normals, lights = relief(), ring()
     observations, albedo = photographs(normals, lights, beta=5.0, gamma=0.1, noise=0.01)
-    whole = SpecularHistogram.empty().add_tile(observations, normals, albedo, lights)
-    sums = SpecularHistogram.empty()
-    for part in (slice(40, None), slice(0, 40)):
-        sums = sums.add_tile(observations[:, part], normals[part], albedo[part], lights)
+    whole = histogram_of(observations, normals, albedo, lights)
+    parts = [
+        histogram_of(observations[:, part], normals[part], albedo[part], lights)
+        for part in (slice(40, None), slice(0, 40))
+    ]
     for name in ("weights", "values", "rows"):
-        np.testing.assert_allclose(getattr(sums, name), getattr(whole, name), rtol=1e-9, atol=1e-12)
+        total = sum(getattr(part, name) for part in parts)
+        np.testing.assert_allclose(total, getattr(whole, name), rtol=1e-9, atol=1e-12)
 
 
 def test_regions_and_unusable_samples():
@@ -91,7 +93,7 @@ def test_regions_and_unusable_samples():
     other = photographs(normals, lights, beta=50.0, gamma=0.3)[0]
     mixed = np.where(regions == 1, other, observations)
     mixed[:, 20:30] = np.nan
-    histogram = SpecularHistogram.empty(regions=2).add_tile(mixed, normals, albedo, lights, regions=regions)
+    histogram = histogram_of(mixed, normals, albedo, lights, regions=regions)
     for region, (beta, gamma) in enumerate(((5, 0.1), (50, 0.3))):
         profile = histogram.profile(region=region)
         expected = beta * np.exp2(-((profile.phi / gamma) ** 2))
@@ -104,7 +106,7 @@ def test_outliers_are_fenced_off():
     observations, albedo = photographs(normals, lights, beta=30.0, gamma=0.1, noise=0.002)
     observations[rng.uniform(size=observations.shape) < 0.05] = 0  # unseen cast shadow
     observations[rng.uniform(size=observations.shape) < 0.02] += 0.3
-    histogram = SpecularHistogram.empty().add_tile(observations, normals, albedo, lights)
+    histogram = histogram_of(observations, normals, albedo, lights)
     fenced, every = histogram.profile(), histogram.profile(reject=np.inf)
     core = (fenced.phi > 0.02) & (fenced.phi < 0.1)
     truth = 30 * np.exp2(-((fenced.phi[core] / 0.1) ** 2))
@@ -193,9 +195,7 @@ def test_the_ladder_of_each_region_is_the_distribution_of_its_facets():
     cosine, view = np.maximum(geometry.cos_i, 0), normals[..., 2]
     body = albedo * cosine * transmittance(cosine, INDEX) * transmittance(view, INDEX)
     shine = np.where(region == 0, facets(geometry.phi) * attenuation(geometry, INDEX), 0)
-    histogram = SpecularHistogram.empty(regions=2).add_tile(
-        body + shine, normals, albedo, lights, regions=region, gloss=under(1.0)
-    )
+    histogram = histogram_of(body + shine, normals, albedo, lights, regions=region, gloss=under(1.0))
     glossy, matt = fit_regions(histogram)
     phi = np.array([0.0, 0.03, 0.08, 0.16, 0.3])
     fitted = np.exp2(-((phi[:, None] / np.array(glossy["gamma"])) ** 2)) @ np.array(glossy["beta"])

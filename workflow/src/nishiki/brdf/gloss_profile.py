@@ -56,7 +56,7 @@ class SpecularProfile:
 
 @dataclass(frozen=True)
 class SpecularHistogram:
-    """Sums over samples; `add_samples` and `add_tile` return a new histogram."""
+    """Sums over samples; `add_samples` returns a new histogram."""
 
     weights: np.ndarray  # (regions, ROWS, COLUMNS) sum of a^2
     values: np.ndarray  # (regions, ROWS, COLUMNS) sum of a^2 z
@@ -85,46 +85,6 @@ class SpecularHistogram:
         p, r, a, s = (np.ascontiguousarray(each, np.float64).ravel() for each in (phi, residual, attenuation, sigma))
         new = replace(self, weights=self.weights.copy(), values=self.values.copy(), rows=self.rows.copy())
         _add_samples(p, r, a, s, self.value_unit, new.weights[region], new.values[region], new.rows[region])
-        return new
-
-    def add_tile(
-        self,
-        observations,
-        normals,
-        diffuse_albedo,
-        lights,
-        *,
-        sigma=0.0,
-        regions=None,
-        shading=None,
-        gloss=None,
-    ) -> "SpecularHistogram":
-        """Add every observation of a tile that is a number: all lights, lit and seen pixels.
-
-        observations: (light, row, column), relative to the white reference, one channel or the mean of several, NaN
-        where they are saturated or in cast shadow.
-        normals: (row, column, 3) unit; diffuse_albedo: (row, column), of the same channel or mean; lights: (light, 3)
-        unit, towards the lamp; sigma: (row, column), deviation of the normals per tangent axis, radians; regions:
-        integer (row, column), -1 leaves a pixel out (all region 0 if None); shading: (row, column, 3 or 5) as of
-        `specular_samples`; gloss: GlossProfile whose transmission, index and colour count (colour: of the same
-        channel), None: Lambert's law.
-        """
-        shape = np.shape(observations)
-        regions = np.zeros(shape[1:], int) if regions is None else regions
-        gloss = GlossProfile(np.zeros(1), np.ones(1), self.refractive_index, 0.0) if gloss is None else gloss
-        samples = specular_samples(
-            np.asarray(observations)[..., None],
-            lights,
-            normals,
-            np.asarray(diffuse_albedo)[..., None],
-            gloss,
-            valid=True,
-            shading=shading,
-        )
-        new, sigma = self, np.broadcast_to(sigma, shape[1:])
-        for region in np.unique(regions[regions >= 0]):
-            here = regions == region
-            new = new.add_samples(*(values[:, here] for values in samples), sigma=sigma[here], region=region)
         return new
 
     def profile(self, *, region=0, reject=6.0) -> SpecularProfile:

@@ -8,7 +8,14 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, blurred_lobes, fit_gloss, unit_of
+from nishiki.brdf.gloss_profile import (
+    GlossProfile,
+    SpecularHistogram,
+    blurred_lobes,
+    fit_gloss,
+    specular_samples,
+    unit_of,
+)
 from nishiki.brdf.scene import (
     described_ladder,
     of_equal_lobes,
@@ -137,19 +144,19 @@ def gather(
                 inner = parcel.rows, parcel.columns
                 area = slice(strip.start + inner[0].start, strip.start + inner[0].stop), parcel.columns
                 for number in np.flatnonzero(glossy):
-                    here = np.where(region[area] == number, number, -1)
-                    if (here < 0).all():
+                    here = region[area] == number
+                    if not here.any():
                         continue
-                    histogram = histogram.add_tile(
-                        np.where(valid[:, *inner], observations[:, *inner] * parcel.scale[:, None, None], np.nan),
-                        normals[area],
-                        reflectance[area],
+                    samples = specular_samples(
+                        (observations[:, *inner][:, here] * parcel.scale[:, None])[..., None],
                         parcel.directions,
-                        sigma=sigma[area],
-                        regions=here,
-                        shading=None if shading is None else shading[area],
-                        gloss=glosses[number],
+                        normals[area][here],
+                        reflectance[area][here][:, None],
+                        glosses[number],
+                        valid=valid[:, *inner][:, here],
+                        shading=None if shading is None else shading[area][here],
                     )
+                    histogram = histogram.add_samples(*samples, sigma=sigma[area][here], region=number)
     return histogram
 
 
