@@ -96,7 +96,9 @@ def small_painting(
         "spectra": (SpectraSettings, {"coefficients": waves}),
     }
     channels = np.stack([(waves @ basis)[..., band] for band in (45, 28, 8)], axis=-1)
-    maps["normals"][1]["reflectance"] = channels
+    maps["normals"][1].update(reflectance=channels, sigma=np.full(known.shape, 0.01), residual=np.zeros(known.shape))
+    maps["normals"][1]["lights_used"] = np.full(known.shape, 18, np.uint8)
+    maps["spectra"][1]["sigma"] = np.full(known.shape, 0.03)
     if shading is not None:
         maps["normals"][1]["shading"] = shading
     inputs = {stage: _artifact(folder, stage, *made, basis) for stage, made in maps.items()}
