@@ -12,9 +12,9 @@ from weave_rays import brute_force
 
 from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.goniometry.table import ReflectanceSet, write_reflectances
-from nishiki.stages.weave.run import draw_section
+from nishiki.stages.weave.run import cut, draw_section
 from nishiki.weave.fit import WeaveModel
-from nishiki.weave.section import WarpSection, WeftSection, harness_of, make_surface, shade, weave_pattern
+from nishiki.weave.section import WarpSection, WeftSection, WovenSurface, harness_of, make_surface, shade, weave_pattern
 from nishiki.weave.store import Weave, brdf_of
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -81,10 +81,23 @@ def test_depths_agree_where_spacings_are_not_known():
 
 def test_drawing_is_well_formed_and_escaped():
     weft, warp, _ = CLOTHS["satin"]
-    root = ElementTree.fromstring(draw_section(warp, title="<a & b>"))
+    root = ElementTree.fromstring(draw_section(warp.profile(800)[0], warp.period, "", title="<a & b>"))
     assert len([e for e in root.iter() if e.tag.endswith("path")]) == 2
     assert "<a & b>" in "".join(root.itertext())
     assert brute_force(weft, 0.0) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_cuts_follow_the_middle_of_a_yarn():
+    """Of two weft yarns and three warp yarns a repeat: the weft's cut sees every warp yarn once."""
+    x, y = np.arange(31) / 10, np.arange(21) / 10 * 0.8
+    height = np.where(np.abs(y % 0.8 - 0.4) < 0.05, 1.0, 0.0)[:, None] + np.where(np.abs(x % 1 - 0.5) < 0.05, 2.0, 0.0)
+    surface = WovenSurface(x, y, height, height > 1.5, np.ones((2, 3), bool))
+    (weft, period), (warp, other) = cut(surface, "weft"), cut(surface, "warp")
+    assert (period, other) == (3.0, 1.6)
+    assert weft[:, 1].min() == 1
+    assert (weft[:, 1] == 3).sum() == 3
+    assert warp[:, 1].min() == 2
+    assert (warp[:, 1] == 3).sum() == 2
 
 
 @pytest.mark.slow
@@ -121,6 +134,8 @@ def test_stage_from_reflectances_to_model_mesh_and_drawings(tmp_path):
         "yarns_cloth.npz",
         "section_weft.svg",
         "section_warp.svg",
+        "published_weft.svg",
+        "published_warp.svg",
     }
     found = Weave(artifact.folder)
     for name, value in truth.parameters().items():

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Section, Table, contents, read_json
+from nishiki.report.page import Block, Cell, Figure, Figures, Fold, Heading, Section, Table, contents, read_json
 from nishiki.report.pictures import PagePicture, encoded
 from nishiki.report.svg import INK, PALETTE, Curve, chart
 
@@ -61,25 +61,37 @@ def weave_section(weave: Artifact | None, widest: int) -> Section | None:
         suffix = f"_{name}" if len(regions) > 1 else ""
         if suffix:
             blocks.append(Heading(name))
-        items = []
-        for plane in PLANES:
-            if drawing := contents(weave, f"section_{plane}{suffix}.svg"):
-                items.append(Figure(f"Section along the {plane}", section_words(entry[plane]), svg=drawing.decode()))
+        yarns = entry.get("yarns")
+        items = drawings(weave, entry, suffix, "section", "Cut through the middle of a yarn." if yarns else None)
         if data := contents(weave, f"weave{suffix}.png"):
             caption = "As fitted, from above: the weft runs to the right."
             items.append(Figure("The surface", caption, tile_picture(data, widest)))
         blocks += [summary(entry), Figures(items)]
-        if entry.get("yarns"):
-            blocks.append(yarn_table(entry["yarns"], weave.settings["confidence"]))
+        published: list[Block] = []
         if rows := parameters((weave.diagnostics.get("regions") or {}).get(name) or {}, entry.get("at_bounds") or []):
             caption = (
                 f"The sections of Takeda and Tanaka, with confidence intervals "
                 f"({round(100 * weave.settings['confidence'])} %). Lengths are known up to a common scale."
             )
-            blocks.append(Table(("parameter", "value", "from", "to", "meaning"), rows, "lrrrw", caption))
+            published.append(Table(("parameter", "value", "from", "to", "meaning"), rows, "lrrrw", caption))
         curves = [curve(entry["curves"][plane], plane) for plane in PLANES if plane in entry["curves"]]
-        blocks += [Figures(curves), *notes(entry)]
+        published += [Figures(curves), *notes(entry)]
+        if yarns:
+            blocks.append(yarn_table(yarns, weave.settings["confidence"]))
+            published.insert(0, Figures(drawings(weave, entry, suffix, "published", None)))
+            blocks.append(Fold("The published model: smooth sections", unexplained(entry), published))
+        else:
+            blocks += published
     return Section("weave", "Weave", blocks) if blocks else None
+
+
+def drawings(weave: Artifact, entry: dict[str, Any], suffix: str, kind: str, caption: str | None) -> list[Figure]:
+    """Return the drawings of both planes; caption: instead of the main numbers of the published section."""
+    return [
+        Figure(f"Section along the {plane}", caption or section_words(entry[plane]), svg=drawing.decode())
+        for plane in PLANES
+        if (drawing := contents(weave, f"{kind}_{plane}{suffix}.svg"))
+    ]
 
 
 def tile_picture(data: bytes, widest: int) -> PagePicture:
@@ -98,25 +110,22 @@ def tile_picture(data: bytes, widest: int) -> PagePicture:
 
 def summary(entry: dict[str, Any]) -> str:
     """Return the fit in a few sentences: what it says of the weave, and how sure that is."""
-    errors = entry["rms_rel"]
-    rest = (
-        f"What the sections leave unexplained is {100 * errors['weft']:.1f} % of the reflectance in the plane of the "
-        f"weft and {100 * errors['warp']:.1f} % in that of the warp."
-    )
     yarns = entry.get("yarns")
     if yarns is None:
         at_end = set(entry.get("at_bounds") or [])
         weave = entry["weave"]
         name = "plain weave" if weave == "plain" else f"{weave} of {entry['harness']} yarns a repeat"
         if at_end & SECTION_UNKNOWNS:
-            return f"The reflectance does not determine the weave: the sections of a {name} ended at a bound. {rest}"
-        return f"Sections of a {name}, from the reflectance in the planes of weft and warp. {rest}"
+            first = f"The reflectance does not determine the weave: the sections of a {name} ended at a bound."
+        else:
+            first = f"Sections of a {name}, from the reflectance in the planes of weft and warp."
+        return f"{first} They {unexplained(entry)}."
     if not yarns["determined"]:
         return (
             f"The reflectance does not determine the weave: at normal incidence it varies by "
             f"{100 * yarns['variation']:.1f} % with the view, of which elliptical yarns leave "
             f"{100 * yarns['rms_rel']:.1f} % unexplained. Surface and "
-            f"sections are those of the most likely weave, a {yarns['alike'][0]}. {rest}"
+            f"sections are those of the most likely weave, a {yarns['alike'][0]}."
         )
     best, *others = yarns["alike"]
     first = (
@@ -127,7 +136,14 @@ def summary(entry: dict[str, Any]) -> str:
         named = " or ".join(f"a {other}" for other in others[:MOST_ALIKE])
         more = f" ({len(others) - MOST_ALIKE} more)" if len(others) > MOST_ALIKE else ""
         first += f" The measurements do not tell it from {named}{more}."
-    return f"{first} {rest}"
+    return first
+
+
+def unexplained(entry: dict[str, Any]) -> str:
+    """Return what the published sections leave of the reflectance, in words."""
+    errors = entry["rms_rel"]
+    weft, warp = (f"{100 * errors[plane]:.1f} %" for plane in PLANES)
+    return f"leave {weft} of the reflectance unexplained in the plane of the weft and {warp} in that of the warp"
 
 
 SECTION_UNKNOWNS = {f"{name}_{plane}" for name in ("theta_a", "flank", "humps") for plane in PLANES}

@@ -52,7 +52,8 @@ def run(context: Context) -> dict:
         else:  # that of both sections
             ratio = settings.spacing_ratio or reflectances.spacing_ratio
             surface = make_surface(fit.model.weft, fit.model.warp, weave=weave, harness=harness, spacing_ratio=ratio)
-        picture(context, fit, suffix, surface)
+        slopes = None if yarns is None else {name: entry["value"] for name, entry in yarns["parameters"].items()}
+        picture(context, fit, suffix, surface, slopes)
         diagnostics[name] = report(fit, weave, harness, [plane.measured for plane in planes]) | {"yarns": yarns}
     write_weave(context.output.folder, regions)
     return {"regions": diagnostics}
@@ -69,11 +70,23 @@ def search_of(context: Context, reflectances: Reflectances, region: int) -> Yarn
     return search_yarns(Measured.of(reflectances, region), candidates, spacing_ratio=ratio)
 
 
-def picture(context: Context, fit: WeaveFit, suffix: str, surface: WovenSurface) -> None:
-    """Write drawings of both sections, the mesh and its picture."""
+def picture(
+    context: Context, fit: WeaveFit, suffix: str, surface: WovenSurface, slopes: dict[str, float] | None
+) -> None:
+    """Write drawings of the sections, the mesh and its picture; slopes: of the yarns, None where the sections count."""
     for name, section in (("weft", fit.model.weft), ("warp", fit.model.warp)):
-        drawing = draw_section(section, title=f"section along the {name}")
-        context.output.path(f"section_{name}{suffix}.svg").write_text(drawing + "\n", encoding="utf-8")
+        points, _ = section.profile(800)
+        note = (
+            f"steepest flank {np.degrees(section.theta_a):.0f}°, height {section.height / section.period:.3f} of the "
+        )
+        drawings = {"section": (points, section.period, note + "period")}
+        if slopes is not None:
+            steep = f"slopes seen from above: mean {slopes[f'mean_slope_{name}']:.0f}°, "
+            steep += f"a tenth above {slopes[f'p90_slope_{name}']:.0f}°"
+            drawings = {"published": drawings["section"], "section": (*cut(surface, name), steep)}
+        for kind, drawn in drawings.items():
+            drawing = draw_section(*drawn, title=f"section along the {name}")
+            context.output.path(f"{kind}_{name}{suffix}.svg").write_text(drawing + "\n", encoding="utf-8")
     mesh = Mesh.of(*surface.mesh())
     write_ply(context.output.path(f"weave{suffix}.ply"), mesh, stamp=context.stamp, unit="spacing of the warp yarns")
     write_png(context.output.path(f"weave{suffix}.png"), shade(surface), stamp=context.stamp)
@@ -95,12 +108,20 @@ def report(fit: WeaveFit, weave: str, harness: int, measured: list[bool]) -> dic
     }
 
 
-def draw_section(section, *, title: str, repeats: int = 2, width: int = 640) -> str:
-    """SVG text: `repeats` periods of a cross-section, equal scales of both axes; the surface's body is filled."""
-    points, _ = section.profile(800)
-    train = np.concatenate([np.add(points, (k * section.period, 0.0)) for k in range(repeats)])
+def cut(surface: WovenSurface, plane: str) -> tuple[np.ndarray, float]:
+    """Return points (n, 2) of the surface along the middle of its first yarn of that system, and the period."""
+    height, along = (surface.height, surface.x) if plane == "weft" else (surface.height.T, surface.y)
+    middle = (len(height) - 1) // (2 * surface.pattern.shape[plane == "warp"])
+    return np.column_stack([along, height[middle]]), float(along[-1])
+
+
+def draw_section(
+    points: np.ndarray, period: float, note: str, *, title: str, repeats: int = 2, width: int = 640
+) -> str:
+    """SVG text: `repeats` periods of a section (n, 2), equal scales of both axes; the surface's body is filled."""
+    train = np.concatenate([np.add(points, (k * period, 0.0)) for k in range(repeats)])
     low, high = np.nanmin(train[:, 1]), np.nanmax(train[:, 1])
-    scale = (width - 20) / (repeats * section.period)
+    scale = (width - 20) / (repeats * period)
     height = (high - low) * scale + 46
     base = height - 26
     line = outline(10 + train[:, 0] * scale, base - (train[:, 1] - low) * scale)
@@ -108,8 +129,6 @@ def draw_section(section, *, title: str, repeats: int = 2, width: int = 640) -> 
     left, right = 10 + train[0, 0] * scale, 10 + train[-1, 0] * scale
     drawing.path(f"{line}L{right:.1f} {base + 12:.1f}L{left:.1f} {base + 12:.1f}Z", fill=GRID)
     drawing.path(line, stroke=PALETTE[0], width=1.8)
-    slope = f"steepest flank {np.degrees(section.theta_a):.0f}°"
-    note = f"{slope}, height {section.height / section.period:.3f} of the period"
     drawing.text(10, height - 8, title)
     drawing.text(width - 10, height - 8, note, anchor="end", size=11, colour=SOFT)
     return drawing.finish()
