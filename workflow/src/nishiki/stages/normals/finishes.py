@@ -37,7 +37,7 @@ class Finish:
 
     gloss : fitted to its part of the sample, None where none was looked for; share : of the sample; profile : that
     decides where the finish is, and with which normals are fitted where `joint`; errors : mean CIEDE2000 of captured
-    lamps left out that the others surround, by candidate.
+    lamps left out, by candidate; inside : of these lamps those that the others surround.
     """
 
     gloss: SceneGloss | None
@@ -45,16 +45,21 @@ class Finish:
     profile: GlossProfile | None
     joint: bool
     errors: dict[str, np.ndarray]
+    inside: np.ndarray | None = None
+
+    def error(self, name: str) -> np.ndarray:
+        """CIEDE2000 of the lamps left out that the others surround."""
+        return self.errors[name][self.inside]
 
     def gloss_gain(self, model: str | None) -> float | None:
         """CIEDE2000 of lamps left out that gloss takes off the fit that was chosen; None where none were left out."""
         name = "joint" if self.joint else model
-        return float((self.errors[f"{name}, matt"] - self.errors[name]).mean()) if name in self.errors else None
+        return float((self.error(f"{name}, matt") - self.error(name)).mean()) if name in self.errors else None
 
     def described(self, model: str | None) -> dict:
         """Return plain numbers for the diagnostics; model: of relighting."""
         gloss = {} if self.gloss is None else {**self.gloss.described, **self.profile.described}
-        means = {name: float(f"{error.mean():.4g}") for name, error in self.errors.items()}
+        means = {name: float(f"{self.error(name).mean():.4g}") for name in self.errors}
         gain = self.gloss_gain(model)
         counts = {"gloss_counts": gain is None or gain > 0, "gloss_gain_de00": gain}
         return {"share": self.share, "joint": self.joint, **gloss, **counts, "left_out_de00": means}
@@ -127,7 +132,7 @@ def choose_finishes(
     if not asked or not told:
         return Finishes(parts, MODELS[0] if asked else settings.relighting, (decision, refinement))
     weights = [each.share for each in without]
-    errors = {name: np.average([each.errors[name] for each in without], axis=0, weights=weights) for name in MODELS}
+    errors = {name: np.average([each.error(name) for each in without], axis=0, weights=weights) for name in MODELS}
     model, relighting = choose_model(errors)
     return Finishes(parts, model, (decision, refinement, relighting))
 
@@ -176,16 +181,14 @@ def fitted_finish(
     if not here:
         found = None if gloss is None else gloss.found
         return Finish(gloss, share, found, gloss is not None and gloss.significant, {})
-    told, inside = left_out_errors(here, fit, pieces), interpolated(here[0].parcel.directions)
-    errors = {name: error[inside] for name, error in told.items()}
+    errors, inside = left_out_errors(here, fit, pieces), interpolated(here[0].parcel.directions)
     if gloss is None:
-        return Finish(None, share, None, False, errors)
-    if clear is not True and surely:
-        told = left_out_errors(surely, fit, pieces)
+        return Finish(None, share, None, False, errors, inside)
+    told = errors if clear is True or not surely else left_out_errors(surely, fit, pieces)
     counts = any(joint_fit_counts({"normals": told["normals"], "joint": told[name]}) for name in joint)
     best = min(joint, key=lambda name: told[name].mean())
     errors["joint"] = errors[best]
-    return Finish(gloss, share, joint[best], counts, errors)
+    return Finish(gloss, share, joint[best], counts, errors, inside)
 
 
 def choose_count(tried: Sequence[tuple[Finish, ...]]) -> tuple[tuple[Finish, ...], Decision | None]:
