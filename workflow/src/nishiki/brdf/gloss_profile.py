@@ -109,32 +109,27 @@ def unit_of(reflectances: Sequence[np.ndarray]) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _put(phi2, z, a, sigma, value_unit, weights, values, rows):
-    """Add one sample, unless a^2 or a^2 z leave float64; phi2 is its squared angle."""
-    w = a * a
-    if not (w > 0.0 and np.isfinite(w) and np.isfinite(w * z)):
-        return
-    row = min(int(np.arcsinh(np.sqrt(phi2) / PHI_UNIT) / _ROW_STEP), ROWS - 1)
-    size = abs(z) / value_unit
-    column = 0
-    if size > 0.0:
-        column = min(max(int(np.floor((np.log10(size) + DECADES) * PER_DECADE)) + 1, 0), _SIDE)
-    column = _SIDE + column if z > 0 else _SIDE - column
-    weights[row, column] += w
-    values[row, column] += w * z
-    rows[row, PHI2] += w * phi2
-    rows[row, SIGMA2] += w * sigma * sigma
-    rows[row, COUNT] += 1.0
-    rows[row, ATTENUATION] += w
-
-
-@njit(cache=True, error_model="numpy")
 def _add_samples(phi, residual, attenuation, sigma, value_unit, weights, values, rows):
+    """Add samples (n,), but for those that are no number and those whose a^2 or a^2 z leaves float64."""
     for k in range(phi.size):
         a = attenuation[k]
-        finite = np.isfinite(phi[k] + residual[k] + a + sigma[k])
-        if finite and a > 0.0:
-            _put(phi[k] * phi[k], residual[k] / a, a, sigma[k], value_unit, weights, values, rows)
+        if not (np.isfinite(phi[k] + residual[k] + a + sigma[k]) and a > 0.0):
+            continue
+        phi2, z, w = phi[k] * phi[k], residual[k] / a, a * a
+        if not (w > 0.0 and np.isfinite(w) and np.isfinite(w * z)):
+            continue
+        row = min(int(np.arcsinh(np.sqrt(phi2) / PHI_UNIT) / _ROW_STEP), ROWS - 1)
+        size = abs(z) / value_unit
+        column = 0
+        if size > 0.0:
+            column = min(max(int(np.floor((np.log10(size) + DECADES) * PER_DECADE)) + 1, 0), _SIDE)
+        column = _SIDE + column if z > 0 else _SIDE - column
+        weights[row, column] += w
+        values[row, column] += w * z
+        rows[row, PHI2] += w * phi2
+        rows[row, SIGMA2] += w * sigma[k] * sigma[k]
+        rows[row, COUNT] += 1.0
+        rows[row, ATTENUATION] += w
 
 
 def _profile(weights, values, rows, reject) -> SpecularProfile:

@@ -25,6 +25,7 @@ from nishiki.photometric.lambert_fit import (
     Fit,
     fit_lambert,
     lit_and_dark,
+    median_of_lights,
     scale_of,
     solve_normals,
 )
@@ -115,7 +116,7 @@ def try_order(tiles: Tiles, order: np.ndarray) -> Trial | None:
     if not np.isfinite(fit.gains).all():
         return None
     sizes = np.where(np.isfinite(sample), np.abs(fit.alone), np.nan) / np.linalg.norm(fit.normals, axis=1)
-    misfit = np.stack([np.nanmedian(sizes[:, patches == tile], axis=1) for tile in range(number)], axis=1)
+    misfit = np.stack([median_of_lights(sizes[:, patches == tile].T) for tile in range(number)], axis=1)
     flat = tiles.values.reshape(count, -1)
     normals = _robust_normals(flat, lamps, fit)
     return Trial(order, fit, misfit, *measure_slopes(normals.reshape(number, TILE, TILE, 3), tiles.middles))
