@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from nishiki.errors import require
 from nishiki.installation import COMMAND
 
 CONFIGURATION = "config/config.yaml"
@@ -52,7 +53,7 @@ class Group(Command, click.Group):
         """Write the commands by section."""
         for title, names in (self.sections or {"commands": self.list_commands(ctx)}).items():
             with formatter.section(title.capitalize()):
-                rows = [(name, self.commands[name].get_short_help_str(200)) for name in names]
+                rows = [(name, require(self.get_command(ctx, name)).get_short_help_str(200)) for name in names]
                 formatter.write_dl(rows, col_max=14)
 
 
