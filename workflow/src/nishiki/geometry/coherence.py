@@ -100,16 +100,18 @@ def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera], *, m
             return replace(found, correction=Correction("silhouette-inverted", views=tuple(inverted)), corrected=share)
     if found.contradiction <= NOTICEABLE and max(found.by_view) <= NOTICEABLE_VIEW:
         return found
-    least, of_all = outlines.enough, (_reversals, _orders, _exchanges, _mirrors, _lenses, _steps, _odd_views)
+    least, of_all = np.inf, (_reversals, _orders, _exchanges, _mirrors, _lenses, _steps, _odd_views)
+    strict = Outlines(outlines.masks, outlines.cameras, 0) if misses else outlines
     # a mistake of all cameras shows in many views
     few = np.quantile(found.by_view, 0.75) < EXPLAINED * found.contradiction
     for family in (_exchanges, _odd_views) if few else of_all:
         if family is _odd_views and found.correction is not None:
             break
         trial, share = _best_trial(outlines, family(outlines))
-        if trial is not None and share < least:
-            found, least = replace(found, correction=trial.correction, corrected=share), share - EQUAL
-        if least < max(NOTICEABLE * EXPLAINED, EXHAUSTED * found.contradiction):
+        # where views are forgiven several corrections may explain: without, the right one leaves least
+        if trial is not None and share < outlines.enough and (left := strict.contradiction(trial)) < least:
+            found, least = replace(found, correction=trial.correction, corrected=share), left - EQUAL
+        if not misses and least < max(NOTICEABLE * EXPLAINED, EXHAUSTED * found.contradiction):
             break
     return found
 
