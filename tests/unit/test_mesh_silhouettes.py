@@ -146,6 +146,9 @@ def test_a_dark_gap_across_a_thin_part_is_overruled_and_a_bright_one_is_not():
     gap = true & (np.abs(np.arange(true.shape[1]) - middle[1]) < 4) & (np.arange(len(true))[:, None] > middle[0])
     masks[3] = true & ~gap
     loose = carve(masks, cameras, cells=64, misses=1)
+    left = true & (np.arange(true.shape[1]) < middle[1])  # half of the ring, too long a gap to be closed across
+    without = overruled(loose.mesh, cameras[3], true & ~left, np.ones(true.shape, bool), loose.cell)
+    assert (without & left).sum() > 0.9 * left.sum()
     for dark in (True, False):
         more = overruled(loose.mesh, cameras[3], masks[3], np.full(true.shape, dark), loose.cell)
         assert ((more & gap).sum() > 0.6 * gap.sum()) == dark

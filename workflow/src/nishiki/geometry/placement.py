@@ -10,6 +10,9 @@ from nishiki.geometry.mesh import Mesh, face_vectors
 from nishiki.geometry.visibility import rasterise
 
 UNSURE_PX = 2.0
+MIDDLE, LEAST_PX = 0.7, 1.5
+"""Share of the depth of a part that is narrower than twice UNSURE_PX and a cell, and pixels, from which a pixel lies in
+its middle."""
 
 
 def outline_of(mesh: Mesh, camera: Camera) -> np.ndarray:
@@ -40,9 +43,9 @@ def overruled(loose: Mesh, camera: Camera, mask: np.ndarray, dark: np.ndarray, c
 
     loose: hull that forgives some views, with grid cells of side `cell` (world's unit), which holds the object whatever
     single masks (rows, columns) bool say; dark (rows, columns) bool: pixels that may lie in shadow. Where background
-    lies deeper within the hull's outline than the grid and the outline are unsure, all of it up to the outline counts:
-    a shadow that the object casts on itself is as black as a dark background. Across parts too thin for that, so does
-    a dark gap of the mask.
+    lies deeper within the hull's outline than the grid and the outline are unsure, or is dark in the middle of a part
+    too thin for that, all of it up to the outline counts: a shadow that the object casts on itself is as black as a
+    dark background. So does a dark gap across a thin part of the mask.
     """
     import cv2
 
@@ -51,7 +54,9 @@ def overruled(loose: Mesh, camera: Camera, mask: np.ndarray, dark: np.ndarray, c
     cell_px = cell * float(np.sqrt(abs(np.linalg.det(camera.intrinsics)))) / max(depth, 1e-300)
     reach = int(np.ceil(UNSURE_PX + cell_px))
     solid, lost, rim = mask.astype(np.uint8), (covered & ~mask).astype(np.uint8), 2 * reach + 1
-    deep = cv2.erode(covered.astype(np.uint8), _disc(reach)) & lost
+    depths = cv2.distanceTransform(covered.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    middle = np.maximum(MIDDLE * cv2.dilate(depths, _disc(reach)), LEAST_PX)
+    deep = ((depths > reach) | ((depths > middle) & dark)).astype(np.uint8) & lost
     closed = cv2.morphologyEx(np.pad(solid, rim), cv2.MORPH_CLOSE, _disc(2 * reach))[rim:-rim, rim:-rim]
     return ((cv2.dilate(deep, _disc(reach + 1)) | (closed & dark)) & lost) > 0
 
