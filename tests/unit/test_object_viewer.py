@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from coded_dome import coded_dome
 
-from nishiki.codec.store import STORE, head_length
+from nishiki.codec.store import head_length
 from nishiki.codec.transform import Block
 from nishiki.formats.stored import open_array
 from nishiki.report.viewer.page import pack_arrays
@@ -56,7 +56,7 @@ def test_surface_is_that_of_mesh_and_atlas(decoded):
 def test_the_page_holds_the_coded_streams_byte_for_byte(decoded):
     residual, parts = decoded.residual, list(stream_parts(decoded))
     assert [part.name.split("-")[0] for part in parts] == ["parameters", "residual"]
-    whole = np.asarray(open_array(residual.folder / STORE)[:]).tobytes()
+    whole = np.asarray(open_array(residual.path)[:]).tobytes()
     streams = whole[head_length(whole) :]
     at = {"parameters": 0, "residual": 0}
     for tile in range(residual.tiles):

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from nishiki.brdf.texels.model import Lighting, predict
+from nishiki.codec.design import Extent
+from nishiki.codec.pictures import pack_missed
 from nishiki.codec.store import CodedTexels
 from nishiki.colour.colour import decode, encode
 from nishiki.geometry.camera import Camera
@@ -63,6 +65,8 @@ class DomeAtlas:
 
 class DomeResidual:
     """Random parameters and residuals, continuous over the tiles' common borders; tile 4 stores nothing."""
+
+    pictures = None
 
     def __init__(self, observations, *, scale=0.1):
         rng = np.random.default_rng(5)
@@ -154,6 +158,42 @@ def slow(made, camera, light, shares):
     for place in zip(*np.nonzero(tile >= 0), strict=True):
         out[place] = decode(bilinear(textures[tile[place]], float(s[place]), float(t[place])), made.encoding)
     return np.maximum(out, 0), raster.triangle >= 0
+
+
+class CodedViews:
+    """View 1 of two lights as a picture of one level a light, with a part that the surface misses at the corner."""
+
+    channels = 3
+
+    def __init__(self):
+        self.extents = [Extent(k, int(k == 1), 0, 0, 512, 512) for k in range(len(ANGLES))]
+
+    def texels(self, tile, index):
+        levels = np.array([0.25, 0.5], np.float32)[None, :, None, None]
+        return np.broadcast_to(levels, (3, 2, 512, 512)) if tile == 1 else None
+
+    def stream(self, tile, index):
+        mask = np.zeros((100, 110), bool)
+        mask[:4, :5] = True
+        return pack_missed([mask])[0] if tile == 1 else b""
+
+
+def test_captured_views_are_pictures_where_they_are_coded_so():
+    residual = DomeResidual(2 * len(ANGLES))
+    without = make(encoding="linear", residual=residual)
+    plain, between = picture_of(without, 2), next(without.render([without.between(1, 0.5)]))
+    residual.pictures = CodedViews()
+    made = make(encoding="linear", residual=residual)
+    for light, level in enumerate((0.25, 0.5)):
+        shown = next(made.render([made.captured(1, light=light)]))
+        assert shown.reached[:4, :5].all()
+        assert not shown.covered[:4, :5].any()
+        assert (shown.linear[shown.reached] == level).all()
+        assert not shown.linear[~shown.reached].any()
+    both = next(made.render([lit_by(made.captured(1), ((0, 1.0), (1, 0.5)))]))
+    np.testing.assert_allclose(both.linear[both.reached], 0.5, atol=1e-6)
+    np.testing.assert_array_equal(picture_of(made, 2).linear, plain.linear)
+    np.testing.assert_array_equal(next(made.render([made.between(1, 0.5)])).linear, between.linear)
 
 
 @pytest.mark.parametrize("encoding", ["srgb", "linear"])

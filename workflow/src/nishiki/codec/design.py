@@ -73,7 +73,7 @@ def fourier_matrix(length: int) -> np.ndarray:
     return np.array(rows)
 
 
-SIDES = (8, 16, 32, 48, 64, 96, 128, 192, 256)
+SIDES = (8, 16, 32, 48, 64, 96, 128, 192, 256, 320, 384, 448)
 
 
 @dataclass(frozen=True)

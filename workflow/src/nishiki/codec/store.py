@@ -100,8 +100,8 @@ def unpack_head(data: bytes) -> Contents:
         raise UserError(f"residual: header of {end} bytes expected, found {at}; run the stage again")
     try:
         tiles, streams = sizes[4:6]
-        design = Design.from_dict(json.loads(_inflated(parts[0], MOST_DESIGN)))
-        raw = _inflated(parts[3], tiles * (12 + 4 * streams))
+        design = Design.from_dict(json.loads(inflated(parts[0], MOST_DESIGN)))
+        raw = inflated(parts[3], tiles * (12 + 4 * streams))
     except (zlib.error, ValueError, KeyError, TypeError, RecursionError) as error:
         raise UserError(f"residual: header damaged ({error}); run the stage again") from None
     numbers = _joined_planes(raw[: 12 * tiles], np.uint16, (tiles, 6))
@@ -110,8 +110,8 @@ def unpack_head(data: bytes) -> Contents:
     return Contents(design, (unpack(parts[1]), unpack(parts[2])), extents, lengths, end)
 
 
-def _inflated(data: bytes, most: int) -> bytes:
-    """Deflated bytes, at most so many: a few of a stranger's could unfold to any number."""
+def inflated(data: bytes, most: int) -> bytes:
+    """Inflate bytes to at most so many: a few of a stranger's could unfold to any number."""
     stream = zlib.decompressobj()
     inflated = stream.decompress(data, max(most, 1))
     if not stream.eof or len(inflated) > most:
@@ -131,21 +131,44 @@ def _joined_planes(data: bytes, dtype, shape: tuple[int, int]) -> np.ndarray:
     return np.ascontiguousarray(planes.T).view(dtype).reshape(shape[::-1]).T
 
 
-STORE = "residual.zarr"
+STORE, PICTURES = "residual.zarr", "pictures.zarr"
 REPORT = "residual.json"
 CHUNK = 1 << 16
 
 
-def write_residual(folder: Path, encoded: EncodedObject, *, stamp: dict[str, str], report: dict) -> dict[str, int]:
-    """Write `residual.zarr` and `residual.json` into a folder; bytes by part.
+def write_residual(
+    folder: Path, encoded: EncodedObject, pictures: EncodedObject | None = None, *, stamp: dict[str, str], report: dict
+) -> dict[str, int]:
+    """Write `residual.zarr`, where there are any `pictures.zarr`, and `residual.json` into a folder; bytes by part.
 
-    The array is one-dimensional, uint8, in equal chunks of at most 64 KiB with a CRC-32C each: coded bytes do
-    not compress further, and a last chunk that is not full would be stored in full. The
-    report holds the SHA-256 of the array's metadata, which no chunk's checksum covers.
+    The report holds the SHA-256 of the arrays' metadata, which no chunk's checksum covers.
+    """
+    parts = _write_coded(Path(folder) / STORE, encoded, stamp)
+    if pictures is not None:
+        size = _write_coded(Path(folder) / PICTURES, pictures, stamp)["total"]
+        parts |= {"pictures": size, "total": parts["total"] + size}
+    text = json.dumps(
+        {**report, "bytes": parts, "metadata_sha256": _metadata_sha256(Path(folder))},
+        indent=1, sort_keys=True, allow_nan=False,
+    )  # fmt: skip
+    (Path(folder) / REPORT).write_text(text + "\n")
+    return parts
+
+
+def _metadata_sha256(folder: Path) -> str:
+    """Hash the metadata of the arrays of an artifact."""
+    files = [folder / name / "zarr.json" for name in (STORE, PICTURES) if name == STORE or (folder / name).is_dir()]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def _write_coded(path: Path, encoded: EncodedObject, stamp: dict[str, str]) -> dict[str, int]:
+    """Write an object as an array of bytes in equal chunks of at most 64 KiB with a CRC-32C each; bytes by part.
+
+    Coded bytes do not compress further, and a last chunk that is not full would be stored in full.
     """
     data, parts = pack_object(encoded)
     array = zarr.create_array(
-        Path(folder) / STORE,
+        path,
         shape=(len(data),),
         chunks=(-(-len(data) // -(-len(data) // CHUNK)),),
         dtype="uint8",
@@ -156,14 +179,8 @@ def write_residual(folder: Path, encoded: EncodedObject, *, stamp: dict[str, str
         zarr_format=3,
     )
     array[:] = np.frombuffer(data, np.uint8)
-    stored = sum(p.stat().st_size for p in (Path(folder) / STORE).rglob("*") if p.is_file())
-    parts = {**parts, "container": stored - len(data), "total": stored}
-    metadata = hashlib.sha256((Path(folder) / STORE / "zarr.json").read_bytes()).hexdigest()
-    text = json.dumps(
-        {**report, "bytes": parts, "metadata_sha256": metadata}, indent=1, sort_keys=True, allow_nan=False
-    )
-    (Path(folder) / REPORT).write_text(text + "\n")
-    return parts
+    stored = sum(p.stat().st_size for p in path.rglob("*") if p.is_file())
+    return {**parts, "container": stored - len(data), "total": stored}
 
 
 @dataclass(frozen=True)
@@ -180,26 +197,15 @@ class CodedTexels:
         return self.values.nbytes + self.observation.nbytes + self.texel.nbytes
 
 
-class Residual:
-    """The residual and the reflection parameters of an artifact, for reading; safe from several threads.
+class Coded:
+    """A coded object in an array, for reading; safe from several threads.
 
-    tiles; size (T); observations (M), channels; design: as coded; bytes: by part; report: of `residual.json`.
+    tiles; size (T); observations (M), channels; design: as coded; extents: of the tiles.
     """
 
-    def __init__(self, folder: Path | str):
-        """Open the artifact's folder. UserError where it holds no residual, or its description is damaged."""
-        folder = Path(folder)
-        try:
-            self.report = json.loads((folder / REPORT).read_text())
-            metadata = (folder / STORE / "zarr.json").read_bytes()
-        except FileNotFoundError as error:
-            raise UserError(f"{folder}: {error.filename} is missing. Remedy: run the stage residual") from None
-        except ValueError as error:
-            raise UserError(f"{folder / REPORT}: not valid JSON ({error}); run the stage residual again") from None
-        if hashlib.sha256(metadata).hexdigest() != self.report.get("metadata_sha256"):
-            raise UserError(f"{folder / STORE}/zarr.json is damaged; run the stage residual again")
-        self.folder, self.bytes = folder, dict(self.report["bytes"])
-        self._array = open_array(folder / STORE)
+    def __init__(self, path: Path):
+        """Open the array. UserError where its header is damaged."""
+        self.path, self._array = path, open_array(path)
         self._lock, self._chunk = threading.Lock(), (-1, b"")
         self._contents = unpack_head(self._read(0, head_length(self._read(0, 8))))
         self.design = self._contents.design
@@ -207,6 +213,72 @@ class Residual:
         self.tiles, self.size = len(self.extents), self.design.tile_size
         self.channels = self.design.channels
         self.observations = self.design.views * self.design.lights
+
+    def texels(self, tile: int, index: int, level: int = 0) -> np.ndarray | None:
+        """(C, observations, rows, columns) float32 of one component in a tile's extent; None where nothing is stored.
+
+        level: so many of the finest bands are left out.
+        """
+        design, extent, stream = self.design, self.extents[tile], self.stream(tile, 1 + index)
+        if not stream:
+            return None
+        shape, levels = design.residual_shape(extent), design.plane(extent).levels
+        return decode_residual(decode(stream, shape, levels, self.models[1], drop=level), index, design, extent)
+
+    def stored(self, tile: int) -> tuple[int, ...]:
+        """Bytes of each stream of a tile: parameters, then the residual of each component."""
+        return tuple(int(n) for n in self._contents.lengths[tile])
+
+    def stream(self, tile: int, stream: int) -> bytes:
+        """Coded bytes of one stream of a tile, in the order of `stored`."""
+        start, length = self._contents.place(tile, stream)
+        return self._read(start, length) if length else b""
+
+    def _read(self, start: int, length: int) -> bytes:
+        """Read some bytes of the array through the chunk read last; a damaged chunk raises UserError."""
+        size = self._array.chunks[0]
+        pieces = []
+        for number in range(start // size, (start + length - 1) // size + 1):
+            with self._lock:
+                held = self._chunk
+            if held[0] != number:
+                try:
+                    held = number, self._array[number * size : (number + 1) * size].tobytes()
+                except ValueError as error:
+                    raise UserError(
+                        f"{self.path}: chunk {number} is damaged ({error}). Remedy: run residual again"
+                    ) from None
+                with self._lock:
+                    self._chunk = held
+            low = max(start - number * size, 0)
+            pieces.append(held[1][low : start + length - number * size])
+        data = b"".join(pieces)
+        if len(data) != length:
+            raise UserError(f"{self.path}: {length} bytes at {start} expected, found {len(data)}; run again")
+        return data
+
+
+class Residual(Coded):
+    """The residual and the reflection parameters of an artifact, for reading; safe from several threads.
+
+    bytes: by part; report: of `residual.json`; pictures: the views that are coded as such, None where none is.
+    """
+
+    def __init__(self, folder: Path | str):
+        """Open the artifact's folder. UserError where it holds no residual, or its description is damaged."""
+        folder = Path(folder)
+        try:
+            self.report = json.loads((folder / REPORT).read_text())
+            found = _metadata_sha256(folder)
+        except FileNotFoundError as error:
+            raise UserError(f"{folder}: {error.filename} is missing. Remedy: run the stage residual") from None
+        except ValueError as error:
+            raise UserError(f"{folder / REPORT}: not valid JSON ({error}); run the stage residual again") from None
+        if found != self.report.get("metadata_sha256"):
+            raise UserError(f"{folder / STORE}/zarr.json is damaged; run the stage residual again")
+        super().__init__(folder / STORE)
+        self.bytes = dict(self.report["bytes"])
+        self.pictures = Coded(folder / PICTURES) if (folder / PICTURES).is_dir() else None
 
     def parameters(self, tile: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """kd, ks (T, T, C), sigma (T, T) float32, as the encoder's own prediction used them."""
@@ -238,11 +310,8 @@ class Residual:
         rows, columns = (range(self.size)[part] for part in extent.texels)
         values = np.zeros((len(places) + 1, len(rows) * len(columns) + 1, self.channels), np.float32)
         for index, name in enumerate(design.components):
-            stream = self.stream(tile, 1 + index) if component in (None, name) else b""
-            if stream:
-                shape, levels = design.residual_shape(extent), design.plane(extent).levels
-                integers = decode(stream, shape, levels, self.models[1], drop=level)
-                texels = decode_residual(integers, index, design, extent)
+            texels = self.texels(tile, index, level) if component in (None, name) else None
+            if texels is not None:
                 values[:-1, :-1] += np.moveaxis(texels.reshape(*texels.shape[:2], -1), 0, -1)
         observation = np.full(self.observations, len(places))
         observation[places] = np.arange(len(places))
@@ -253,35 +322,3 @@ class Residual:
     def empty(self, tile: int) -> bool:
         """Whether nothing is stored for a tile's residual: the model suffices."""
         return not self._contents.lengths[tile, 1:].any()
-
-    def stored(self, tile: int) -> tuple[int, ...]:
-        """Bytes of each stream of a tile: parameters, then the residual of each component."""
-        return tuple(int(n) for n in self._contents.lengths[tile])
-
-    def stream(self, tile: int, stream: int) -> bytes:
-        """Coded bytes of one stream of a tile, in the order of `stored`."""
-        start, length = self._contents.place(tile, stream)
-        return self._read(start, length) if length else b""
-
-    def _read(self, start: int, length: int) -> bytes:
-        """Read some bytes of the array through the chunk read last; a damaged chunk raises UserError."""
-        size = self._array.chunks[0]
-        pieces = []
-        for number in range(start // size, (start + length - 1) // size + 1):
-            with self._lock:
-                held = self._chunk
-            if held[0] != number:
-                try:
-                    held = number, self._array[number * size : (number + 1) * size].tobytes()
-                except ValueError as error:
-                    raise UserError(
-                        f"{self.folder / STORE}: chunk {number} is damaged ({error}). Remedy: run residual again"
-                    ) from None
-                with self._lock:
-                    self._chunk = held
-            low = max(start - number * size, 0)
-            pieces.append(held[1][low : start + length - number * size])
-        data = b"".join(pieces)
-        if len(data) != length:
-            raise UserError(f"{self.folder / STORE}: {length} bytes at {start} expected, found {len(data)}; run again")
-        return data

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nishiki.brdf.texels.model import predict
+from nishiki.codec.pictures import decode_picture
 from nishiki.codec.store import CodedTexels
 from nishiki.colour.colour import decode as to_linear
 from nishiki.colour.colour import encode
@@ -94,7 +95,9 @@ class ObjectRenderer:
     def captured(self, index: int, *, camera: Camera | None = None, light: int = 0) -> Shot:
         """Make the picture of a captured view from its own slot of the residual; `camera`: the same at another size."""
         slot = Neighbours(np.array([index]), np.ones(1))
-        return Shot(camera or self.cameras[index], slot, slot, ((light, 1.0),))
+        return Shot(
+            camera or self.cameras[index], slot, slot, ((light, 1.0),), captured=index if camera is None else None
+        )
 
     def predicted(self, index: int, *, light: int = 0) -> Shot:
         """Return the picture of a captured view without its own residual: interpolated between the other views."""
@@ -236,6 +239,15 @@ class ObjectRenderer:
         linear = linear.reshape(*raster.triangle.shape, self.channels)
         covered = raster.triangle >= 0
         reached = extend(linear, covered, rings=self.rim)
+        pictures, view = self.residual.pictures, shot.captured
+        if view is not None and pictures is not None and not self.model_only and not self.level:
+            for place, (light, weight) in enumerate(shot.lights):
+                found = decode_picture(pictures, view, light, reached.shape)
+                if found is None:
+                    break
+                reached |= found[1]
+                picture = np.float32(weight) * np.clip(to_linear(found[0], self.encoding), 0, highest)
+                linear[reached] = picture[reached] + (linear[reached] if place else 0)
         highest *= sum(abs(weight) for _, weight in shot.lights)
         np.clip(linear, 0, highest, out=linear, where=(reached & ~covered)[..., None])
         return ObjectPicture(linear, covered, reached, raster.triangle, raster.barycentric, raster.depth)

@@ -90,12 +90,16 @@ def lagrange(places: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture from `camera` under weights L_j / L; pixels that not all views see take the residual of `fallback`."""
+    """A picture from `camera` under weights L_j / L; pixels that not all views see take the residual of `fallback`.
+
+    captured: the view whose photograph this is, None of any other picture.
+    """
 
     camera: Camera
     views: Neighbours
     fallback: Neighbours
     lights: tuple[tuple[int, float], ...] = ((0, 1.0),)
+    captured: int | None = None
 
 
 @dataclass(frozen=True)

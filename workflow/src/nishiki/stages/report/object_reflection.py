@@ -191,6 +191,7 @@ PART_NAMES = {
     "lamps": "lamps",
     "residual_parameters": "reflection parameters",
     "residual_residual": "residual",
+    "residual_pictures": "captured views as pictures",
     "residual_start_states": "entropy coder's start",
     "residual_container": "container",
     "residual_header": "header",
@@ -215,6 +216,10 @@ def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any]
         region = "over the pixels that the texels were solved for, peak: full scale"
         text = f"{with_model} dB {region}; model alone {alone} dB"
         facts.append(("Model and residual", text))
+    if pictures := residual.get("pictures"):
+        text = f"as pictures, {figure(pictures['bytes'] / 1000)} kB, because the surface carries them worse; by texels "
+        text += f"alone, which serve the views between, {figure(pictures['texels_psnr_db'])} dB"
+        facts.append(("Captured views", text))
     if residual.get("kept") is not None:
         text = figure(residual["kept"])
         if residual.get("kept_of_visible") is not None:

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at
-from nishiki.stages.base import ARRAYS, Cost, Stage
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, photographs_or_states
 
 
 def _residual_loss(diagnostics: Mapping[str, Any]) -> float | None:
@@ -29,7 +29,7 @@ LIMITS = (
 )
 
 
-class ResidualSettings(Guarded, stage="residual", version=5, limits=LIMITS):
+class ResidualSettings(Guarded, stage="residual", version=6, limits=LIMITS):
     """What the reflection model does not explain, as wavelet coefficients."""
 
     target: Literal["bits_per_pixel", "bytes", "total_bytes", "psnr", "kept", "kept_of_all", "step"] = Field(
@@ -71,8 +71,10 @@ STAGE = Stage(
     settings=ResidualSettings,
     does="captured minus model, as coded wavelet coefficients",
     geometry="turntable",
-    requires=("mesh", "cameras", "texels", "object_brdf"),
+    requires=("ingest", "mesh", "cameras", "texels", "object_brdf"),
+    wants=lambda settings: ("polarise",),
     needs_colour=True,
-    libraries=(*ARRAYS, "pywavelets", "dracopy"),
+    looks_at=photographs_or_states,
+    libraries=(*ARRAYS, OPENCV, "pywavelets", "dracopy"),
     cost=lambda facts: Cost(mib=340, bytes_per_sample=22, seconds=14, us_per_sample=20),
 )
