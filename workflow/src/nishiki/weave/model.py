@@ -56,12 +56,6 @@ def shape_of(p, plane):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def schlick(f0, cosine):
-    """Schlick's Fresnel term, over its value f0 at normal incidence."""
-    return 1.0 + (1.0 / f0 - 1.0) * (1.0 - cosine) ** 5
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def lobe(x, width):
     """D at an angle x from the middle, 1 at 0."""
     return exp(-((x / width) ** 2))
@@ -137,7 +131,8 @@ def fill_columns(weft, warp, across, along, rows, f0, reading, out):
         above_y = pieces(warp, along, 0.0, 0.0, 0.0)
     for k in range(len(rows)):
         row = rows[k]
-        fresnel = schlick(f0, row[8]) / (row[6] * row[7])
+        schlick = 1.0 + (1.0 / f0 - 1.0) * (1.0 - row[8]) ** 5  # over its value f0 at normal incidence
+        fresnel = schlick / (row[6] * row[7])
         x = _plane_factor(weft, across, reading, above_x, row[0], row[1], row[2])
         y = _plane_factor(warp, along, reading, above_y, row[3], row[4], row[5])
         out[k, 0], out[k, 1] = fresnel * x[0] * y[0], x[1] * y[1]

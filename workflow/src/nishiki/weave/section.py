@@ -54,15 +54,6 @@ def facing_length(theta_a, length, radius, theta):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def averted_length(theta_a, length, radius, theta):
-    """Length seen from the top down on the side of a hump that is turned away from the viewer; theta >= 0."""
-    t = HALF_PI - theta
-    if t > theta_a:
-        return radius * theta_a + length
-    return radius * max(t, 0.0)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def facing_contact(contact, theta):
     """Angle seen from the top down on a contact arc that faces the viewer; theta >= 0.
 
@@ -78,12 +69,6 @@ def facing_contact(contact, theta):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def averted_contact(contact, theta):
-    """Angle seen from the top down on a contact arc that is turned away from the viewer; theta >= 0."""
-    return min(max(HALF_PI - theta, 0.0), contact)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def side_lengths(shape, theta):
     """Compute the visible lengths and contact angles on the + and the - side from signed theta.
 
@@ -91,8 +76,10 @@ def side_lengths(shape, theta):
     """
     theta_a, length, radius, _, _, contact = shape
     far = abs(theta)
-    facing, averted = facing_length(theta_a, length, radius, far), averted_length(theta_a, length, radius, far)
-    near_arc, far_arc = facing_contact(contact, far), averted_contact(contact, far)
+    rest = HALF_PI - far  # of the side that is turned away one sees the top only, of its contact arc too
+    facing = facing_length(theta_a, length, radius, far)
+    averted = radius * theta_a + length if rest > theta_a else radius * max(rest, 0.0)
+    near_arc, far_arc = facing_contact(contact, far), min(max(rest, 0.0), contact)
     if theta >= 0.0:
         return facing, averted, near_arc, far_arc
     return averted, facing, far_arc, near_arc

@@ -124,16 +124,6 @@ def height_field(x, y, form, height, is_warp):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def height_table(form, table):
-    """Fill table (m, length) with heights over the columns that stand for the cloth, x from -0.5, y over a period."""
-    rows, columns = table.shape
-    for k in range(rows):
-        for j in range(columns):
-            x, y = (k + 0.5) / rows * form.together - 0.5, j / columns * form.up.shape[0] * form.ratio
-            table[k, j] = max(yarn_at(x, y, form, 0)[0], yarn_at(x, y, form, 1)[0])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _looked_up(x, y, form, table):
     """Height from the table; the columns beside those are the same, moved along by the step of the weave."""
     rows, columns = table.shape
@@ -396,8 +386,12 @@ class YarnWeave:
         y = (y + q * np.arange(harness)[:, None]).ravel()
         xx, yy = np.meshgrid(x, y, indexing="ij")
         places = np.stack([xx.ravel(), yy.ravel(), np.outer(wide, np.tile(long, harness) / harness).ravel()], axis=1)
-        table = np.empty((together * TABLE[0], harness * TABLE[1]))
-        height_table(form, table)
+        rows, columns = together * TABLE[0], harness * TABLE[1]
+        x = (np.arange(rows) + 0.5) / rows * together - 0.5
+        y = np.arange(columns) / columns * form.up.shape[0] * form.ratio
+        heights = np.empty((columns, rows))
+        height_field(x, y, form, heights, np.empty(heights.shape, np.bool_))
+        table = np.ascontiguousarray(heights.T)
         count = 2 * len(places)
         points, which, horizons = np.empty((count, COLUMNS)), np.empty(count, np.int64), np.empty((count, AZIMUTHS))
         points_of(form, places, table, points, which, horizons)
