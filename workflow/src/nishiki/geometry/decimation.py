@@ -296,27 +296,16 @@ def collapse(vertices, faces, target):
         near_a = _gather(a, head, following, faces, alive, marks, stamp, ring)
         near_a = min(near_a, ring.shape[0])
         if size + near_a > costs.shape[0]:
-            costs, items = _wider(costs), _wider_items(items)
+            more = 2 * costs.shape[0] + 1024
+            wider, wider_items = np.empty(more), np.empty((more, 4), np.int64)
+            for i in range(size):
+                wider[i] = costs[i]
+                for k in range(4):
+                    wider_items[i, k] = items[i, k]
+            costs, items = wider, wider_items
         for i in range(near_a):
             other = ring[i]
             cost = _best(quadrics[a], quadrics[other], vertices[a], vertices[other], place)
             first, second = min(a, other), max(a, other)
             size = _push(costs, items, size, cost, first, second, version[first], version[second])
     return alive
-
-
-@njit(**JIT)
-def _wider(costs):
-    out = np.empty(2 * costs.shape[0] + 1024)
-    for i in range(costs.shape[0]):
-        out[i] = costs[i]
-    return out
-
-
-@njit(**JIT)
-def _wider_items(items):
-    out = np.empty((2 * items.shape[0] + 1024, 4), np.int64)
-    for i in range(items.shape[0]):
-        for k in range(4):
-            out[i, k] = items[i, k]
-    return out
