@@ -1,6 +1,7 @@
 """Shadows, bounced light and relief of the simulator against brute force."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from nishiki.simulate.painting.relief import (
     visible_share,
     weave_under_paint,
 )
+from nishiki.threads import strips
 
 
 def hills(size=48, seed=0):
@@ -132,7 +134,7 @@ def test_bounce_vanishes_where_nothing_faces_a_point():
 @pytest.fixture(params=[256, 10])
 def band(request, monkeypatch):
     """Pictures higher than one band of rows must come out the same."""
-    monkeypatch.setattr(relief, "_BAND", request.param)
+    monkeypatch.setattr(relief, "strips", partial(strips, most=request.param))
 
 
 @pytest.mark.usefixtures("band")
