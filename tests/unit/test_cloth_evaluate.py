@@ -151,7 +151,9 @@ def test_the_stage_judges_all_models_on_the_same_measurements(inputs, tmp_path):
     assert 0.3 < dull["30"]["rms_rel"] < 0.6
     assert dull["30"]["peak_value_rel"] == pytest.approx(0.5, abs=0.1)
     assert done.diagnostics["regions"]["cloth"]["references"] == ["seen"]
-    assert done.diagnostics["regions"]["cloth"]["rms_rel"]["dull"]["60"] == dull["60"]["rms_rel"]
+    told = done.diagnostics["regions"]["cloth"]
+    assert told["rms_rel"]["dull"]["60"] == dull["60"]["rms_rel"]
+    assert told["rms_rel_default"] == told["rms_rel"][done.diagnostics["default"]]
     with done.path("evaluation.csv").open() as file:
         table = list(csv.DictReader(file))
     assert len(table) == sum(len(e[k]["rows"]) for e in found["models"].values() for k in ("held_out", "fitted"))

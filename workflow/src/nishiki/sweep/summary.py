@@ -31,9 +31,7 @@ LEFT_OUT = MeasureSettings(
 CAPTURED = MeasureSettings(
     path="psnr.captured.mean_psnr_db", label="PSNR of the captured views", unit="dB", better="higher"
 )
-CLOTH = MeasureSettings(
-    path="regions.*.rms_rel.{cloth_brdf.model}.*", label="relative rms error of measurements that no fit saw"
-)
+CLOTH = MeasureSettings(path="regions.*.rms_rel_default.*", label="relative rms error of measurements that no fit saw")
 USUAL = {"plane": (NORMALS, RELIGHTING), "turntable": (LEFT_OUT, CAPTURED), "goniometer": (CLOTH,)}
 USUAL_OF_STAGE = {"height": (HEIGHT, RELIGHTING), "spectra": (SPECTRA, RELIGHTING), "brdf": (RELIGHTING,)}
 """Measures in the order of preference: the first one that the evaluation holds is taken."""

@@ -97,7 +97,7 @@ OBJECT = Stage(
 )
 
 
-class ClothEvaluateSettings(Guarded, stage="cloth_evaluate", version=1):
+class ClothEvaluateSettings(Guarded, stage="cloth_evaluate", version=2):
     """The cloth's models against measurements that their fits did not see."""
 
     curves: int = Field(

@@ -34,7 +34,8 @@ def run(context: Context) -> dict:
     ]
     columns = ["region", "model", "set", *Judged.__dataclass_fields__]
     write_tables(context, evaluation, columns, rows)
-    return {"default": models.default, "regions": {name: headlines(evaluated) for name, evaluated in regions.items()}}
+    told = {name: headlines(evaluated, models.default) for name, evaluated in regions.items()}
+    return {"default": models.default, "regions": told}
 
 
 def region(context: Context, measured: Reflectances, models: ClothModels, name: str) -> dict:
@@ -111,15 +112,17 @@ def curves(measured, number: int, predicted: dict, valid: np.ndarray, held_out: 
     ]
 
 
-def headlines(evaluated: dict) -> dict:
+def headlines(evaluated: dict, default: str) -> dict:
     """Summarise for the artifact's diagnostics: the mean over the planes of rms_rel, by polar angle and model."""
+    errors = {
+        model: {angle: part["rms_rel"] for angle, part in entry[HELD_OUT]["by_incidence"].items()}
+        for model, entry in evaluated["models"].items()
+    }
     return {
         "valid": evaluated["valid"],
         "held_out": evaluated["held_out"],
-        "rms_rel": {
-            model: {angle: part["rms_rel"] for angle, part in entry[HELD_OUT]["by_incidence"].items()}
-            for model, entry in evaluated["models"].items()
-        },
+        "rms_rel": errors,
+        "rms_rel_default": errors[default],
         "peak_value_rel": {
             model: {angle: part["peak_value_rel"] for angle, part in entry[HELD_OUT]["by_incidence"].items()}
             for model, entry in evaluated["models"].items()
