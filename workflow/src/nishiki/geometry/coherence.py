@@ -100,7 +100,7 @@ def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera], *, m
             return replace(found, correction=Correction("silhouette-inverted", views=tuple(inverted)), corrected=share)
     if found.contradiction <= NOTICEABLE and max(found.by_view) <= NOTICEABLE_VIEW:
         return found
-    least, of_all = np.inf, (_reversals, _orders, _exchanges, _mirrors, _lenses, _steps, _odd_views)
+    least, of_all = np.inf, (_reversals, _orders, _exchanges, _mirrors, _scales, _steps, _focal_lengths, _odd_views)
     strict = Outlines(outlines.masks, outlines.cameras, 0) if misses else outlines
     # a mistake of all cameras shows in many views
     few = np.quantile(found.by_view, 0.75) < EXPLAINED * found.contradiction
@@ -263,17 +263,24 @@ def _mirror(camera: Camera, axes: tuple[int, ...]) -> Camera:
     return replace(camera, intrinsics=k)
 
 
-def _lenses(outlines: Outlines) -> list[Trial]:
-    """Cameras of pictures of another size, or with another focal length."""
+def _scales(outlines: Outlines) -> list[Trial]:
+    """Try cameras of pictures of another size."""
+    return _scaled(outlines, "camera-scale", SCALES, 3)
+
+
+def _focal_lengths(outlines: Outlines) -> list[Trial]:
+    """Try cameras with another focal length."""
+    return _scaled(outlines, "focal-length", FOCAL_FACTORS, 2)
+
+
+def _scaled(outlines: Outlines, kind: str, factors: Sequence[float], columns: int) -> list[Trial]:
+    """Multiply the first columns of the first two rows of the intrinsics by each factor."""
     trials = []
-    for kind, factors in (("camera-scale", SCALES), ("focal-length", FOCAL_FACTORS)):
-        for factor in factors:
-            scale = np.full((3, 3), factor)
-            scale[2] = 1
-            scale[:, 2] = factor if kind == "camera-scale" else 1
-            scale[2, 2] = 1
-            cameras = [replace(camera, intrinsics=camera.intrinsics * scale) for camera in outlines.cameras]
-            trials.append(Trial(Correction(kind, f"{factor:.3g}"), cameras=cameras))
+    for factor in factors:
+        scale = np.ones((3, 3))
+        scale[:2, :columns] = factor
+        cameras = [replace(camera, intrinsics=camera.intrinsics * scale) for camera in outlines.cameras]
+        trials.append(Trial(Correction(kind, f"{factor:.3g}"), cameras=cameras))
     return trials
 
 
