@@ -27,6 +27,12 @@ def test_an_object_is_good_where_it_is_near_its_photographs():
     assert "5.0 %" in dict(object_headline(turn(26.0, left_out=34.0)))[DOUBTFUL]
 
 
+def test_an_object_whose_views_are_stored_as_pictures_is_doubtful():
+    lines = dict(object_headline(turn(46.0, left_out=34.0) | {"residual": {"pictures": {"texels_psnr_db": 32.4359}}}))
+    assert "32.4 dB" in lines[DOUBTFUL]
+    assert {GOOD, REMEDY} < set(lines)
+
+
 def test_what_an_object_lacks_is_named_in_the_order_of_its_weight():
     lines = dict(object_headline(turn(views=12, boards=0, unit=None, unseen=0.2, left_out=31.0)))
     assert [word in lines[DOUBTFUL] for word in ("12 views", "20 %", "board", "unit")] == [True] * 4

@@ -41,7 +41,13 @@ def object_headline(diagnostics: dict[str, dict[str, Any]]) -> list[tuple[str, s
     unseen = (diagnostics.get("object_brdf") or {}).get("unseen_share") or 0.0
     unit = ((ingest.get("capture") or {}).get("turntable") or {}).get("unit", "mm")
     hidden, untold = f"{100 * unseen:.0f} % of the surface is in no photograph", bool(psnr) and left_out is None
+    pictures = (diagnostics.get("residual") or {}).get("pictures") or {}
+    carried = f"by the surface photographs come back with {figure(pictures.get('texels_psnr_db'), 3)} dB only, so they "
+    carried += "are stored as pictures, and views between them are worse"
+    scan = "give a mesh or scans of the object"
+    scan += "" if "polarise" in diagnostics else ", or photograph it through polarisers"
     advice = [
+        (bool(pictures), carried, scan),
         (1 < views < FEW_VIEWS, f"{views} views are few", "photograph the object every ten degrees"),
         (unseen > UNSEEN, hidden, "add a turn with the camera higher, or with the object laid down"),
         (
