@@ -235,3 +235,9 @@ def test_a_package_of_a_format_is_loaded_where_it_is_asked_for(facts, stage, for
     assert set(found.packages[stage]) & {"usd-core", "materialx"} == loaded
     told = {package: why for package, why in found.idle.items() if package in ("usd-core", "materialx")}
     assert set(told) == {"usd-core", "materialx"} - loaded
+
+
+@pytest.mark.parametrize(("kinds", "read"), [(["ptm"], False), (["ptm", "bilinear"], True)])
+def test_gloss_is_fitted_for_relightable_images_that_read_it(kinds, read):
+    found = planned(PLANE, "export", export={"formats": ["relight"], "relight": {"kinds": kinds}})
+    assert ("brdf" in found.packages) is read

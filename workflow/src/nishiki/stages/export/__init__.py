@@ -77,7 +77,8 @@ class ExportSettings(Guarded, stage="export", version=8, limits=PAINTING_LIMITS)
 NEEDS: dict[str, tuple[str, ...]] = {
     "height": ("height", "spectra"),
     "albedo": ("spectra",),
-    "relight": ("spectra", "brdf"),
+    "relight": ("spectra",),
+    "bilinear": ("brdf",),
     "spectral": ("spectra",),
     "gltf": ("height", "spectra", "brdf"),
     "mitsuba": ("height", "spectra", "brdf"),
@@ -86,13 +87,20 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "usd": ("height", "spectra", "brdf"),
     "materialx": ("height", "spectra", "brdf"),
 }
-"""Stages that a format reads where the capture can feed them."""
+"""Stages that a format, or a kind of relightable image, reads where the capture can feed them."""
+
+
+def _wanted(settings: ExportSettings) -> tuple[str, ...]:
+    """Return the stages that the formats read, each once."""
+    kinds = settings.relight.kinds if "relight" in settings.formats else ()
+    return tuple(dict.fromkeys(name for each in (*settings.formats, *kinds) for name in NEEDS.get(each, ())))
+
 
 PAINTING = Stage(
     settings=ExportSettings,
     does="files for other programs",
     requires=("ingest", "normals"),
-    wants=lambda settings: tuple(dict.fromkeys(name for each in settings.formats for name in NEEDS.get(each, ()))),
+    wants=_wanted,
     needs_colour=True,
     looks_at=lambda facts, settings, asked: ("check",),
     libraries=(*ARRAYS, "OpenEXR", OPENCV, "usd-core", "materialx"),
