@@ -149,7 +149,7 @@ def left_out_errors(
 
 
 def interpolated(directions: np.ndarray) -> np.ndarray:
-    """Tell which lights (n, 3) the others surround, or nearly, when they are left out; all if FEWEST / 2 are not."""
+    """Tell which lights (n, 3) those of other folds surround, or nearly; all if fewer than FEWEST / 2 are."""
     from scipy.optimize import nnls
 
     fold, near = np.arange(len(directions)) % FOLDS, np.zeros(len(directions), bool)

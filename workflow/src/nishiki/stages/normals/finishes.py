@@ -96,7 +96,7 @@ def choose_finishes(
     Captured lamps that are left out in turn decide how many there are, how normals are fitted on each, and which model
     predicts lamps, where the settings leave it open. Regions of the capture are finishes without a question.
     """
-    from nishiki.model_selection.relighting import FEWEST, choose_model
+    from nishiki.model_selection.relighting import FEWEST, choose_model, interpolated
 
     models = () if settings.solver == "least_squares" else MODELS
     looked_for = settings.refine == "gloss" or (settings.refine == "auto" and len(lights) <= FEW_LIGHTS)
@@ -118,8 +118,11 @@ def choose_finishes(
         found = [(fit_glosses(tiles, labels, settings.refractive_index), labels, True)]
         if told and frames.regions is None:
             found += find_finishes(tiles, found[0][0][0].found)
+    inside = interpolated(frames.directions[lights])
     tried = [
-        tuple(fitted_finish(few, labels == k, gloss, settings, models, clear) for k, gloss in enumerate(glosses))
+        tuple(
+            fitted_finish(few, labels == k, gloss, settings, models, inside, clear) for k, gloss in enumerate(glosses)
+        )
         for glosses, labels, clear in found
     ]
     parts, decision = choose_count(tried)
@@ -143,14 +146,15 @@ def fitted_finish(
     gloss: SceneGloss | None,
     settings: NormalsSettings,
     models: Sequence[str],
+    inside: np.ndarray,
     clear: np.ndarray | bool,
 ) -> Finish:
     """Fit one finish to lamps left out of the sample, and choose among the fits by its clear cells.
 
-    member (cells,) bool: its cells; clear (cells,) bool, or all.
+    member (cells,) bool: its cells; inside (lights,) bool: lamps that the others surround; clear (cells,) bool, or all.
     """
     from nishiki.brdf.gloss_profile import GlossProfile
-    from nishiki.model_selection.relighting import Fitted, interpolated, joint_fit_counts, left_out_errors
+    from nishiki.model_selection.relighting import Fitted, joint_fit_counts, left_out_errors
 
     joint = {} if gloss is None else {"joint": gloss.found, "first": gloss.first, "bare": gloss.found.bare()}
 
@@ -181,7 +185,7 @@ def fitted_finish(
     if not here:
         found = None if gloss is None else gloss.found
         return Finish(gloss, share, found, gloss is not None and gloss.significant, {})
-    errors, inside = left_out_errors(here, fit, pieces), interpolated(here[0].parcel.directions)
+    errors = left_out_errors(here, fit, pieces)
     if gloss is None:
         return Finish(None, share, None, False, errors, inside)
     told = errors if clear is True or not surely else left_out_errors(surely, fit, pieces)
