@@ -259,6 +259,15 @@ def test_the_symmetry_that_predicts_the_views_is_chosen(slant, lean, expected, n
     assert choose_symmetry(few) == {}
 
 
+@pytest.mark.parametrize("azimuth", [0, 45])
+def test_symmetries_that_views_in_one_plane_cannot_tell_have_no_error(azimuth):
+    theta, phi = np.meshgrid(np.radians(np.arange(6, 85, 6.0)), np.radians([azimuth, azimuth + 180]))
+    outgoing = unit(theta.ravel(), phi.ravel())
+    errors = choose_symmetry(normal_set(outgoing, lobe(outgoing), symmetry="unknown"))
+    assert "none" not in errors
+    assert np.isfinite(list(errors.values())).all()
+
+
 def test_a_quarter_alone_is_taken_for_symmetric():
     outgoing = unit(*np.radians(np.array(quarter_views())).T)
     assert next(iter(choose_symmetry(normal_set(outgoing, lobe(outgoing), symmetry="unknown")))) == "quarter"

@@ -130,8 +130,8 @@ def choose_symmetry(measured: ReflectanceSet) -> dict[Symmetry, float]:
     -------
     dict of str to float
         Relative error of the views, as the root mean square of the logarithm over all regions, by the keys of
-        `directions.IMAGES`, the choice first: the most symmetric of those as good as the best; empty where the views
-        of a region are too few.
+        `directions.IMAGES`, the choice first: the most symmetric of those as good as the best. Without those for which
+        the views are too few or lie in one line; empty where they are too few for any.
     """
     along = measured.outgoing[measured.normal_incidence]
     widely = {name: cover(along, images(name))[0] if len(along) else 0.0 for name in IMAGES}
@@ -146,9 +146,10 @@ def choose_symmetry(measured: ReflectanceSet) -> dict[Symmetry, float]:
                 found.append(_fit(*part, name)[1])
             except ValueError:  # too few places, or all in one line
                 found.append(np.inf)
-    means = {name: float(np.sqrt(np.mean(np.square(found)))) for name, found in errors.items()}
-    most = (1 + LESS) * min(means.values())
-    return dict(sorted(means.items(), key=lambda entry: entry[1] > most))
+    means = [(name, float(np.sqrt(np.mean(np.square(found))))) for name, found in errors.items()]
+    means = [entry for entry in means if np.isfinite(entry[1])]
+    most = (1 + LESS) * min((error for _, error in means), default=0.0)
+    return dict(sorted(means, key=lambda entry: entry[1] > most))
 
 
 def _fit(

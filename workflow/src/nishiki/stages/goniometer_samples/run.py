@@ -7,7 +7,7 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
 from nishiki.goniometry.coverage import FEWEST_PAIRS, IncidenceCoverage, coverage, reciprocity, typical_albedo
-from nishiki.goniometry.directions import Symmetry, departure, disc, images, unit
+from nishiki.goniometry.directions import departure, disc, images, unit
 from nishiki.goniometry.hemisphere import Interpolation, choose_symmetry, complete, directional_albedo
 from nishiki.goniometry.readings import Averaged, Readings, Regions, average_repeats, read_all
 from nishiki.goniometry.table import ReflectanceSet, write_reflectances
@@ -39,17 +39,19 @@ def run(context: Context) -> dict:
         threads_per_cm=source.threads_per_cm,
         normal_deg=settings.normal_deg,
     )
-    made, errors = None, dict[Symmetry, float]()
+    made, symmetry_errors = None, None
     if measured.symmetry == "unknown":
-        errors = choose_symmetry(measured)
-        measured = replace(measured, symmetry=next(iter(errors), "quarter"))
+        symmetry_errors = choose_symmetry(measured)
+        measured = replace(measured, symmetry=next(iter(symmetry_errors), "quarter"))
+        if len(symmetry_errors) < 2:
+            context.progress.tell("two mirror planes are assumed: the views are too few to compare symmetries")
     if settings.interpolation != "none":
         measured, made = complete(measured, grid_deg=settings.grid_deg)
     covered = coverage(measured)
     context.output.path("coverage.svg").write_text(coverage_plot(measured, covered))
     report = {"stamp": context.stamp, "coverage": [light.as_dict() for light in covered]}
     write_reflectances(context.output.folder, measured, more=report)
-    return diagnostics(measured, averaged, readings, made, covered) | {"symmetry_errors": errors}
+    return diagnostics(measured, averaged, readings, made, covered) | {"symmetry_errors": symmetry_errors}
 
 
 def table_angles(source: Measurements) -> np.ndarray:

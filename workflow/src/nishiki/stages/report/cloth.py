@@ -172,12 +172,12 @@ def facts(diagnostics: dict[str, Any], capture: dict[str, Any]) -> list[tuple[st
         rows.append(("Measured", text + (f"; {along} with the light along the normal" if along is not None else "")))
     kinds = {"quarter": "two mirror planes", "half": "half a turn", "none": "none"}
     symmetry = kinds.get(diagnostics.get("symmetry", ""), str(diagnostics.get("symmetry") or ""))
-    tried = diagnostics.get("symmetry_errors") or {}
-    if len(tried) > 1:
+    tried = diagnostics.get("symmetry_errors")
+    if tried and len(tried) > 1:
         errors = ", ".join(f"{kinds[name]} {percent(100 * error)}" for name, error in tried.items())
         symmetry += f", chosen by the error of left-out views: {errors}"
-    elif tried:
-        symmetry += ", assumed: the views lie in one quarter"
+    elif tried is not None:
+        symmetry += ", assumed: the views are too few to compare symmetries"
     texts = {
         "Cloths": ", ".join(diagnostics.get("regions") or []),
         "Channels": ", ".join(diagnostics.get("channels") or []),
