@@ -317,6 +317,8 @@ def body_factor(
         return 1.0
     a, b, d, *e = np.moveaxis(np.asarray(shading), -1, 0)
     factor = a + b * np.maximum(cosine, 0) + d * np.maximum(half_cosine, 0) ** 8
-    if e and across is not None:
+    if e:
+        if across is None:
+            raise ValueError("shading of five terms needs the directions across")
         factor = factor + e[0] * across[..., 0] + e[1] * across[..., 1]
     return np.maximum(factor, 0)

@@ -275,7 +275,7 @@ class Residual(Coded):
         except ValueError as error:
             raise UserError(f"{folder / REPORT}: not valid JSON ({error}); run the stage residual again") from None
         if found != self.report.get("metadata_sha256"):
-            raise UserError(f"{folder / STORE}/zarr.json is damaged; run the stage residual again")
+            raise UserError(f"{folder}: zarr.json of {STORE} or {PICTURES} is damaged; run the stage residual again")
         super().__init__(folder / STORE)
         self.bytes = dict(self.report["bytes"])
         self.pictures = Coded(folder / PICTURES) if (folder / PICTURES).is_dir() else None

@@ -172,7 +172,9 @@ def fit_estimator(
     responses = spectra @ weights.T
     problem = Problem(spectra, weights, responses, response_space(responses, noise=noise), noise)
     if method == "paper":
-        parts = fit_paper(problem, None if callable(bases) else bases, white=white_width > 0)
+        if callable(bases):
+            raise UserError("spectra: the method paper takes bases as a number, found a rule; give the number")
+        parts = fit_paper(problem, bases, white=white_width > 0)
     else:
         parts = fit_regression(problem, bases, None if method == "wiener" else centres)
     estimator = _assemble(problem, parts, method, white_width)
