@@ -7,8 +7,6 @@ from collections.abc import Iterable
 from typing import TypeVar
 
 UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
-
-
 T = TypeVar("T")
 
 

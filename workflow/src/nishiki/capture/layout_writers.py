@@ -370,7 +370,7 @@ def read_measurements(source: Path, table: Path, options: ConvertOptions) -> Mea
 
 
 def write_table_capture(folder: Path, layout: MeasuredTable, source: Path, options: ConvertOptions) -> list[Problem]:
-    """Take the table over unchanged into a new folder; returns what the user should know."""
+    """Take the table over unchanged into a new folder; nothing about it is doubtful."""
     table = layout.file
     folder.mkdir(parents=True)
     name = take(table, folder / table.name, options.link)

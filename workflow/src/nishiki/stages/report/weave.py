@@ -119,7 +119,8 @@ def summary(entry: dict[str, Any]) -> str:
             first = f"The reflectance does not determine the weave: the sections of a {name} ended at a bound."
         else:
             first = f"Sections of a {name}, from the reflectance in the planes of weft and warp."
-        return f"{first} They {unexplained(entry)}."
+        left = unexplained(entry)
+        return f"{first} {left[0].upper()}{left[1:]}."
     if not yarns["determined"]:
         return (
             f"The reflectance does not determine the weave: at normal incidence it varies by "
@@ -143,7 +144,7 @@ def unexplained(entry: dict[str, Any]) -> str:
     """Return what the published sections leave of the reflectance, in words."""
     errors = entry["rms_rel"]
     weft, warp = (f"{100 * errors[plane]:.1f} %" for plane in PLANES)
-    return f"leave {weft} of the reflectance unexplained in the plane of the weft and {warp} in that of the warp"
+    return f"the sections leave {weft} unexplained in the plane of the weft and {warp} in that of the warp"
 
 
 SECTION_UNKNOWNS = {f"{name}_{plane}" for name in ("theta_a", "flank", "humps") for plane in PLANES}

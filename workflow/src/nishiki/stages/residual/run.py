@@ -100,8 +100,9 @@ def run(context: Context) -> dict:
     else:
         goal = goal_of(settings, counts, others, texels.tiles)
         start, slope, expected = first_step(run_pass, piloted, settings, goal)
-        photographed, coarse = picture_source(context, texels, source.kept), None
-        if photographed is not None and not alone and settings.target in OF_BYTES:
+        coarse, by_bytes = None, not alone and settings.target in OF_BYTES
+        photographed = picture_source(context, texels, source.kept) if by_bytes else None
+        if photographed is not None:
             missed = pack_missed([missed_parts(mesh, *view, photographed) for view in enumerate(cameras)])
             coarse, room = run_pass(COARSER * start), math.exp(goal) - sum(map(len, missed))
             pictures = carried((photographed, scene, design, effort), settings, start, room - coarse.bytes, expected)
