@@ -19,8 +19,8 @@ Result = TypeVar("Result")
 VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 """What each library reads its number of threads from; the workflow sets all of them for every job."""
 ALONE = {"OPENBLAS_NUM_THREADS": "1"}
-"""Set for every job, too: products of matrices are called by several threads of ours, for which threads of OpenBLAS's
-wait busily; with two of each, the export of relightable images took twice the processor time."""
+"""Set for every job, too. Each of our threads multiplies matrices itself; OpenBLAS's own threads would only wait
+busily: with two of each, the export of relightable images took twice the processor time."""
 STRIPS_A_THREAD = 4
 """More strips than threads, so that a thread with easy rows helps out where rows are hard."""
 

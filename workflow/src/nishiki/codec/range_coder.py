@@ -27,7 +27,7 @@ RATE = np.round(65536 / (np.arange(LIMIT + 1) + 1.6)).astype(np.int64)
 
 
 class Coder(NamedTuple):
-    """Hold a coder's bytes, data (n,) uint8, and all that it learns and changes in place.
+    """Hold the state of an entropy coder, which changes in place: its bytes, data (n,) uint8, and its adaptive models.
 
     chance, seen (contexts,), tally (contexts, 2) zeros and ones, for training, weights (groups, INPUTS), state (4,):
     int64.

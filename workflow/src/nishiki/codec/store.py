@@ -111,7 +111,7 @@ def unpack_head(data: bytes) -> Contents:
 
 
 def inflated(data: bytes, most: int) -> bytes:
-    """Inflate bytes to at most so many: a few of a stranger's could unfold to any number."""
+    """Inflate to at most `most` bytes: a damaged or hostile file could expand without limit."""
     stream = zlib.decompressobj()
     inflated = stream.decompress(data, max(most, 1))
     if not stream.eof or len(inflated) > most:

@@ -87,7 +87,7 @@ GUESSED_OUTLINE = 2.0
 """Separation of the two sides of an outline, in spreads of the background, below which the outline is a guess."""
 DOUBTFUL, INCOHERENT = 0.06, 0.10
 """Contradiction without an explanation that is a warning, and an error. Sound captures gave up to 0.015, dark ones of 8
-bits 0.037; with half of the views moved by 4 % of the object it is 0.08 to 0.16."""
+bits 0.037, a chair of thin parts 0.039; with half of the views moved by 4 % of the object it is 0.08 to 0.16."""
 FEWEST_VIEWS = 4  # views
 
 

@@ -17,12 +17,10 @@ class Point:
     time: float  # median over the repeats
     low: float  # low, high: least and greatest of them
     high: float
-    # the error, less is better (the negative of a measure of which more is better). For the drawing: the figure itself,
-    # what the variant is (default, paper, peer, apart, nothing), what its tooltip says.
-    loss: float
-    figure: float = 0.0
-    kind: str = ""
-    tip: str = ""
+    loss: float  # the error, less is better (the negative of a measure of which more is better)
+    figure: float = 0.0  # of the drawing: the error or measure itself
+    kind: str = ""  # of the drawing: default, paper, peer, apart, or nothing
+    tip: str = ""  # of the drawing: what its tooltip says
 
 
 def front(points: Sequence[Point]) -> list[int]:

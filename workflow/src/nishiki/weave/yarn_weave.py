@@ -40,11 +40,9 @@ LEAST = 1e-3  # share of a place below which a yarn is left out
 class Form(NamedTuple):
     """What the compiled functions take of a weave; lengths in warp spacings."""
 
-    # (rows, columns) 1 where the warp lies on top, else -1, a whole repeat; warp_middle (columns,), weft_middle
-    # (rows,): middle of a yarn's one stretch below (warp) or above (weft) the others, in crossings
-    up: np.ndarray
-    warp_middle: np.ndarray
-    weft_middle: np.ndarray
+    up: np.ndarray  # (rows, columns) 1 where the warp lies on top, else -1, a whole repeat
+    warp_middle: np.ndarray  # (columns,): middle of a warp yarn's one stretch below the others, in crossings
+    weft_middle: np.ndarray  # (rows,): middle of a weft yarn's one stretch above the others, in crossings
     low: np.ndarray  # low, high: (2,) least and largest smoothed side of warp and weft at their crossings
     high: np.ndarray
     ratio: float

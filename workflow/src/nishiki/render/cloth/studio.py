@@ -83,14 +83,12 @@ class Lighting:
 class Studio:
     """A cloth with lamps and camera."""
 
-    # the cloth (material 0) and the paper (material 1, where there is one); camera at this azimuth about `middle`;
-    # lights, and as lamps in the scene; light from around
-    scene: ClothScene
+    scene: ClothScene  # the cloth (material 0) and the paper (material 1, where there is one)
     camera: Camera
-    azimuth: float
+    azimuth: float  # of the camera, about `middle`
     middle: np.ndarray
     lights: tuple[Lighting, ...]
-    lamps: tuple[Lamp, ...]
+    lamps: tuple[Lamp, ...]  # the lights in the scene
     surroundings: Surroundings
     paper: Matte | None
 

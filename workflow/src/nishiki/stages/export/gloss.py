@@ -39,7 +39,7 @@ class GltfMaterial:
     """Gloss of a surface, or of pixels with values of their own.
 
     roughness, strength : float or (n,) ndarray
-        Of the reflectance along the normal, weight times factor; that of a metal counts for nothing.
+        Of the reflectance along the normal, weight times factor; that of a metal is ignored.
     index : float
         Of refraction.
     least_factor : float

@@ -86,7 +86,7 @@ FIRST_STEP = (
 class LobeBasis:
     """Gloss as tables and weights."""
 
-    tables: np.ndarray  # (8, 3, 91) float64 ndarray: d of each function, for red, green and blue
+    tables: np.ndarray  # (8, 3, 91) float64 ndarray: D of each function, for red, green and blue
     weights: np.ndarray  # (rows, columns, 8) uint8 ndarray: shares of 255 of the functions at texels
 
     @classmethod

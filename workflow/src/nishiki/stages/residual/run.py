@@ -46,7 +46,7 @@ SEARCH_SHARE = 0.25  # of the tiles: with fewer in all, a search on some saves n
 FIRST_STEP = 0.08  # of the quantiser, from which the search sets out
 OF_BYTES = ("bits_per_pixel", "bytes", "total_bytes")  # targets
 COARSER = 5
-"""Steps of texels beside pictures: a jug's left-out views have 26.5 dB with 10 kB of texels and with 57 kB."""
+"""Factor on the step of texels beside pictures: left-out views of a jug have 26.5 dB with 10 kB and with 57 kB."""
 SEARCH_VIEWS = 6  # on which the step of pictures is sought
 UNSURE_DB = 1.0  # of the quality found on them
 RIM = 2  # pixels by which pictures of the surface are carried on
