@@ -42,8 +42,8 @@ def object_headline(diagnostics: dict[str, dict[str, Any]]) -> list[tuple[str, s
     unit = ((ingest.get("capture") or {}).get("turntable") or {}).get("unit", "mm")
     hidden, untold = f"{100 * unseen:.0f} % of the surface is in no photograph", bool(psnr) and left_out is None
     pictures = (diagnostics.get("residual") or {}).get("pictures") or {}
-    carried = f"by the surface photographs come back with {figure(pictures.get('texels_psnr_db'), 3)} dB only, so they "
-    carried += "are stored as pictures, and views between them are worse"
+    carried = "captured views are stored as pictures, because texels of the surface in as many bytes reach "
+    carried += f"{figure(pictures.get('equal_bytes_psnr_db'), 3)} dB; these figures do not hold for views between them"
     scan = "give a mesh or scans of the object"
     scan += "" if "polarise" in diagnostics else ", or photograph it through polarisers"
     advice = [

@@ -217,8 +217,11 @@ def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any]
         text = f"{with_model} dB {region}; model alone {alone} dB"
         facts.append(("Model and residual", text))
     if pictures := residual.get("pictures"):
-        text = f"as pictures, {figure(pictures['bytes'] / 1000)} kB, because the surface carries them worse; by texels "
-        text += f"alone, which serve the views between, {figure(pictures['texels_psnr_db'])} dB"
+        text = f"as pictures, {figure(pictures['bytes'] / 1000)} kB, because texels of as many bytes reach "
+        text += (
+            f"{figure(pictures.get('equal_bytes_psnr_db'))} dB; by the texels alone, which serve the views between, "
+        )
+        text += f"{figure(pictures['texels_psnr_db'])} dB"
         facts.append(("Captured views", text))
     if residual.get("kept") is not None:
         text = figure(residual["kept"])

@@ -106,10 +106,11 @@ def run(context: Context) -> dict:
             missed = pack_missed([missed_parts(mesh, *view, photographed) for view in enumerate(cameras)])
             coarse, room = run_pass(COARSER * start), math.exp(goal) - sum(map(len, missed))
             pictures = carried((photographed, scene, design, effort), settings, start, room - coarse.bytes, expected)
-        encoded = coarse
+        encoded, alike = coarse, expected  # decibels of texels of as many bytes
         if pictures is None or expected is None or point_of(pictures).psnr_db < expected + UNSURE_DB:
             encoded = search(run_pass, settings, goal, start, slope)
-            if pictures is not None and point_of(pictures).psnr_db > point_of(encoded).psnr_db:
+            alike = point_of(encoded).psnr_db
+            if pictures is not None and point_of(pictures).psnr_db > alike:
                 encoded = coarse
             else:
                 pictures = None
@@ -117,7 +118,8 @@ def run(context: Context) -> dict:
     if pictures is not None:
         coded, curve = point_of(pictures), [replace(p, bytes=p.bytes + encoded.bytes) for p in pictures.curve]
         figures["curve"], pictures = [asdict(point) for point in curve], with_missed(pictures, missed)
-        figures |= {"psnr_db": coded.psnr_db, "pictures": {**asdict(coded), "texels_psnr_db": figures["psnr_db"]}}
+        told = {"texels_psnr_db": figures["psnr_db"], "equal_bytes_psnr_db": alike}
+        figures |= {"psnr_db": coded.psnr_db, "pictures": asdict(coded) | told}
     parts = write_residual(context.output.folder, encoded, pictures, stamp=context.stamp, report=figures)
     bits = 8 * parts["total"] / max(1, counts["pixels"])
     stored = {f"residual_{name}": size for name, size in parts.items() if name != "total"}
