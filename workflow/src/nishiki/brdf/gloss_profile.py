@@ -178,7 +178,7 @@ MUCH = 0.1  # share of the strength with which a lobe at an end of the ladder is
 EVIDENCE = 4.0  # fall of the squared error, in those of a row, from which the narrowest of the lobes is believed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # compared and hashed by identity
 class GlossProfile:
     """beta (lobes,) relative to the white reference, gamma (lobes,) radians; F and G are not in it.
 

@@ -16,6 +16,7 @@ white, a metal of that colour is tried as a further finish.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -110,10 +111,15 @@ def find_finishes(
     """
     nothing, metals = gloss.bare(), brightest_metals(tiles, gloss)
     few = [tile.only(slice(None, None, THIN)) for tile in tiles]
-    cells = 1 + max(int(tile.places.max()) for tile in tiles)
-    starts = [[replace(gloss, transmission=1.0), other] for other in (nothing, *metals)]
+    cells, dielectric = 1 + max(int(tile.places.max()) for tile in tiles), replace(gloss, transmission=1.0)
+
+    @cache  # profiles are told apart by identity
+    def fits_of(profile: GlossProfile) -> list[RefinedNormals]:
+        return [refined(tile, profile) for tile in few]
+
+    starts = [[dielectric, other] for other in (nothing, *metals)]
     while starts and len(starts[0]) <= MOST_FINISHES:
-        tries = [_settle(few, start, cells) for start in starts]
+        tries = [_settle(few, start, cells, fits_of) for start in starts]
         if len(metals) > 1:  # that which fits best beside the gloss of the scene is tried beside more finishes
             metals = [min(tries[1:], key=lambda each: each[2].min(axis=0).mean())[0][1]]
         tries = [each for each in tries if np.bincount(each[1], minlength=len(each[0])).min() >= FEWEST_CELLS]
@@ -167,11 +173,11 @@ def fit_glosses(
     return [fit_scene_gloss(part, refractive_index=refractive_index, start=start) for part, start in fits]
 
 
-def _settle(tiles, profiles, cells: int) -> tuple[list[GlossProfile], np.ndarray, np.ndarray]:
+def _settle(tiles, profiles, cells: int, fits_of) -> tuple[list[GlossProfile], np.ndarray, np.ndarray]:
     """Return profiles fitted to their cells, the labels of the cells, and all costs (profiles, cells), settled."""
     profiles, labels = list(profiles), np.zeros(cells, np.int64)
     for number in range(MOST_ROUNDS):
-        fits = [[refined(tile, profile) for tile in tiles] for profile in profiles]
+        fits = [fits_of(profile) for profile in profiles]
         costs = np.stack([cell_costs(tiles, each, cells) for each in fits])
         before, labels = labels, costs.argmin(axis=0)
         if number == MOST_ROUNDS - 1 or (number and np.array_equal(labels, before)):

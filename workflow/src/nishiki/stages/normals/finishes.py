@@ -108,23 +108,28 @@ def choose_finishes(
     step = max(1, sum(piece.valid.shape[2] for piece in pieces) // RELIGHTING_PIXELS)
     few = [piece.only(np.s_[::step]) for piece in pieces] if told else []
 
+    inside = interpolated(frames.directions[lights])
+
+    def fitted(
+        glosses: Sequence[SceneGloss | None], labels: np.ndarray, clear: np.ndarray | bool = True
+    ) -> tuple[Finish, ...]:
+        given = few, settings, models, inside, clear
+        return tuple(fitted_finish(labels == k, gloss, *given) for k, gloss in enumerate(glosses))
+
     one = np.zeros(1 + max((int(piece.cells.max()) for piece in pieces), default=0), np.int64)
-    found: list[tuple] = [([None], one, True)]
     if pieces and looked_for:
         from nishiki.photometric.gloss_scene import find_finishes, fit_glosses
 
         tiles = gloss_tiles(pieces, settings)
         labels = one if frames.regions is None else np.arange(1 + int(frames.regions.max()))
-        found = [(fit_glosses(tiles, labels, settings.refractive_index), labels, True)]
-        if told and frames.regions is None:
-            found += find_finishes(tiles, found[0][0][0].found)
-    inside = interpolated(frames.directions[lights])
-    tried = [
-        tuple(
-            fitted_finish(few, labels == k, gloss, settings, models, inside, clear) for k, gloss in enumerate(glosses)
-        )
-        for glosses, labels, clear in found
-    ]
+        glosses = fit_glosses(tiles, labels, settings.refractive_index)
+        tried = [fitted(glosses, labels)]
+        for found in find_finishes(tiles, glosses[0].found) if told and frames.regions is None else ():
+            tried.append(fitted(*found))
+            if predicted_error(tried[-1]) >= predicted_error(tried[-2]):
+                break
+    else:
+        tried = [fitted([None], one)]
     parts, decision = choose_count(tried)
     if settings.refine == "gloss":
         parts = tuple(replace(each, joint=each.gloss is not None) for each in parts)
@@ -141,9 +146,9 @@ def choose_finishes(
 
 
 def fitted_finish(
-    pieces: Sequence[Sampled],
     member: np.ndarray,
     gloss: SceneGloss | None,
+    pieces: Sequence[Sampled],
     settings: NormalsSettings,
     models: Sequence[str],
     inside: np.ndarray,
@@ -195,26 +200,28 @@ def fitted_finish(
     return Finish(gloss, share, joint[best], counts, errors, inside)
 
 
+def predicted_error(parts: Sequence[Finish]) -> float:
+    """Return the CIEDE2000 of captured lamps left out, under the best fit of each finish."""
+    fits = ((part, ("joint",) if part.joint else MODELS) for part in parts if part.errors)
+    return float(sum(part.share * min(part.errors[name].mean() for name in names) for part, names in fits))
+
+
 def choose_count(tried: Sequence[tuple[Finish, ...]]) -> tuple[tuple[Finish, ...], Decision | None]:
     """Choose the partition that predicts lamps left out best; of one finish more it has to be better by LEAST_GAIN."""
     from nishiki.model_selection.relighting import LEAST_GAIN
 
-    def error(parts: tuple[Finish, ...]) -> float:
-        fits = ((part, ("joint",) if part.joint else MODELS) for part in parts if part.errors)
-        return float(sum(part.share * min(part.errors[name].mean() for name in names) for part, names in fits))
-
     chosen = tried[0]
     for parts in tried[1:]:
-        if error(parts) < (1 - LEAST_GAIN) * error(chosen):
+        if predicted_error(parts) < (1 - LEAST_GAIN) * predicted_error(chosen):
             chosen = parts
     if len(tried) < 2:
         return chosen, None
-    gain = error(tried[0]) - min(error(parts) for parts in tried[1:])
+    gain = predicted_error(tried[0]) - min(predicted_error(parts) for parts in tried[1:])
     words = "one finish explains the scene" if len(chosen) == 1 else f"{len(chosen)} finishes"
     loss = "nothing" if len(chosen) > 1 or gain <= 0 else f"at most {gain:.2g} CIEDE2000"
     return chosen, Decision(
         "finishes", words, "CIEDE2000 of captured lamps left out that several finishes take off", gain,
-        LEAST_GAIN * error(tried[0]), loss, "a label picture of the capture (regions)",
+        LEAST_GAIN * predicted_error(tried[0]), loss, "a label picture of the capture (regions)",
     )  # fmt: skip
 
 
