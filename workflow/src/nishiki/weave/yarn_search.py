@@ -13,7 +13,16 @@ import numpy as np
 
 from nishiki.brdf.cloth.yarn_fit import Measured, normal_weights, refuse_black, solve_linear
 from nishiki.errors import UserError
-from nishiki.weave.yarn_weave import COARSE, PLAIN, POINTS_ACROSS, POINTS_ALONG, Binding, InterlacedYarns, YarnWeave
+from nishiki.weave.yarn_weave import (
+    COARSE,
+    PLAIN,
+    POINTS_ACROSS,
+    POINTS_ALONG,
+    Binding,
+    InterlacedYarns,
+    YarnWeave,
+    horizons_of,
+)
 
 # Logarithms, but for logits of shares and the arch. Priors are wide statements about cloth: weft yarns 1.2 as far apart
 # as warp yarns, within a quarter; warp yarns nearly touch; sections half as thick as wide, within a factor of 1.5; a
@@ -179,11 +188,11 @@ def fit_binding(
     from scipy.optimize import least_squares
 
     limits, channels = np.array([np.inf, LAMBERT]), samples.values.shape[1]
-    lambert = np.full(len(samples.weight), 1 / np.pi)
+    lambert, needed = np.full(len(samples.weight), 1 / np.pi), horizons_of(samples.incident, samples.outgoing)
 
     @lru_cache(maxsize=2)
     def points_at(*geometry: float):
-        return weave_of(np.array([*geometry, *CENTRE[GEOMETRY:]]), binding).points(density)
+        return weave_of(np.array([*geometry, *CENTRE[GEOMETRY:]]), binding).points(density, needed)
 
     def solved(x):
         points = points_at(*x[:GEOMETRY].tolist())

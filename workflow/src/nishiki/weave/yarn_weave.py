@@ -21,15 +21,25 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numba import njit
 
-from nishiki.brdf.cloth.yarn_facets import FEWEST_ROWS, YarnFacets, facet_reflection
+from nishiki.brdf.cloth.yarn_facets import (
+    WEIGHT,
+    YarnFacets,
+    add_up,
+    half_vector,
+    in_blocks,
+    in_lanes,
+    reflected,
+    smooth_step,
+)
 from nishiki.brdf.torrance_sparrow import fresnel_scalar
-from nishiki.threads import STRIPS_A_THREAD, over_items, threads
+from nishiki.lanes import LANES, load, splat
 from nishiki.weave.section import WovenSurface
 
 HALF_PI = 0.5 * math.pi
 HOLE = -9.0  # height where no yarn lies
-# Columns of a point: its normal, its yarn's direction on the surface, the third axis, share of the plane over n_z
-NORMAL, ALONG, ACROSS, WEIGHT, COLUMNS = 0, 3, 6, 9, 10
+HORIZON = 10  # column of a point after those of `yarn_facets.NORMAL`: angle of the horizon in the first of AZIMUTHS
+AZIMUTHS = 24
+EVERY = np.ones(AZIMUTHS, bool)
 SHORTEST, GROWTH, STEPS = 0.04, 1.26, 20  # of a ray over the surface, in spacings: to 3.2
 STEEPEST = 20.0  # slope to which the sides of a section are followed
 REACHED = 2  # crossings to either side that count where a yarn changes sides
@@ -125,31 +135,33 @@ def height_field(x, y, form, height, is_warp):
 def _looked_up(x, y, form, table):
     """Height from the table; the columns beside those are the same, moved along by the step of the weave."""
     rows, columns = table.shape
-    group = math.floor((x + 0.5) / form.together)
-    across = ((x + 0.5) / form.together - group) * rows
+    place = (x + 0.5) / form.together
+    group = math.floor(place)
     along = (y / form.ratio - form.step * group) / form.up.shape[0]
     along = (along - math.floor(along)) * columns
-    k = min(int(across), rows - 1)
+    k = min(int((place - group) * rows), rows - 1)
     j = int(along)
     share = along - j
-    j = j % columns
-    return table[k, j] * (1.0 - share) + table[k, (j + 1) % columns] * share
+    j = j if j < columns else 0
+    return table[k, j] * (1.0 - share) + table[k, j + 1 if j + 1 < columns else 0] * share
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def points_of(form, places, table, points, which, horizons):
-    """Fill points (2 n, COLUMNS), which (2 n,), horizons (2 n, azimuths) at places (n, 3) = x, y, share of the plane.
+def points_of(form, places, table, needed, points, which):
+    """Fill points (2 n, HORIZON + AZIMUTHS) and which (2 n,) at places (n, 3) = x, y, share of the plane.
 
-    A place has a point on the warp and one on the weft, weighted by which of the two lies higher.
+    A place has a point on the warp and one on the weft, weighted by which of the two lies higher. needed: (AZIMUTHS,)
+    horizons to be computed.
     """
-    count, azimuths = places.shape[0], horizons.shape[1]
+    count, highest = places.shape[0], table.max()
+    turns = 2.0 * math.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    toward_x, toward_y = np.cos(turns), np.sin(turns)
     for p in range(2 * count):
         x, y, share = places[p % count, 0], places[p % count, 1], places[p % count, 2]
         warp, weft = yarn_at(x, y, form, 0), yarn_at(x, y, form, 1)
         z, dx, dy = warp if p < count else weft
         above = z - (weft[0] if p < count else warp[0])
         share *= 1.0 / (1.0 + math.exp(-min(max(above / BLEND, -40.0), 40.0)))
-        points[p, :] = 0.0
         which[p] = 0
         if z == HOLE or share < LEAST * places[p % count, 2]:
             continue
@@ -165,79 +177,76 @@ def points_of(form, places, table, points, which, horizons):
         points[p, 0], points[p, 1], points[p, 2] = nx, ny, nz
         points[p, 3], points[p, 4], points[p, 5] = tx, ty, tz
         points[p, 6], points[p, 7], points[p, 8] = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-        points[p, 9] = share / nz
-        for a in range(azimuths):
-            turn = 2.0 * math.pi * a / azimuths
-            cx, cy = math.cos(turn), math.sin(turn)
+        points[p, WEIGHT] = share / nz
+        for a in np.flatnonzero(needed):
             rise, far = 0.0, SHORTEST
             for _ in range(STEPS):
-                rise = max(rise, (_looked_up(x + cx * far, y + cy * far, form, table) - z) / far)
+                if highest - z <= rise * far:  # nothing farther off is high enough
+                    break
+                there = _looked_up(x + toward_x[a] * far, y + toward_y[a] * far, form, table)
+                rise = max(rise, (there - z) / far)
                 far *= GROWTH
-            horizons[p, a] = math.atan(rise)
+            points[p, HORIZON + a] = math.atan(rise)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def visibility(horizons, direction, soft, out):
-    """Fill out (n,) with the share of each point's surroundings that lets a direction through.
+def _azimuth(direction):
+    """Compute the rows of horizons beside a direction, the share of the second, and its angle above the plane.
 
-    Everything that is a point is seen from above, so along the normal it is 1.
+    Everything that is a point is seen from above, so a direction along the normal is above every horizon.
     """
-    azimuths = horizons.shape[1]
     flat = math.hypot(direction[0], direction[1])
     if flat < 1e-6:
-        out[:] = 1.0
-        return
-    place = math.atan2(direction[1], direction[0]) / (2.0 * math.pi) * azimuths
-    place -= azimuths * math.floor(place / azimuths)
+        return HORIZON, HORIZON, 0.0, 1e9
+    place = math.atan2(direction[1], direction[0]) / (2.0 * math.pi) * AZIMUTHS
+    place -= AZIMUTHS * math.floor(place / AZIMUTHS)
     low = int(place)
-    share = place - low
-    low = low % azimuths
-    high = (low + 1) % azimuths
-    up = math.atan2(direction[2], flat)
-    for p in range(out.size):
-        horizon = horizons[p, low] * (1.0 - share) + horizons[p, high] * share
-        u = min(max(0.5 + 0.5 * (up - horizon) / soft, 0.0), 1.0)
-        out[p] = u * u * (3.0 - 2.0 * u)
+    return HORIZON + low % AZIMUTHS, HORIZON + (low + 1) % AZIMUTHS, place - low, math.atan2(direction[2], flat)
+
+
+def horizons_of(*directions: np.ndarray) -> np.ndarray:
+    """Mark the horizons (AZIMUTHS,) that are read for directions (n, 3)."""
+    rows = [_azimuth(direction)[:2] for direction in np.concatenate(directions)]
+    return np.isin(np.arange(AZIMUTHS), np.array(rows) - HORIZON)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def weave_sums(incident, outgoing, surface, rough, tail, index, soft, out):
+def _let_through(points, p, azimuth, soft):
+    """Compute the share of the surroundings of LANES points from p on that lets a direction through."""
+    low, high, share, up = azimuth
+    horizon = load(points, (low, p)) * (1.0 - share) + load(points, (high, p)) * share
+    return smooth_step(0.5 + (up - horizon) * (0.5 / soft))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def weave_sums(incident, outgoing, surface, facets, soft, out):
     """Fill out (n, 4), 1/sr, with mirror reflection and white body of the warp, then of the weft.
 
-    surface: `YarnWeave.points`; rough: (2, 2) roughness along and across the fibres of warp and weft; tail: see
-    `facet_reflection`.
+    surface: `YarnWeave.points`; facets: (2, 2) roughness along and across the fibres of warp and weft, tail, see
+    `facet_reflection`, and refractive index.
     """
-    points, which, horizons = surface
-    lit, seen = np.empty(points.shape[0]), np.empty(points.shape[0])
+    (points, split), (rough, tail, index) = surface, facets
+    scratch = np.empty(LANES)
     for k in range(incident.shape[0]):
         i, o = incident[k], outgoing[k]
         out[k, :] = 0.0
         if not (i[2] > 0.0 and o[2] > 0.0):
             continue
-        hx, hy, hz = i[0] + o[0], i[1] + o[1], i[2] + o[2]
-        length = math.sqrt(hx * hx + hy * hy + hz * hz)
-        hx, hy, hz = hx / length, hy / length, hz / length
-        fresnel = 0.5 * fresnel_scalar(min(0.5 * length, 1.0), index)
-        visibility(horizons, i, soft, lit)
-        visibility(horizons, o, soft, seen)
-        for p in range(points.shape[0]):
-            a = points[p]
-            ci = a[0] * i[0] + a[1] * i[1] + a[2] * i[2]
-            co = a[0] * o[0] + a[1] * o[1] + a[2] * o[2]
-            share = a[WEIGHT] * lit[p] * seen[p]
-            if ci <= 0.0 or co <= 0.0 or share <= 0.0:
-                continue
-            family = which[p] - 1
-            ra, rc = rough[family, 0], rough[family, 1]
-            facets = facet_reflection(a, i, o, (hx, hy, hz), ci, co, (ra, rc), tail)
-            out[k, 2 * family] += share * fresnel * facets
-            through = (1.0 - fresnel_scalar(ci, index)) * (1.0 - fresnel_scalar(co, index))
-            out[k, 2 * family + 1] += share * ci * co * through / math.pi
-        for column in range(4):
-            out[k, column] /= i[2] * o[2]
+        half, cosine = half_vector(i, o)
+        lit_from, seen_from = _azimuth(i), _azimuth(o)
+        for family in range(2):
+            mirror, body, widths = splat(0.0), splat(0.0), (rough[family, 0], rough[family, 1])
+            for p in range(family * split, split if family == 0 else points.shape[1], LANES):
+                reached = _let_through(points, p, lit_from, soft) * _let_through(points, p, seen_from, soft)
+                reached = reached * load(points, (WEIGHT, p))
+                glossy, matt = reflected(points, p, i, o, half, widths, tail, index)
+                mirror += reached * glossy
+                body += reached * matt
+            scale = 1.0 / (i[2] * o[2])
+            out[k, 2 * family] = scale * 0.5 * fresnel_scalar(cosine, index) * add_up(mirror, scratch)
+            out[k, 2 * family + 1] = scale * add_up(body, scratch) / math.pi
 
 
-AZIMUTHS = 24  # of a point's horizon
 POINTS_ACROSS, POINTS_ALONG = 16, 8  # points over a warp yarn's column, and from weft yarn to weft yarn
 COARSE = (10, 6)
 GAP = 2  # places on a gap between yarns
@@ -374,8 +383,11 @@ class YarnWeave:
             self.binding.step, self.binding.together,
         )  # fmt: skip
 
-    def points(self, density: tuple[int, int] = (POINTS_ACROSS, POINTS_ALONG)):
-        """Points of the columns that stand for the cloth: (n, COLUMNS), which yarn (n,), horizons (n, AZIMUTHS)."""
+    def points(self, density: tuple[int, int] = (POINTS_ACROSS, POINTS_ALONG), needed: np.ndarray = EVERY):
+        """Compute points of the columns that stand for the cloth and their horizons, in lanes; see `in_lanes`.
+
+        needed: (AZIMUTHS,) horizons to be computed, see `horizons_of`; the others are level.
+        """
         across, along = density
         q, harness, together, form = self.spacing_ratio, self.binding.harness, self.binding.together, self.form
         x, wide = _over_a_yarn(form.half_width[0], 1.0, across)
@@ -390,11 +402,9 @@ class YarnWeave:
         heights = np.empty((columns, rows))
         height_field(x, y, form, heights, np.empty(heights.shape, np.bool_))
         table = np.ascontiguousarray(heights.T)
-        count = 2 * len(places)
-        points, which, horizons = np.empty((count, COLUMNS)), np.empty(count, np.int64), np.empty((count, AZIMUTHS))
-        points_of(form, places, table, points, which, horizons)
-        seen = which > 0
-        return points[seen], which[seen], horizons[seen]
+        points, which = np.zeros((2 * len(places), HORIZON + AZIMUTHS)), np.empty(2 * len(places), np.int64)
+        points_of(form, places, table, needed, points, which)
+        return in_lanes(points[which == 1], points[which == 2])
 
     def surface(self, samples: int = 24) -> WovenSurface:
         """One repeat as a height field, `samples` points a yarn spacing; holes lie as low as the lowest yarn."""
@@ -407,14 +417,8 @@ class YarnWeave:
 
     def parts(self, incident: np.ndarray, outgoing: np.ndarray, points) -> np.ndarray:
         """Evaluate gloss and white body of warp and weft at directions (n, 3): (n, 4), 1/sr; see `points`."""
-        out = np.empty((len(incident), 4))
-        block = max(FEWEST_ROWS, -(-len(incident) // (STRIPS_A_THREAD * threads())))
-
-        def some(first: int) -> None:
-            rows = slice(first, first + block)
-            weave_sums(incident[rows], outgoing[rows], points, self.rough, self.tail, self.index, self.soft, out[rows])
-
-        over_items(some, range(0, len(incident), block))
+        facets = self.rough, self.tail, self.index
+        out = in_blocks(lambda i, o, out: weave_sums(i, o, points, facets, self.soft, out), incident, outgoing)
         out[:, ::2] *= self.gain
         return out
 
@@ -423,16 +427,16 @@ class YarnWeave:
 
         Also the weft's share of the surface visible from above.
         """
-        points, which, _ = self.points((3 * POINTS_ACROSS, 4 * POINTS_ALONG))
-        weight = points[:, 9] * points[:, 2]
+        points, split = self.points((3 * POINTS_ACROSS, 4 * POINTS_ALONG), ~EVERY)
+        weight = points[WEIGHT] * points[2]
         weight /= weight.sum()
         out = {}
         for axis, plane in enumerate(("weft", "warp")):
-            angle = np.degrees(np.arctan2(np.abs(points[:, axis]), points[:, 2]))
+            angle = np.degrees(np.arctan2(np.abs(points[axis]), points[2]))
             order = np.argsort(angle)
             out[f"mean_slope_{plane}"] = float(weight @ angle)
             out[f"p90_slope_{plane}"] = float(angle[order][np.searchsorted(np.cumsum(weight[order]), 0.9)])
-        out["weft_share"] = float(weight[which == 2].sum())
+        out["weft_share"] = float(weight[split:].sum())
         return out
 
 

@@ -29,6 +29,7 @@ view from one side only the lower limit counts, which is how shadowing and maski
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -38,14 +39,17 @@ import numpy as np
 from numba import njit
 
 from nishiki.brdf.cloth.interface import halves, off_horizon, only_above
-from nishiki.brdf.torrance_sparrow import fresnel_scalar
+from nishiki.brdf.torrance_sparrow import exp2_negative, fresnel_scalar
 from nishiki.formats.fields import ArrayFields
+from nishiki.lanes import LANES, choose, load, root, splat, store
 from nishiki.threads import STRIPS_A_THREAD, over_items, threads
 
 HALF_PI = 0.5 * math.pi
 OPEN = 9.0  # limit of a side that the direction does not come from
-# Columns of an atom: its normal, its yarn's direction on the surface, the third axis, tilts along x and y, weight
-NORMAL, ALONG, ACROSS, TILT_X, TILT_Y, WEIGHT, ATOM = 0, 3, 6, 9, 10, 11, 12
+# Rows of points in lanes: their normal, their yarn's direction on the surface, the third axis, share of the plane over
+# n_z; of facets also their tilts along x and y
+NORMAL, ALONG, ACROSS, WEIGHT, TILT_X, TILT_Y, ATOM = 0, 3, 6, 9, 10, 11, 12
+PER_OCTAVE = 1.0 / math.log(2.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -68,60 +72,123 @@ def _narrow(tables, family, direction, limits):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _share(margin, softness):
-    """Share of facets that are reached, from how far they are inside of the limit: 0 .. 1 over four softnesses."""
-    u = min(max(0.5 + 0.25 * margin / softness, 0.0), 1.0)
+def smooth_step(u):
+    """Compute the share that is reached of lanes, 0 for u <= 0 to 1 for u >= 1."""
+    u = choose(u > 0.0, choose(u < 1.0, u, 1.0), 0.0)
     return u * u * (3.0 - 2.0 * u)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def beckmann_shadow(cosine, reach):
-    """Compute Smith's Lambda of Beckmann's distribution (Walter et al. 2007, eq. 15, as a rational function).
+    """Compute Smith's Lambda of Beckmann's distribution as numerator and denominator, so that few quotients are left.
 
-    cosine: of a direction with the normal; reach: root of its square and of the tangential parts times roughness.
+    Walter et al. 2007, eq. 15, as a rational function. cosine: of a direction with the normal; reach: root of its
+    square and of the tangential parts times roughness.
     """
-    rough = reach * reach - cosine * cosine
-    if rough * 2.56 <= cosine * cosine:
-        return 0.0
-    a = cosine / math.sqrt(rough)
-    return (1.0 - 1.259 * a + 0.396 * a * a) / (3.535 * a + 2.181 * a * a)
+    square = reach * reach - cosine * cosine
+    steep = square * 2.56 > cosine * cosine
+    rough = root(choose(steep, square, 1.0))
+    return (
+        choose(steep, square - 1.259 * cosine * rough + 0.396 * cosine * cosine, 0.0),
+        cosine * (3.535 * rough + 2.181 * cosine),
+    )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def facet_reflection(a, i, o, half, ci, co, rough, tail):
-    """Compute D G / 2 of anisotropic facets at a point of a yarn (Walter et al. 2007).
+@njit(cache=True, nogil=True, error_model="numpy")
+def _entering(cosine, index):
+    """Compute the share of light that enters a fibre, less `fresnel_scalar`, as numerator and denominator."""
+    contrast = (index - 1.0) * (index + 1.0)
+    s = root(contrast + cosine * cosine) + cosine
+    low, high = s * (cosine * s - 1.0), cosine * contrast + s
+    whole = s * s * high
+    return whole * whole - (0.5 * contrast * contrast) * (high * high + low * low), whole * whole
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def facet_reflection(axes, i, o, half, ci, co, rough, tail):
+    """Compute D G / 2 of anisotropic facets at a point of a yarn (Walter et al. 2007), of a number or of lanes.
 
     The point's share of the cloth's reflectance is F / 2 times it: n.i n.o / (i_z o_z) F D G / (4 n.i n.o), where the
-    facets' own cosines cancel those of the yarn's surface. a: columns normal, along and across the fibres; i, o, half:
+    facets' own cosines cancel those of the yarn's surface. axes: normal, along and across the fibres; i, o, half:
     directions of light, view and between them; ci, co: cosines of i and o with the normal; rough: along and across the
     fibres; tail: share of GGX's slopes with their long tails, the rest are Beckmann's of the same roughness; Smith's
     masking is linear in the distribution of slopes.
     """
-    hx, hy, hz = half
-    along, across = rough
-    h1 = (hx * a[3] + hy * a[4] + hz * a[5]) / along
-    h2 = (hx * a[6] + hy * a[7] + hz * a[8]) / across
-    h3 = hx * a[0] + hy * a[1] + hz * a[2]
-    spread = h1 * h1 + h2 * h2 + h3 * h3
-    i1 = (i[0] * a[3] + i[1] * a[4] + i[2] * a[5]) * along
-    i2 = (i[0] * a[6] + i[1] * a[7] + i[2] * a[8]) * across
-    o1 = (o[0] * a[3] + o[1] * a[4] + o[2] * a[5]) * along
-    o2 = (o[0] * a[6] + o[1] * a[7] + o[2] * a[8]) * across
-    si = math.sqrt(i1 * i1 + i2 * i2 + ci * ci)
-    so = math.sqrt(o1 * o1 + o2 * o2 + co * co)
+    (normal, fibre, side), (along, across) = axes, rough
+    h1, h2, h3 = _dot(fibre, half) * (1.0 / along), _dot(side, half) * (1.0 / across), _dot(normal, half)
+    tilted, up = h1 * h1 + h2 * h2, h3 * h3
+    i1, i2 = _dot(fibre, i) * along, _dot(side, i) * across
+    o1, o2 = _dot(fibre, o) * along, _dot(side, o) * across
+    si, so = root(i1 * i1 + i2 * i2 + ci * ci), root(o1 * o1 + o2 * o2 + co * co)
+    spread = (tilted + up) * (tilted + up)
+    scale = 1.0 / (math.pi * along * across)
     if tail == 1.0:
-        return ci * co / (math.pi * along * across * spread * spread * (co * si + ci * so))
-    up = max(h3 * h3, 1e-9)
-    short = math.exp(-min((spread - h3 * h3) / up, 500.0)) / (up * up)
-    shadowed = tail * 0.5 * (si / ci + so / co - 2.0)
-    shadowed += (1.0 - tail) * (beckmann_shadow(ci, si) + beckmann_shadow(co, so))
-    return 0.5 * (tail / (spread * spread) + (1.0 - tail) * short) / (math.pi * along * across * (1.0 + shadowed))
+        return ci * co * scale / (spread * (co * si + ci * so))
+    inverse = 1.0 / choose(up > 1e-9, up, 1e-9)
+    steep = tilted * inverse * PER_OCTAVE
+    short = choose(steep < 60.0, exp2_negative(choose(steep < 60.0, steep, 60.0)), 0.0) * inverse * inverse
+    (in_shadow, of_light), (masked, of_view) = beckmann_shadow(ci, si), beckmann_shadow(co, so)
+    both, every = ci * co, of_light * of_view
+    shadow = every * (0.5 * tail * (si * co + so * ci) + (1.0 - tail) * both)
+    shadow += (1.0 - tail) * both * (in_shadow * of_view + masked * of_light)
+    return (0.5 * scale) * (tail + (1.0 - tail) * short * spread) * both * every / (spread * shadow)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def reflected(points, p, i, o, half, rough, tail, index):
+    """Compute D G / 2 and the white body times pi of LANES points of a yarn from p on, both of them lit and seen."""
+    axes = (
+        (load(points, (0, p)), load(points, (1, p)), load(points, (2, p))),
+        (load(points, (3, p)), load(points, (4, p)), load(points, (5, p))),
+        (load(points, (6, p)), load(points, (7, p)), load(points, (8, p))),
+    )
+    ci, co = _dot(axes[0], i), _dot(axes[0], o)
+    (entering, of_light), (leaving, of_view) = _entering(ci, index), _entering(co, index)
+    above = (ci > 0.0) & (co > 0.0)
+    mirror = facet_reflection(axes, i, o, half, ci, co, rough, tail)
+    return choose(above, mirror, 0.0), choose(above, ci * co * (entering * leaving) / (of_light * of_view), 0.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def half_vector(i, o):
+    """Compute the unit vector between two, and the cosine of either with it."""
+    x, y, z = i[0] + o[0], i[1] + o[1], i[2] + o[2]
+    length = math.sqrt(x * x + y * y + z * z)
+    return (x / length, y / length, z / length), min(0.5 * length, 1.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_up(lanes, scratch):
+    """Add up the numbers of lanes, always in the same order; scratch: (LANES,)."""
+    store(scratch, 0, lanes)
+    total = 0.0
+    for k in range(LANES):
+        total += scratch[k]
+    return total
+
+
+def in_lanes(warp: np.ndarray, weft: np.ndarray) -> tuple[np.ndarray, int]:
+    """Arrange points (n, rows), see NORMAL, in rows: the warp's, then the weft's; and the place of the weft's first.
+
+    Either family is filled up to whole lanes with points of no weight.
+    """
+    split = len(warp) + -len(warp) % LANES
+    points = np.zeros((warp.shape[1], split + len(weft) + -len(weft) % LANES))
+    points[NORMAL + 2] = points[ALONG] = points[ACROSS + 1] = 1.0
+    points[:, : len(warp)], points[:, split : split + len(weft)] = warp.T, weft.T
+    return points, split
 
 
 class Facets(NamedTuple):
     """Facets and limits of a shape, as `sums` reads them."""
 
-    atoms: np.ndarray  # (p, ATOM), the warp's half first
+    points: np.ndarray  # (ATOM, p) see `in_lanes`
+    split: int  # place of the weft's first
     rough: np.ndarray  # (2, 2) along and across the fibres of warp and weft
     index: float
     tables: np.ndarray  # (2, 2, ANGLES) limits by family and plane
@@ -131,53 +198,32 @@ class Facets(NamedTuple):
 @njit(cache=True, nogil=True, error_model="numpy")
 def sums(incident, outgoing, facets, out):
     """out (n, 4): mirror reflection and body, 1 / sr, of warp and weft at directions (n, 3)."""
-    atoms, rough, index, tables, softness = facets
-    split = atoms.shape[0] // 2
-    limits = np.empty((2, 4))
+    points, split, rough, index, tables, softness = facets
+    limits, scratch, steep = np.empty((2, 4)), np.empty(LANES), 0.25 / softness
     for k in range(incident.shape[0]):
         i, o = incident[k], outgoing[k]
-        out[k, 0] = out[k, 1] = out[k, 2] = out[k, 3] = 0.0
+        out[k, :] = 0.0
         if not (i[2] > 0.0 and o[2] > 0.0):
             continue
-        hx, hy, hz = i[0] + o[0], i[1] + o[1], i[2] + o[2]
-        length = math.sqrt(hx * hx + hy * hy + hz * hz)
-        hx, hy, hz = hx / length, hy / length, hz / length
-        mirror = 0.5 * fresnel_scalar(min(0.5 * length, 1.0), index)
+        half, cosine = half_vector(i, o)
         limits[:] = OPEN
         for family in range(2):
             _narrow(tables, family, i, limits)
             _narrow(tables, family, o, limits)
-        mirror_warp = mirror_weft = body_warp = body_weft = 0.0
-        for p in range(atoms.shape[0]):
-            a = atoms[p]
-            ci = a[0] * i[0] + a[1] * i[1] + a[2] * i[2]
-            co = a[0] * o[0] + a[1] * o[1] + a[2] * o[2]
-            if ci <= 0.0 or co <= 0.0:
-                continue
-            family = 0 if p < split else 1
-            seen = a[WEIGHT]
-            if limits[family, 0] < HALF_PI:
-                seen *= _share(limits[family, 0] - a[TILT_X], softness)
-            if limits[family, 1] < HALF_PI:
-                seen *= _share(limits[family, 1] + a[TILT_X], softness)
-            if limits[family, 2] < HALF_PI:
-                seen *= _share(limits[family, 2] - a[TILT_Y], softness)
-            if limits[family, 3] < HALF_PI:
-                seen *= _share(limits[family, 3] + a[TILT_Y], softness)
-            if seen <= 0.0:
-                continue
-            ra, rc = rough[family, 0], rough[family, 1]
-            value = seen * mirror * facet_reflection(a, i, o, (hx, hy, hz), ci, co, (ra, rc), 1.0)
-            through = (1.0 - fresnel_scalar(ci, index)) * (1.0 - fresnel_scalar(co, index))
-            if family == 0:
-                mirror_warp += value
-                body_warp += seen * ci * co * through
-            else:
-                mirror_weft += value
-                body_weft += seen * ci * co * through
-        scale = 1.0 / (i[2] * o[2])
-        out[k, 0], out[k, 1] = scale * mirror_warp, scale * body_warp / math.pi
-        out[k, 2], out[k, 3] = scale * mirror_weft, scale * body_weft / math.pi
+        for family in range(2):
+            mirror, body, widths = splat(0.0), splat(0.0), (rough[family, 0], rough[family, 1])
+            for p in range(family * split, split if family == 0 else points.shape[1], LANES):
+                reached = load(points, (WEIGHT, p))
+                for side in range(4):
+                    if limits[family, side] < HALF_PI:
+                        tilt = load(points, (TILT_X + side // 2, p)) * (1.0 - 2.0 * (side % 2))
+                        reached = reached * smooth_step(0.5 + (limits[family, side] - tilt) * steep)
+                glossy, matt = reflected(points, p, i, o, half, widths, 1.0, index)
+                mirror += reached * glossy
+                body += reached * matt
+            scale = 1.0 / (i[2] * o[2])
+            out[k, 2 * family] = scale * 0.5 * fresnel_scalar(cosine, index) * add_up(mirror, scratch)
+            out[k, 2 * family + 1] = scale * add_up(body, scratch) / math.pi
 
 
 MODEL_ERROR, NOISE = 0.15, 0.03  # of the logarithm: of the model's errors, and of a measurement
@@ -244,13 +290,12 @@ class YarnShape(ArrayFields):
 
     def facets(self) -> Facets:
         """Return what `sums` reads."""
-        return Facets(self.atoms(), self.rough, self.index, self.limits(), self.softness)
+        points, split = in_lanes(self.atoms(WARP), self.atoms(WEFT))
+        return Facets(points, split, self.rough, self.index, self.limits(), self.softness)
 
-    def atoms(self) -> np.ndarray:
-        """(2 * 280, ATOM) facets: equal shares of each distribution, at the quantiles in their middles."""
-        return np.concatenate([self._family(WARP, 1 - self.weft_share), self._family(WEFT, self.weft_share)])
-
-    def _family(self, family: int, share: float) -> np.ndarray:
+    def atoms(self, family: int) -> np.ndarray:
+        """(280, ATOM) facets of a family: equal shares of each distribution, at the quantiles in their middles."""
+        share = self.weft_share if family == WEFT else 1 - self.weft_share
         along, across = (self._slopes(family, k) for k in (SIDE_ALONG, SIDE_ACROSS))
         x, y = np.meshgrid(*((across, along) if family == WARP else (along, across)), indexing="ij")
         x, y = x.ravel(), y.ravel()
@@ -262,7 +307,7 @@ class YarnShape(ArrayFields):
         yarn /= np.linalg.norm(yarn, axis=1, keepdims=True)
         out = np.empty((x.size, ATOM))
         out[:, :3], out[:, 3:6], out[:, 6:9] = normal, yarn, np.cross(normal, yarn)
-        out[:, 9], out[:, 10], out[:, 11] = np.arctan(x), np.arctan(y), self.gain * share / (x.size * z)
+        out[:, WEIGHT], out[:, TILT_X], out[:, TILT_Y] = self.gain * share / (x.size * z), np.arctan(x), np.arctan(y)
         return out
 
     def _slopes(self, family: int, side: int) -> np.ndarray:
@@ -384,15 +429,15 @@ BESIDE = ("body", "lambert", "correction", "images", "image_weights", "quarter")
 def shape_parts(shape: YarnShape, incident: np.ndarray, outgoing: np.ndarray, *, compiled=None) -> np.ndarray:
     """(n, 4) mirror reflection and white body, 1 / sr, of warp and weft, at directions (n, 3)."""
     facets = compiled or shape.facets()
+    return in_blocks(lambda i, o, out: sums(i, o, facets, out), incident, outgoing)
+
+
+def in_blocks(fill: Callable, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+    """Return out (n, 4), filled by fill(incident, outgoing, out) in blocks of the directions (n, 3), on all threads."""
     out = np.empty((len(incident), 4))
-    workers = threads()
-    block = max(FEWEST_ROWS, -(-len(incident) // (STRIPS_A_THREAD * workers)))
-
-    def some(first: int) -> None:
-        rows = slice(first, first + block)
-        sums(incident[rows], outgoing[rows], facets, out[rows])
-
-    over_items(some, range(0, len(incident), block))
+    block = max(FEWEST_ROWS, -(-len(incident) // (STRIPS_A_THREAD * threads())))
+    rows = [slice(first, first + block) for first in range(0, len(incident), block)]
+    over_items(lambda some: fill(incident[some], outgoing[some], out[some]), rows)
     return out
 
 

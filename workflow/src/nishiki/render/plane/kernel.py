@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from nishiki.brdf.torrance_sparrow import MIRROR, fresnel_scalar, phi_squared
+from nishiki.brdf.torrance_sparrow import MIRROR, exp2_negative, fresnel_scalar, phi_squared
 from nishiki.lanes import LANES, choose, load, root, splat, store
 from nishiki.render.plane.flags import COLOUR_MISSING, NORMAL_MISSING, OVERFLOW, TURNED_AWAY, UNUSABLE
 
@@ -26,24 +26,7 @@ NEGLIGIBLE = 60.0
 # Mean of x^8 over a uniform half space, weighted by the cosine, for a facet that faces the eye: 4 int (2u - 1) u^4 du.
 _AMBIENT_SKIRT = 0.5375
 _TWO_LN2 = 2.0 * math.log(2.0)
-_SERIES = tuple(1.0 / math.factorial(k) for k in range(13, -1, -1))
 _FLOAT32_MAX = 3.4028234663852886e38
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def exp2_negative(e):
-    """2^-e for 0 <= e <= 60, relative error below 4e-12, below 4e-14 for e < 40.
-
-    Of lanes too, for which there is no library: for t = e ln 2 / 64 <= 0.65 the Taylor series of exp(-t) to t^13, then
-    six squarings.
-    """
-    t = e * (-_TWO_LN2 / 128.0)
-    p = t * _SERIES[0] + _SERIES[1]
-    for coefficient in _SERIES[2:]:
-        p = p * t + coefficient
-    for _ in range(6):
-        p = p * p
-    return p
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
