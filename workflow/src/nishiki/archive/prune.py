@@ -20,7 +20,7 @@ from nishiki.artifacts.artifact import INDEX, MANIFEST, RUN, parse_manifest
 from nishiki.engine.project import SWEEPS
 from nishiki.engine.running_lock import RUNS
 from nishiki.engine.sweep_plan import TIMINGS
-from nishiki.formats.files import flush_folder
+from nishiki.formats.files import flush
 from nishiki.processes import host, is_alive, owner, owner_of
 from nishiki.stages.table import CHAIN
 
@@ -289,5 +289,5 @@ def _remove(folder: Path) -> None:
             number += 1
             doomed = folder.with_name(f".{name}.{number}.{owner()}{PRUNED}")
         os.rename(folder, doomed)
-        flush_folder(folder.parent)
+        flush(folder.parent)
     shutil.rmtree(doomed)

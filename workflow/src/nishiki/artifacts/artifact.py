@@ -13,18 +13,21 @@ import os
 import shutil
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from nishiki.artifacts.provenance import canonical, file_digest
 from nishiki.errors import UserError
-from nishiki.formats.files import flush_folder
+from nishiki.formats.files import flush
 from nishiki.processes import host, identity, is_alive, owner, owner_of
+from nishiki.threads import in_threads
 
 FORMAT = 1  # of the file; readers refuse others
 MANIFEST = "artifact.json"
 RUN = "run.json"
+FLUSHES = 8  # at once: 1,900 files and folders took 6.3 s one by one, 1.0 s by two, 0.5 s by eight
 BESIDE = frozenset(("", ".", ".."))
 """Parts of a name that lead out of a folder, or make two names of one file."""
 ENTRIES = {
@@ -265,8 +268,10 @@ class ArtifactWriter:
         as `<key>.superseded-<its digest>`.
         """
         files: dict[str, dict[str, Any]] = {}
-        for name, path in _files(self.folder):
-            files[name] = {"bytes": path.stat().st_size, "sha256": file_digest(path)}
+        listed = list(_files(self.folder))
+        digests = in_threads(file_digest, [path for _, path in listed])
+        for (name, path), digest in zip(listed, digests, strict=True):
+            files[name] = {"bytes": path.stat().st_size, "sha256": digest}
             # all chunks of a Zarr store that we write end with a checksum (CRC-32C, or that of zstd)
             if ".zarr/" in name and not name.endswith("/zarr.json") and files[name]["bytes"] >= 4:
                 files[name]["tail"] = _tail(path)
@@ -279,7 +284,7 @@ class ArtifactWriter:
         _flush(self.folder)
         old = _retire(self.target, self.folder)
         os.rename(self.folder, self.target)
-        flush_folder(self.target.parent)
+        flush(self.target.parent)
         if old:
             shutil.rmtree(old, ignore_errors=True)
         return Artifact(self.target, manifest)
@@ -314,11 +319,10 @@ def _retire(target: Path, successor: Path) -> Path | None:
 
 
 def _flush(folder: Path) -> None:
-    for root, _, names in os.walk(folder, topdown=False):
-        for name in names:
-            with open(os.path.join(root, name), "rb") as handle:
-                os.fsync(handle.fileno())
-        flush_folder(Path(root))
+    """Wait until a folder and all in it are on the disk, many at once: the disk commits those that wait together."""
+    with ThreadPoolExecutor(FLUSHES) as pool:
+        for _ in pool.map(flush, (folder, *folder.rglob("*"))):
+            pass
 
 
 INDEX = "index.json"

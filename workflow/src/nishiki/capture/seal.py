@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import date as Date
 from pathlib import Path
 
-from nishiki.formats.files import Refused, flush_folder, is_plain, leads_out, open_regular, put_file, read_bytes, walk
+from nishiki.formats.files import Refused, flush, is_plain, leads_out, open_regular, put_file, read_bytes, walk
 from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, refuse
 from nishiki.formats.text_tables import refusal
 
@@ -165,7 +165,7 @@ def seal(root: Path, *, progress: Callable[[str], None] | None = None) -> str:
     _write_tags(half, root, progress)
     os.rename(root, half / "data")
     os.rename(half, root)
-    flush_folder(root.parent)
+    flush(root.parent)
     return capture_digest(root)
 
 
@@ -255,7 +255,7 @@ def _write_tags(bag: Path, payload: Path, progress: Callable[[str], None] | None
     tags = {n: hashlib.sha256(t.encode()).hexdigest() for n, t in {**texts, "bagit.txt": BAGIT}.items()}
     for name, text in {**texts, TAG_MANIFEST: manifest_text(tags), "bagit.txt": BAGIT}.items():
         put_file(bag / name, text)
-    flush_folder(bag)
+    flush(bag)
 
 
 def _refuse_links(root: Path) -> None:

@@ -296,9 +296,9 @@ def whole_folder(target: Path) -> Iterator[Path]:
             shutil.rmtree(partial)
 
 
-def flush_folder(folder: Path) -> None:
-    """Wait until the names in a folder are on the disk: files that were made in it, renamed or removed."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+def flush(path: Path) -> None:
+    """Wait until a file's content, or the names in a folder (made, renamed or removed), are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

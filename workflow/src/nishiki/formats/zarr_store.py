@@ -223,7 +223,7 @@ class BandedGroup:
         compression: str = "none",
         attributes: dict[str, Any] | None = None,
     ) -> BandedArray:
-        """Create an array whose chunks end with their CRC-32C. compression: 'none' | 'zstd'."""
+        """Create an array whose chunks end with their CRC-32C, some may be there. compression: 'none' | 'zstd'."""
         kind = np.dtype(dtype)
         packers = [{"name": "zstd", "configuration": {"level": ZSTD_LEVEL, "checksum": False}}]
         node = {
@@ -241,7 +241,7 @@ class BandedGroup:
             ],
             "attributes": attributes or {},
         }
-        (self.folder / name).mkdir()
+        (self.folder / name).mkdir(exist_ok=True)
         _write(self.folder / name / METADATA, node)
         return BandedArray.of(self.folder / name)
 

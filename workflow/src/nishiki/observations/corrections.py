@@ -1,12 +1,11 @@
 """What the photographs of a plane show about each other, and what is put right before they are stored.
 
-One pass over the photographs collects reduced pictures and a few windows. From these follow the movement of the camera
-(`nishiki.observations.registration`), then, with the pictures brought together, the strength of each lamp, the light of
-the room, lamps that failed and photographs that repeat another one (`nishiki.photometric.consistency`). What was
-measured before anything was put right is kept beside what was done.
+The pass that stores the photographs also collects reduced pictures and a few windows. From these follow the movement of
+the camera (`nishiki.observations.registration`), then, with the pictures brought together, the strength of each lamp,
+the light of the room, lamps that failed and photographs that repeat another one (`nishiki.photometric.consistency`).
+Photographs that moved are read again. What was measured before anything was put right is kept beside what was done.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
 
@@ -25,7 +24,6 @@ from nishiki.observations.consistency import (
     useless_problems,
 )
 from nishiki.observations.frames import FrameReader
-from nishiki.observations.reference import DarkField
 from nishiki.observations.registration import Movement
 from nishiki.photometric.consistency import (
     LEAST_AMBIENT,
@@ -77,26 +75,15 @@ class Corrections:
         return self.gains.astype(np.float32)[:, None, None, None]
 
 
-def find_corrections(
-    reader: FrameReader,
-    darks: DarkField,
-    gain: np.ndarray,
-    mask: np.ndarray,
-    wishes: Wishes,
-    tick: Callable[[str], None],
-) -> Corrections:
+def find_corrections(reader: FrameReader, reduced: ReducedPhotographs, wishes: Wishes) -> Corrections:
     """Measure the photographs of a plane against each other, and decide what is put right.
 
     Parameters
     ----------
     reader : FrameReader
-    darks : DarkField
-    gain : (lights, r, c, channels) float32
-        Of the observed frames, see `nishiki.observations.reference.Gains`.
-    mask : (rows, columns) uint8
+    reduced : ReducedPhotographs
+        With all observed photographs.
     wishes : Wishes
-    tick : callable
-        Called with the file of each photograph.
 
     Returns
     -------
@@ -107,14 +94,11 @@ def find_corrections(
     CaptureError
         lights-few or lights-coplanar, where too few photographs remain.
     """
-    capture, reduced = reader.capture, ReducedPhotographs(reader, darks, mask, gain)
-    frames = capture.observed
-    for frame, codes in reader.read_all(frames):
-        reduced.add(frame, codes)
-        tick(frame.file)
+    capture, frames = reader.capture, reader.capture.observed
     judgement = reduced.judge([capture.lights.index(frame.light) for frame in frames])
     if judgement is None:
-        return Corrections(capture, np.arange(len(frames)), {}, np.ones(len(frames)), np.zeros(gain.shape[-1]))
+        motions, channels = dict(reader.motions), len(reader.names)
+        return Corrections(capture, np.arange(len(frames)), motions, np.ones(len(frames)), np.zeros(channels))
     registers, lamps = wishes.registration == "auto", judgement.lamps
     values, found = judgement.values, judgement.before
     if registers:

@@ -1,7 +1,8 @@
 """Writing the ingested frames: the camera's own codes, re-tiled, with all that is needed to read them as light."""
 
+import shutil
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from nishiki.capture.frames import Frame
 from nishiki.formats.problems import Problem
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.blocks import bands_with_object, rows_of_band
+from nishiki.observations.consistency import ReducedPhotographs
 from nishiki.observations.corrections import find_corrections
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.plane import FORMAT, STORE
@@ -48,7 +50,7 @@ def write_observations(
     choice = chosen(capture, settings.without)
     capture = choice.capture
     once = sum(len(capture.frames_of(role)) for role in ("dark", "white", "ambient"))
-    tick = PhotographCounter(progress, once + 2 * len(capture.observed))
+    tick = PhotographCounter(progress, once + len(capture.observed))
     reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
     asked, size = reader.region, (reader.rows, reader.columns)
     outline = object_mask(capture, size, asked)
@@ -60,12 +62,32 @@ def write_observations(
     darks = measure_darks(reader, edges, tick)
     gains = measure_gains(reader, darks, edges, mask, tick)
     reader = replace(reader, room=measure_room(reader, darks, tick))
-    corrections = find_corrections(reader, darks, gains.gain, mask, settings.correct, tick)
-    capture, gains = corrections.capture, gains.of(corrections.kept)
-    reader = replace(reader, capture=capture, motions=corrections.motions)
     group = BandedGroup.create(Path(folder) / STORE)
     band_rows = rows_of_band(len(capture.observed), rows, columns, len(reader.names), settings.tile_mib)
-    counts, problems = _write_frames(Path(folder) / STORE, group, reader, mask, band_rows, settings.compression, tick)
+    writer = FrameWriter(group.folder / "codes", mask, band_rows, settings.compression)
+    reduced = ReducedPhotographs(reader, darks, mask, gains.gain)
+    for j, (frame, codes) in enumerate(reader.read_all(capture.observed)):
+        reduced.add(frame, codes)
+        writer.write(j, codes, reader)
+        tick(frame.file)
+    corrections = find_corrections(reader, reduced, settings.correct)
+    writer.keep(corrections.kept)
+    capture, gains, before = corrections.capture, gains.of(corrections.kept), reader.motions
+    reader = replace(reader, capture=capture, motions=corrections.motions)
+    moved = {
+        j: frame
+        for j, frame in enumerate(capture.observed)
+        if reader.motions.get(frame.file) is not before.get(frame.file)
+    }
+    tick.total += len(moved)
+    for j, (frame, codes) in zip(moved, reader.read_all(list(moved.values())), strict=True):
+        writer.write(j, codes, reader)
+        tick(frame.file)
+    shape = (len(capture.observed), rows, columns, len(reader.names))
+    group.create_array("codes", shape, (1, band_rows, *shape[2:]), reader.dtype, compression=settings.compression)
+    counts, problems = np.array([writer.counts[j] for j in range(len(capture.observed))], np.int64), []
+    for j, frame in enumerate(capture.observed):
+        problems += frame_problems(frame, counts[j], writer.highest[j], reader)
     defect = darks.defect | gains.defect
     arrays = {"mask": mask, "gain": gains.gain / corrections.strengths, "dark": darks.for_frames(capture.observed)}
     labels, label_warnings = region_numbers(capture, size, reader.region)
@@ -78,7 +100,7 @@ def write_observations(
     if corrections.ambient.any():
         subtract_room(Path(folder) / STORE, corrections.ambient, corrections.gains)
     doubts = (*capture.warnings, *outline.problems, *label_warnings, *reader.warnings(), *corrections.problems)
-    problems = (*doubts, *darks.problems, *gains.problems, *problems)
+    problems = [*doubts, *darks.problems, *gains.problems, *problems]
     inside = int(mask.sum(dtype=np.int64))
     return {
         **describe_samples(reader, counts, inside, problems),
@@ -103,36 +125,37 @@ def cropped(reader: FrameReader, mask: np.ndarray, white_block: int) -> tuple[Fr
     return replace(reader, region=region), np.ascontiguousarray(mask[window])
 
 
-def _write_frames(
-    path: Path,
-    group: BandedGroup,
-    reader: FrameReader,
-    mask: np.ndarray,
-    band_rows: int,
-    compression: str,
-    tick: Callable,
-) -> tuple[np.ndarray, list[Problem]]:
-    """Every observed frame into its chunks; returns counts (lights, 4) and what was found in the frames.
+@dataclass
+class FrameWriter:
+    """Writes photographs by number, into a chunk for each band of rows that holds a pixel of the object."""
 
-    Bands of rows without a pixel of the object have no chunk.
-    """
-    _, _, rows, columns = reader.region
-    observed, count = reader.capture.observed, len(reader.names)
-    shape, chunk = (len(observed), rows, columns, count), (1, band_rows, columns, count)
-    group.create_array("codes", shape, chunk, reader.dtype, compression=compression)
-    counts, problems = np.zeros((len(observed), 4), np.int64), []
-    bands = bands_with_object(mask, band_rows)
-    for j, (frame, codes) in enumerate(reader.read_all(observed)):
-        *tally, highest = count_unusable(codes, mask, reader.saturated, reader.clip)
-        counts[j] = tally
-        problems += frame_problems(frame, counts[j], float(highest), reader)
-        for band in bands:
-            part = codes[band * band_rows : (band + 1) * band_rows]
-            if len(part) < band_rows:  # chunks are whole: the last one is padded
-                part = np.concatenate([part, np.zeros((band_rows - len(part), columns, count), codes.dtype)])
-            write_chunk(chunk_path(path / "codes", j, band), part, compression=compression)
-        tick(frame.file)
-    return counts, problems
+    array: Path  # folder of the array (photographs, rows, columns, channels)
+    mask: np.ndarray  # (rows, columns) uint8: the object
+    band_rows: int
+    compression: str  # 'none' | 'zstd'
+    counts: dict[int, tuple[int, ...]] = field(default_factory=dict)  # see `count_unusable`
+    highest: dict[int, float] = field(default_factory=dict)  # largest codes
+
+    def write(self, number: int, codes: np.ndarray, reader: FrameReader) -> None:
+        """Write the codes (rows, columns, channels) of a photograph, and count those that cannot be used."""
+        *counts, highest = count_unusable(codes, self.mask, reader.saturated, reader.clip)
+        self.counts[number], self.highest[number] = tuple(counts), float(highest)
+        for band in bands_with_object(self.mask, self.band_rows):
+            part = codes[band * self.band_rows : (band + 1) * self.band_rows]
+            if len(part) < self.band_rows:  # chunks are whole: the last one is padded
+                rest = np.zeros((self.band_rows - len(part), *part.shape[1:]), codes.dtype)
+                part = np.concatenate([part, rest])
+            write_chunk(chunk_path(self.array, number, band), part, compression=self.compression)
+
+    def keep(self, numbers: np.ndarray) -> None:
+        """Remove all photographs but these, in ascending order, and count them from 0."""
+        folders = [chunk_path(self.array, j, 0).parents[2] for j in range(len(self.counts))]
+        for j in set(self.counts) - set(numbers.tolist()):
+            shutil.rmtree(folders[j])
+        for j, number in enumerate(numbers.tolist()):
+            if j != number:
+                folders[number].rename(folders[j])
+                self.counts[j], self.highest[j] = self.counts[number], self.highest[number]
 
 
 def frame_problems(frame: Frame, counts: np.ndarray, highest: float, reader: FrameReader) -> list[Problem]:

@@ -17,7 +17,7 @@ from nishiki.capture.frames import ANGLE_COLUMNS
 from nishiki.capture.schema_base import FORMAT, CameraResponse
 from nishiki.capture.taking import channel_names, choose_encoding, lights_text, settings_text, table_text
 from nishiki.errors import UserError
-from nishiki.formats.files import flush_folder, name_fault, put_file
+from nishiki.formats.files import flush, name_fault, put_file
 from nishiki.formats.picture_files import ImageHeader
 from nishiki.formats.problems import CaptureError
 from nishiki.rig.frame_check import Measures
@@ -45,7 +45,7 @@ class Journal:
             file.flush()
             os.fsync(file.fileno())
         if is_new:
-            flush_folder(self.path.parent)
+            flush(self.path.parent)
         return line
 
     def events(self) -> Iterator[dict[str, Any]]:

@@ -26,7 +26,7 @@ from nishiki.capture.schema_base import CameraResponse, validate
 from nishiki.capture.seal import MANIFEST, capture_digest, read_manifest, seal, sha256_of
 from nishiki.errors import UserError
 from nishiki.formats.exif import read_exif
-from nishiki.formats.files import flush_folder, put_file
+from nishiki.formats.files import flush, put_file
 from nishiki.formats.images import read_header
 from nishiki.formats.problems import CaptureError, group_problems
 from nishiki.rig.description import OpenedRig, expect_devices, open_rig, read_rig
@@ -328,7 +328,7 @@ class CaptureRun:
     def _rename(self, path: Path, target: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         os.replace(path, target)
-        flush_folder(target.parent)
+        flush(target.parent)
 
     def _expect_room(self, frame: PlannedFrame) -> None:
         """UserError before an exposure that the disk has no room for."""
@@ -408,7 +408,7 @@ class CaptureRun:
             )
         self._note("checked", warnings=[str(problem) for problem in problems])
         os.rename(self.payload, self.capture)
-        flush_folder(self.capture.absolute().parent)
+        flush(self.capture.absolute().parent)
 
     def _seal(self) -> str:
         """Seal the capture, and compare its manifest with the digests that the frames had when they were taken."""
