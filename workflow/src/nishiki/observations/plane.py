@@ -1,6 +1,6 @@
 """Reading the ingested frames: bands of white-normalised observations, with what may not be used marked."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -11,7 +11,7 @@ from nishiki.formats.stored import open_bands, open_made_by, understood
 from nishiki.formats.zarr_store import chunk_path, read_chunk, read_chunk_into
 from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid, positions
 from nishiki.observations.linearise import StoredArrays
-from nishiki.threads import over_rows, strips
+from nishiki.threads import Result, in_threads, over_rows, strips
 
 STORE, FORMAT = "frames.zarr", 1  # name and version of the file; readers refuse others
 STRIP_BYTES = 8 << 20
@@ -99,7 +99,18 @@ class Observations(StoredArrays):
     def strips(
         self, band: slice, *, lights: np.ndarray, channel: Literal["mean"] | None = None
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Read a band in strips of rows (slices counted from the picture's top), each as by `read`.
+        """Read a band in strips of rows (slices counted from the picture's top), each as by `read`."""
+        return self.over_strips(lambda *strip: strip, band, lights=lights, channel=channel)
+
+    def over_strips(
+        self,
+        work: Callable[[slice, np.ndarray, np.ndarray], Result],
+        band: slice,
+        *,
+        lights: np.ndarray,
+        channel: Literal["mean"] | None = None,
+    ) -> Iterator[Result]:
+        """Yield the results of `work` for the strips of `strips` in order, several at a time.
 
         The codes of the band are read once. Values of a strip fit the processor's cache, where those of a band fill
         the memory: a band of 8-bit codes becomes five times as large when it is decoded. Lamps at a position have one
@@ -109,9 +120,13 @@ class Observations(StoredArrays):
         count, rows, columns, channels = codes.shape
         row_bytes = 4 * count * columns * (channels if channel is None else 1)
         step = rows if self.positions_mm is not None else max(STRIP_BYTES // row_bytes, 1)
-        for top in range(0, rows, step):
-            part = np.ascontiguousarray(codes[:, top : top + step])
-            yield slice(start + top, start + top + part.shape[1]), *self._decoded(part, lights, start + top, 0, channel)
+
+        def of_strip(top: int) -> Result:
+            part, first = np.ascontiguousarray(codes[:, top : top + step]), start + top
+            return work(slice(first, first + part.shape[1]), *self._decoded(part, lights, first, 0, channel))
+
+        tops = range(0, rows, step)
+        return in_threads(of_strip, tops) if len(tops) > 1 else map(of_strip, tops)
 
     def _decoded(
         self, codes: np.ndarray, chosen: np.ndarray, start: int, left: int, channel: Literal["mean"] | int | None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 
 import numpy as np
 
@@ -50,9 +50,8 @@ def map_tiles(context: Context) -> dict:
     arrays = create_maps(context, frames, terms=TERMS.get(model, 3), relight=relight, several=several)
     groups = direction_groups(frames.directions[lights])
     refits = len(lights) > 3 and None in glosses
-    counts: Counter[str] = Counter()
-    sigmas = []
-    for band in context.progress.over(context.share(frames.bands()), "band"):
+
+    def solve_band(band: slice) -> tuple[dict[str, int], np.ndarray]:
         size = band.stop - band.start, frames.shape[1]
         tile_maps = {name: np.empty((*size, *array.shape[2:]), array.dtype) for name, array in arrays.items()}
         packed = None if selection is None else selection.read("usable", band)
@@ -61,7 +60,8 @@ def map_tiles(context: Context) -> dict:
             labels = finish_labels(frames, selection, lights, band, finishes, context.settings)
             tile_maps["finish"][...] = labels
         errors = np.zeros([n // SPACING if refits else 0 for n in np.add(size, SPACING // 2 - 1)], np.float32)
-        for rows, observations, valid in frames.strips(band, lights=lights):
+
+        def fit(rows: slice, observations: np.ndarray, valid: np.ndarray) -> None:
             strip = slice(rows.start - band.start, rows.stop - band.start)
             usable = valid if packed is None else unpack_lights(packed[strip], len(lights))
             for parcel in parcels(frames, rows, lights):
@@ -82,6 +82,8 @@ def map_tiles(context: Context) -> dict:
                     samples = observations[places], usable[places], valid[places]
                     found = refitted_error(*samples, parcel, groups, context.settings)
                     errors[np.ix_(row // SPACING, column // SPACING)] = found
+
+        deque(frames.over_strips(fit, band, lights=lights), 0)
         if errors.size:
             whole = np.pad(errors, [(0, 1), (0, 1)], mode="edge").repeat(SPACING, axis=0).repeat(SPACING, axis=1)
             sigma = whole[: size[0], : size[1]]
@@ -93,8 +95,15 @@ def map_tiles(context: Context) -> dict:
         for name, array in arrays.items():
             array[band] = tile_maps[name]
         inside = frames.mask[band]
-        counts.update(count_flags(tile_maps["flags"], inside))
-        sigmas.append(tile_maps["sigma"][inside & ((tile_maps["flags"] & bits.NO_ESTIMATE) == 0)][::17])
+        known = inside & ((tile_maps["flags"] & bits.NO_ESTIMATE) == 0)
+        return count_flags(tile_maps["flags"], inside), tile_maps["sigma"][known][::17]
+
+    counts: Counter[str] = Counter()
+    sigmas = []
+    for band in context.progress.over(context.share(frames.bands()), "band"):
+        counted, sigma = solve_band(band)
+        counts.update(counted)
+        sigmas.append(sigma)
     same = {
         "lights": [frames.lights[j] for j in lights],
         **finishes.described,

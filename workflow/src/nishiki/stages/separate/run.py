@@ -28,17 +28,25 @@ def map_tiles(context: Context) -> dict:
     shadows = maps.create("shadows", dtype="uint16", unit="lights")
     totals = np.zeros(4, dtype=np.int64)
     settings = context.settings
-    for band in context.progress.over(context.share(frames.bands()), "band"):
+
+    def select_band(band: slice) -> np.ndarray:
         size = band.stop - band.start, columns
         packed = np.empty((*size, -(-len(lights) // 8)), np.uint8)
         counts = np.empty((2, *size), np.uint16)
-        for rows_of_strip, observations, valid in frames.strips(band, lights=lights, channel="mean"):
-            strip = slice(rows_of_strip.start - band.start, rows_of_strip.stop - band.start)
-            chosen, counted = select(frames, rows_of_strip, lights, observations, valid, settings)
+
+        def choose(rows: slice, observations: np.ndarray, valid: np.ndarray) -> list[int]:
+            strip = slice(rows.start - band.start, rows.stop - band.start)
+            chosen, counted = select(frames, rows, lights, observations, valid, settings)
             packed[strip] = pack_lights(chosen)
             counts[:, strip] = counted
-            totals += [np.count_nonzero(chosen), *(a.sum(dtype=np.int64) for a in counted), np.count_nonzero(valid)]
+            return [np.count_nonzero(chosen), *(a.sum(dtype=np.int64) for a in counted), np.count_nonzero(valid)]
+
+        found = list(frames.over_strips(choose, band, lights=lights, channel="mean"))
         usable[band], highlights[band], shadows[band] = packed, *counts
+        return np.sum(found, axis=0)
+
+    for band in context.progress.over(context.share(frames.bands()), "band"):
+        totals += select_band(band)
     same = {"lights": [frames.lights[j] for j in lights], "economy": economy(decision)}
     return {"same": same, "samples": rows * columns * len(lights), "totals": totals.tolist()}
 
