@@ -41,7 +41,7 @@ def test_every_node_is_above_the_horizon():
     ids=["ward", "ggx"],
 )
 def test_the_table_is_near_the_model(brdf):
-    table = BrdfTable.of(brdf)
+    (table,) = BrdfTable.of(brdf)
     incident, outgoing = hemisphere(20_000, least=0.1), hemisphere(20_000, least=0.1)
     want = np.broadcast_to(brdf.evaluate(incident, outgoing), (20_000, 3)) * incident[:, 2:]
     errors = np.abs(table.evaluate(incident, outgoing) * incident[:, 2:] - want)
@@ -50,7 +50,7 @@ def test_the_table_is_near_the_model(brdf):
 
 
 def test_below_the_horizon_it_is_black():
-    table = BrdfTable.of(Ward(diffuse=np.array([0.5]), specular=np.array([0.1]), alpha_x=0.4, alpha_y=0.4))
+    (table,) = BrdfTable.of(Ward(diffuse=np.array([0.5]), specular=np.array([0.1]), alpha_x=0.4, alpha_y=0.4))
     up, down = np.array([[0.0, 0.6, 0.8]]), np.array([[0.0, 0.6, -0.8]])
     assert (table.evaluate(up, up) > 0).all()
     assert (table.evaluate(up, down) == 0).all()

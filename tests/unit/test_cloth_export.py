@@ -258,7 +258,7 @@ def our_picture(cloth, camera, towards, *, paper, supersampling=1):
     if paper:
         azimuth = np.radians(cloth.shown.view.azimuth_deg)
         surfaces.append(paper_below(surfaces[0].mesh.vertices, azimuth=azimuth))
-    take = RenderVariant((BrdfTable.of(cloth.brdf), Matte((cloth.shown.paper,) * 3)), (1.0,))
+    take = RenderVariant((*BrdfTable.of(cloth.brdf), Matte((cloth.shown.paper,) * 3)), (1.0,))
     lamps = [Lamp(direction=tuple(towards), radius=0.0)]
     scene = ClothScene.of(surfaces)
     return render(scene, [take], lamps, camera, supersampling=supersampling, within=0.0)[0]

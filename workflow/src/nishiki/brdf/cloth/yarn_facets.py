@@ -398,10 +398,18 @@ class YarnFacets:
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """BRDF, 1 / sr: (..., channels)."""
+        return self.coloured(self.terms(incident, outgoing))
+
+    def terms(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+        """(..., 3) gloss, white body and white Lambert term, 1 / sr: all that `gloss_of` a model shares with it."""
         parts, g = self.parts(incident, outgoing), halves(incident, outgoing)
         mirror = (parts[..., 0] + parts[..., 2]) * corrected(self.correction, g.h)
-        within = (parts[..., 1] + parts[..., 3])[..., None] * self.body + self.lambert / np.pi
-        return only_above(g.above, (mirror[..., None] + within) * self.ratio(incident, outgoing)[..., None])
+        each = np.stack([mirror, parts[..., 1] + parts[..., 3], np.full(mirror.shape, 1 / np.pi)], axis=-1)
+        return only_above(g.above, each * self.ratio(incident, outgoing)[..., None])
+
+    def coloured(self, terms: np.ndarray) -> np.ndarray:
+        """(..., channels) BRDF, 1 / sr, of the terms (..., 3)."""
+        return terms[..., :1] + terms[..., 1:2] * self.body + terms[..., 2:] * self.lambert
 
     def ratio(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """Factor (...,) by which the oblique images around a pair of directions differ from the model."""

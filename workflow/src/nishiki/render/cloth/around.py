@@ -1,14 +1,13 @@
 """Light from all around: how much of it reaches each vertex of both sides, and what a cloth makes of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
 
 from nishiki.geometry.visibility import GOLDEN_ANGLE, blocked
 from nishiki.render.cloth.local import LIFT, Fragments
-from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene
-from nishiki.render.display import three_channels
+from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, together
 from nishiki.threads import over_items, over_rows
 
 THETAS, PHIS, LIGHTS = 10, 16, (14, 28)
@@ -23,6 +22,7 @@ class Surroundings:
     open: np.ndarray  # (v, 2): cosine-weighted share of unblocked directions at each vertex, front and back
     from_above: np.ndarray  # (v, 2): how far up those point, 0 to 1
     corners: np.ndarray  # (f, 3): of the triangles
+    tables: dict = field(default_factory=dict)  # `shares` of the materials drawn, by identity: (material, table)
 
     @classmethod
     def of(cls, scene: ClothScene, light: AmbientLight) -> "Surroundings":
@@ -31,21 +31,43 @@ class Surroundings:
         share, from_above = (smoothed(values, corners) for values in openness(scene, light.rays, light.reach))
         return cls(light, share, from_above, corners)
 
-    def radiance(self, table: np.ndarray, samples: Fragments) -> np.ndarray:
-        """(n, 3): even light that samples of a material reflect to the eye; table: its `shares`.
+    def radiance(self, tables: list[np.ndarray], samples: Fragments, rows: np.ndarray, pixels: int) -> np.ndarray:
+        """(tables, pixels, 3): sums over samples, by their pixels, of the even light that they reflect to the eye.
 
-        Blocked directions show cloth of the same kind: with openness a and albedo r its light comes back r (1 - a)
-        times, again and again, hence a / (1 - r (1 - a)).
+        tables: `shares` of materials; rows: of the samples. Blocked directions show cloth of the same kind: with
+        openness a and albedo r its light comes back r (1 - a) times, again and again, hence a / (1 - r (1 - a)).
         """
-        corners = self.corners[samples.triangle]
-        side = samples.back.astype(np.int64)
-        u, v = samples.weights[:, 0].astype(np.float64), samples.weights[:, 1].astype(np.float64)
-        weights = (u, v, 1 - u - v)
-        free = sum(w * self.open[corners[:, k], side] for k, w in enumerate(weights))[:, None]
-        up = sum(w * self.from_above[corners[:, k], side] for k, w in enumerate(weights))[:, None]
-        sky = up * np.asarray(self.light.above) + (1 - up) * np.asarray(self.light.below)
-        back = np.clip(table.mean(axis=(0, 1)), 0, 0.95)
-        return sky * lookup(table, samples.outgoing) * free / (1 - back * (1 - free))
+        table = np.concatenate(tables, axis=2)
+        returned = np.clip(table.mean(axis=(0, 1)), 0, 0.95)
+        sky = np.stack([np.tile(colour, len(tables)) for colour in (self.light.above, self.light.below)])
+        points = (samples.pixel, samples.triangle, samples.weights, samples.back, samples.outgoing)
+        out = np.zeros((pixels, 3 * len(tables)))
+        _reflect(points, rows, (self.corners, self.open, self.from_above), table, returned, sky, out)
+        return np.moveaxis(out.reshape(pixels, len(tables), 3), 1, 0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _reflect(points, rows, vertices, table, returned, sky, out):
+    """See `Surroundings.radiance`. The table is bilinear in (theta, phi)."""
+    (pixel, triangle, weights, back, outgoing), (corners, free, up) = points, vertices
+    channels = table.shape[2]
+    for k in rows:
+        side = 1 if back[k] else 0
+        u, v = np.float64(weights[k, 0]), np.float64(weights[k, 1])
+        a, b, c = corners[triangle[k], 0], corners[triangle[k], 1], corners[triangle[k], 2]
+        w = 1.0 - u - v
+        clear = u * free[a, side] + v * free[b, side] + w * free[c, side]
+        high = u * up[a, side] + v * up[b, side] + w * up[c, side]
+        theta = np.arccos(min(max(outgoing[k, 2], 0.0), 1.0)) / (0.5 * np.pi) * THETAS
+        phi = np.arctan2(outgoing[k, 1], outgoing[k, 0]) / (2.0 * np.pi) * PHIS
+        phi += PHIS if phi < 0.0 else 0.0
+        i, j = min(int(theta), THETAS - 1), min(int(phi), PHIS - 1)
+        s, t = theta - i, phi - j
+        for m in range(channels):
+            share = (1.0 - s) * ((1.0 - t) * table[i, j, m] + t * table[i, j + 1, m])
+            share += s * ((1.0 - t) * table[i + 1, j, m] + t * table[i + 1, j + 1, m])
+            light = high * sky[0, m] + (1.0 - high) * sky[1, m]
+            out[pixel[k], m] += light * share * clear / (1.0 - returned[m] * (1.0 - clear))
 
 
 def grid_views() -> np.ndarray:
@@ -55,8 +77,8 @@ def grid_views() -> np.ndarray:
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
 
 
-def shares(brdf: Brdf) -> np.ndarray:
-    """(THETAS + 1, PHIS + 1, 3): what a cloth sends to each view of the grid of even light, as a share, at most 1.
+def shares(*brdfs: Brdf) -> list[np.ndarray]:
+    """(THETAS + 1, PHIS + 1, 3) each: what cloths send to each view of the grid of even light, as a share, at most 1.
 
     Integrated over LIGHTS directions of equal projected area.
     """
@@ -66,15 +88,15 @@ def shares(brdf: Brdf) -> np.ndarray:
     up = np.broadcast_to(np.sqrt(1 - radius2)[:, None], LIGHTS)
     lights = np.stack([r * np.cos(p), r * np.sin(p), up], axis=-1).reshape(-1, 3)
     views = grid_views()
-    table = np.empty((THETAS + 1, PHIS + 1, 3))
+    tables = np.empty((len(brdfs), THETAS + 1, PHIS + 1, 3))
 
     def fill(k: int) -> None:
-        values = brdf.evaluate(lights[None], views[k, :PHIS, None])
-        table[k, :PHIS] = np.pi * three_channels(values).mean(axis=1)
+        for table, values in zip(tables, together([*brdfs], lights[None], views[k, :PHIS, None]), strict=True):
+            table[k, :PHIS] = np.pi * values.mean(axis=1)
 
     over_items(fill, range(THETAS + 1))
-    table[:, PHIS] = table[:, 0]
-    return np.clip(table, 0, 1)
+    tables[:, :, PHIS] = tables[:, :, 0]
+    return [*np.clip(tables, 0, 1)]
 
 
 def lookup(table: np.ndarray, directions: np.ndarray) -> np.ndarray:

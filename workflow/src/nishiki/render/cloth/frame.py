@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
@@ -10,11 +11,11 @@ from nishiki.geometry.turn import scaled
 from nishiki.geometry.visibility import rasterise
 from nishiki.render.cloth.around import Surroundings
 from nishiki.render.cloth.local import Fragments, gather, lit
-from nishiki.render.cloth.models import share_of, together
-from nishiki.render.cloth.scene import Brdf, ClothScene, Lamp
+from nishiki.render.cloth.models import share_of
+from nishiki.render.cloth.scene import Brdf, ClothScene, Lamp, together
 from nishiki.threads import over_items
 
-BAND_SAMPLES = 1 << 20
+BAND_SAMPLES = 1 << 18
 """Samples held at a time."""
 AT_ONCE = 1 << 14
 """Directions that a BRDF is given at a time."""
@@ -82,7 +83,7 @@ def render(
     fine = scaled(camera, supersampling)
     linear = np.zeros((len(takes), camera.rows, camera.columns, 3), np.float32)
     coverage, cloth = np.zeros((2, camera.rows, camera.columns), np.float32)
-    tally, tables = _Tally(), {}
+    tally = _Tally()
     height = max(1, BAND_SAMPLES // (fine.columns * supersampling))
     for first in range(0, camera.rows, height):
         stop = min(first + height, camera.rows)
@@ -90,15 +91,12 @@ def render(
         samples = gather(scene, raster, fine, supersampling, within=within)
         if not len(samples.pixel):
             continue
-        colours = np.zeros((len(takes), len(samples.pixel), 3))
-        _add_lamps(colours, scene, takes, lamps, samples, shadows, tally)
-        if surroundings is not None:
-            _add_around(colours, takes, samples, surroundings, tables)
         size, shape = (stop - first) * camera.columns, (stop - first, camera.columns)
-        for take in range(len(takes)):
-            for channel in range(3):
-                sums = np.bincount(samples.pixel, weights=colours[take, :, channel], minlength=size)
-                linear[take, first:stop, :, channel] = (sums / supersampling**2).reshape(shape)
+        sums = np.zeros((len(takes), size, 3))
+        _add_lamps(sums, scene, takes, lamps, samples, shadows, tally)
+        if surroundings is not None:
+            _add_around(sums, takes, samples, surroundings)
+        linear[:, first:stop] = (sums / supersampling**2).reshape(len(takes), *shape, 3)
         covered = np.bincount(samples.pixel, minlength=size) / supersampling**2
         coverage[first:stop] = covered.reshape(shape)
         covered = np.bincount(samples.pixel, weights=samples.material == 0, minlength=size) / supersampling**2
@@ -120,8 +118,8 @@ def _check(scene: ClothScene, takes: list[RenderVariant], lamps: list[Lamp], sup
             )
 
 
-def _add_lamps(colours, scene, takes, lamps, samples: Fragments, shadows: bool, tally: _Tally) -> None:
-    """Add what the lamps make the samples send to the eye to colours (takes, n, 3)."""
+def _add_lamps(sums, scene, takes, lamps, samples: Fragments, shadows: bool, tally: _Tally) -> None:
+    """Add what the lamps make the samples send to the eye to sums (takes, pixels, 3)."""
     tally.samples += len(samples.pixel)
     tally.bent += samples.bent
     for number, lamp in enumerate(lamps):
@@ -137,11 +135,20 @@ def _add_lamps(colours, scene, takes, lamps, samples: Fragments, shadows: bool, 
                 continue
             values, where = _values(list(brdfs.values()), light.incident, samples.outgoing, stands[rows])
             tally.evaluated += len(values[0])
-            strength = np.pi * light.strength[rows, None] * np.asarray(lamp.colour)
-            by_brdf = dict(zip(brdfs, values, strict=True))
-            for k, take in enumerate(takes):
-                if take.lamps[number]:
-                    colours[k, rows] += take.lamps[number] * by_brdf[id(take.materials[material])][where] * strength
+            for each, brdf in zip(values, brdfs, strict=True):
+                picture = np.zeros(sums.shape[1:])
+                _gather(samples.pixel, rows, where, each * (np.pi * np.asarray(lamp.colour)), light.strength, picture)
+                for k, take in enumerate(takes):
+                    if take.lamps[number] and id(take.materials[material]) == brdf:
+                        sums[k] += take.lamps[number] * picture
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _gather(pixel, rows, where, values, strength, out):
+    """Add up in out (pixels, 3) the values (m, 3) of samples at rows (n,), found at `where` (n,), times strength."""
+    for k in range(rows.size):
+        for c in range(3):
+            out[pixel[rows[k]], c] += values[where[k], c] * strength[rows[k]]
 
 
 def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, samples: np.ndarray):
@@ -149,7 +156,9 @@ def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, sampl
 
     Portions are shared among threads: models are compiled or array code, which lets others run beside it.
     """
-    distinct, where = np.unique(samples, return_inverse=True)
+    used = np.zeros(len(incident), bool)
+    used[samples] = True
+    distinct, where = np.flatnonzero(used), np.cumsum(used)[samples] - 1
     out = [np.empty((len(distinct), 3)) for _ in brdfs]
 
     def fill(start: int) -> None:
@@ -159,16 +168,21 @@ def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, sampl
             values[start : start + AT_ONCE] = one
 
     over_items(fill, range(0, len(distinct), AT_ONCE))
-    return out, where.reshape(-1)
+    return out, where
 
 
-def _add_around(colours, takes, samples: Fragments, surroundings: Surroundings, tables: dict) -> None:
-    """Add the light from around to colours (takes, n, 3); tables: of the materials, by identity, filled as needed."""
-    for k, take in enumerate(takes):
-        for material, brdf in enumerate(take.materials):
-            if take.around and id(brdf) not in tables:
-                tables[id(brdf)] = share_of(brdf)
-            chosen = np.flatnonzero(samples.material == material)
-            for start in range(0, len(chosen), AT_ONCE) if take.around else ():
-                rows = chosen[start : start + AT_ONCE]
-                colours[k, rows] += take.around * surroundings.radiance(tables[id(brdf)], samples.take(rows))
+def _add_around(sums, takes, samples: Fragments, surroundings: Surroundings) -> None:
+    """Add the light from around to sums (takes, pixels, 3)."""
+    for material in range(max(len(take.materials) for take in takes)):
+        rows = np.flatnonzero(samples.material == material)
+        lit_takes = [k for k, take in enumerate(takes) if take.around and material < len(take.materials)]
+        brdfs = {id(takes[k].materials[material]): takes[k].materials[material] for k in lit_takes}
+        for key, brdf in brdfs.items():
+            if key not in surroundings.tables:
+                surroundings.tables[key] = brdf, share_of(brdf)
+        if not brdfs or not len(rows):
+            continue
+        tables = [surroundings.tables[key][1] for key in brdfs]
+        pictures = dict(zip(brdfs, surroundings.radiance(tables, samples, rows, sums.shape[1]), strict=True))
+        for k in lit_takes:
+            sums[k] += takes[k].around * pictures[id(takes[k].materials[material])]

@@ -36,16 +36,6 @@ class Fragments:
     bent: int  # how many normals were turned
     a_pixel: int
 
-    def take(self, rows: np.ndarray) -> "Fragments":
-        """Select some of them."""
-        names = ("pixel", "number", "triangle", "weights", "material", "back", "place", "frame", "outgoing")
-        return Fragments(
-            **{name: getattr(self, name)[rows] for name in names},
-            stands=np.arange(len(rows)),
-            bent=0,
-            a_pixel=self.a_pixel,
-        )
-
 
 @dataclass(frozen=True)
 class IncidentLight:

@@ -64,8 +64,10 @@ class ClothModels:
         return self.description["models"][region]
 
 
-def dyed(brdf: Brdf, colours: dict[str, tuple[float, float, float]]) -> dict[str, Dyed]:
-    """Return the gloss of a cloth over dyes of these colours (linear sRGB albedo).
+def dyed(
+    brdf: Brdf, colours: dict[str, tuple[float, float, float]], share: np.ndarray | None = None
+) -> dict[str, Dyed]:
+    """Return the gloss of a cloth over dyes of these colours (linear sRGB albedo); share: of the gloss, where known.
 
     The gloss' directional albedo is read from the table of `around.shares`: by reciprocity, what comes out of even
     light is what is reflected in all directions.
@@ -76,33 +78,17 @@ def dyed(brdf: Brdf, colours: dict[str, tuple[float, float, float]]) -> dict[str
     theta, phi = (np.arange(THETAS) + 0.5) * (np.pi / 2 / THETAS), np.arange(PHIS) * (2 * np.pi / PHIS)
     t, p = (a.ravel() for a in np.meshgrid(theta, phi, indexing="ij"))
     views = np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=1)
-    gloss_albedo = np.clip(lookup(shares(gloss), views).mean(axis=1), 0, 1).reshape(THETAS, PHIS)
+    gloss_albedo = np.clip(lookup(shares(gloss)[0] if share is None else share, views).mean(axis=1), 0, 1).reshape(
+        THETAS, PHIS
+    )
     weight = (np.sin(theta) * np.cos(theta))[:, None]
     mean = float(np.sum(weight * gloss_albedo) / np.sum(weight) / PHIS)
     return {name: Dyed(gloss, np.asarray(colour, float), gloss_albedo, mean) for name, colour in colours.items()}
 
 
-def together(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray) -> list[np.ndarray]:
-    """Return (n, 3) values of each BRDF at directions (n, 3); a gloss that several dyes share is evaluated once."""
-    known: dict[int, np.ndarray] = {}
-
-    def of(brdf: Brdf) -> np.ndarray:
-        if id(brdf) not in known:
-            known[id(brdf)] = three_channels(brdf.evaluate(incident, outgoing))
-        return known[id(brdf)]
-
-    results = []
-    for brdf in brdfs:
-        if isinstance(brdf, Dyed):
-            results.append(of(brdf.gloss) + three_channels(brdf.body(incident, outgoing)))
-        else:
-            results.append(of(brdf))
-    return results
-
-
 def share_of(brdf: Brdf) -> np.ndarray:
     """`around.shares` of a BRDF; of a dyed cloth a + albedo (1 - a), a being its gloss' share, which it comes to."""
     if not isinstance(brdf, Dyed):
-        return shares(brdf)
+        return shares(brdf)[0]
     gloss_albedo = brdf.gloss_albedo_at(grid_views())[..., None]
     return np.clip(gloss_albedo + (1 - gloss_albedo) * three_channels(brdf.albedo), 0, 1)

@@ -17,6 +17,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from nishiki.brdf.cloth.interface import Dyed
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.visibility import RayTree, make_tree
@@ -51,6 +52,26 @@ class Matte:
         """See `Brdf`."""
         above = (np.asarray(incident)[..., 2] > 0) & (np.asarray(outgoing)[..., 2] > 0)
         return np.where(above[..., None], np.asarray(self.albedo) / np.pi, 0.0)
+
+
+def together(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray) -> list[np.ndarray]:
+    """Return (..., 3) values of each BRDF at directions (..., 3); what several have in common is evaluated once.
+
+    Dyes share a gloss, and a model of yarns shares its terms with its own gloss.
+    """
+    known: dict[tuple[int, ...], np.ndarray] = {}
+
+    def of(brdf) -> np.ndarray:
+        terms = getattr(brdf, "terms", None)
+        key = (id(brdf.shape), id(brdf.correction), id(brdf.images)) if terms else (id(brdf),)
+        if key not in known:
+            known[key] = terms(incident, outgoing) if terms else three_channels(brdf.evaluate(incident, outgoing))
+        return three_channels(brdf.coloured(known[key])) if terms else known[key]
+
+    return [
+        of(brdf.gloss) + three_channels(brdf.body(incident, outgoing)) if isinstance(brdf, Dyed) else of(brdf)
+        for brdf in brdfs
+    ]
 
 
 @dataclass(frozen=True)
@@ -148,24 +169,29 @@ class BrdfTable:
     channels: int = 3
 
     @classmethod
-    def of(cls, brdf: Brdf) -> "BrdfTable":
-        """Evaluate a BRDF at the nodes, on all threads."""
+    def of(cls, *brdfs: Brdf) -> "list[BrdfTable]":
+        """Evaluate BRDFs at the nodes, on all threads; exchange of light and view is half a turn."""
         square = EDGE * np.linspace(-1, 1, SIDES)
         rings = np.minimum(np.linspace(0, 1, RINGS), OUTERMOST)
-        turns = np.arange(TURNS) / TURNS
+        reciprocal = all(getattr(brdf, "RECIPROCAL", False) for brdf in brdfs)
+        turns = np.arange(TURNS // 2 if reciprocal else TURNS) / TURNS
         nodes = [axis.ravel() for axis in np.meshgrid(square, square, rings, turns, indexing="ij")]
-        values = np.empty((nodes[0].size, 3))
+        values = np.empty((len(brdfs), nodes[0].size, 3))
 
         def fill(start: int) -> None:
             rows = slice(start, start + AT_ONCE)
             incident, outgoing = directions(*(axis[rows] for axis in nodes))
-            f = three_channels(brdf.evaluate(incident, outgoing))
-            values[rows] = np.sqrt(np.maximum(f * incident[:, 2:] * outgoing[:, 2:], 0))
+            scale = incident[:, 2:] * outgoing[:, 2:]
+            for k, f in enumerate(together([*brdfs], incident, outgoing)):
+                values[k, rows] = np.sqrt(np.maximum(f * scale, 0))
 
-        over_items(fill, range(0, len(values), AT_ONCE))
-        largest = float(values.max()) or 1.0
-        codes = np.round(values / largest * STEPS).astype(np.uint16)
-        return cls(codes.reshape(SIDES, SIDES, RINGS, TURNS, 3), largest)
+        over_items(fill, range(0, len(nodes[0]), AT_ONCE))
+        tables = []
+        for each in values.reshape(len(brdfs), SIDES, SIDES, RINGS, -1, 3):
+            largest = float(each.max()) or 1.0
+            codes = np.round(each / largest * STEPS).astype(np.uint16)
+            tables.append(cls(np.concatenate([codes, codes], axis=3) if reciprocal else codes, largest))
+        return tables
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """Return (..., 3) sr^-1 for unit vectors (..., 3) in the frame weft, warp, normal; 0 below the horizon."""

@@ -147,7 +147,7 @@ def write_mitsuba(context: Context, cloth: ExportedCloth) -> dict:
     if shown.paper > 0:
         write_ply(folder / "paper.ply", paper_below(surface.mesh.vertices, azimuth=azimuth).mesh, **about)
         names.append("paper.ply")
-    table = BrdfTable.of(cloth.brdf)
+    (table,) = BrdfTable.of(cloth.brdf)
     np.savez_compressed(folder / "brdf.npz", codes=table.codes, largest=table.largest, steps=STEPS, edge=EDGE)
     facts = {
         "camera": camera_facts(camera_of(cloth), surface.mesh.vertices.mean(axis=0)),

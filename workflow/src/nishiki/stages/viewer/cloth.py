@@ -169,19 +169,20 @@ def unit_steps(vectors: np.ndarray) -> np.ndarray:
 
 def material_arrays(brdf: Brdf) -> dict[str, dict[str, np.ndarray]]:
     """Return a model's blocks: its table and share of even light, its gloss alone and the albedo that a dye needs."""
-    dye = dyed(brdf, {"white": (1.0, 1.0, 1.0)})["white"]
+    gloss = gloss_of(brdf)
+    of_all, of_gloss = around.shares(brdf, gloss)
+    dye = dyed(gloss, {"white": (1.0, 1.0, 1.0)}, of_gloss)["white"]
     through = {
         "albedo": dye.gloss_albedo.astype(np.float32),
         "albedo_of_views": dye.gloss_albedo_at(around.grid_views()).astype(np.float32),
         "mean_albedo": np.array([dye.mean_albedo], np.float32),
     }
-    measured = table_arrays(brdf) | {"shares": around.shares(brdf).astype(np.float32)}
-    return {"measured": measured, "gloss": table_arrays(gloss_of(brdf)) | through}
+    measured, black = (table_arrays(table) for table in BrdfTable.of(brdf, gloss))
+    return {"measured": measured | {"shares": of_all.astype(np.float32)}, "gloss": black | through}
 
 
-def table_arrays(brdf: Brdf) -> dict[str, np.ndarray]:
+def table_arrays(table: BrdfTable) -> dict[str, np.ndarray]:
     """Return a BRDF's table, ring after ring as differences."""
-    table = BrdfTable.of(brdf)
     codes = np.moveaxis(table.codes, 2, 0)
     changes = differences(codes.reshape(len(codes), -1))
     return {"codes": changes.reshape(codes.shape), "largest": np.array([table.largest], np.float32)}
