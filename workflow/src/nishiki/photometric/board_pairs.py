@@ -26,6 +26,7 @@ from nishiki.photometric.lambert_fit import (
     ROUNDS,
     Fit,
     fit_lambert,
+    median_of_lights,
     none_where_undetermined,
     regress,
     spread_pixels,
@@ -84,8 +85,7 @@ def pair_boards(values: np.ndarray, boards: np.ndarray, lamps: np.ndarray) -> Bo
     directions = lamps.mean(axis=1)
     down, across = np.divmod(places, columns)
     terms = np.stack([np.ones(len(places)), across - across.mean(), down - down.mean()], axis=1) / (1, columns, rows)
-    levels = [(np.log(white), np.isfinite(np.log(white))) for white in whites]
-    of_boards = np.array([regress(terms[known], level[known], patches[known])[0] for level, known in levels]).T
+    of_boards = regress(terms[None], np.log(whites), np.isfinite(np.log(whites)), patches)[0].T
     photographs = _without_gloss(photographs, whites, lamps, patches, terms)
     listed = order = np.arange(count)
     stay = SURE**2 / 2 * (1 - np.eye(count))
@@ -146,15 +146,14 @@ def _measure(values: np.ndarray, fit: Fit, terms: np.ndarray, patches: np.ndarra
     Of photographs that show too little, which keep their boards, these are 0.
     """
     predictions = values - fit.alone
-    misfits, shown = np.full(len(values), np.nan), np.zeros((3, len(values)))
-    for j in range(len(values)):
-        used = np.flatnonzero(fit.weights[j] > 0)
-        if len(used) >= FEWEST_PIXELS:
-            misfits[j] = np.median(np.abs(fit.alone[j, used])) / np.median(predictions[j, used])
-            factors, _ = regress(predictions[j, used, None] * terms[used], values[j, used], patches[used])
-            factors[0] = max(factors[0], GRAZING**2)
-            shown[:, j] = np.log(fit.gains[j] * factors[0]), *(factors[1:] / factors[0])
-    return float(np.nanmedian(misfits)), shown
+    shown, used = np.zeros((3, len(values))), fit.weights > 0
+    judged = used.sum(axis=1) >= FEWEST_PIXELS
+    predictions, used = predictions[judged], used[judged]
+    sizes, levels = (median_of_lights(np.where(used, v, np.nan).T) for v in (np.abs(fit.alone[judged]), predictions))
+    factors, _ = regress(predictions[:, :, None] * terms, values[judged], used, patches)
+    first = np.maximum(factors[:, 0], GRAZING**2)
+    shown[:, judged] = np.log(fit.gains[judged] * first), *(factors[:, 1:].T / first)
+    return float(np.nanmedian(sizes / levels)), shown
 
 
 def _subtract_course(gains: np.ndarray, covariances: np.ndarray, variance: float) -> np.ndarray:

@@ -13,6 +13,7 @@ from nishiki.photometric.lambert_fit import (
     GRAZING,
     Fit,
     fit_lambert,
+    median_of_lights,
     none_where_undetermined,
     regress,
     spread_pixels,
@@ -206,25 +207,24 @@ def _compare(
     offset, offset_sigma = np.full((2, count), np.nan)
     residual, sigma_deg = np.full((2, count), np.nan)
     found = np.full((count, 3), np.nan)
-    for j in range(count):
-        used = np.flatnonzero(fit.weights[j] > 0)
-        if len(used) < FEWEST_PIXELS:
-            continue
-        level = np.median(predictions[j, used])
-        residual[j] = np.median(np.abs(fit.alone[j, used])) / max(level, 1e-300)
-        # the normals without this photograph, by the update of the inverse for one row less
-        lamp = fit.gains[j] * directions.reshape(count, -1, 3)[j]
-        step = (fit.alone[j] * fit.weights[j] / fit.scale**2)[:, None] * np.einsum("sab,sb->sa", fit.inverses, lamp)
-        others = fit.normals - np.where(np.isfinite(step), step, 0.0)
-        target = values[j] - fit.ambient * albedo
-        vector, covariance = regress(others[used], target[used], patches[used])
-        length = max(float(np.linalg.norm(vector)), 1e-300)
-        found[j] = vector / length
-        across = np.eye(3) - np.outer(found[j], found[j])
-        sigma_deg[j] = np.degrees(np.sqrt(max(np.trace(across @ covariance @ across), 0.0)) / length)
-        terms = np.column_stack([predictions[j, used], albedo[used]])
-        line, covariance = regress(terms, values[j, used], patches[used])
-        offset[j], offset_sigma[j] = line[1], np.sqrt(max(covariance[1, 1], 0.0))
+    used = fit.weights > 0
+    judged = used.sum(axis=1) >= FEWEST_PIXELS
+    used, own, predicted, alone = used[judged], values[judged], predictions[judged], fit.alone[judged]
+    size, level = (median_of_lights(np.where(used, v, np.nan).T) for v in (np.abs(alone), predicted))
+    residual[judged] = size / np.maximum(level, 1e-300)
+    # the normals without this photograph, by the update of the inverse for one row less
+    lamps = (fit.gains[:, None, None] * directions.reshape(count, -1, 3))[judged]
+    step = (alone * fit.weights[judged] / fit.scale**2)[:, :, None] * np.einsum("sab,jsb->jsa", fit.inverses, lamps)
+    others = fit.normals - np.where(np.isfinite(step), step, 0.0)
+    vectors, covariance = regress(others, own - fit.ambient * albedo, used, patches)
+    length = np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)
+    found[judged] = units = vectors / length[:, None]
+    across = np.eye(3) - units[:, :, None] * units[:, None]
+    variance = np.trace(across @ covariance @ across, axis1=1, axis2=2)
+    sigma_deg[judged] = np.degrees(np.sqrt(np.maximum(variance, 0.0)) / length)
+    terms = np.stack([predicted, np.broadcast_to(albedo, predicted.shape)], axis=2)
+    line, covariance = regress(terms, own, used, patches)
+    offset[judged], offset_sigma[judged] = line[:, 1], np.sqrt(np.maximum(covariance[:, 1, 1], 0.0))
     # gains are hardly determined on a flat object, and metal is dark beside its highlights: the brightest parts decide
     level = np.nanpercentile(values - fit.ambient * albedo, 99, axis=1)
     sigma = np.sqrt(np.diag(fit.covariance))

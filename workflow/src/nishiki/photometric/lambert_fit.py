@@ -45,7 +45,8 @@ class Fit:
     normals: np.ndarray  # (pixels, 3) float64: albedo times normal
     gains: np.ndarray  # (lights,) float64: strengths, of median 1
     covariance: np.ndarray  # (lights, lights) float64: of the strengths
-    ambient: float  # ambient, ambient_sigma: ambient light relative to the albedo, and its standard error
+    # ambient, ambient_sigma: ambient light relative to the albedo, and its standard error; 0 where it is not fitted
+    ambient: float
     ambient_sigma: float
     # (lights, pixels) float64: weight of each value, 0 to 1; 0 where the lamp lights the pixel at a grazing angle or
     # not at all
@@ -116,6 +117,7 @@ def fit_lambert(
     known = np.isfinite(values)
     filled, lights = np.where(known, values, 0.0), len(values)
     ambience = np.zeros(values.shape[1]) if reference is None else reference
+    of_ambient = slice(lights, lights if reference is None else lights + 1)  # among the unknowns, gains first
     gains, ambient = np.ones(lights), 0.0
     weights = known / np.maximum(median_of_lights(values), 1e-12) ** 2
     shade = np.zeros(values.shape)
@@ -127,17 +129,18 @@ def fit_lambert(
         direct = filled - ambient * ambience
         normals, inverse = solve_normals(weights, direct, lamps)
         albedo = np.linalg.norm(normals, axis=1) + 1e-300
-        cosine = np.einsum("jsa,sa->js", vectors, normals)
+        cosine = dot_lamps(vectors, normals)
         lit, dark = lit_and_dark(known, filled, cosine, albedo)
         residual = direct - np.where(dark, 0.0, gains[:, None] * cosine)
         if turn:
             # derivatives after the ambient light and the width, then, with those after the gains, by the normal
-            further = np.broadcast_to(ambience, (1, *values.shape))
+            further = np.broadcast_to(ambience, (0 if reference is None else 1, *values.shape))
             if places is not None:
-                further = np.stack([further[0], gains[:, None] * np.einsum("jsa,sa->js", slope, normals)])
-            of_further = np.einsum("js,kjs,jsa->ksa", weights, further, np.broadcast_to(lamps, (*values.shape, 3)))
-            mixed = np.concatenate([(weights * cosine)[:, :, None] * lamps, of_further])
-            solved = np.einsum("jsa,sab->jsb", mixed, inverse).reshape(len(mixed), -1)
+                further = np.concatenate([further, [gains[:, None] * dot_lamps(slope, normals)]])
+            across = lamps.transpose(0, 2, 1)
+            of_further = [((weights * each)[:, None] * across).sum(axis=0, keepdims=True) for each in further]
+            mixed = np.concatenate([(weights * cosine)[:, None] * across, *of_further])
+            solved = np.einsum("jas,abs->jbs", mixed, inverse.transpose(1, 2, 0)).reshape(len(mixed), -1)
             mixed = mixed.reshape(len(mixed), -1)
             # a prior of 1 for all of them keeps what is not determined at 1 and 0
             system = np.eye(len(mixed)) - multiply(solved, mixed)
@@ -148,16 +151,17 @@ def fit_lambert(
             system[:lights, lights:] += coupled
             system[lights:, :lights] += coupled.T
             system[lights:, lights:] += np.einsum("js,kjs,ljs->kl", weights, further, further)
-            system[lights, lights] += (shade * ambience**2).sum()
+            system[of_ambient, of_ambient] += (shade * ambience**2).sum()
             # a common factor is no gain: the normals take it
             system[:lights, :lights] += np.outer(gains, gains) * np.trace(system) / (gains @ gains)
             scores = np.concatenate([weights * cosine * residual, np.einsum("js,kjs->ks", weights * residual, further)])
-            scores[lights] += (shade * residual).sum(axis=0) * ambience
+            scores[of_ambient] += (shade * residual).sum(axis=0) * ambience
             inverse_system = np.linalg.inv(system)
             pull = scores.sum(axis=1)
             pull[:lights] += held * own * (1 - gains)
             step = inverse_system @ pull
-            gains, ambient = np.clip(gains + step[:lights], 1e-4, 1e4), float(ambient + step[lights])
+            gains = np.clip(gains + step[:lights], 1e-4, 1e4)
+            ambient += float(step[of_ambient].sum())
             if places is not None:
                 width = float(np.clip(width + np.clip(step[-1], -LARGEST_STEP, LARGEST_STEP), -1, WIDEST))
             norm = np.median(gains)
@@ -176,9 +180,10 @@ def fit_lambert(
     # ambient light and width are those of all lamps: what single photographs say of them varies more than by patches
     at, pull = inverse_system[lights:], weights * residual
     own = at[:, :lights] * (pull * cosine).sum(axis=1) + at[:, lights:] @ np.einsum("js,kjs->kj", pull, further)
-    own += np.outer(at[:, lights], (shade * residual) @ ambience)
-    through = np.tensordot(at, solved.reshape(len(at.T), -1, 3), 1)
-    own -= np.einsum("js,ksa,jsa->kj", pull, through, np.broadcast_to(lamps, (*values.shape, 3)))
+    own += np.outer(at[:, of_ambient].sum(axis=1), (shade * residual) @ ambience)
+    through = np.tensordot(at, solved.reshape(len(solved), 3, -1), 1)
+    for score, each in zip(own, through, strict=True):
+        score -= (pull * (each * across).sum(axis=1)).sum(axis=1)
     variance[lights:] += (own**2).sum(axis=1)
     leverage = weights * np.einsum("jsa,sab,jsb->js", lamps, inverse, lamps)
     alone = residual / np.maximum(1 - leverage, 1e-2)
@@ -187,7 +192,7 @@ def fit_lambert(
         gains,
         covariance[:lights, :lights],
         ambient,
-        float(np.sqrt(variance[lights])),
+        float(np.sqrt(variance[of_ambient].sum())),
         weights * last**2,
         residual,
         alone,
@@ -216,11 +221,8 @@ def multiply(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     Its threads wait for each other: on a machine with other work that took ten times as long as the product.
     """
     width = max(8, 200_000 // len(first) ** 2)
-    parts = []
-    for matrix in (first, second):
-        padded = np.pad(matrix, ((0, 0), (0, -matrix.shape[1] % width)))
-        parts.append(np.ascontiguousarray(padded.reshape(len(matrix), -1, width).transpose(1, 0, 2)))
-    return (parts[0] @ parts[1].transpose(0, 2, 1)).sum(axis=0)
+    parts = (slice(start, start + width) for start in range(0, first.shape[1], width))
+    return sum(first[:, part] @ second[:, part].T for part in parts)
 
 
 def solve_normals(weights: np.ndarray, values: np.ndarray, lamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -228,16 +230,25 @@ def solve_normals(weights: np.ndarray, values: np.ndarray, lamps: np.ndarray) ->
 
     weights, values (lights, pixels); lamps (lights, 1 or pixels, 3).
     """
-    outer = lamps[..., :, None] * lamps[..., None, :]
+    across = lamps.transpose(0, 2, 1)
     if lamps.shape[1] == 1:
-        matrix = (weights.T @ outer.reshape(-1, 9)).reshape(-1, 3, 3)
-        moments = (weights * values).T @ lamps[:, 0]
+        matrix = ((across * lamps).reshape(-1, 9).T @ weights).reshape(3, 3, -1)
+        moments = lamps[:, 0].T @ (weights * values)
     else:
-        matrix = np.einsum("js,jsab->sab", weights, outer)
-        moments = np.einsum("js,jsa->sa", weights * values, lamps)
-    matrix += (1e-9 * np.trace(matrix, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(3)
-    inverse = np.linalg.inv(matrix)
-    return np.einsum("sab,sb->sa", inverse, moments), inverse
+        matrix = np.einsum("jas,jbs->abs", weights[:, None] * across, across)
+        moments = np.einsum("js,jas->as", weights * values, across)
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix
+    least = 1e-9 * (xx + yy + zz) + 1e-300
+    xx, yy, zz = xx + least, yy + least, zz + least
+    a, b, c, d, e = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy, xx * zz - xz * xz, xy * xz - xx * yz
+    cofactors = np.array([[a, b, c], [b, d, e], [c, e, xx * yy - xy * xy]])
+    inverse = (cofactors / (xx * a + xy * b + xz * c)).transpose(2, 0, 1)
+    return np.einsum("sab,bs->sa", inverse, moments), inverse
+
+
+def dot_lamps(lamps: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Multiply lamps (lights, 1 or pixels, 3) by normals (pixels, 3), giving (lights, pixels)."""
+    return lamps[:, 0] @ normals.T if lamps.shape[1] == 1 else np.einsum("jsa,sa->js", lamps, normals)
 
 
 def lit_and_dark(
@@ -266,19 +277,25 @@ def scale_of(residual: np.ndarray, lit: np.ndarray, albedo: np.ndarray) -> np.nd
 def median_of_lights(values: np.ndarray) -> np.ndarray:
     """Compute the median (pixels,) of values (lights, pixels) that are not NaN, faster than NumPy over few lights."""
     ordered, count = np.sort(values, axis=0), (~np.isnan(values)).sum(axis=0)
-    middle = np.stack([np.maximum(count - 1, 0) // 2, count // 2])
-    return np.take_along_axis(ordered, np.minimum(middle, len(values) - 1), axis=0).mean(axis=0)
+    pixel, last = np.arange(values.shape[1]), len(values) - 1
+    return 0.5 * (ordered[np.maximum(count - 1, 0) // 2, pixel] + ordered[np.minimum(count // 2, last), pixel])
 
 
-def regress(terms: np.ndarray, target: np.ndarray, patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solve terms (n, k) @ x = target (n,) by reweighted least squares; x (k,) and its covariance over patches."""
-    weights = np.ones(len(target))
+def regress(
+    terms: np.ndarray, targets: np.ndarray, used: np.ndarray, patches: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve terms (sets, n, k) @ x = targets (sets, n) by reweighted least squares over those that are used (sets, n).
+
+    Some of each set are used. Returns x (sets, k) and its covariance (sets, k, k) over patches (n,).
+    """
+    terms, targets = np.where(used[:, :, None], terms, 0.0), np.where(used, targets, 0.0)
+    weights, least = used.astype(np.float64), 1e-12 + 1e-6 * np.abs(targets).max(axis=1)
     for _ in range(ROUNDS):
-        inverse = np.linalg.pinv((terms * weights[:, None]).T @ terms)
-        solution = inverse @ (terms.T @ (weights * target))
-        residual = target - terms @ solution
-        scale = KINK * max(1.4826 * np.median(np.abs(residual)), 1e-12 + 1e-6 * np.abs(target).max())
-        weights = 1 / (1 + (residual / scale) ** 2)
-    groups = np.zeros((patches.max() + 1, terms.shape[1]))
-    np.add.at(groups, patches, terms * (weights * residual)[:, None])
-    return solution, inverse @ (groups.T @ groups) @ inverse
+        weighted = (terms * weights[:, :, None]).transpose(0, 2, 1)
+        inverse = np.linalg.pinv(weighted @ terms)
+        solution = inverse @ (weighted @ targets[:, :, None])
+        residual = targets - (terms @ solution)[:, :, 0]
+        spread = median_of_lights(np.where(used, np.abs(residual), np.nan).T)
+        weights = used / (1 + (residual / (KINK * np.maximum(1.4826 * spread, least)[:, None])) ** 2)
+    groups = np.equal.outer(np.arange(patches.max() + 1), patches) @ (terms * (weights * residual)[:, :, None])
+    return solution[:, :, 0], inverse @ (groups.transpose(0, 2, 1) @ groups) @ inverse
