@@ -150,7 +150,8 @@ def fill_slab(field, grid, block, misses, band, first, last, volume):
                             if kind != 0:
                                 volume[i, j, k] = band * kind
                                 continue
-                            place[:] = origin[0] + cell * i, origin[1] + cell * j, origin[2] + cell * k
+                            place[0], place[1] = origin[0] + cell * i, origin[1] + cell * j
+                            place[2] = origin[2] + cell * k
                             value = at_point(field, -1, place, misses, band, spot, worst)
                             volume[i, j, k] = min(max(value, -band), band)
 

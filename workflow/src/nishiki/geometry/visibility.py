@@ -171,7 +171,13 @@ def make_tree(vertices: np.ndarray, triangles: np.ndarray) -> RayTree:
     leaves = 1 << max(0, int(np.ceil(np.log2(max(1, len(corners)) / LEAF))))
     # Spread evenly over the leaves; some stand twice, which changes nothing.
     order = np.arange(LEAF * leaves) * len(corners) // (LEAF * leaves)
-    _halve(corners.mean(axis=1), order, leaves)
+    centres, parts = corners.mean(axis=1), 1
+    while parts < leaves:  # each node's triangles are halved at the median along the longest side of their centres
+        mine = order.reshape(parts, -1)
+        places = centres[mine]
+        widest = np.ptp(places, axis=1).argmax(axis=1)
+        keys = np.take_along_axis(places, widest[:, None, None], axis=2)[:, :, 0]
+        order, parts = np.take_along_axis(mine, keys.argsort(axis=1, kind="stable"), axis=1).ravel(), 2 * parts
     corners = corners[order]
     low, high = corners.min(axis=1), corners.max(axis=1)
     level = np.concatenate(
@@ -191,29 +197,6 @@ def make_tree(vertices: np.ndarray, triangles: np.ndarray) -> RayTree:
     )
     packed = np.concatenate([corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=1)
     return RayTree(np.ascontiguousarray(boxes, np.float32), np.ascontiguousarray(packed), order.astype(np.int32))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _halve(centres, order, leaves):
-    """Sort `order` in place: each node's triangles are halved at the median along the longest side of their centres."""
-    parts = 1
-    total = len(order)
-    while parts < leaves:
-        size = total // parts
-        for part in range(parts):
-            mine = order[part * size : (part + 1) * size]
-            widest, axis = -1.0, 0
-            for k in range(3):
-                low, high = np.inf, -np.inf
-                for m in mine:
-                    low, high = min(low, centres[m, k]), max(high, centres[m, k])
-                if high - low > widest:
-                    widest, axis = high - low, k
-            keys = np.empty(size)
-            for m in range(size):
-                keys[m] = centres[mine[m], axis]
-            mine[:] = mine[np.argsort(keys, kind="mergesort")]
-        parts *= 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -15,13 +15,18 @@ _SHIFT_30, _SHIFT_27, _SHIFT_31, _SHIFT_11 = np.uint64(30), np.uint64(27), np.ui
 _UNIT = 1.0 / 9007199254740992.0  # 2^-53
 
 
-@numba.njit(cache=True)
-def hash_uint(key, counter):
-    """64 well-mixed bits of (key, counter): the output function of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014)."""
+def mix_bits(key, counter):
+    """64 well-mixed bits of (key, counter): the output function of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014).
+
+    Numbers, or arrays of uint64; kernels call it by the name `hash_uint`.
+    """
     z = np.uint64(key) + (np.uint64(counter) + np.uint64(1)) * _GOLDEN
     z = (z ^ (z >> _SHIFT_30)) * _MIX_1
     z = (z ^ (z >> _SHIFT_27)) * _MIX_2
     return z ^ (z >> _SHIFT_31)
+
+
+hash_uint = numba.njit(cache=True)(mix_bits)
 
 
 @numba.njit(cache=True)

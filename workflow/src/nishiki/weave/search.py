@@ -151,7 +151,10 @@ def descend(p, low, high, free, data, rounds, tolerance):
                 normal[j, :] = 0.0
                 normal[:, j] = 0.0
                 gradient[j], scale[j] = 0.0, 1.0
-        normal, gradient = normal / np.outer(scale, scale), gradient / scale
+        gradient = gradient / scale
+        for j in range(free.size):
+            for k in range(free.size):
+                normal[j, k] /= scale[j] * scale[k]
         gained = 0.0
         while damping < 1e10:
             q = _step(p, low, high, free, normal, gradient, scale, damping)

@@ -146,8 +146,8 @@ def _frames(surface, points, eye, first, last, out):
             t[m] -= along * n[m]
         if _unit(t) < 1e-9:  # a weft along the normal: any direction across it
             m = 0 if abs(n[0]) < 0.6 else 1
-            t[:] = -n[m] * n
-            t[m] += 1.0
+            for axis in range(3):
+                t[axis] = (1.0 if axis == m else 0.0) - n[m] * n[axis]
             _unit(t)
         for m in range(3):
             frame[k, 0, m], frame[k, 2, m] = t[m], n[m]

@@ -129,17 +129,10 @@ _BISECTIONS = 14  # halvings of a spacing
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _floor(value):
-    """Largest integer not above a value."""
-    truncated = int(value)
-    return truncated - 1 if value < truncated else truncated
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _yarn_of(v, spacing, count):
     """Yarn of the slot at sideways place v, and the place from the slot's middle."""
-    slot = _floor(v / spacing)
-    return slot - count * _floor(slot / count), v - (slot + 0.5) * spacing
+    slot = math.floor(v / spacing)
+    return slot - count * math.floor(slot / count), v - (slot + 0.5) * spacing
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -147,8 +140,8 @@ def _knots(along, length, yarn, system, numbers):
     """Where the two samples of a path about a place begin in `numbers`, and the share of the second."""
     samples = int(numbers[system + 1])
     place = along / length * samples
-    low = _floor(place)
-    first = low - samples * _floor(low / samples)
+    low = math.floor(place)
+    first = low - samples * math.floor(low / samples)
     second = first + 1 if first + 1 < samples else 0
     start = int(numbers[system + 4]) + 4 * samples * yarn
     return start + 4 * first, start + 4 * second, place - low
@@ -193,7 +186,7 @@ def _free_at(x, y, z, numbers, free):
     if k < 0 or k >= free.shape[0]:
         return 0.0
     u, v = x / (numbers[0] * numbers[5]), y / (numbers[1] * numbers[11])
-    i, j = int((u - _floor(u)) * free.shape[2]), int((v - _floor(v)) * free.shape[1])
+    i, j = int((u - math.floor(u)) * free.shape[2]), int((v - math.floor(v)) * free.shape[1])
     return np.float64(free[k, min(j, free.shape[1] - 1), min(i, free.shape[2] - 1)])
 
 
@@ -266,8 +259,11 @@ def _yarn_frame(v, along, z, spacing, length, system, numbers):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def frame_at(x, y, z, which, numbers):
-    """Compute normal n and yarn direction t: (n_x, n_y, n_z, t_x, t_y, t_z); `which` as in `inside`."""
+def turned_frame(x, y, z, which, numbers, twist, f):
+    """Fill f with the normal and the filament direction, which is the yarn's turned by the twist about the normal.
+
+    `which` as in `inside`; twist of warp and weft in radians.
+    """
     if which > 0:
         nx, ny, nz, slope = _yarn_frame(x, y, z, numbers[0], numbers[11] * numbers[1], 5, numbers)
         tx, ty, tz = 0.0, 1.0, slope
@@ -279,7 +275,12 @@ def frame_at(x, y, z, which, numbers):
     dot = nx * tx + ny * ty + nz * tz  # 0 up to rounding on the surface itself
     tx, ty, tz = tx - dot * nx, ty - dot * ny, tz - dot * nz
     length = math.sqrt(tx * tx + ty * ty + tz * tz)
-    return nx, ny, nz, tx / length, ty / length, tz / length
+    tx, ty, tz = tx / length, ty / length, tz / length
+    angle = twist[0] if which > 0 else twist[1]
+    c, s = math.cos(angle), math.sin(angle)
+    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+    f[0], f[1], f[2] = nx, ny, nz
+    f[3], f[4], f[5] = c * tx + s * bx, c * ty + s * by, c * tz + s * bz
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from nishiki.simulate.cloth.geometry import Solids, Yarns, escapes, first_hit, frame_at, inside
+from nishiki.simulate.cloth.geometry import Solids, Yarns, escapes, first_hit, inside, turned_frame
 from nishiki.simulate.cloth.settings import ClothSettings
 from nishiki.simulate.randomness import subkey, uniform
 from nishiki.simulate.reflection import body, in_frame, reflect_filament
@@ -116,17 +116,6 @@ def _on_yarn(yarns: Yarns, yarn: int, kind: int, count: int, random):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def turned_frame(x, y, z, which, numbers, twist, f):
-    """Fill f with the normal and the filament direction, which is the yarn's turned by the twist about the normal."""
-    nx, ny, nz, tx, ty, tz = frame_at(x, y, z, which, numbers)
-    angle = twist[0] if which > 0 else twist[1]
-    c, s = math.cos(angle), math.sin(angle)
-    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-    f[0], f[1], f[2] = nx, ny, nz
-    f[3], f[4], f[5] = c * tx + s * bx, c * ty + s * by, c * tz + s * bz
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _finish(start, stop, place, which, solids, probes, frame, level):
     """Compute frames and lift points above the surface. level : lowest ring that reaches the point, 255 = none."""
     (numbers, free, twist, lift), (directions, azimuths) = solids, probes
@@ -204,7 +193,8 @@ def _walk(start, stop, key, points, solids, cloth, out):
     passed = np.empty(dye.shape[1])
     for w in range(start, stop):
         x, y, z = place[w]
-        f[:] = frame[w]
+        for k in range(6):  # not f[:] = frame[w], for whose errors numba compiles the printing of numbers
+            f[k] = frame[w, k]
         passed[:] = 1.0
         bx = by = bz = 0.0  # direction back to the last point
         k = 0
@@ -235,7 +225,9 @@ def _walk(start, stop, key, points, solids, cloth, out):
                 break  # met from inside, where two yarns touch
             kind[w, step] = k
             ends[w, step, 0], ends[w, step, 1], ends[w, step, 2] = x, y, z
-            ends[w, step, 3:] = f
+            for axis in range(6):
+                ends[w, step, 3 + axis] = f[axis]
             toward[w, step, 0], toward[w, step, 1], toward[w, step, 2] = ox, oy, oz
             toward[w, step, 3], toward[w, step, 4], toward[w, step, 5] = bx, by, bz
-            weight[w, step] = passed
+            for channel in range(passed.shape[0]):
+                weight[w, step, channel] = passed[channel]

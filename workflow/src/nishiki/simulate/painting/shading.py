@@ -29,7 +29,7 @@ class Shading:
 def _shade_sample(height, i, j, step, lamp, optics, alpha, wave):
     """Compute (lit share, irradiance, body, gloss) of one sample.
 
-    lamp: unit direction, and the inverse length of light + view; optics as of `_shade_row`.
+    lamp: unit direction, and the inverse length of light + view; optics as of `_shade`.
     """
     (lx, ly, lz, half), (radius, ceiling, index, sigma) = lamp, optics
     p, q = slopes_at(height, i, j, step)
@@ -54,9 +54,9 @@ def _shade_sample(height, i, j, step, lamp, optics, alpha, wave):
     return visible, n_l * visible, body, gloss
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _shade_row(row, r, maps, paints, grid, lamp, out):
-    """Shade a row of camera pixels.
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _shade(start, stop, first, maps, paints, grid, lamp, out):
+    """Shade rows of camera pixels, of which `first` is the picture's row of the first.
 
     lamp: its place, and optics: its angular radius, ceiling, refractive index, roughness of the body.
     """
@@ -65,51 +65,31 @@ def _shade_row(row, r, maps, paints, grid, lamp, out):
     columns, tables = body.shape[1], body.shape[2]
     step, share = pitch / s, 1.0 / (s * s)
     sums = np.empty(tables)
-    y = (0.5 * (height.shape[0] // s) - 0.5 - row) * pitch
-    for column in range(columns):
-        x = (column + 0.5 - 0.5 * columns) * pitch
-        lx, ly, lz = position[0] - x, position[1] - y, position[2]
-        inverse = 1.0 / math.sqrt(lx * lx + ly * ly + lz * lz)
-        lx, ly, lz = lx * inverse, ly * inverse, lz * inverse
-        half = 1.0 / math.sqrt(2.0 + 2.0 * lz)
-        sums[:] = 0.0
-        shine, light, seen = 0.0, 0.0, 0.0
-        for i in range(row * s, row * s + s):
-            for j in range(column * s, column * s + s):
-                paint = label[i, j]
-                visible, received, value, mirror = _shade_sample(
-                    height, i, j, step, (lx, ly, lz, half), optics, alpha[paint], wave[row, column]
-                )
-                seen += visible
-                light += received
-                shine += mirror
-                for k in range(tables):
-                    sums[k] += value * table[paint, k]
-        for k in range(tables):
-            body[r, column, k] = sums[k] * share
-        gloss[r, column], direct[r, column], lit[r, column] = shine * share, light * share, seen * share
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _shade(start, stop, first, maps, paints, grid, lamp, out):
-    for r in range(start, stop):
-        _shade_row(first + r, r, maps, paints, grid, lamp, out)
-
-
-@numba.njit(cache=True, nogil=True)
-def _add_bounce(start, stop, label, bounced, squared, s, first, body):
-    columns, tables = body.shape[1], body.shape[2]
-    share = 1.0 / (s * s)
     for r in range(start, stop):
         row = first + r
+        y = (0.5 * (height.shape[0] // s) - 0.5 - row) * pitch
         for column in range(columns):
-            if bounced[r, column] <= 0.0:
-                continue
-            light = np.float64(bounced[r, column]) * share
+            x = (column + 0.5 - 0.5 * columns) * pitch
+            lx, ly, lz = position[0] - x, position[1] - y, position[2]
+            inverse = 1.0 / math.sqrt(lx * lx + ly * ly + lz * lz)
+            lx, ly, lz = lx * inverse, ly * inverse, lz * inverse
+            half = 1.0 / math.sqrt(2.0 + 2.0 * lz)
+            sums[:] = 0.0
+            shine, light, seen = 0.0, 0.0, 0.0
             for i in range(row * s, row * s + s):
                 for j in range(column * s, column * s + s):
+                    paint = label[i, j]
+                    visible, received, value, mirror = _shade_sample(
+                        height, i, j, step, (lx, ly, lz, half), optics, alpha[paint], wave[row, column]
+                    )
+                    seen += visible
+                    light += received
+                    shine += mirror
                     for k in range(tables):
-                        body[r, column, k] += np.float32(light * squared[label[i, j], k])
+                        sums[k] += value * table[paint, k]
+            for k in range(tables):
+                body[r, column, k] = sums[k] * share
+            gloss[r, column], direct[r, column], lit[r, column] = shine * share, light * share, seen * share
 
 
 def shade(
@@ -148,7 +128,10 @@ def shade(
         normals = thing.normals[band]
         slope_x, slope_y = -normals[..., 0] / normals[..., 2], -normals[..., 1] / normals[..., 2]
         bounced = bounced_irradiance(direct, thing.mean_height_mm[band], slope_x, slope_y, pitch_mm=settings.pitch_mm)
-        squared = np.ascontiguousarray(squared, np.float64)
-        over_rows(_add_bounce, len(body), thing.label, bounced, squared, settings.supersampling, first, body)
+        s = settings.supersampling
+        light = np.maximum(bounced, 0.0)[..., None].astype(float) * (1.0 / (s * s))
+        label = thing.label[first * s : last * s]
+        for i, j in np.ndindex(s, s):
+            body += (light * squared[label[i::s, j::s]]).astype(np.float32)
     inner = slice(rows.start - first, rows.stop - first)
     return Shading(body[inner], gloss[inner], direct[inner], lit[inner])

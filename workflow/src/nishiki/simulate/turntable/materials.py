@@ -276,40 +276,6 @@ def _fruit(m, key, x, y, z):
 
 
 @numba.njit(cache=True)
-def _describe(parts, place, normal, key, m, slope):
-    """Write the material at a place (3,) into m; parts (6,): distances from the parts; slope (2,) is scratch."""
-    x, y, z = place[0], place[1], place[2]
-    part, least = BODY, 1e300
-    for k in range(parts.size):
-        if parts[k] < least:
-            part, least = k, parts[k]
-    slope[0], slope[1] = 0.0, 0.0
-    m[3], m[8] = 0.0, 0.22
-    if part == BODY:
-        _jar(m, key, x, y, z, slope)
-    elif part == LID:
-        _lacquer(m, key, x, z)
-    elif part == ROPE:
-        _cord(m, key, x, y, z, slope)
-        m[8] = 0.45
-    elif part == HANDLES:
-        _gilded(m, key, x, y, z)
-    elif part == FRUIT:
-        _fruit(m, key, x, y, z)
-    elif part == ANIMAL:
-        _creature(m, key, x, y, z)
-    # Uneven enamel, dust, wear: no paint is even.
-    uneven = solid_fractal(key, x / 24.0, y / 24.0, z / 24.0, 6)
-    grain = solid_noise(key + np.uint64(20), x / 0.9, y / 0.9, z / 0.9)
-    tone = 0.62 + 0.62 * uneven + 0.07 * (grain - 0.5)
-    for c in range(3):
-        m[c] = min(m[c] * tone, 0.9)
-    rough = 0.8 + 0.5 * solid_noise(key + np.uint64(21), x / 5.0, y / 5.0, z / 5.0)
-    m[6], m[7] = m[6] * rough, m[7] * rough
-    _texture(m, key, place, normal, slope, part == HANDLES)
-
-
-@numba.njit(cache=True)
 def _texture(m, key, place, normal, slope, ring):
     """Write bumped normal and tangent. The tangent runs around the axis; on the handles along their rings."""
     (x, y, z), (nx, ny, nz) = (place[0], place[1], place[2]), (normal[0], normal[1], normal[2])
@@ -345,10 +311,39 @@ def _texture(m, key, place, normal, slope, ring):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _describe_all(start, stop, parts, points, normals, key, out):
+def _describe(start, stop, parts, points, normals, key, out):
+    """Write the materials at points (n, 3) into out; parts (n, 6): distances from the parts."""
     slope = np.empty(2)
     for p in range(start, stop):
-        _describe(parts[p], points[p], normals[p], key, out[p], slope)
+        m, x, y, z = out[p], points[p, 0], points[p, 1], points[p, 2]
+        part, least = BODY, 1e300
+        for k in range(parts.shape[1]):
+            if parts[p, k] < least:
+                part, least = k, parts[p, k]
+        slope[0], slope[1] = 0.0, 0.0
+        m[3], m[8] = 0.0, 0.22
+        if part == BODY:
+            _jar(m, key, x, y, z, slope)
+        elif part == LID:
+            _lacquer(m, key, x, z)
+        elif part == ROPE:
+            _cord(m, key, x, y, z, slope)
+            m[8] = 0.45
+        elif part == HANDLES:
+            _gilded(m, key, x, y, z)
+        elif part == FRUIT:
+            _fruit(m, key, x, y, z)
+        elif part == ANIMAL:
+            _creature(m, key, x, y, z)
+        # Uneven enamel, dust, wear: no paint is even.
+        uneven = solid_fractal(key, x / 24.0, y / 24.0, z / 24.0, 6)
+        grain = solid_noise(key + np.uint64(20), x / 0.9, y / 0.9, z / 0.9)
+        tone = 0.62 + 0.62 * uneven + 0.07 * (grain - 0.5)
+        for c in range(3):
+            m[c] = min(m[c] * tone, 0.9)
+        rough = 0.8 + 0.5 * solid_noise(key + np.uint64(21), x / 5.0, y / 5.0, z / 5.0)
+        m[6], m[7] = m[6] * rough, m[7] * rough
+        _texture(m, key, points[p], normals[p], slope, part == HANDLES)
 
 
 def describe(parts: np.ndarray, points: np.ndarray, normals: np.ndarray, *, key: int) -> np.ndarray:
@@ -359,38 +354,32 @@ def describe(parts: np.ndarray, points: np.ndarray, normals: np.ndarray, *, key:
     out = np.zeros((len(points), NUMBERS))
     if len(points):
         arrays = (np.ascontiguousarray(a, np.float64) for a in (parts, points, normals))
-        over_rows(_describe_all, len(points), *arrays, np.uint64(key), out)
+        over_rows(_describe, len(points), *arrays, np.uint64(key), out)
     return out
 
 
-@numba.njit(cache=True)
-def _reflect(m, to_light, to_view, body, gloss):
-    """Compute body and mirror reflection (3,) each of the material m for unit directions (3,) to light and view."""
-    lx, ly, lz = to_light[0], to_light[1], to_light[2]
-    vx, vy, vz = to_view[0], to_view[1], to_view[2]
-    nx, ny, nz = m[9], m[10], m[11]
-    n_l, n_v = nx * lx + ny * ly + nz * lz, nx * vx + ny * vy + nz * vz
-    l_v = lx * vx + ly * vy + lz * vz
-    matter = rough_matter(n_l, n_v, l_v, m[8], INDEX)
-    length = math.sqrt(max(2.0 + 2.0 * l_v, 1e-12))
-    hx, hy, hz = (lx + vx) / length, (ly + vy) / length, (lz + vz) / length
-    tx, ty, tz = m[12], m[13], m[14]
-    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-    half = hx * tx + hy * ty + hz * tz, hx * bx + hy * by + hz * bz, hx * nx + hy * ny + hz * nz
-    lamp = lx * tx + ly * ty + lz * tz, lx * bx + ly * by + lz * bz, n_l
-    view = vx * tx + vy * ty + vz * tz, vx * bx + vy * by + vz * bz, n_v
-    shape = facets(half, lamp, view, m[6], m[7])
-    cosine = min(max(hx * vx + hy * vy + hz * vz, 0.0), 1.0)
-    glass, grazing = fresnel(cosine, INDEX), (1.0 - cosine) ** 5
-    for c in range(3):
-        body[c] = m[c] * matter
-        gloss[c] = shape * (m[3 + c] + (1.0 - m[3 + c]) * grazing if m[3] > 0.0 else glass)
-
-
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _reflect_all(start, stop, materials, lights, views, body, gloss):
+def _reflect(start, stop, materials, lights, views, body, gloss):
     for p in range(start, stop):
-        _reflect(materials[p], lights[p], views[p], body[p], gloss[p])
+        m, lx, ly, lz = materials[p], lights[p, 0], lights[p, 1], lights[p, 2]
+        vx, vy, vz = views[p, 0], views[p, 1], views[p, 2]
+        nx, ny, nz = m[9], m[10], m[11]
+        n_l, n_v = nx * lx + ny * ly + nz * lz, nx * vx + ny * vy + nz * vz
+        l_v = lx * vx + ly * vy + lz * vz
+        matter = rough_matter(n_l, n_v, l_v, m[8], INDEX)
+        length = math.sqrt(max(2.0 + 2.0 * l_v, 1e-12))
+        hx, hy, hz = (lx + vx) / length, (ly + vy) / length, (lz + vz) / length
+        tx, ty, tz = m[12], m[13], m[14]
+        bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+        half = hx * tx + hy * ty + hz * tz, hx * bx + hy * by + hz * bz, hx * nx + hy * ny + hz * nz
+        lamp = lx * tx + ly * ty + lz * tz, lx * bx + ly * by + lz * bz, n_l
+        view = vx * tx + vy * ty + vz * tz, vx * bx + vy * by + vz * bz, n_v
+        shape = facets(half, lamp, view, m[6], m[7])
+        cosine = min(max(hx * vx + hy * vy + hz * vz, 0.0), 1.0)
+        glass, grazing = fresnel(cosine, INDEX), (1.0 - cosine) ** 5
+        for c in range(3):
+            body[p, c] = m[c] * matter
+            gloss[p, c] = shape * (m[3 + c] + (1.0 - m[3 + c]) * grazing if m[3] > 0.0 else glass)
 
 
 def reflected(materials: np.ndarray, lights: np.ndarray, views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -398,5 +387,5 @@ def reflected(materials: np.ndarray, lights: np.ndarray, views: np.ndarray) -> t
     body, gloss = np.zeros((len(materials), 3)), np.zeros((len(materials), 3))
     if len(materials):
         arrays = (np.ascontiguousarray(a, np.float64) for a in (materials, lights, views))
-        over_rows(_reflect_all, len(materials), *arrays, body, gloss)
+        over_rows(_reflect, len(materials), *arrays, body, gloss)
     return body, gloss

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 
 from nishiki.geometry.visibility import Hits, RayTree, cast, make_tree
-from nishiki.simulate.randomness import GOLDEN_RATIO, hash_uint, subkey, uniform
+from nishiki.simulate.randomness import GOLDEN_RATIO, mix_bits, subkey
 from nishiki.simulate.reflection import metal_fresnel
 from nishiki.simulate.turntable.materials import INDEX, describe, reflected
 from nishiki.simulate.turntable.settings import AIM_MM, LAMP_RADIUS_MM, TurntableSettings, Viewpoint
@@ -109,18 +109,6 @@ def _mean_materials(surface: SimulatedSurface, key: int) -> tuple[np.ndarray, np
     return mean[:, :3], mean[:, 3:]
 
 
-@numba.njit(cache=True, nogil=True)
-def _gather(start, stop, seen, leaving, out):
-    share = 1.0 / seen.shape[1]
-    for p in range(start, stop):
-        r = g = b = 0.0
-        for d in range(seen.shape[1]):
-            q = seen[p, d]
-            if q >= 0:
-                r, g, b = r + leaving[q, 0], g + leaving[q, 1], b + leaving[q, 2]
-        out[p, 0], out[p, 1], out[p, 2] = r * share, g * share, b * share
-
-
 def bounced(around: Surroundings, direct: np.ndarray, bounces: int) -> tuple[np.ndarray, np.ndarray]:
     """Indirect irradiance (v, 3), and the radiosity (v, 3) of the vertices under direct (v,) or (v, 3) irradiance.
 
@@ -129,9 +117,8 @@ def bounced(around: Surroundings, direct: np.ndarray, bounces: int) -> tuple[np.
     direct = np.broadcast_to(direct if np.ndim(direct) == 2 else np.asarray(direct)[:, None], around.albedo.shape)
     indirect = np.zeros(around.albedo.shape)
     for _ in range(bounces):
-        leaving, new = around.albedo * (direct + indirect), np.empty_like(indirect)
-        over_rows(_gather, len(new), around.seen, leaving, new)
-        indirect = new
+        leaving = np.vstack([around.albedo * (direct + indirect), np.zeros(3)])  # of -1, where a ray meets nothing
+        indirect = sum(leaving[met] for met in around.seen.T) * (1.0 / around.seen.shape[1])
     return indirect, around.albedo * (direct + indirect)
 
 
@@ -289,25 +276,15 @@ def irradiance(scene: SimulatedScene, view: Viewpoint) -> np.ndarray:
     return total / _LAMP_POINTS
 
 
-@numba.njit(cache=True, nogil=True)
-def _numbers(start, stop, key, first, samples, out):
-    for pixel in range(start, stop):
-        bits = hash_uint(np.uint64(key), np.uint64(first + pixel))
-        for sample in range(samples):
-            out[pixel, sample, 0] = uniform(bits, np.uint64(4 * sample + 4))
-            out[pixel, sample, 1] = uniform(bits, np.uint64(4 * sample + 5))
-            out[pixel, sample, 2] = uniform(bits, np.uint64(1))  # the same for the pixel: it turns the lamp's pattern
-            out[pixel, sample, 3] = uniform(bits, np.uint64(4 * sample + 6))
-
-
 def _aim(scene, view, settings, rows: slice, vertex_light: np.ndarray) -> _Points:
     """Rays through stratified random places of the pixels of some rows, and where they meet the object."""
     side, columns = settings.samples, settings.columns
     count = (rows.stop - rows.start) * columns
-    numbers = np.empty((count, side * side, 4))
-    over_rows(_numbers, count, np.uint64(scene.key), rows.start * columns, side * side, numbers)
     pixel, sample = np.divmod(np.arange(count * side * side), side * side)
-    numbers = numbers.reshape(-1, 4)
+    # the third number is the same for the whole pixel: it turns the lamp's pattern
+    turns = 4 * sample[:, None] * (1, 1, 0, 1) + (4, 5, 1, 6)
+    bits = mix_bits(np.uint64(scene.key), (rows.start * columns + pixel).astype(np.uint64))
+    numbers = (mix_bits(bits[:, None], turns.astype(np.uint64)) >> np.uint64(11)) * 2.0**-53
     u = pixel % columns - 0.5 + (sample % side + numbers[:, 0]) / side
     v = rows.start + pixel // columns - 0.5 + (sample // side + numbers[:, 1]) / side
     u, v = ((a - middle) / view.focal for a, middle in zip((u, v), view.principal, strict=True))
