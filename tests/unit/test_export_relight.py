@@ -129,7 +129,7 @@ def test_values_of_the_grid_s_nodes_are_the_model_s_put_right_by_the_photographs
     pictures = GridPictures(frames, ExportedScene(exported.painting.inputs), lights)
     rows, values, _ = next(pictures.strips(slice(20, 22), lights))
     _, photographs, valid = next(Photographs(frames, pictures._scene).strips(slice(20, 22), lights))
-    drawn = pictures.drawn(rows, slice(None))
+    drawn = pictures.drawn(pictures.fitted_model(rows)[0], slice(None))
     captured, count = frames.directions[lights], len(lights)
     nodes = [(math.cos(turn), math.sin(turn)) for turn in (-math.pi / 2, 0, math.pi, math.pi / 2)]
     places = grid_directions(8)

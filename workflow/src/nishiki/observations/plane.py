@@ -94,7 +94,7 @@ class Observations(StoredArrays):
         chosen = np.arange(len(self.lights)) if lights is None else np.asarray(lights, np.int64)
         codes, start = self.codes(band, lights=chosen, columns=columns)
         left = (columns or slice(None)).indices(self.shape[1])[0]
-        return self._decoded(codes, chosen, start, left, channel)
+        return self.decoded(codes, chosen, start, left, channel)
 
     def strips(
         self, band: slice, *, lights: np.ndarray, channel: Literal["mean"] | None = None
@@ -122,16 +122,21 @@ class Observations(StoredArrays):
         step = rows if self.positions_mm is not None else max(STRIP_BYTES // row_bytes, 1)
 
         def of_strip(top: int) -> Result:
-            part, first = np.ascontiguousarray(codes[:, top : top + step]), start + top
-            return work(slice(first, first + part.shape[1]), *self._decoded(part, lights, first, 0, channel))
+            part, first = codes[:, top : top + step], start + top
+            return work(slice(first, first + part.shape[1]), *self.decoded(part, lights, first, channel=channel))
 
         tops = range(0, rows, step)
         return in_threads(of_strip, tops) if len(tops) > 1 else map(of_strip, tops)
 
-    def _decoded(
-        self, codes: np.ndarray, chosen: np.ndarray, start: int, left: int, channel: Literal["mean"] | int | None
+    def decoded(
+        self,
+        codes: np.ndarray,
+        chosen: np.ndarray,
+        start: int,
+        left: int = 0,
+        channel: Literal["mean"] | int | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Values and validity of codes whose first row and column are these; see `read`."""
+        """Decode codes of these lights whose first row and column are these into values and validity; see `read`."""
         from nishiki.observations.plane_decode import decode  # names and masks alone need no compiled code
 
         first, last = self._channel_range(channel)
@@ -146,6 +151,7 @@ class Observations(StoredArrays):
         usable = self._usable[start : start + rows, left : left + width]
         out = np.empty((*codes.shape[:3], last - first if channel is None else 1), np.float32)
         valid = np.empty(codes.shape[:3], bool)
+        codes = np.ascontiguousarray(codes)
         over_rows(
             decode, len(codes) * rows, codes, (self.lut, self.scale, *self.limits), (gain, dark, usable),
             (place_rows, row_weights, between, column_weights), (first, last, channel is not None), (out, valid),

@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -64,30 +64,36 @@ def write_observations(
     reader = replace(reader, room=measure_room(reader, darks, tick))
     group = BandedGroup.create(Path(folder) / STORE)
     band_rows = rows_of_band(len(capture.observed), rows, columns, len(reader.names), settings.tile_mib)
-    writer = FrameWriter(group.folder / "codes", mask, band_rows, settings.compression)
     reduced = ReducedPhotographs(reader, darks, mask, gains.gain)
+    found: dict[int, tuple] = {}
+
+    def store(number: int, codes: np.ndarray) -> None:
+        found[number] = count_unusable(codes, mask, reader.saturated, reader.clip)
+        write_photograph(group.folder / "codes", number, codes, mask, band_rows, settings.compression)
+
     for j, (frame, codes) in enumerate(reader.read_all(capture.observed)):
         reduced.add(frame, codes)
-        writer.write(j, codes, reader)
+        store(j, codes)
         tick(frame.file)
     corrections = find_corrections(reader, reduced, settings.correct)
-    writer.keep(corrections.kept)
     capture, gains, before = corrections.capture, gains.of(corrections.kept), reader.motions
     reader = replace(reader, capture=capture, motions=corrections.motions)
-    moved = {
+    again = {
         j: frame
         for j, frame in enumerate(capture.observed)
-        if reader.motions.get(frame.file) is not before.get(frame.file)
+        if corrections.kept[j] != j or reader.motions.get(frame.file) is not before.get(frame.file)
     }
-    tick.total += len(moved)
-    for j, (frame, codes) in zip(moved, reader.read_all(list(moved.values())), strict=True):
-        writer.write(j, codes, reader)
+    tick.total += len(again)
+    for j, (frame, codes) in zip(again, reader.read_all(list(again.values())), strict=True):
+        store(j, codes)
         tick(frame.file)
+    for j in range(len(corrections.kept), len(found)):
+        shutil.rmtree(chunk_path(group.folder / "codes", j, 0).parents[2])
     shape = (len(capture.observed), rows, columns, len(reader.names))
     group.create_array("codes", shape, (1, band_rows, *shape[2:]), reader.dtype, compression=settings.compression)
-    counts, problems = np.array([writer.counts[j] for j in range(len(capture.observed))], np.int64), []
+    counts, problems = np.array([found[j][:4] for j in range(len(capture.observed))], np.int64), []
     for j, frame in enumerate(capture.observed):
-        problems += frame_problems(frame, counts[j], writer.highest[j], reader)
+        problems += frame_problems(frame, counts[j], float(found[j][4]), reader)
     defect = darks.defect | gains.defect
     arrays = {"mask": mask, "gain": gains.gain / corrections.strengths, "dark": darks.for_frames(capture.observed)}
     labels, label_warnings = region_numbers(capture, size, reader.region)
@@ -125,37 +131,15 @@ def cropped(reader: FrameReader, mask: np.ndarray, white_block: int) -> tuple[Fr
     return replace(reader, region=region), np.ascontiguousarray(mask[window])
 
 
-@dataclass
-class FrameWriter:
-    """Writes photographs by number, into a chunk for each band of rows that holds a pixel of the object."""
-
-    array: Path  # folder of the array (photographs, rows, columns, channels)
-    mask: np.ndarray  # (rows, columns) uint8: the object
-    band_rows: int
-    compression: str  # 'none' | 'zstd'
-    counts: dict[int, tuple[int, ...]] = field(default_factory=dict)  # see `count_unusable`
-    highest: dict[int, float] = field(default_factory=dict)  # largest codes
-
-    def write(self, number: int, codes: np.ndarray, reader: FrameReader) -> None:
-        """Write the codes (rows, columns, channels) of a photograph, and count those that cannot be used."""
-        *counts, highest = count_unusable(codes, self.mask, reader.saturated, reader.clip)
-        self.counts[number], self.highest[number] = tuple(counts), float(highest)
-        for band in bands_with_object(self.mask, self.band_rows):
-            part = codes[band * self.band_rows : (band + 1) * self.band_rows]
-            if len(part) < self.band_rows:  # chunks are whole: the last one is padded
-                rest = np.zeros((self.band_rows - len(part), *part.shape[1:]), codes.dtype)
-                part = np.concatenate([part, rest])
-            write_chunk(chunk_path(self.array, number, band), part, compression=self.compression)
-
-    def keep(self, numbers: np.ndarray) -> None:
-        """Remove all photographs but these, in ascending order, and count them from 0."""
-        folders = [chunk_path(self.array, j, 0).parents[2] for j in range(len(self.counts))]
-        for j in set(self.counts) - set(numbers.tolist()):
-            shutil.rmtree(folders[j])
-        for j, number in enumerate(numbers.tolist()):
-            if j != number:
-                folders[number].rename(folders[j])
-                self.counts[j], self.highest[j] = self.counts[number], self.highest[number]
+def write_photograph(
+    array: Path, number: int, codes: np.ndarray, mask: np.ndarray, band_rows: int, compression: str
+) -> None:
+    """Write the codes (rows, columns, channels) of a photograph, a chunk for each band with a pixel of the mask."""
+    for band in bands_with_object(mask, band_rows):
+        part = codes[band * band_rows : (band + 1) * band_rows]
+        if len(part) < band_rows:  # chunks are whole: the last one is padded
+            part = np.concatenate([part, np.zeros((band_rows - len(part), *part.shape[1:]), codes.dtype)])
+        write_chunk(chunk_path(array, number, band), part, compression=compression)
 
 
 def frame_problems(frame: Frame, counts: np.ndarray, highest: float, reader: FrameReader) -> list[Problem]:

@@ -10,7 +10,7 @@ representation of relightable images for the web, whose x0 is W p.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from nishiki.colour.colour import encode, xyz_to_srgb_linear
 from nishiki.formats.relight import gaussian_weights, grid_directions
 from nishiki.observations.plane import Observations
 from nishiki.render.plane.scene import Light
-from nishiki.render.plane.shade import predict_observations
+from nishiki.render.plane.shade import PlaneMaps, predict_observations
 from nishiki.stages.export.light_models import GRID_SIDE, grid_weights
 from nishiki.stages.export.scene import ExportedScene
 
@@ -48,40 +48,47 @@ class Photographs:
 
     def strips(self, band: slice, lights: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Yield some rows of a band at a time: (lights, 3, n) values in 0 to 1 and (lights, n) bool of their pixels."""
+        model = self.fitted_model(band)
         for rows, values, valid in self.frames.strips(band, lights=lights):
             step = max(self.pixels // values.shape[2], 1) if self.pixels else values.shape[1]
             for top in range(0, values.shape[1], step):
                 part = slice(rows.start + top, min(rows.start + top + step, rows.stop))
-                inner = slice(top, top + step)
-                yield part, *self.seen(part, slice(None), *self._by_pixel(values[:, inner], valid[:, inner]))
+                pixels = slice(*(values.shape[2] * (row - band.start) for row in (part.start, part.stop)))
+                here, known = (
+                    each[:, top : top + step].reshape(len(lights), -1, *each.shape[3:]) for each in (values, valid)
+                )
+                yield part, *self.seen(model, pixels, self.coded(here), known)
+
+    def fitted_model(self, band: slice) -> Any:
+        """Return what `seen` needs of a band besides its photographs."""
+        return None
 
     def seen(
-        self, rows: slice, pixels: slice | np.ndarray, values: np.ndarray, valid: np.ndarray
+        self, model: Any, pixels: slice | np.ndarray, values: np.ndarray, valid: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return what is fitted of some pixels of rows; values (lights, 3, n) and validity of the photographs there."""
+        """Return what is fitted of some pixels of a band; values (lights, 3, n), validity of the photographs there."""
         return values, valid
-
-    def _by_pixel(self, values: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        count = len(values)
-        return self.coded(values.reshape(count, -1, values.shape[-1])), valid.reshape(count, -1)
 
     def samples(self, lights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Return values and validity of about `count` pixels evenly spread over the object."""
-        step = max(1, int(np.count_nonzero(self.frames.mask)) // count)
+        mask = self.frames.mask
+        step = max(1, int(np.count_nonzero(mask)) // count)
         apart = math.isqrt(step)  # rows
-        step //= apart
-        values, valid, passed = [], [], 0
-        for row in range(apart // 2, self.frames.shape[0], apart):
-            of_object = np.flatnonzero(self.frames.mask[row])
-            chosen = of_object[-passed % step :: step]
-            passed += len(of_object)
-            if len(chosen):
-                rows = slice(row, row + 1)
-                each, usable = self.frames.read(rows, lights=lights)
-                sampled = self.seen(rows, chosen, *self._by_pixel(each[:, :, chosen], usable[:, :, chosen]))
-                values.append(sampled[0])
-                valid.append(sampled[1])
-        return np.concatenate(values, axis=-1), np.concatenate(valid, axis=-1)
+        numbers = np.cumsum(mask[apart // 2 :: apart]).reshape(-1, mask.shape[1]) - 1
+        chosen = np.zeros(mask.shape, bool)
+        chosen[apart // 2 :: apart] = mask[apart // 2 :: apart] & (numbers % (step // apart) == 0)
+        found = []
+        for band in self.frames.bands():
+            rows = np.flatnonzero(chosen[band].any(axis=1))
+            if len(rows):
+                codes, _ = self.frames.codes(band, lights=lights)
+                read = ((row, self.frames.decoded(codes[:, row : row + 1], lights, band.start + row)) for row in rows)
+                pieces = [[each[:, 0, chosen[band.start + row]] for each in arrays] for row, arrays in read]
+                each, usable = (np.concatenate(arrays, axis=1) for arrays in zip(*pieces, strict=True))
+                here = np.flatnonzero(chosen[band])
+                found.append(self.seen(self.fitted_model(band), here, self.coded(each), usable))
+        values, valid = (np.concatenate(arrays, axis=-1) for arrays in zip(*found, strict=True))
+        return values, valid
 
 
 class CodedErrors:
@@ -129,7 +136,7 @@ BEYOND = 0.5  # below 0 and above 1 that values at nodes may be
 class GridPictures(Photographs):
     """Pictures under the lights of the grid. lights : indices of the captured ones."""
 
-    pixels = 1 << 13
+    pixels = 1 << 14
 
     def __init__(self, frames: Observations, scene: ExportedScene, lights: np.ndarray):
         super().__init__(frames, scene)
@@ -146,24 +153,31 @@ class GridPictures(Photographs):
         of_rest = correction + between - correction @ shown @ between
         self._of_both = np.concatenate([of_model, of_rest], axis=1).astype(np.float32)
 
+    def fitted_model(self, band: slice) -> tuple[PlaneMaps, np.ndarray]:
+        """Return the maps of the fitted model at the pixels (1, n) of a band, and (n,) bool where they are known."""
+        model = self._scene.fitted_model(band)
+        flat = _each_map(model, lambda values: values.reshape(1, -1, *values.shape[2:]))
+        return flat, self._scene.known(band).ravel()
+
     def seen(
-        self, rows: slice, pixels: slice | np.ndarray, values: np.ndarray, valid: np.ndarray
+        self, model: tuple[PlaneMaps, np.ndarray], pixels: slice | np.ndarray, values: np.ndarray, valid: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return (nodes, 3, n) values and (nodes, n) bool of some pixels, known or photographed under every light."""
-        drawn = self.drawn(rows, pixels)
+        drawn = self.drawn(model[0], pixels)
         rest = (values - drawn[: len(values)]) * valid[:, None]
         both = np.concatenate([drawn, rest]).reshape(self._of_both.shape[1], -1)
         nodes = (self._of_both @ both).reshape(-1, *drawn.shape[1:])
-        known = self._scene.known(rows).ravel()[pixels] | valid.all(axis=0)
+        known = model[1][pixels] | valid.all(axis=0)
         return np.clip(nodes, -BEYOND, 1 + BEYOND, out=nodes), np.broadcast_to(known, (len(nodes), len(known)))
 
-    def drawn(self, rows: slice, pixels: slice | np.ndarray) -> np.ndarray:
+    def drawn(self, model: PlaneMaps, pixels: slice | np.ndarray) -> np.ndarray:
         """Return (captured lights and nodes, 3, n) of the fitted model."""
-        model = self._scene.fitted_model(rows)
-
-        def some(maps: np.ndarray | None) -> np.ndarray | None:
-            return None if maps is None else maps.reshape(-1, *maps.shape[2:])[pixels][None]
-
-        maps: dict[str, Any] = {name: some(values) for name, values in model._asdict().items() if name != "gloss"}
-        seen = predict_observations(model._replace(**maps), self._lamps)
+        seen = predict_observations(_each_map(model, lambda values: values[:, pixels]), self._lamps)
         return np.concatenate([self.coded(each.observations) for each in seen])
+
+
+def _each_map(model: PlaneMaps, change: Callable[[np.ndarray], np.ndarray]) -> PlaneMaps:
+    """Return a model with each of its maps changed."""
+    maps = {name: each for name, each in model._asdict().items() if name != "gloss" and each is not None}
+    changed: dict[str, Any] = {name: change(each) for name, each in maps.items()}
+    return model._replace(**changed)
