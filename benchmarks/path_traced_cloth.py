@@ -166,8 +166,8 @@ def tubes(cloth: Cloth, system: str, random) -> list[tuple[np.ndarray, np.ndarra
         faces = np.concatenate(
             [np.stack([quads[0], quads[1], quads[2]], 1), np.stack([quads[0], quads[2], quads[3]], 1)]
         )
-        faces = faces if system == "weft" else faces[:, ::-1]
-        out.append((vertices, faces[:, ::-1], np.stack([u, v], axis=-1).reshape(-1, 2)))
+        faces = faces if system == "weft" else faces[:, ::-1]  # their normals point away from the yarn
+        out.append((vertices, faces, np.stack([u, v], axis=-1).reshape(-1, 2)))
     return out
 
 

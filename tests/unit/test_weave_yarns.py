@@ -1,5 +1,7 @@
 """Interlaced elliptical yarns: bindings, the surface and what of it is seen, the search for the weave."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numba import njit
@@ -24,7 +26,7 @@ from nishiki.weave.yarn_search import (
     spread,
     weave_of,
 )
-from nishiki.weave.yarn_weave import COARSE, HOLE, Binding, InterlacedYarns, bindings, yarn_at
+from nishiki.weave.yarn_weave import COARSE, Binding, InterlacedYarns, bindings, yarn_at
 
 
 @njit
@@ -93,12 +95,28 @@ def test_slopes_are_those_of_the_heights(binding):
     for kind in (0, 1):
         for x, y in places:
             height, along_x, along_y = yarn_at(x, y, form, kind)
-            if height == HOLE or max(abs(along_x), abs(along_y)) > 3:
-                continue
+            if height <= yarn_at(x, y, form, 1 - kind)[0] or max(abs(along_x), abs(along_y)) > 3:
+                continue  # hidden: there the surface may fold under a bend
             left, right = (yarn_at(x + s, y, form, kind)[0] for s in (-step, step))
             low, high = (yarn_at(x, y + s, form, kind)[0] for s in (-step, step))
             assert (right - left) / (2 * step) == pytest.approx(along_x, abs=2e-3)
             assert (high - low) / (2 * step) == pytest.approx(along_y, abs=2e-3)
+
+
+@pytest.mark.parametrize("binding", [SATIN, TWILL, Binding(2, 2)], ids=str)
+def test_the_top_of_an_upright_yarn_lies_half_its_thickness_above_its_middle_all_along(binding):
+    weave = replace(yarns(binding), upright=1.0)
+    form, seen = weave.form, 0
+    for y in np.linspace(0, binding.harness * weave.spacing_ratio, 200):
+        height, _, slope = yarn_at(0.0, y, form, 0)
+        if height > yarn_at(0.0, y, form, 1)[0]:
+            size = np.hypot(1, slope)
+            below = y + form.half_thickness[0] * slope / size
+            middle, its_slope, _ = yarn_weave._way(below, 0, form, 0)
+            assert middle == pytest.approx(height - form.half_thickness[0] / size, abs=1e-5)
+            assert its_slope == pytest.approx(slope, abs=1e-4)
+            seen += 1
+    assert seen > 60
 
 
 @pytest.mark.parametrize("binding", EVERY_KIND, ids=str)

@@ -26,18 +26,19 @@ from nishiki.weave.yarn_weave import (
 
 # Logarithms, but for logits of shares and the arch. Priors are wide statements about cloth: weft yarns 1.2 as far apart
 # as warp yarns, within a quarter; warp yarns nearly touch; sections half as thick as wide, within a factor of 1.5; a
-# yarn changes sides within one spacing of the yarns that it crosses; filaments as in `brdf.cloth.yarn_facets`.
+# yarn changes sides within one spacing of the yarns that it crosses; its sections stand mostly across its way;
+# filaments as in `brdf.cloth.yarn_facets`.
 NAMES = (
-    "spacing_ratio", "fill_warp", "fill_weft", "aspect_warp", "aspect_weft", "crimp", "bend", "arch",
+    "spacing_ratio", "fill_warp", "fill_weft", "aspect_warp", "aspect_weft", "crimp", "bend", "arch", "upright",
     "rough_along_warp", "rough_across_warp", "rough_along_weft", "rough_across_weft", "gain", "soft", "tail",
 )  # fmt: skip
 CENTRE = np.array([
-    np.log(1.2), 2.9, 2.2, np.log(0.55), np.log(0.55), -0.4, np.log(0.6), 0.0, np.log(0.12), np.log(0.28),
+    np.log(1.2), 2.9, 2.2, np.log(0.55), np.log(0.55), -0.4, np.log(0.6), 0.0, 1.1, np.log(0.12), np.log(0.28),
     np.log(0.12), np.log(0.28), 0.0, np.log(0.1), 0.0,
 ])  # fmt: skip
-SPREAD = np.array([0.25, 0.7, 0.7, 0.4, 0.4, 0.7, 0.2, 0.01, 0.5, 0.35, 0.5, 0.35, 0.07, 0.8, 2.5])
-LOGITS, ARCH = (1, 2, 5, 14), 7
-GEOMETRY = 8  # the first ones, which the surface depends on
+SPREAD = np.array([0.25, 0.7, 0.7, 0.4, 0.4, 0.7, 0.2, 0.01, 1.5, 0.5, 0.35, 0.5, 0.35, 0.07, 0.8, 2.5])
+LOGITS, ARCH = (1, 2, 5, 8, 15), 7
+GEOMETRY = 9  # the first ones, which the surface depends on
 COUNTED = 0.02  # relative error of a ratio of spacings from counted threads
 STEP = 0.03  # of the differences, in prior standard deviations: the horizons are smooth no finer
 GAIN = 1e-3  # of the cost, below which a fit ends
@@ -119,10 +120,11 @@ def weave_of(x: np.ndarray, binding: Binding) -> YarnWeave:
         crimp=float(share[5]),
         bend=float(e[6]),
         arch=float(x[7]),
-        rough=e[8:12].reshape(2, 2),
-        gain=float(e[12]),
-        soft=float(e[13]),
-        tail=float(share[14]),
+        upright=float(share[8]),
+        rough=e[9:13].reshape(2, 2),
+        gain=float(e[13]),
+        soft=float(e[14]),
+        tail=float(share[15]),
     )
 
 
@@ -133,7 +135,7 @@ def prior_of(binding: Binding, spacing_ratio: float | None) -> tuple[np.ndarray,
     """
     centre, spread = CENTRE.copy(), SPREAD.copy()
     if binding.under > binding.over:
-        centre = CENTRE[[0, 2, 1, 4, 3, 5, 6, 7, 10, 11, 8, 9, 12, 13, 14]]
+        centre = CENTRE[[0, 2, 1, 4, 3, 5, 6, 7, 8, 11, 12, 9, 10, 13, 14, 15]]
         centre[[0, 5]] *= -1
     if spacing_ratio is not None:
         centre[0], spread[0] = np.log(spacing_ratio), COUNTED

@@ -41,6 +41,7 @@ HORIZON = 10  # column of a point after those of `yarn_facets.NORMAL`: angle of 
 AZIMUTHS = 24
 EVERY = np.ones(AZIMUTHS, bool)
 SHORTEST, GROWTH, STEPS = 0.04, 1.26, 20  # of a ray over the surface, in spacings: to 3.2
+NEARER, NEAR = 6, 1e-6  # most steps, in spacings, to the place of the middle that a point of the surface belongs to
 STEEPEST = 20.0  # slope to which the sides of a section are followed
 REACHED = 2  # crossings to either side that count where a yarn changes sides
 BLEND = 0.015  # height over which warp and weft pass into each other where they cross, so that sums are smooth
@@ -61,62 +62,79 @@ class Form(NamedTuple):
     amplitude: np.ndarray
     arch: np.ndarray  # (2,): rise of a float
     bend: float
+    upright: float
     step: int
     together: int
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def side_of(up, place, bend):
-    """Compute how far a yarn is on one side at `place` in crossings, -1 to 1, and its slope.
+def side_of(up, yarn, kind, place, bend):
+    """Compute how far a yarn is above the cloth's middle at `place` in crossings, -1 to 1, its slope and that one's.
 
     A yarn changes sides half-way between two crossings, within `bend` crossings to either side of it, along a smooth
-    step of fifth degree; elsewhere it lies flat. up: (n,) 1 or -1 at the crossings 0 .. n - 1, repeated without end.
+    step of fifth degree; elsewhere it lies flat. up: of `Form`; yarn: number of the warp (kind 0) or weft yarn (1).
     """
-    count = up.size
+    count = up.shape[kind]
     near = math.floor(place + 0.5)
-    side = up[(near - REACHED) % count]
-    total, slope = side, 0.0
+    before = (near - REACHED) % count
+    side = up[before, yarn] if kind == 0 else -up[yarn, before]
+    total, slope, curve = side, 0.0, 0.0
     for k in range(near - REACHED, near + REACHED):
-        following = up[(k + 1) % count]
+        before = before + 1 if before + 1 < count else 0
+        following = up[before, yarn] if kind == 0 else -up[yarn, before]
         if following != side:
             t = min(max((place - k - 0.5) / bend, -1.0), 1.0)
             square = t * t
             total += 0.5 * (following - side) * (1.0 + t * (1.875 - square * (1.25 - 0.375 * square)))
             slope += 0.9375 * (following - side) * (1.0 - square) ** 2 / bend
+            curve -= 3.75 * (following - side) * t * (1.0 - square) / bend**2
             side = following
-    return total, slope
+    return total, slope, curve
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _way(along, number, form, kind):
+    """Compute the height of the middle of a warp (kind 0) or weft yarn (1), its slope and that one's, at a place."""
+    yarn = int(number) % form.up.shape[1 - kind]
+    if kind == 0:
+        pace, middle = form.ratio, form.warp_middle[yarn]
+    else:
+        pace, middle = 1.0, form.weft_middle[yarn] + 0.5 * form.up.shape[1]
+    side, slope, curve = side_of(form.up, yarn, kind, along / pace, form.bend)
+    lift = 2.0 * form.amplitude[kind] / (form.high[kind] - form.low[kind])
+    height, slope, curve = lift * (side - form.low[kind]) - form.amplitude[kind], lift * slope / pace, lift * curve
+    turn = 2.0 * math.pi / (form.up.shape[kind] * pace)
+    rise, turned = math.pi * form.arch[kind] / turn, turn * (along - middle * pace)
+    sine, cosine = math.sin(turned), math.cos(turned)
+    return height + rise * (1.0 - cosine), slope + rise * turn * sine, curve / pace**2 + rise * turn * turn * cosine
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def yarn_at(x, y, form, kind):
     """Compute the height of the upper side of the warp (kind 0) or weft yarn (1) at (x, y), its slopes along x and y.
 
-    The height is HOLE where the yarn does not lie.
+    As far as the yarn's section stands across its way, a point of the surface belongs to a place of the middle beside
+    it. The height is HOLE where the yarn does not lie.
     """
-    across, along, spacing, pace = (x, y, 1.0, form.ratio) if kind == 0 else (y, x, form.ratio, 1.0)
+    across, along, spacing = (x, y, 1.0) if kind == 0 else (y, x, form.ratio)
     number = math.floor(across / spacing + 0.5)
     u = (across - number * spacing) / form.half_width[kind]
     if abs(u) >= 1.0:
         return HOLE, 0.0, 0.0
-    rows, columns = form.up.shape
-    if kind == 0:
-        column = int(number) % columns
-        side, slope = side_of(form.up[:, column], along / pace, form.bend)
-        middle, period = form.warp_middle[column], rows
-    else:
-        row = int(number) % rows
-        side, slope = side_of(form.up[row], along / pace, form.bend)
-        side, slope = -side, -slope
-        middle, period = form.weft_middle[row] + 0.5 * columns, columns
-    scale = 2.0 / (form.high[kind] - form.low[kind])
-    turn = 2.0 * math.pi / (period * pace)
-    rise = 0.5 * form.arch[kind] * period * pace
-    turned = turn * (along - middle * pace)
-    root, thickness = math.sqrt(1.0 - u * u), form.half_thickness[kind]
-    height = form.amplitude[kind] * (scale * (side - form.low[kind]) - 1.0)
-    height += rise * (1.0 - math.cos(turned)) + thickness * root
-    steep = max(min(-thickness * u / (form.half_width[kind] * max(root, 1e-9)), STEEPEST), -STEEPEST)
-    slope = form.amplitude[kind] * scale * slope / pace + rise * turn * math.sin(turned)
+    root = math.sqrt(1.0 - u * u)
+    thick = form.half_thickness[kind] * root
+    place, step, upright = along, 1.0, form.upright
+    for _ in range(NEARER):  # Newton's steps, shorter where the surface folds under a bend
+        height, slope, curve = _way(place, number, form, kind)
+        size = math.sqrt(1.0 + slope * slope)
+        if abs(step) < NEAR:
+            break
+        aside = upright * thick / size
+        step = (place - along - aside * slope) / max(1.0 - aside * curve / (size * size), 0.5)
+        place -= step
+    steep = -form.half_thickness[kind] * u / (form.half_width[kind] * max(root, 1e-9)) * (1.0 + upright * (size - 1.0))
+    steep = max(min(steep, STEEPEST), -STEEPEST)
+    height += thick * (1.0 + upright * (1.0 / size - 1.0))
     return (height, steep, slope) if kind == 0 else (height, slope, steep)
 
 
@@ -352,6 +370,7 @@ class YarnWeave:
     gain: float  # of the gloss
     soft: float  # radians, scatter of the horizons, for yarns differ
     index: float = INDEX
+    upright: float = 1.0  # 1: a section stands across the yarn's way, 0: across the cloth, for its fibres slide
 
     def as_arrays(self) -> dict[str, np.ndarray]:
         """Return the numbers by name, the binding as (over, under, step, together)."""
@@ -361,7 +380,7 @@ class YarnWeave:
     @classmethod
     def from_arrays(cls, arrays) -> Self:
         """Restore what `as_arrays` returned."""
-        values = {field.name: arrays[field.name] for field in fields(cls)}
+        values = {field.name: arrays[field.name] for field in fields(cls) if field.name in arrays}
         values = {name: value if np.ndim(value) else float(value) for name, value in values.items()}
         return cls(**values | {"binding": Binding(*map(int, arrays["binding"]))})
 
@@ -372,14 +391,14 @@ class YarnWeave:
         up = np.where(pattern, 1.0, -1.0)
         half_width = 0.5 * self.fill * [1.0, self.spacing_ratio]
         half_thickness = half_width * self.aspect
-        sides = [np.array([side_of(yarn, k, self.bend)[0] for k in range(yarn.size)]) for yarn in (up[:, 0], -up[0])]
+        sides = [[side_of(up, 0, kind, k, self.bend)[0] for k in range(up.shape[kind])] for kind in (0, 1)]
         low, high = (np.array([end(side) for side in sides]) for end in (np.min, np.max))
         warp_middle, weft_middle = _middles(~pattern.T), _middles(~pattern)
         floats = np.array([self.binding.over > 1, self.binding.under > 1 and not np.isnan(weft_middle[0])])
         amplitude = np.array([self.crimp, 1 - self.crimp]) * half_thickness.sum()
         return Form(
             up, warp_middle, np.nan_to_num(weft_middle), low, high, self.spacing_ratio, half_width,
-            half_thickness, amplitude, self.arch * floats, self.bend,
+            half_thickness, amplitude, self.arch * floats, self.bend, self.upright,
             self.binding.step, self.binding.together,
         )  # fmt: skip
 
