@@ -179,26 +179,24 @@ def fit_movements(
     Returns (count, 4) pixels: shift along columns and rows, turn and scale times the reach, against the first
     photograph that could be compared; and standard errors (count, 2) of shift and turn, infinite without support.
     """
-    from scipy.sparse import csr_matrix, identity
+    from scipy.sparse import csc_matrix
     from scipy.sparse.linalg import splu
 
     n, x, y, one, none = len(pairs), *places.T, np.ones(len(pairs)), np.zeros(len(pairs))
-    terms = np.stack([np.stack([one, none, -y, x], 1), np.stack([none, one, x, y], 1)])[:, :, : 4 if turn else 2]
-    unknowns = terms.shape[2]
-    columns = unknowns * pairs[:, :, None] + np.arange(unknowns)  # (n, 2, unknowns)
-    values = terms[:, :, None, :] * np.array([-1.0, 1.0])[:, None]  # (2, n, 2, unknowns)
-    rows = np.broadcast_to(np.arange(2 * n).reshape(2, n, 1, 1), values.shape)
-    places_of = np.broadcast_to(columns, values.shape)
-    design = csr_matrix((values.ravel(), (rows.ravel(), places_of.ravel())), (2 * n, unknowns * count))
+    terms = np.stack([np.stack([one, none, -y, x], 1), np.stack([none, one, x, y], 1)], 1)[:, :, : 4 if turn else 2]
+    unknowns, size = terms.shape[2], terms.shape[2] * count
+    columns = (unknowns * pairs[:, :, None] + np.arange(unknowns)).reshape(n, -1)  # (n, 2 unknowns)
+    design = np.concatenate([-terms, terms], axis=2)  # (n, 2, 2 unknowns)
+    squares, moments = design.transpose(0, 2, 1) @ design, np.einsum("nek,ne->nk", design, measured)
+    cells = columns[:, :, None] * size + columns[:, None, :]
     strength = np.square(np.minimum(np.maximum(peaks - LEAST_PEAK, 0), 50))
-    target, weights = measured.T.ravel(), strength
+    weights = strength
     for rounds in range(ROUNDS):
-        double = np.tile(weights, 2)
-        normal = design.T @ design.multiply(double[:, None])
-        ridge = 1e-8 * max(float(normal.diagonal().mean()), 1e-9)
-        factors = splu((normal + ridge * identity(unknowns * count)).tocsc())  # dense solvers wait for their threads
-        found = factors.solve(design.T @ (double * target))
-        residual = np.hypot(*(target - design @ found).reshape(2, n))
+        normal = np.bincount(cells.ravel(), (squares * weights[:, None, None]).ravel(), size * size).reshape(size, size)
+        normal[np.diag_indices(size)] += 1e-8 * max(float(normal.trace()) / size, 1e-9)
+        factors = splu(csc_matrix(normal))  # dense solvers wait for their threads
+        found = factors.solve(np.bincount(columns.ravel(), (moments * weights[:, None]).ravel(), size))
+        residual = np.hypot(*(measured - np.einsum("nek,nk->ne", design, found[columns])).T)
         if rounds < ROUNDS // 2:  # least absolute deviations first: the minority of wrong peaks must not pull
             weights = strength / np.maximum(residual, 0.02)
         else:
@@ -207,8 +205,8 @@ def fit_movements(
     agrees = (residual < AGREE) & (strength > 0)
     support = np.bincount(pairs[agrees].ravel(), minlength=count)
     first = int(np.argmax(support >= LEAST_SUPPORT))
-    inverse = factors.solve(np.eye(unknowns * count))
-    degrees = max(2 * int((weights > 0).sum()) - unknowns * count, 1)
+    inverse = factors.solve(np.eye(size))
+    degrees = max(2 * int((weights > 0).sum()) - size, 1)
     spread = float((weights * np.square(residual)).sum()) / degrees
     contrast = np.eye(count)
     contrast[:, first] -= 1
