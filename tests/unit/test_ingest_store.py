@@ -1,6 +1,7 @@
 """From a capture to observations: the radiometry of the whole chain, the store, its bands."""
 
 import os
+import shutil
 import subprocess
 import sys
 
@@ -376,9 +377,18 @@ print(peak_memory_kib() / 1024)
 @pytest.mark.slow
 def test_memory_of_a_full_size_capture(data, tmp_path):
     convert(data / "rti_fossil", tmp_path / "c", link=False)
+    small = tmp_path / "small"
+    small.mkdir()
+    lines = (data / "rti_fossil/lights.lp").read_text().splitlines()[1:7]
+    (small / "lights.lp").write_text("\n".join([str(len(lines)), *lines]))
+    for name in (line.split()[0] for line in lines):
+        picture = cv2.imread(str(data / "rti_fossil" / name), cv2.IMREAD_REDUCED_COLOR_8)
+        assert cv2.imwrite(str(small / name), picture)
+    convert(small, tmp_path / "s")
     environment = os.environ | {"PYTHONPATH": str(PROJECT / "workflow" / "src")}
-    for output in ("compiled", "o"):  # the first process compiles what nobody has compiled yet, which takes memory, too
-        command = [sys.executable, "-c", MEMORY, str(tmp_path / "c"), str(tmp_path / output)]
+    # the first process compiles what nobody has compiled yet, which takes memory, too
+    for capture, output in (("s", "compiled"), ("c", "o")):
+        command = [sys.executable, "-c", MEMORY, str(tmp_path / capture), str(tmp_path / output)]
         done = subprocess.run(command, check=True, env=environment, capture_output=True, text=True)
     assert float(done.stdout) < 400  # MiB; the photographs would take 1400
     observations = Observations(tmp_path / "o")
@@ -409,13 +419,20 @@ def test_measured_sets(data, tmp_path, name):
 @pytest.mark.slow
 @pytest.mark.data
 def test_diligent_values_are_codes_over_intensities(data, tmp_path):
-    convert(data / "diligent_cat", tmp_path / "c")
+    source, chosen = tmp_path / "cat", [0, 20, 40, 50, 75, 95]
+    source.mkdir()
+    for name in ("light_directions.txt", "light_intensities.txt"):
+        rows = (data / "diligent_cat" / name).read_text().splitlines()
+        (source / name).write_text("\n".join(rows[i] for i in chosen))
+    for name in ("mask.png", *(f"{i + 1:03d}.png" for i in chosen)):
+        shutil.copy(data / "diligent_cat" / name, source)
+    convert(source, tmp_path / "c")
     observations, _ = ingest(tmp_path / "c", tmp_path / "o")
     values, _ = observations.read(slice(100, 140))
     scale = np.loadtxt(data / "diligent_cat/light_intensities.txt")
-    for i in (0, 50, 95):
+    for place, i in enumerate(chosen):
         codes = cv2.imread(str(data / f"diligent_cat/{i + 1:03d}.png"), cv2.IMREAD_UNCHANGED)[100:140, :, ::-1]
-        np.testing.assert_allclose(values[i], codes / 65535 / scale[i], rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(values[place], codes / 65535 / scale[i], rtol=1e-5, atol=1e-7)
 
 
 def test_regions_are_kept_numbered_from_zero_in_the_order_of_their_labels(tmp_path):
