@@ -511,6 +511,23 @@ def test_tables_that_no_surface_has_are_refused_with_what_makes_them_right(tmp_p
     assert (kind, "warning") in {(p.kind, p.severity) for p in check_capture(tmp_path / "as it is")}
 
 
+@pytest.mark.parametrize("symmetry", ["unknown", "quarter"])
+def test_a_twill_without_mirror_planes_is_no_contradiction_unless_it_is_said_to_have_them(tmp_path, symmetry):
+    def twilled(angles, values):
+        incident, outgoing = directions(angles)
+        half = incident + outgoing
+        return angles, values * np.exp(2 * half[:, :1] * half[:, 1:2])
+
+    lights = [(t, p) for t in (30, 60) for p in range(0, 360, 90 if t == 30 else 30)]
+    write_cloth(tmp_path / "t.csv", lights=((0, 0), *lights), change=twilled)
+    folder = tmp_path / "c"
+    folder.mkdir()
+    shutil.copy(tmp_path / "t.csv", folder)
+    block = f"{{table: t.csv, values: brdf, azimuths: cloth, symmetry: {symmetry}}}"
+    (folder / "capture.yaml").write_text(f"format: 1\ntitle: t\ngeometry: goniometer\ngoniometer: {block}\n")
+    assert ("reciprocity" in {p.kind for p in check_capture(folder)}) == (symmetry == "quarter")
+
+
 def test_azimuths_from_the_mirror_direction_show_where_the_surface_shines(tmp_path):
     """Lights in one plane have no pairs that tell."""
     write_cloth(tmp_path / "t.csv", lights=((30, 0), (45, 0), (60, 0)), change=counted_from(180))
