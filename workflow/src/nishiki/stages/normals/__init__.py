@@ -43,7 +43,7 @@ LIMITS = (
 )
 
 
-class NormalsSettings(Guarded, stage="normals", version=6, limits=LIMITS):
+class NormalsSettings(Guarded, stage="normals", version=7, limits=LIMITS):
     """Settings of photometric stereo (Tominaga and Tanaka 2004, section 3.3) and of the reflectance of each channel."""
 
     solver: Literal["default", "lobe", "least_squares"] = Field(
@@ -67,6 +67,11 @@ class NormalsSettings(Guarded, stage="normals", version=6, limits=LIMITS):
         "least_squares",
         description="of each channel, without refine; mean: of I / cos over the lights (Tominaga and Tanaka 2004, "
         "eq. 6)",
+    )
+    interreflection: Literal["auto", "none"] = Field(
+        "auto",
+        description="light that the object throws on itself; auto: taken off where captured lamps left out are "
+        "predicted better with it, under distant lamps",
     )
     relighting: Literal["auto", "plain", "directional"] = Field(
         "auto",

@@ -146,13 +146,19 @@ def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable,
 
 
 def relit(
-    observations: np.ndarray, valid: np.ndarray, parcel: Parcel, maps: dict, model: str, kept: np.ndarray | bool = False
+    observations: np.ndarray,
+    valid: np.ndarray,
+    parcel: Parcel,
+    maps: dict,
+    model: str,
+    kept: np.ndarray | bool = False,
+    always: bool = False,
 ) -> dict:
     """Fit the maps that predict lamps again to the samples of a parcel; with many lights `plain` keeps its own.
 
-    kept : (rows, columns) bool, pixels that keep their maps.
+    kept : (rows, columns) bool, pixels that keep their maps; always : with many lights too.
     """
-    if model == "plain" and len(parcel.directions) > FEW_LIGHTS:
+    if model == "plain" and len(parcel.directions) > FEW_LIGHTS and not always:
         return {}
     known = ((maps["flags"] & bits.NO_ESTIMATE) == 0) & ~np.asarray(kept)
     return fit_relighting(

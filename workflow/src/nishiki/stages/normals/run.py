@@ -20,6 +20,7 @@ from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.relighting import TERMS
 from nishiki.stages.normals import NormalsSettings
 from nishiki.stages.normals.finishes import choose_finishes, finish_labels, refitted_error
+from nishiki.stages.normals.interreflection import find_thrown_light
 from nishiki.stages.normals.parcel import MAPS, fit_finishes, relit, solve
 
 SPACING = 4  # pixels between those whose normals are solved again for their error; divides the rows of a band
@@ -43,8 +44,9 @@ def map_tiles(context: Context) -> dict:
     lights, decision = fit_lights(frames, selection, context.settings)
     finishes = choose_finishes(frames, selection, lights, context.settings)
     model, glosses, several = finishes.model, finishes.joint, len(finishes.parts) > 1
-    relight = model is not None and len(lights) <= FEW_LIGHTS
-    for made in finishes.decisions:
+    thrown, taken_off = find_thrown_light(frames, lights, context.settings)
+    relight = model is not None and (len(lights) <= FEW_LIGHTS or thrown is not None)
+    for made in (*finishes.decisions, taken_off):
         if made:
             context.progress.tell(str(made))
     arrays = create_maps(context, frames, terms=TERMS.get(model, 3), relight=relight, several=several)
@@ -64,14 +66,15 @@ def map_tiles(context: Context) -> dict:
         def fit(rows: slice, observations: np.ndarray, valid: np.ndarray) -> None:
             strip = slice(rows.start - band.start, rows.stop - band.start)
             usable = valid if packed is None else unpack_lights(packed[strip], len(lights))
+            direct = observations if thrown is None else thrown.taken_off(observations, rows)
             for parcel in parcels(frames, rows, lights):
                 area = np.s_[:, parcel.rows, parcel.columns]
                 here = labels[strip][area[1:]]
-                maps = solve(observations[area], usable[area], valid[area], parcel, context.settings)
+                maps = solve(direct[area], usable[area], valid[area], parcel, context.settings)
                 fit_finishes(maps, observations[area], valid[area], parcel, context.settings, glosses, here)
                 if model is not None:
                     together = np.array([gloss is not None for gloss in glosses])[here]
-                    maps.update(relit(observations[area], valid[area], parcel, maps, model, together))
+                    maps.update(relit(observations[area], valid[area], parcel, maps, model, together, always=relight))
                 maps = parcel.at_pixels(maps)
                 for name in maps.keys() & arrays.keys():
                     tile_maps[name][strip][area[1:]] = maps[name]
@@ -79,7 +82,7 @@ def map_tiles(context: Context) -> dict:
                 column = _sparse(parcel.columns.start, parcel.columns.stop)
                 if errors.size and row.size and column.size:
                     places = (slice(None), *np.ix_(row - strip.start, column))
-                    samples = observations[places], usable[places], valid[places]
+                    samples = direct[places], usable[places], valid[places]
                     found = refitted_error(*samples, parcel, groups, context.settings)
                     errors[np.ix_(row // SPACING, column // SPACING)] = found
 
@@ -108,7 +111,7 @@ def map_tiles(context: Context) -> dict:
         "lights": [frames.lights[j] for j in lights],
         **finishes.described,
         "relighting": model,
-        "economy": economy(decision, *finishes.decisions),
+        "economy": economy(decision, *finishes.decisions, taken_off),
     }
     return {"same": same, "counts": dict(counts), "sigma": np.concatenate([np.empty(0, np.float32), *sigmas])}
 
