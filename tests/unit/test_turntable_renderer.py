@@ -7,7 +7,7 @@ import pytest
 
 from nishiki.brdf.texels.model import Lighting, predict
 from nishiki.codec.design import Extent
-from nishiki.codec.pictures import pack_missed
+from nishiki.codec.pictures import pack_strayed
 from nishiki.codec.store import CodedTexels
 from nishiki.colour.colour import decode, encode
 from nishiki.geometry.camera import Camera
@@ -161,7 +161,7 @@ def slow(made, camera, light, shares):
 
 
 class CodedViews:
-    """View 1 of two lights as a picture of one level a light, with a part that the surface misses at the corner."""
+    """View 1 of two lights as a picture of one level a light; the surface misses the corner and passes the outline."""
 
     channels = 3
 
@@ -174,8 +174,8 @@ class CodedViews:
 
     def stream(self, tile, index):
         mask = np.zeros((100, 110), bool)
-        mask[:4, :5] = True
-        return pack_missed([mask])[0] if tile == 1 else b""
+        mask[:4, :5] = mask[48:52, 50:60] = True
+        return pack_strayed([mask])[0] if tile == 1 else b""
 
 
 def test_captured_views_are_pictures_where_they_are_coded_so():
@@ -188,10 +188,15 @@ def test_captured_views_are_pictures_where_they_are_coded_so():
         shown = next(made.render([made.captured(1, light=light)]))
         assert shown.reached[:4, :5].all()
         assert not shown.covered[:4, :5].any()
-        assert (shown.linear[shown.reached] == level).all()
+        beyond = np.zeros_like(shown.covered)
+        beyond[48:52, 50:60] = True
+        assert shown.covered[beyond].all()
+        assert (shown.linear[shown.reached & ~beyond] == level).all()
+        texels = next(without.render([without.captured(1, light=light)])).linear
+        np.testing.assert_array_equal(shown.linear[beyond], texels[beyond])
         assert not shown.linear[~shown.reached].any()
     both = next(made.render([lit_by(made.captured(1), ((0, 1.0), (1, 0.5)))]))
-    np.testing.assert_allclose(both.linear[both.reached], 0.5, atol=1e-6)
+    np.testing.assert_allclose(both.linear[both.reached & ~beyond], 0.5, atol=1e-6)
     np.testing.assert_array_equal(picture_of(made, 2).linear, plain.linear)
     np.testing.assert_array_equal(next(made.render([made.between(1, 0.5)])).linear, between.linear)
 

@@ -2,7 +2,7 @@
 
 The pixels of a view are cut into tiles of SIDE x SIDE, which its camera alone sees; there is no reflection model. Only
 pixels of the object are solved for, so that the outline costs nothing: beyond it stands what is cheapest. The surface
-says which pixels show the object; parts that it misses are stored beside, one bit a pixel, deflated.
+says which pixels show the object; where outline and surface differ is stored beside, one bit a pixel, deflated.
 """
 
 import zlib
@@ -71,18 +71,18 @@ class PictureSource:
         return TileMaps(nothing, nothing, nothing[..., 0])
 
 
-def pack_missed(missed: Sequence[np.ndarray]) -> list[bytes]:
-    """Deflate the parts of the object that the surface misses, (rows, columns) bool a view, tile by tile."""
+def pack_strayed(strayed: Sequence[np.ndarray]) -> list[bytes]:
+    """Deflate the pixels where outline and surface differ, (rows, columns) bool a view, tile by tile."""
     return [
         zlib.compress(np.packbits(mask[area]).tobytes(), 9) if mask[area].any() else b""
-        for mask in missed
+        for mask in strayed
         for area in areas_of(mask.shape)
     ]
 
 
-def with_missed(pictures: EncodedObject, missed: Sequence[bytes]) -> EncodedObject:
+def with_strayed(pictures: EncodedObject, strayed: Sequence[bytes]) -> EncodedObject:
     """Store deflated parts in the place of the parameters, which pictures have not."""
-    return replace(pictures, streams=[(part, *own[1:]) for part, own in zip(missed, pictures.streams, strict=True)])
+    return replace(pictures, streams=[(part, *own[1:]) for part, own in zip(strayed, pictures.streams, strict=True)])
 
 
 def decode_picture(
@@ -90,11 +90,11 @@ def decode_picture(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Decode a picture (rows, columns, channels) float32 in the capture's encoding; None of a view that is not coded.
 
-    Pixels beyond the object hold any value. Second, (rows, columns) bool: parts of it that the surface misses.
+    Pixels beyond the object hold any value. Second, (rows, columns) bool: where outline and surface differ.
     """
     areas = areas_of(shape)
     first = view * len(areas)
-    out, missed = np.zeros((*shape, pictures.channels), np.float32), np.zeros(shape, bool)
+    out, strayed = np.zeros((*shape, pictures.channels), np.float32), np.zeros(shape, bool)
     for tile, area in enumerate(areas, first):
         texels, (rows, columns) = pictures.texels(tile, 0), pictures.extents[tile].texels
         if texels is not None:
@@ -102,8 +102,7 @@ def decode_picture(
             whole[rows, columns] = np.moveaxis(texels[:, light], 0, -1)
             out[area] = whole[: out[area].shape[0], : out[area].shape[1]]
         if packed := pictures.stream(tile, 0):
-            part = missed[area]
+            part = strayed[area]
             bits = np.frombuffer(inflated(packed, part.size // 8 + 1), np.uint8)
             part[:] = np.unpackbits(bits, count=part.size).reshape(part.shape)
-    coded = any(pictures.extents[tile].length for tile in range(first, first + len(areas)))
-    return (out, missed) if coded else None
+    return (out, strayed) if any(each.length for each in pictures.extents[first : first + len(areas)]) else None

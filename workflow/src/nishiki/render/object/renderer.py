@@ -247,7 +247,8 @@ class ObjectRenderer:
                     break
                 reached |= found[1]
                 picture = np.float32(weight) * np.clip(to_linear(found[0], self.encoding), 0, highest)
-                linear[reached] = picture[reached] + (linear[reached] if place else 0)
+                drawn = reached & ~(covered & found[1])  # beyond the outline the picture holds any value
+                linear[drawn] = picture[drawn] + (linear[drawn] if place else 0)
         highest *= sum(abs(weight) for _, weight in shot.lights)
         np.clip(linear, 0, highest, out=linear, where=(reached & ~covered)[..., None])
         return ObjectPicture(linear, covered, reached, raster.triangle, raster.barycentric, raster.depth)

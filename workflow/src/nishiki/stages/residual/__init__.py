@@ -29,7 +29,7 @@ LIMITS = (
 )
 
 
-class ResidualSettings(Guarded, stage="residual", version=6, limits=LIMITS):
+class ResidualSettings(Guarded, stage="residual", version=7, limits=LIMITS):
     """What the reflection model does not explain, as wavelet coefficients."""
 
     target: Literal["bits_per_pixel", "bytes", "total_bytes", "psnr", "kept", "kept_of_all", "step"] = Field(

@@ -25,7 +25,7 @@ from nishiki.codec.allocate import (
 from nishiki.codec.compact import cost_of
 from nishiki.codec.design import Design
 from nishiki.codec.parameters import TileMaps, TileSurface
-from nishiki.codec.pictures import SIDE, PictureSource, pack_missed, with_missed
+from nishiki.codec.pictures import SIDE, PictureSource, pack_strayed, with_strayed
 from nishiki.codec.solve import Pursuit
 from nishiki.codec.store import FRAME, frame_bytes, write_residual
 from nishiki.codec.tile_code import CodedScene, Effort, Pixels, model_of, see
@@ -103,8 +103,8 @@ def run(context: Context) -> dict:
         coarse, by_bytes = None, not alone and settings.target in OF_BYTES
         photographed = picture_source(context, texels, source.kept) if by_bytes else None
         if photographed is not None:
-            missed = pack_missed([missed_parts(mesh, *view, photographed) for view in enumerate(cameras)])
-            coarse, room = run_pass(COARSER * start), math.exp(goal) - sum(map(len, missed))
+            strayed = pack_strayed([strayed_parts(mesh, *view, photographed) for view in enumerate(cameras)])
+            coarse, room = run_pass(COARSER * start), math.exp(goal) - sum(map(len, strayed))
             pictures = carried((photographed, scene, design, effort), settings, start, room - coarse.bytes, expected)
         encoded, alike = coarse, expected  # decibels of texels of as many bytes
         if pictures is None or expected is None or point_of(pictures).psnr_db < expected + UNSURE_DB:
@@ -117,7 +117,7 @@ def run(context: Context) -> dict:
     figures = diagnostics(encoded, counts)
     if pictures is not None:
         coded, curve = point_of(pictures), [replace(p, bytes=p.bytes + encoded.bytes) for p in pictures.curve]
-        figures["curve"], pictures = [asdict(point) for point in curve], with_missed(pictures, missed)
+        figures["curve"], pictures = [asdict(point) for point in curve], with_strayed(pictures, strayed)
         told = {"texels_psnr_db": figures["psnr_db"], "equal_bytes_psnr_db": alike}
         figures |= {"psnr_db": coded.psnr_db, "pictures": asdict(coded) | told}
     parts = write_residual(context.output.folder, encoded, pictures, stamp=context.stamp, report=figures)
@@ -151,15 +151,16 @@ def picture_source(context: Context, texels: Texels, kept: np.ndarray) -> Pictur
     return PictureSource(read, tuple(outlines), views, photographs.views.shape, texels.channels)
 
 
-def missed_parts(mesh: Mesh, view: int, camera: Camera, photographed: PictureSource) -> np.ndarray:
-    """(rows, columns) bool: parts of a view's outline that lie RIM pixels and more beyond the surface's."""
+def strayed_parts(mesh: Mesh, view: int, camera: Camera, photographed: PictureSource) -> np.ndarray:
+    """(rows, columns) bool: parts of a view's outline RIM pixels beyond the surface, of the surface one beyond it."""
     import cv2
 
     if view not in photographed.views:
         return np.zeros(photographed.shape, bool)
-    near = cv2.dilate(outline_of(mesh, camera).astype(np.uint8), np.ones((2 * RIM + 1, 2 * RIM + 1), np.uint8))
-    beyond = photographed.read(view)[1] & (near == 0)
-    return cv2.morphologyEx(beyond.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)) > 0
+    surface, outline = (each.astype(np.uint8) for each in (outline_of(mesh, camera), photographed.read(view)[1]))
+    missed = (outline > 0) & (cv2.dilate(surface, np.ones((2 * RIM + 1, 2 * RIM + 1), np.uint8)) == 0)
+    bare = (surface > 0) & (cv2.dilate(outline, np.ones((3, 3), np.uint8)) == 0)
+    return cv2.morphologyEx((missed | bare).astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)) > 0
 
 
 def carried(
@@ -356,7 +357,6 @@ def search(run_pass, settings: ResidualSettings, goal: float, start: float, slop
 def diagnostics(encoded: EncodedObject, counts: dict[str, int]) -> dict:
     """Return figures of the pass that is stored; decibels over object pixels, full scale 1."""
     samples = encoded.pixels * encoded.design.channels
-    empty = [not any(len(s) for s in tile[1:]) for tile in encoded.streams]
     return {
         "step": encoded.design.step,
         "parameter_steps": list(encoded.design.parameter_steps),
@@ -367,6 +367,6 @@ def diagnostics(encoded: EncodedObject, counts: dict[str, int]) -> dict:
         "kept_of_all": encoded.kept / max(1, counts["samples"]),
         "pixels": encoded.pixels,
         "tiles": len(encoded.streams),
-        "empty_tiles": int(sum(empty)),
+        "empty_tiles": sum(not any(len(s) for s in tile[1:]) for tile in encoded.streams),
         "curve": [asdict(point) for point in encoded.curve],
     }
