@@ -93,6 +93,7 @@ def test_one_name_does_not_load_the_others():
     assert not {name for name in loaded if name.split(".")[1] in ("capture", "colour", "photometric", "api", "stages")}
 
 
+@pytest.mark.slow
 def test_no_stage_depends_on_the_public_names():
     for name in NAMES:
         files = {path.relative_to(SOURCE / PACKAGE).as_posix() for path in code_files(program_of(name))}

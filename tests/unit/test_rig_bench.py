@@ -133,6 +133,7 @@ def photographs(data):
     return found
 
 
+@pytest.mark.slow
 def test_the_capture_of_the_demonstration_holds_the_photographs_that_were_taken_by_hand(tmp_path, monkeypatch):
     by_hand = make_capture(tmp_path / "by-hand")
     monkeypatch.chdir(tmp_path)

@@ -87,6 +87,7 @@ def test_a_run_ends_with_a_checked_and_sealed_capture(hand, tmp_path):
     assert bench.exposures == 11
 
 
+@pytest.mark.slow
 def test_a_run_gives_the_normals_of_the_same_painting_photographed_by_hand(tmp_path):
     from nishiki.observations.check import check_capture
 

@@ -152,6 +152,7 @@ def shadowed(masks):
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "named"),
     [

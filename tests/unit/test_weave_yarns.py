@@ -261,6 +261,7 @@ def test_search_finds_the_weave_and_its_yarns(binding):
     assert parameters["aspect_warp"]["determined"]
 
 
+@pytest.mark.slow
 def test_counted_threads_hold_the_spacings_that_the_yarns_alone_leave_open():
     measured = measured_of(yarns(spacing_ratio=np.log(2.0)), normal_only=True)
     samples = samples_of(measured, views=30)
