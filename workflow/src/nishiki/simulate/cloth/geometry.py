@@ -129,13 +129,6 @@ _BISECTIONS = 14  # halvings of a spacing
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _yarn_of(v, spacing, count):
-    """Yarn of the slot at sideways place v, and the place from the slot's middle."""
-    slot = math.floor(v / spacing)
-    return slot - count * math.floor(slot / count), v - (slot + 0.5) * spacing
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
 def _knots(along, length, yarn, system, numbers):
     """Where the two samples of a path about a place begin in `numbers`, and the share of the second."""
     samples = int(numbers[system + 1])
@@ -150,9 +143,10 @@ def _knots(along, length, yarn, system, numbers):
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _in_yarn(v, along, z, spacing, length, system, numbers):
     """Find the yarn at sideways place v and place `along`; -1 where the point is in none."""
-    yarn, u = _yarn_of(v, spacing, int(numbers[system]))
+    slot, count = math.floor(v / spacing), int(numbers[system])
+    yarn = slot - count * math.floor(slot / count)
     shape = int(numbers[system + 3]) + 3 * yarn
-    u -= numbers[shape]
+    u = v - (slot + 0.5) * spacing - numbers[shape]  # from the centre line
     side = abs(u) / numbers[shape + 1]
     if side >= 1.0:
         return -1
@@ -244,9 +238,10 @@ def escapes(x, y, z, dx, dy, dz, numbers, free):
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _yarn_frame(v, along, z, spacing, length, system, numbers):
     """Outward normal, not normalised (sideways, along, up), and slope of the yarn at a point of its surface."""
-    yarn, u = _yarn_of(v, spacing, int(numbers[system]))
+    slot, count = math.floor(v / spacing), int(numbers[system])
+    yarn = slot - count * math.floor(slot / count)
     shape = int(numbers[system + 3]) + 3 * yarn
-    u -= numbers[shape]
+    u = v - (slot + 0.5) * spacing - numbers[shape]  # from the centre line
     a, b, exponent = numbers[shape + 1], numbers[shape + 2], numbers[system + 2]
     k, n, f = _knots(along, length, yarn, system, numbers)
     height = numbers[k] + f * (numbers[n] - numbers[k])

@@ -44,19 +44,11 @@ def level_out(height_mm: np.ndarray) -> np.ndarray:
     return out
 
 
-@numba.njit(cache=True)
-def slopes_at(height, i, j, step):
-    """Slopes (dh/dx to the right, dh/dy upwards) by central differences; one-sided at the edges."""
-    rows, columns = height.shape
-    up, down = max(i - 1, 0), min(i + 1, rows - 1)
-    left, right = max(j - 1, 0), min(j + 1, columns - 1)
-    slope_x = (np.float64(height[i, right]) - np.float64(height[i, left])) / ((right - left) * step)
-    slope_y = (np.float64(height[up, j]) - np.float64(height[down, j])) / ((down - up) * step)
-    return slope_x, slope_y
-
-
 def slopes_of_rows(height_mm: np.ndarray, start: int, stop: int, step_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes of rows start..stop as `slopes_at` gives them, float64, for whole rows at once."""
+    """Slopes (dh/dx to the right, dh/dy upwards) of rows start..stop, float64, by central differences.
+
+    One-sided at the edges.
+    """
     count = len(height_mm)
     rows = np.arange(start, stop)
     up, down = np.maximum(rows - 1, 0), np.minimum(rows + 1, count - 1)
@@ -88,17 +80,6 @@ def pixel_maps(height_mm: np.ndarray, *, step_mm: float, supersampling: int):
 
 
 @numba.njit(cache=True)
-def height_between(height, y, x):
-    """Bilinear height at fractional sample coordinates inside the field."""
-    i, j = int(y), int(x)
-    i, j = min(i, height.shape[0] - 2), min(j, height.shape[1] - 2)
-    fy, fx = y - i, x - j
-    top = np.float64(height[i, j]) * (1.0 - fx) + np.float64(height[i, j + 1]) * fx
-    bottom = np.float64(height[i + 1, j]) * (1.0 - fx) + np.float64(height[i + 1, j + 1]) * fx
-    return top * (1.0 - fy) + bottom * fy
-
-
-@numba.njit(cache=True)
 def horizon_slope(height, i, j, ux, uy, step, ceiling, least):
     """Largest slope (rise over run) under which sample (i, j) sees the field towards (ux, uy), at least `least`.
 
@@ -116,7 +97,11 @@ def horizon_slope(height, i, j, ux, uy, step, ceiling, least):
         run += step
         if y < 0.0 or x < 0.0 or y > last_row or x > last_column or ceiling - start <= best * run:
             return best
-        slope = (height_between(height, y, x) - start) / run
+        r, c = min(int(y), height.shape[0] - 2), min(int(x), height.shape[1] - 2)  # bilinear between the samples
+        fy, fx = y - r, x - c
+        top = np.float64(height[r, c]) * (1.0 - fx) + np.float64(height[r, c + 1]) * fx
+        bottom = np.float64(height[r + 1, c]) * (1.0 - fx) + np.float64(height[r + 1, c + 1]) * fx
+        slope = (top * (1.0 - fy) + bottom * fy - start) / run
         if slope > best:
             best = slope
 

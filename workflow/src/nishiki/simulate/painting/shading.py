@@ -7,7 +7,7 @@ import numba
 import numpy as np
 
 from nishiki.simulate.painting.objects import SimulatedObject
-from nishiki.simulate.painting.relief import REACH_PIXELS, bounced_irradiance, slopes_at, visible_share
+from nishiki.simulate.painting.relief import REACH_PIXELS, bounced_irradiance, visible_share
 from nishiki.simulate.painting.settings import LampPose, SimulationSettings
 from nishiki.simulate.reflection import ggx_gloss, rough_body
 from nishiki.threads import over_rows
@@ -32,7 +32,10 @@ def _shade_sample(height, i, j, step, lamp, optics, alpha, wave):
     lamp: unit direction, and the inverse length of light + view; optics as of `_shade`.
     """
     (lx, ly, lz, half), (radius, ceiling, index, sigma) = lamp, optics
-    p, q = slopes_at(height, i, j, step)
+    up, down = max(i - 1, 0), min(i + 1, height.shape[0] - 1)
+    left, right = max(j - 1, 0), min(j + 1, height.shape[1] - 1)
+    p = (np.float64(height[i, right]) - np.float64(height[i, left])) / ((right - left) * step)
+    q = (np.float64(height[up, j]) - np.float64(height[down, j])) / ((down - up) * step)
     n_v = 1.0 / math.sqrt(1.0 + p * p + q * q)
     n_l = (lz - p * lx - q * ly) * n_v
     if n_l <= 0.0:

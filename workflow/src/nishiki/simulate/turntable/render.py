@@ -49,8 +49,10 @@ def look_around(surface: SimulatedSurface, tree: RayTree, *, directions: int, se
     for start in range(0, count, batch):
         some = slice(start, min(start + batch, count))
         normals = surface.normals[some]
-        rays = np.empty((len(normals), directions, 3))
-        over_rows(_spread, len(rays), normals, toward, spin[some], rays)
+        c, s, frames = np.cos(spin[some])[:, None], np.sin(spin[some])[:, None], frames_about(normals)
+        u, v = c * toward[:, 0] - s * toward[:, 1], s * toward[:, 0] + c * toward[:, 1]
+        rays = u[..., None] * frames[:, None, 0] + v[..., None] * frames[:, None, 1]
+        rays += toward[:, 2:] * normals[:, None]
         origins = np.repeat(surface.vertices[some] + OFFSET_MM * normals, directions, axis=0)
         hits = cast(tree, origins, rays.reshape(-1, 3))
         weights = np.column_stack([1.0 - hits.weights.sum(axis=1), hits.weights])
@@ -60,30 +62,13 @@ def look_around(surface: SimulatedSurface, tree: RayTree, *, directions: int, se
     return Surroundings(seen, toward, spin, albedo, shine, surface.normals)
 
 
-@numba.njit(cache=True)
-def frame_about(nx, ny, nz):
-    """Two unit vectors perpendicular to a unit normal and each other (Duff et al., JCGT 6(1), 2017)."""
-    sign = math.copysign(1.0, nz)
+def frames_about(normals: np.ndarray) -> np.ndarray:
+    """Two unit vectors (n, 2, 3) perpendicular to unit normals (n, 3) and each other (Duff et al., JCGT 6(1), 2017)."""
+    nx, ny, nz = normals.T
+    sign = np.copysign(1.0, nz)
     a = -1.0 / (sign + nz)
     b = nx * ny * a
-    return 1.0 + sign * nx * nx * a, sign * b, -sign * nx, b, sign + ny * ny * a, -ny
-
-
-@numba.njit(cache=True)
-def _turned(toward, d, c, s, n, f):
-    """Direction d of the pattern, turned by the angle with cosine c and sine s, in the frame f about the normal n."""
-    u, v, w = c * toward[d, 0] - s * toward[d, 1], s * toward[d, 0] + c * toward[d, 1], toward[d, 2]
-    return u * f[0] + v * f[3] + w * n[0], u * f[1] + v * f[4] + w * n[1], u * f[2] + v * f[5] + w * n[2]
-
-
-@numba.njit(cache=True, nogil=True)
-def _spread(start, stop, normals, toward, spin, out):
-    for p in range(start, stop):
-        n = normals[p]
-        f = frame_about(n[0], n[1], n[2])
-        c, s = math.cos(spin[p]), math.sin(spin[p])
-        for d in range(toward.shape[0]):
-            out[p, d, 0], out[p, d, 1], out[p, d, 2] = _turned(toward, d, c, s, n, f)
+    return np.stack([1.0 + sign * nx * nx * a, sign * b, -sign * nx, b, sign + ny * ny * a, -ny], 1).reshape(-1, 2, 3)
 
 
 def _mean_materials(surface: SimulatedSurface, key: int) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +110,7 @@ def bounced(around: Surroundings, direct: np.ndarray, bounces: int) -> tuple[np.
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _mirror(start, stop, surface, around, radiosity, eye, smoothest, out):
     """Average the surroundings' radiosity as the facets of each vertex reflect it to the eye (GGX weights)."""
-    (vertices, normals), (seen, toward, spin, shine) = surface, around
+    (vertices, normals, frames), (seen, toward, spin, shine) = surface, around
     for p in range(start, stop):
         n = normals[p]
         vx, vy, vz = eye[0] - vertices[p, 0], eye[1] - vertices[p, 1], eye[2] - vertices[p, 2]
@@ -134,13 +119,15 @@ def _mirror(start, stop, surface, around, radiosity, eye, smoothest, out):
         out[p, 0] = out[p, 1] = out[p, 2] = 0.0
         if n[0] * vx + n[1] * vy + n[2] * vz <= -0.2:
             continue
-        f = frame_about(n[0], n[1], n[2])
+        f, g = frames[p, 0], frames[p, 1]
         c, s = math.cos(spin[p]), math.sin(spin[p])
         a2 = max(shine[p, 0], smoothest) ** 2
         total = 1e-12
         for d in range(toward.shape[0]):
-            lx, ly, lz = _turned(toward, d, c, s, n, f)
-            hx, hy, hz = lx + vx, ly + vy, lz + vz
+            u, v, w = c * toward[d, 0] - s * toward[d, 1], s * toward[d, 0] + c * toward[d, 1], toward[d, 2]
+            hx = u * f[0] + v * g[0] + w * n[0] + vx
+            hy = u * f[1] + v * g[1] + w * n[1] + vy
+            hz = u * f[2] + v * g[2] + w * n[2] + vz
             square = max(hx * hx + hy * hy + hz * hz, 1e-12)
             n_h = n[0] * hx + n[1] * hy + n[2] * hz
             spread = (a2 - 1.0) * n_h * n_h / square + 1.0
@@ -158,8 +145,8 @@ def mirrored(surface: SimulatedSurface, around: Surroundings, radiosity: np.ndar
     """(v, 3): what facets that reflect all light would show at each vertex towards the eye, of the object itself."""
     out = np.empty(around.albedo.shape)
     over_rows(
-        _mirror, len(out), (surface.vertices, surface.normals), (around.seen, around.toward, around.spin, around.shine),
-        radiosity, np.asarray(eye, float), _SMOOTHEST, out,
+        _mirror, len(out), (surface.vertices, surface.normals, frames_about(surface.normals)),
+        (around.seen, around.toward, around.spin, around.shine), radiosity, np.asarray(eye, float), _SMOOTHEST, out,
     )  # fmt: skip
     return out
 
