@@ -40,15 +40,11 @@ def test_fewer_oblique_measurements_rerun_from_the_fit_on(cloth_site):
     assert cloth_site.would_run() == ["cloth_brdf", *AFTER_CLOTH_BRDF]
 
 
-def test_another_dye_reruns_pictures_and_report_only(cloth_site):
+def test_another_dye_reruns_pictures_and_report_only_and_settings_of_others_nothing(cloth_site):
     small = {"view": {"rows": 72, "columns": 72}, "supersampling": 1}
-    cloth_site.configure(cloth_render={**small, "dyes": {"green": "#207040"}})
+    others = {"normals": {"solver": "least_squares"}, "residual": {"amount": 1.0}}
+    cloth_site.configure(cloth_render={**small, "dyes": {"green": "#207040"}}, **others)
     assert cloth_site.would_run() == ["cloth_render", "cloth_report", "publish"]
-
-
-def test_a_painting_or_object_setting_reruns_nothing(cloth_site):
-    cloth_site.configure(normals={"solver": "least_squares"}, residual={"amount": 1.0})
-    assert cloth_site.would_run() == []
 
 
 def test_the_plan_says_what_the_capture_holds(cloth_site):

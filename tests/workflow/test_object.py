@@ -61,14 +61,10 @@ def test_an_amount_of_bytes_reruns_from_the_residual_on(object_site):
     assert object_site.would_run() == ["residual", *AFTER_RESIDUAL]
 
 
-def test_a_film_setting_reruns_pictures_and_report_only(object_site):
-    object_site.configure(object_render={"views": 6, "between": 0, "film": None})
+def test_a_film_setting_reruns_pictures_and_report_only_and_a_paintings_nothing(object_site):
+    painting = {"solver": "least_squares"}
+    object_site.configure(object_render={"views": 6, "between": 0, "film": None}, normals=painting)
     assert object_site.would_run() == ["object_render", "object_report", "publish"]
-
-
-def test_a_painting_setting_reruns_nothing(object_site):
-    object_site.configure(normals={"solver": "least_squares"})
-    assert object_site.would_run() == []
 
 
 def test_views_held_out_are_predicted(object_site):
