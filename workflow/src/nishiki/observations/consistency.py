@@ -137,17 +137,12 @@ class ReducedPhotographs:
         """Linear light (rows, columns, channels) of the mean of each block, NaN where a pixel of it is saturated."""
         import cv2
 
-        cells = min(CELLS, self.step)
-        size = (self.shape[1] * cells, self.shape[0] * cells)
-        saturated = (codes >= self.reader.saturated).view(np.uint8)
-        hot = np.multiply(saturated, 255, out=saturated) if saturated.any() else None
+        (rows, columns), cells = self.shape, min(CELLS, self.step)
+        highest = codes.reshape(rows, self.step, -1).max(axis=1).reshape(rows, columns, -1).max(axis=2)
         if self.step > cells:
-            codes = cv2.resize(codes, size, interpolation=cv2.INTER_AREA).reshape(*size[::-1], -1)
-            hot = None if hot is None else cv2.resize(hot, size, interpolation=cv2.INTER_AREA).reshape(codes.shape)
-        blocks = (self.shape[0], cells, self.shape[1], cells, -1)
-        values = self._linear(codes).reshape(blocks).mean(axis=(1, 3), dtype=np.float32)
-        if hot is not None:
-            values[hot.reshape(blocks).any(axis=(1, 3, 4))] = np.nan
+            codes = cv2.resize(codes, (columns * cells, rows * cells), interpolation=cv2.INTER_AREA)
+        values = self._linear(codes).reshape(rows, cells, columns, cells, -1).mean(axis=(1, 3), dtype=np.float32)
+        values[highest >= self.reader.saturated] = np.nan
         return values
 
     def _spread(self, gain: np.ndarray) -> np.ndarray:

@@ -4,7 +4,6 @@ import itertools
 import json
 import math
 import tempfile
-from collections import deque
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
@@ -27,7 +26,7 @@ from nishiki.stages.export.light_models import (
 )
 from nishiki.stages.export.photographs import CodedErrors, GridPictures, Photographs
 from nishiki.stages.export.scene import ExportedScene
-from nishiki.threads import in_threads
+from nishiki.threads import in_threads, over_items
 
 PTM = "painting.ptm"
 SAMPLES = 10_000
@@ -145,9 +144,9 @@ class StoredModel:
             else:
                 write_deep_zoom(folder, f"plane_{number}", pictures[number], scratch, settings.jpeg_quality)
 
-        deque(in_threads(fit, frames.bands()), 0)
+        over_items(fit, frames.bands())
         self.layout = "deepzoom" if max(rows, columns) > LARGEST_SINGLE else "image"
-        deque(in_threads(store, range(len(pictures))), 0)
+        over_items(store, range(len(pictures)))
         if self.model.kind == "ptm" and settings.single_file:
             write_ptm(folder / PTM, pictures, self.scale.reshape(-1, 3), self.bias.reshape(-1, 3))
         text = json.dumps(self.info(photographs.frames, lights, context), indent=1) + "\n"
