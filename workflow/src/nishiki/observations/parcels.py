@@ -29,6 +29,12 @@ class Parcel:
     # (2, 3, 3): error of Lambert's vector, as a factor on it, a row and a column away from the centre
     drift: np.ndarray | None = None
 
+    def scaled(self, observations: np.ndarray) -> np.ndarray:
+        """Return observations (lights, ...) as if the lamps were as far from the parcel as from the centre."""
+        if (self.scale == 1).all():
+            return observations
+        return observations * self.scale.reshape(-1, *[1] * (observations.ndim - 1))
+
     def at_pixels(self, maps: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Correct normals (rows, columns, 3), and levels beside them, for the lamps' directions at every pixel.
 
@@ -152,8 +158,7 @@ def sample(
                 chosen = here[taken & (row % stride == 0) & (column % stride == 0)]
             seen += here.size
             if chosen.size:
-                scale = parcel.scale.reshape(-1, *[1] * (observations.ndim - 1))
-                values = flat(observations[area] * scale, chosen)
+                values = flat(parcel.scaled(observations[area]), chosen)
                 yield Piece(parcel, strip, chosen, values, flat(valid[area], chosen))
 
 

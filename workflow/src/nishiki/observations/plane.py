@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from nishiki.formats.stored import open_bands, open_made_by, understood
 from nishiki.formats.zarr_store import chunk_path, read_chunk, read_chunk_into
 from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid, positions
 from nishiki.observations.linearise import StoredArrays
-from nishiki.threads import Result, in_threads, over_rows, strips
+from nishiki.threads import in_threads, over_rows, strips
 
 STORE, FORMAT = "frames.zarr", 1  # name and version of the file; readers refuse others
 STRIP_BYTES = 8 << 20
@@ -97,20 +97,14 @@ class Observations(StoredArrays):
         return self.decoded(codes, chosen, start, left, channel)
 
     def strips(
-        self, band: slice, *, lights: np.ndarray, channel: Literal["mean"] | None = None
-    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Read a band in strips of rows (slices counted from the picture's top), each as by `read`."""
-        return self.over_strips(lambda *strip: strip, band, lights=lights, channel=channel)
-
-    def over_strips(
         self,
-        work: Callable[[slice, np.ndarray, np.ndarray], Result],
         band: slice,
         *,
         lights: np.ndarray,
         channel: Literal["mean"] | None = None,
-    ) -> Iterator[Result]:
-        """Yield the results of `work` for the strips of `strips` in order, several at a time.
+        work: Callable[[slice, np.ndarray, np.ndarray], Any] = lambda *strip: strip,
+    ) -> Iterator[Any]:
+        """Yield `work` of each strip of a band, several at a time: its rows in the picture, and what `read` returns.
 
         The codes of the band are read once. Values of a strip fit the processor's cache, where those of a band fill
         the memory: a band of 8-bit codes becomes five times as large when it is decoded. Lamps at a position have one
@@ -121,7 +115,7 @@ class Observations(StoredArrays):
         row_bytes = 4 * count * columns * (channels if channel is None else 1)
         step = rows if self.positions_mm is not None else max(STRIP_BYTES // row_bytes, 1)
 
-        def of_strip(top: int) -> Result:
+        def of_strip(top: int) -> Any:
             part, first = codes[:, top : top + step], start + top
             return work(slice(first, first + part.shape[1]), *self.decoded(part, lights, first, channel=channel))
 

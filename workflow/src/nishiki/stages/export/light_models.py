@@ -10,8 +10,7 @@ at the nodes of a grid over the hemisphere (bilinear). Weights are computed as t
 sees what will be shown.
 """
 
-from dataclasses import dataclass, fields
-from typing import Protocol
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,27 +27,6 @@ LEAST_REDUNDANCY = 1e-3
 GRID_SIDE = 8  # nodes along a side of the grid of bilinear
 NODES = 0.006  # n: weight of a node's squared error beside that of a captured light
 SLIGHT = 1e-6  # added to the normal matrix of components, which are orthogonal but for the rounding of their codes
-
-
-class LightModel(Protocol):
-    """One kind of relightable image.
-
-    kind, colour_space : words of info.json; planes : number of coefficients a pixel.
-    """
-
-    kind: str
-    colour_space: str
-
-    @property
-    def planes(self) -> int: ...
-
-    def transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return o (3,) and T (planes, 3) for a unit vector towards the light."""
-        ...
-
-    def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-        """Return (planes, n) coefficients of pixels with values (lights, 3, n) where valid (lights, n) bool."""
-        ...
 
 
 HARMONICS = 3  # order: nine a channel
@@ -75,10 +53,12 @@ class HarmonicModel:
         return 3 * self.design.shape[1]
 
     def transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return o (3,) and T (planes, 3) for a unit vector towards the light."""
         weights = WEIGHTS[self.kind](np.asarray(light)[None])[0]
         return np.zeros(3), np.kron(weights[:, None], np.eye(3))
 
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+        """Return (planes, n) coefficients of pixels with values (lights, 3, n) where valid (lights, n) bool."""
         return solve(self.design, values, valid, penalty(self.design, self.ridge)).reshape(self.planes, -1)
 
 
@@ -186,6 +166,9 @@ class GridModel(TabulatedModel):
         return np.where(valid.any(axis=0), shared @ rows, 0)
 
 
+LightModel = HarmonicModel | PrincipalModel | GridModel
+
+
 def grid_weights(lights: np.ndarray) -> np.ndarray:
     """Return (lights, nodes) of the nodes of the grid."""
     return np.stack([bilinear_weights(GRID_SIDE, light) for light in lights])
@@ -221,11 +204,6 @@ def coded_components(components: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 class OpenLimeModel(PrincipalModel):
     """rbf as OpenLIME 1.2 shows it: `width` is not looked at, the Gaussians are as wide as the lights are far apart."""
-
-    @classmethod
-    def like(cls, model: PrincipalModel) -> "OpenLimeModel":
-        """Return the same planes, shown by OpenLIME."""
-        return cls(**{field.name: getattr(model, field.name) for field in fields(model)})
 
     def weights(self, light: np.ndarray) -> np.ndarray:
         """Return exp(-8 d^2 / m) of distances d, with m their mean weighted by exp(-2 d); sum 1."""

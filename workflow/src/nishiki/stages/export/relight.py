@@ -62,7 +62,7 @@ def write(context: Context, scene: ExportedScene) -> dict:
             stored.write(folder, Path(scratch), seen, fitted, context)
         shown = {kind: model}
         if isinstance(model, PrincipalModel):
-            shown["rbf in OpenLIME 1.2"] = OpenLimeModel.like(model)
+            shown["rbf in OpenLIME 1.2"] = OpenLimeModel(**vars(model))
         errors = stored.errors(stored.decoded(folder, frames), photographs, hold_out, shown)
         if kind == "ptm" and settings.single_file:
             exact = StoredModel(model, np.full(model.planes, 255.0), np.zeros(model.planes))

@@ -17,7 +17,7 @@ from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.relighting import MODELS
 from nishiki.stages.normals import NormalsSettings
-from nishiki.stages.normals.parcel import fit_finishes, relit, scaled, solve
+from nishiki.stages.normals.parcel import fit_finishes, relit, solve
 
 if TYPE_CHECKING:
     from nishiki.brdf.gloss_profile import GlossProfile
@@ -373,6 +373,6 @@ def gloss_tiles(pieces: Sequence[Sampled], settings: NormalsSettings) -> list[Gl
     for piece in pieces:
         maps = solve(piece.observations, piece.usable, piece.valid, piece.parcel, settings)
         start = {name: maps[name] for name in ("normals", "flags", "sigma", "reflectance")}
-        observed = scaled(piece.observations, piece.parcel)
+        observed = piece.parcel.scaled(piece.observations)
         tiles.append(GlossTile(observed, piece.valid, piece.parcel.directions, cells=piece.cells, **start))
     return tiles

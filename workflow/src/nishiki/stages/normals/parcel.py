@@ -44,16 +44,11 @@ MAPS = {
 WEIGHTED = 0.01  # mean change of the samples, relative, from which the shading is fitted to the mean of the channels
 
 
-def scaled(observations: np.ndarray, parcel: Parcel) -> np.ndarray:
-    """Return observations as if the lamps were as far from the parcel as from the centre."""
-    return observations * parcel.scale[:, None, None, None] if (parcel.scale != 1).any() else observations
-
-
 def solve(
     observations: np.ndarray, usable: np.ndarray, valid: np.ndarray, parcel: Parcel, settings: NormalsSettings
 ) -> dict:
     """Solve the maps of one parcel by name, from the selected lights."""
-    observations = scaled(observations, parcel)
+    observations = parcel.scaled(observations)
     if observations.shape[-1] == 1:
         intensity = observations[..., 0]
     elif settings.solver == "least_squares":  # as published: the mean of the channels
@@ -121,7 +116,7 @@ def fit_finishes(
     labels: np.ndarray,
 ) -> None:
     """Fit the pixels of each finish again together with its gloss, in place; labels (rows, columns): their finishes."""
-    observations = scaled(observations, parcel)
+    observations = parcel.scaled(observations)
     for number, gloss in enumerate(glosses):
         here = labels == number
         if gloss is not None and here.any():
@@ -162,7 +157,7 @@ def relit(
         return {}
     known = ((maps["flags"] & bits.NO_ESTIMATE) == 0) & ~np.asarray(kept)
     return fit_relighting(
-        scaled(observations, parcel),
+        parcel.scaled(observations),
         parcel.directions,
         maps["normals"],
         valid=valid & known,

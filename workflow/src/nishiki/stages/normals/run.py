@@ -86,7 +86,7 @@ def map_tiles(context: Context) -> dict:
                     found = refitted_error(*samples, parcel, groups, context.settings)
                     errors[np.ix_(row // SPACING, column // SPACING)] = found
 
-        deque(frames.over_strips(fit, band, lights=lights), 0)
+        deque(frames.strips(band, lights=lights, work=fit), 0)
         if errors.size:
             whole = np.pad(errors, [(0, 1), (0, 1)], mode="edge").repeat(SPACING, axis=0).repeat(SPACING, axis=1)
             sigma = whole[: size[0], : size[1]]
@@ -103,8 +103,7 @@ def map_tiles(context: Context) -> dict:
 
     counts: Counter[str] = Counter()
     sigmas = []
-    for band in context.progress.over(context.share(frames.bands()), "band"):
-        counted, sigma = solve_band(band)
+    for counted, sigma in map(solve_band, context.progress.over(context.share(frames.bands()), "band")):
         counts.update(counted)
         sigmas.append(sigma)
     same = {

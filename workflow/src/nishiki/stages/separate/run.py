@@ -6,10 +6,9 @@ from nishiki.artifacts.maps import MapWriter, TiledStage
 from nishiki.artifacts.stage import Context
 from nishiki.model_selection.decision import economy
 from nishiki.model_selection.lights import choose_lights
-from nishiki.observations.parcels import Parcel, parcels
+from nishiki.observations.parcels import parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric.light_selection import pack_lights, select_diffuse
-from nishiki.stages.separate import SeparateSettings
 
 
 def map_tiles(context: Context) -> dict:
@@ -26,7 +25,6 @@ def map_tiles(context: Context) -> dict:
     usable = maps.create("usable", (-(-len(lights) // 8),), dtype="uint8", meaning="bit j of byte i: light 8 i + j")
     highlights = maps.create("highlights", dtype="uint16", unit="lights")
     shadows = maps.create("shadows", dtype="uint16", unit="lights")
-    totals = np.zeros(4, dtype=np.int64)
     settings = context.settings
 
     def select_band(band: slice) -> np.ndarray:
@@ -36,51 +34,30 @@ def map_tiles(context: Context) -> dict:
 
         def choose(rows: slice, observations: np.ndarray, valid: np.ndarray) -> list[int]:
             strip = slice(rows.start - band.start, rows.stop - band.start)
-            chosen, counted = select(frames, rows, lights, observations, valid, settings)
+            chosen, counted = np.empty_like(valid), counts[:, strip]
+            for parcel in parcels(frames, rows, lights):
+                area = np.s_[:, parcel.rows, parcel.columns]
+                selection = select_diffuse(
+                    parcel.scaled(observations[area]),
+                    parcel.directions,
+                    valid=valid[area],
+                    method=settings.method,
+                    w1=settings.w1,
+                    w2=settings.w2,
+                    keep=settings.keep,
+                )
+                chosen[area] = selection.usable
+                counted[area] = selection.highlights, selection.shadows
             packed[strip] = pack_lights(chosen)
-            counts[:, strip] = counted
             return [np.count_nonzero(chosen), *(a.sum(dtype=np.int64) for a in counted), np.count_nonzero(valid)]
 
-        found = list(frames.over_strips(choose, band, lights=lights, channel="mean"))
+        found = list(frames.strips(band, lights=lights, channel="mean", work=choose))
         usable[band], highlights[band], shadows[band] = packed, *counts
         return np.sum(found, axis=0)
 
-    for band in context.progress.over(context.share(frames.bands()), "band"):
-        totals += select_band(band)
+    totals = sum(map(select_band, context.progress.over(context.share(frames.bands()), "band")), np.zeros(4, np.int64))
     same = {"lights": [frames.lights[j] for j in lights], "economy": economy(decision)}
     return {"same": same, "samples": rows * columns * len(lights), "totals": totals.tolist()}
-
-
-def select(
-    frames: Observations,
-    rows: slice,
-    lights: np.ndarray,
-    observations: np.ndarray,
-    valid: np.ndarray,
-    settings: SeparateSettings,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Usable samples (lights, rows, columns) of a strip, and how many were rejected as highlights and as shadows."""
-    chosen = np.empty_like(valid)
-    counts = np.empty((2, *valid.shape[1:]), np.uint16)
-    for parcel in parcels(frames, rows, lights):
-        area = np.s_[:, parcel.rows, parcel.columns]
-        selection = select_diffuse(
-            scaled(observations[area], parcel),
-            parcel.directions,
-            valid=valid[area],
-            method=settings.method,
-            w1=settings.w1,
-            w2=settings.w2,
-            keep=settings.keep,
-        )
-        chosen[area] = selection.usable
-        counts[area] = selection.highlights, selection.shadows
-    return chosen, counts
-
-
-def scaled(observations: np.ndarray, parcel: Parcel) -> np.ndarray:
-    """Return observations as if the lamps were as far from the parcel as from the centre."""
-    return observations * parcel.scale[:, None, None] if (parcel.scale != 1).any() else observations
 
 
 def merge(context: Context, tallies: list[dict]) -> dict:
