@@ -40,7 +40,7 @@ PROGRAMS = {
     "texel_fit": ([], "Reflection of texels", "object_brdf.md"),
     "residual": (["--data", "{data}/oxford_dino"], "Coded residual of a turntable", "residual.md"),
     "exports": (["--data", "{data}"], "Exports to other programs", "export.md"),
-    "cloth_brdf": (["--data", "captures/satin"], "Reflection of a cloth (the satin of the demo)", "cloth_brdf.md"),
+    "cloth_brdf": (["--data", "captures"], "Reflection of a cloth", "cloth_brdf.md"),
 }
 SHOWN = {
     "spectra": {"camera": "Canon 60D", "illuminant": "A"},
