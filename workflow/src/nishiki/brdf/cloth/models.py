@@ -74,7 +74,11 @@ def fit_models(
                     "cloth_brdf.model yarns: expected interlaced yarns of the stage weave, found none. Remedy: set "
                     "weave.yarns: true, or cloth_brdf.model: yarn_facets"
                 )
-            out[name] = _interlaced(measured, normal, chosen, basic[0], *yarns)
+            weave, facts = yarns
+            brdf = match_measurements(weave, measured.take(np.concatenate([normal, chosen])), basic[0])
+            facts = {**facts, "oblique": len(chosen), "body": brdf.body.tolist(), "lambert": brdf.lambert.tolist()}
+            alone = match_measurements(weave, measured.take(normal), basic[0])
+            out[name] = Fitted(brdf, np.concatenate([normal, chosen]), facts, alone)
         elif name in REFERENCE:
             out[name] = Fitted(_scaled(measured, valid, basic[1]), valid)
         else:
@@ -116,14 +120,6 @@ def _facets(measured: Measured, normal: np.ndarray, chosen: np.ndarray, basic, f
         "correction": [float(fit.brdf.correction.min()), float(fit.brdf.correction.max())],
     }
     return Fitted(fit.brdf, fit.used, facts, match_measurements(brdf_of(first), measured.take(normal), basic))
-
-
-def _interlaced(measured: Measured, normal: np.ndarray, chosen: np.ndarray, basic, weave: YarnFacets, facts) -> Fitted:
-    """Bring the weave that was found at normal incidence to the measurements."""
-    used = np.concatenate([normal, chosen])
-    brdf = match_measurements(weave, measured.take(used), basic)
-    facts = {**facts, "oblique": len(chosen), "body": brdf.body.tolist(), "lambert": brdf.lambert.tolist()}
-    return Fitted(brdf, used, facts, match_measurements(weave, measured.take(normal), basic))
 
 
 def _scaled(measured: Measured, valid: np.ndarray, grid: np.ndarray) -> ScaledBard:
