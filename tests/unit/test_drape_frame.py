@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from benchmarks.cloth_peers import Ward
+from exact_dye import exact_dye
 
 from nishiki.brdf.cloth.interface import gloss_of
 from nishiki.errors import UserError
@@ -134,8 +135,6 @@ def test_shared_values_differ_little_from_each_sample_its_own():
 
 
 def test_dyes_share_their_gloss_and_are_what_the_dichromatic_model_says():
-    from nishiki.brdf.cloth.interface import Dyed
-
     colours = {"red": (0.5, 0.05, 0.1), "blue": (0.05, 0.1, 0.5)}
     made = dyed(WARD, colours)
     assert made["red"].gloss is made["blue"].gloss
@@ -146,7 +145,7 @@ def test_dyes_share_their_gloss_and_are_what_the_dichromatic_model_says():
     assert np.allclose(found[0], made["red"].evaluate(incident, outgoing))
     assert np.allclose(found[1], WARD.evaluate(incident, outgoing))
     for name, values in (("red", found[0]), ("blue", found[2])):
-        exact = Dyed.of(gloss_of(WARD), colours[name]).evaluate(incident, outgoing)
+        exact = exact_dye(gloss_of(WARD), colours[name]).evaluate(incident, outgoing)
         assert np.abs(values - exact).max() < 0.02 * exact.max()
     # Of even light a dyed cloth returns a + albedo (1 - a).
     apart = np.abs(share_of(made["red"]) - shares(made["red"])[0])

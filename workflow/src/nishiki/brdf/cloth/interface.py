@@ -229,18 +229,6 @@ class Dyed:
     gloss_albedo: np.ndarray  # (THETAS, PHIS) share of the light that the gloss reflects, mean over its channels
     mean_albedo: float  # cosine-weighted mean of gloss_albedo
 
-    @classmethod
-    def of(cls, gloss, albedo) -> "Dyed":
-        """Make a dye of albedo (channels,) under a gloss, whose own light from within it keeps: give a black one."""
-        albedo = np.atleast_1d(np.asarray(albedo, float))
-        theta = (np.arange(THETAS) + 0.5) * (np.pi / 2 / THETAS)
-        phi = np.arange(PHIS) * (2 * np.pi / PHIS)
-        t, p = np.meshgrid(theta, phi, indexing="ij")
-        incident = np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=-1)
-        table = np.clip(directional_albedo(gloss, incident).mean(axis=-1), 0, 1)
-        weight = (np.sin(theta) * np.cos(theta))[:, None]
-        return cls(gloss, albedo, table, float(np.sum(weight * table) / np.sum(weight) / PHIS))
-
     @property
     def channels(self) -> int:
         """Number of channels."""
