@@ -52,7 +52,7 @@ def fresh_decoder(monkeypatch):
     """No decoding process of an earlier test, whose peak of memory includes its pictures."""
     monkeypatch.setattr(picture_process, "_idle", [])
     yield
-    picture_process._end_all()
+    picture_process.end_children()
 
 
 @pytest.mark.slow

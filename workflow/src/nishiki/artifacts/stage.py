@@ -19,6 +19,7 @@ from nishiki.artifacts.limits import at_bounds, check, limit_warnings
 from nishiki.artifacts.maps import StagePart, TiledStage, in_order
 from nishiki.artifacts.provenance import canonical, stage_key
 from nishiki.errors import UserError, of_the_machine
+from nishiki.formats.picture_process import end_children
 from nishiki.packages import load_all, loaded
 from nishiki.progress import Progress
 from nishiki.threads import threads
@@ -34,16 +35,17 @@ class RunFacts:
     def finish(self, capture: Path | None) -> dict[str, Any]:
         """All facts, at the end of the run.
 
-        start_cpu_seconds: until the imports were done; bytes_read: since then, of files and from the cache of the
-        operating system alike; packages: heavy ones that were loaded; threads: that the job was given.
+        cpu_seconds: with those of processes that decoded pictures; start_cpu_seconds: until the imports were done;
+        bytes_read: since then, of files and from the cache of the operating system alike; packages: heavy ones that
+        were loaded; threads: that the job was given.
         """
-        usage = resource.getrusage(resource.RUSAGE_SELF)
-        read = bytes_read()
+        end_children()
+        cpu, read = sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2]) + time.process_time(), bytes_read()
         return {
             "seconds": round(time.perf_counter() - self.clock, 3),
-            "cpu_seconds": round(time.process_time() - self.cpu, 3),
+            "cpu_seconds": round(cpu - self.cpu, 3),
             "start_cpu_seconds": round(self.cpu, 3),
-            "process_cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3),
+            "process_cpu_seconds": round(cpu, 3),
             "peak_memory_mib": round(peak_memory_kib() / 1024, 1),
             "bytes_read": None if read is None or self.read is None else read - self.read,
             "packages": list(loaded()),

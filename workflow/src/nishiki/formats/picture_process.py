@@ -106,7 +106,8 @@ _lock = threading.Lock()
 
 
 @atexit.register
-def _end_all() -> None:
+def end_children() -> None:
+    """End the decoding processes that have nothing to do, whose time then counts as that of this one's children."""
     while _idle:
         _idle.pop().end()
 
