@@ -65,7 +65,10 @@ def audit_crate(audit: CrateAudit, *, threads: int, tell: Callable[[int, int, st
         yield audit.damage(MANIFEST, "damaged" if MANIFEST in listing.files else "missing", str(error))
         return
     audit.digest = hashlib.sha256(data).hexdigest()
-    yield from _names(audit, listing, listed)
+    for name in sorted(set(listed) - {*listing.files, *listing.links, *listing.others}):
+        yield audit.damage(name, "missing", f"listed in {MANIFEST}")
+    for name in sorted(set(listing.files) - set(listed) - {MANIFEST}):
+        yield audit.damage(name, "foreign", f"not in {MANIFEST}")
     digests_read: dict[str, str] = {}
     yield from _contents(audit, tree, listing, listed, digests_read, threads, tell)
     everything = [*listing.files, *listing.links, *listing.others]
@@ -93,14 +96,6 @@ def _shape(audit: CrateAudit, tree: Tree, listing: Listing) -> Iterator[Damage]:
                 yield audit.damage("", "foreign", f"a name that may lead outside: {name}")
         if sum(listing.files.values()) > audit.root.stat().st_size:
             yield audit.damage("", "damaged", "files overlap inside the ZIP file")
-
-
-def _names(audit: CrateAudit, listing: Listing, listed: dict[str, str]) -> Iterator[Damage]:
-    present = {*listing.files, *listing.links, *listing.others}
-    for name in sorted(set(listed) - present):
-        yield audit.damage(name, "missing", f"listed in {MANIFEST}")
-    for name in sorted(set(listing.files) - set(listed) - {MANIFEST}):
-        yield audit.damage(name, "foreign", f"not in {MANIFEST}")
 
 
 def _contents(

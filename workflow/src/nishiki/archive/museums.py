@@ -62,8 +62,13 @@ def _describe(parent: XML.Element, scene: Digitisation) -> None:
     if any(scene.said(key) for key in ("object_id", "object_holder", "object_place")):
         _repository(_add(_add(identification, "repositoryWrap"), "repositorySet"), scene)
     events = _add(parent, "eventWrap")
-    if scene.said("object_maker") or scene.said("object_made"):
-        _production(_add(_add(events, "eventSet"), "event"), scene)
+    if _made(scene):
+        production = _add(_add(events, "eventSet"), "event")
+        _term(_add(production, "eventType"), "Production")
+        if scene.said("object_maker"):
+            actor = _add(_add(_add(production, "eventActor"), "actorInRole"), "actor")
+            _appellation(_add(actor, "nameActorSet"), scene.said("object_maker"))
+        _date(production, "eventDate", scene.said("object_made"))
     _digitisation(_add(_add(events, "eventSet"), "event"), scene)
 
 
@@ -76,15 +81,6 @@ def _repository(repository: XML.Element, scene: Digitisation) -> None:
         _add(repository, "workID", scene.said("object_id"), type=INVENTORY_NUMBER)
     if scene.said("object_place"):
         _appellation(_add(_add(repository, "repositoryLocation"), "namePlaceSet"), scene.said("object_place"))
-
-
-def _production(event: XML.Element, scene: Digitisation) -> None:
-    """Add the production of the object to an event."""
-    _term(_add(event, "eventType"), "Production")
-    if scene.said("object_maker"):
-        actor = _add(_add(_add(event, "eventActor"), "actorInRole"), "actor")
-        _appellation(_add(actor, "nameActorSet"), scene.said("object_maker"))
-    _date(event, "eventDate", scene.said("object_made"))
 
 
 def _digitisation(event: XML.Element, scene: Digitisation) -> None:

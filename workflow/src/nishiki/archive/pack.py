@@ -115,7 +115,12 @@ def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool,
         _copy_code(crate, project)
         crate.write("scene.json", _json({"scene": scene.name, **scene.facts}))
         crate.write("README.md", _readme(scene, stages, capture))
-        _describe_for_museums(crate, scene, stages)
+        museum = Digitisation(scene.name, scene.version, scene.capture_digest, scene.about, scene.method, stages)
+        try:
+            crate.write(LIDO, lido_text(museum))
+        except ValueError as error:
+            raise UserError(f"{scene.capture}: {error}. Remedy: remove control characters from capture.yaml") from None
+        crate.write(CIDOC_CRM, _json(crm_graph(museum)))
         others = ["README.md", "scene.json", LIDO, CIDOC_CRM, MANIFEST]
         others += [name for name in ("code/LICENSE", LOCK) if name in crate.files]
         crate.write(METADATA, _json(metadata(scene.name, scene.version, capture, stages, others)))
@@ -176,15 +181,6 @@ def _copy_code(crate: Crate, project: Path) -> None:
                 continue
             if os.path.splitext(file)[1] in CODE_SUFFIXES:
                 crate.copy(path / file if file else path, f"code/{name}/{file}" if file else f"code/{name}")
-
-
-def _describe_for_museums(crate: Crate, scene: PackedScene, stages: list[PackedStage]) -> None:
-    digitisation = Digitisation(scene.name, scene.version, scene.capture_digest, scene.about, scene.method, stages)
-    try:
-        crate.write(LIDO, lido_text(digitisation))
-    except ValueError as error:
-        raise UserError(f"{scene.capture}: {error}. Remedy: remove control characters from capture.yaml") from None
-    crate.write(CIDOC_CRM, _json(crm_graph(digitisation)))
 
 
 def _json(value: Any) -> str:

@@ -127,15 +127,6 @@ def judge_unfinished(folder: Path, pruning: Pruning, hosts: set[str]) -> None:
         pruning.remove.append(Item(folder, "unfinished; its process has ended", size_of(folder)))
 
 
-def judge_current(folder: Path, pruning: Pruning) -> None:
-    """Judge the published links of a scene that no configuration names: links and an index, nothing else."""
-    listing = FolderTree(folder).listing()
-    if set(listing.files) <= {INDEX} and not listing.others and not listing.unreadable:
-        pruning.remove.append(Item(folder, "links of a scene that no configuration names", sum(listing.files.values())))
-    else:
-        pruning.left_alone.append(Item(folder, "holds more than links"))
-
-
 def size_of(folder: Path) -> int:
     """Bytes of all files below a folder; links count nothing and are not followed."""
     return sum(FolderTree(folder).listing().files.values())
@@ -215,8 +206,14 @@ def _look_into(scene: Path, named: bool, finished: list[Finished], pruning: Prun
         if UNFINISHED.fullmatch(folder.name):
             judge_unfinished(folder, pruning, hosts)
         elif folder.name == CURRENT:
-            if not named:
-                judge_current(folder, pruning)
+            if named:
+                continue
+            listing = FolderTree(folder).listing()
+            if set(listing.files) <= {INDEX} and not listing.others and not listing.unreadable:
+                why = "links of a scene that no configuration names"
+                pruning.remove.append(Item(folder, why, sum(listing.files.values())))
+            else:
+                pruning.left_alone.append(Item(folder, "holds more than links"))
         elif folder.name in CHAIN:
             for inner in folders_in(folder, pruning):
                 judge(inner, finished, pruning, hosts)

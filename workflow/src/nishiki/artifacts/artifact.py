@@ -281,7 +281,9 @@ class ArtifactWriter:
         (self.folder / RUN).write_text(run_text(run, data))
         (self.folder / MANIFEST).write_bytes(data)
         date_not_before(self.folder / MANIFEST, inputs)
-        _flush(self.folder)
+        with ThreadPoolExecutor(FLUSHES) as pool:  # many at once: the disk commits together those that wait
+            for _ in pool.map(flush, (self.folder, *self.folder.rglob("*"))):
+                pass
         old = _retire(self.target, self.folder)
         os.rename(self.folder, self.target)
         flush(self.target.parent)
@@ -316,13 +318,6 @@ def _retire(target: Path, successor: Path) -> Path | None:
     old = target.with_name(f".{target.name}.old.{owner()}.partial")
     os.rename(target, old)
     return old
-
-
-def _flush(folder: Path) -> None:
-    """Wait until a folder and all in it are on the disk, many at once: the disk commits those that wait together."""
-    with ThreadPoolExecutor(FLUSHES) as pool:
-        for _ in pool.map(flush, (folder, *folder.rglob("*"))):
-            pass
 
 
 INDEX = "index.json"

@@ -157,18 +157,15 @@ def _written(values: Any, place: tuple) -> tuple[tuple, tuple]:
         if inside or listed:
             path.append(part)
             values = values[part]
-        elif number + 1 == len(place) and _may_be_missing(values, part):
+        elif number + 1 == len(place) and (
+            isinstance(values, list | tuple)
+            if isinstance(part, int)
+            else isinstance(values, dict) and "[" not in part  # not "[key]", nor a kind like "literal['auto']"
+        ):
             path.append(part)
         elif chosen is None:
             chosen = tuple(path)
     return tuple(path), tuple(path) if chosen is None else chosen
-
-
-def _may_be_missing(values: Any, part: str | int) -> bool:
-    """Whether the last part of a problem's place is what a block or list lacks, or should not have."""
-    if isinstance(part, int):
-        return isinstance(values, list | tuple)
-    return isinstance(values, dict) and "[" not in part  # not "[key]", nor a kind like "literal['auto']"
 
 
 def _plain(message: str) -> str:

@@ -54,7 +54,12 @@ def syntax_of(path: Path) -> Syntax:
     if syntax is None:
         tree = ast.parse(data)
         names = tuple(sorted(_imported(tree)))  # before docstrings go
-        syntax = Syntax(hashlib.sha256(_without_docstrings(tree).encode()).hexdigest(), names)
+        for node in ast.walk(tree):  # comments are no part of a syntax tree
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                if ast.get_docstring(node, clean=False) is not None:
+                    node.body = node.body[1:] or [ast.Pass()]
+        tree_text = ast.dump(tree, annotate_fields=False)
+        syntax = Syntax(hashlib.sha256(tree_text.encode()).hexdigest(), names)
     store.used[name] = syntax
     return syntax
 
@@ -68,15 +73,6 @@ def _imported(tree: ast.Module) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
     return names
-
-
-def _without_docstrings(tree: ast.Module) -> str:
-    """Text of a syntax tree (comments are no part of it)."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            if ast.get_docstring(node, clean=False) is not None:
-                node.body = node.body[1:] or [ast.Pass()]
-    return ast.dump(tree, annotate_fields=False)
 
 
 class _Store:

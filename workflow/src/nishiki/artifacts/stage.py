@@ -177,7 +177,9 @@ def _run(
     if arguments.load_everything:
         load_all()
     settings = parse(model, _json(arguments.settings, "--settings"), f"settings of {model.STAGE}")
-    inputs, parts = _opened(arguments.inputs)
+    opened = [open_artifact(Path(folder)) for folder in arguments.inputs]
+    inputs = {artifact.stage: artifact for artifact in opened if "part" not in artifact.manifest}
+    parts = [artifact for artifact in opened if "part" in artifact.manifest]
     upstream = _upstream(inputs, arguments.capture, digest_of_capture)
     values = settings.model_dump(mode="json")
     key = stage_key(model.STAGE, model.VERSION, values, upstream)
@@ -219,13 +221,6 @@ def _run(
         }
         made_from = [Path(name) if name.endswith(MANIFEST) else Path(name, MANIFEST) for name in arguments.inputs]
         output.finish(manifest, facts.finish(arguments.capture), inputs=made_from)
-
-
-def _opened(folders: list[str]) -> tuple[dict[str, Artifact], list[Artifact]]:
-    """Upstream artifacts by stage, and the parts of the stage itself."""
-    opened = [open_artifact(Path(folder)) for folder in folders]
-    inputs = {artifact.stage: artifact for artifact in opened if "part" not in artifact.manifest}
-    return inputs, [artifact for artifact in opened if "part" in artifact.manifest]
 
 
 def _upstream(
