@@ -2,7 +2,6 @@
 
 import json
 import sys
-from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,6 +45,7 @@ def verify(folders, captures, as_json, threads, set_aside) -> int:
     """
     from nishiki.archive.audit import Counts, audit, find_artifacts
     from nishiki.archive.crate_audit import is_crate
+    from nishiki.archive.survey import shown
     from nishiki.threads import threads as given_threads
 
     places = [Path(folder) for folder in folders or ["results"]]
@@ -65,13 +65,21 @@ def verify(folders, captures, as_json, threads, set_aside) -> int:
     if places and not crates and targets.empty and not captures:
         what = "neither an artifact nor a crate in it"
         raise UserError(f"{', '.join(map(str, places))}: {what}. Remedy: name results, a scene or a stage")
-    unsound = _print_damages(audit(targets, counts, threads=threads, tell=Progress("verify")), as_json)
+    unsound = set()
+    for damage in audit(targets, counts, threads=threads, tell=Progress("verify")):
+        _print_damage(damage, as_json)
+        if damage.artifact is not None:
+            unsound.add(damage.artifact)
     for capture in map(Path, captures):
         counts.problems += _verify_capture(capture, as_json)
     if places or as_json:
         _summary(targets, counts, as_json)
     if set_aside:
-        _set_aside(unsound)
+        from nishiki.engine.finished import set_aside as rename_aside
+
+        for folder in sorted(unsound):
+            if folder.is_dir() and not folder.is_symlink() and "." not in folder.name:
+                print(f"set aside: {shown(folder)} as {shown(rename_aside(folder).name)}", file=sys.stderr)
     return 1 if counts.problems else 0
 
 
@@ -112,16 +120,6 @@ def _verify_crate(path: Path, threads: int, as_json: bool) -> int:
     return problems
 
 
-def _print_damages(damages: "Iterable[Damage]", as_json: bool) -> set[Path]:
-    """Tell each damage; folders of the artifacts that have one."""
-    unsound = set()
-    for damage in damages:
-        _print_damage(damage, as_json)
-        if damage.artifact is not None:
-            unsound.add(damage.artifact)
-    return unsound
-
-
 def _print_damage(damage: "Damage", as_json: bool) -> None:
     if as_json:
         print(json.dumps({name: str(value or "") for name, value in asdict(damage).items()}))
@@ -145,15 +143,6 @@ def _summary(targets: "AuditTargets", counts: "Counts", as_json: bool) -> None:
 def amount(count: int, thing: str) -> str:
     """Format a number of things in words."""
     return f"{count} {thing}{'s' * (count != 1)}"
-
-
-def _set_aside(unsound: set[Path]) -> None:
-    from nishiki.archive.survey import shown
-    from nishiki.engine.finished import set_aside
-
-    for folder in sorted(unsound):
-        if folder.is_dir() and not folder.is_symlink() and "." not in folder.name:
-            print(f"set aside: {shown(folder)} as {shown(set_aside(folder).name)}", file=sys.stderr)
 
 
 @command(

@@ -147,7 +147,13 @@ def convert_source(source: Path, capture: Path, given: dict, *, checked: bool):
     from nishiki.observations.check import check_capture
 
     paths = {name: Path(given[name]) for name in ("lights_file", "mask", "white", "dark", "ambient") if given[name]}
-    turned = dict(_camera_of(pair) for pair in given["camera_of"].split(",")) if given["camera_of"] else {}
+    turned = {}
+    for pair in given["camera_of"].split(",") if given["camera_of"] else ():
+        view, equals, camera = pair.partition("=")
+        if not equals:
+            expected = "expected VIEW=CAMERA,..."
+            raise UserError(f"--camera-of: {expected}, found {pair!r}. Remedy: --camera-of 002=007,007=002")
+        turned[view] = camera
     tell = Progress(f"check {capture}").tell
     examine = partial(check_capture, level="full", progress=tell) if checked else None
     return convert_folder(source, capture, ConvertOptions(**{**given, **paths, "camera_of": turned}, examine=examine))
@@ -165,10 +171,3 @@ def _list(archive: Path) -> None:
         cells = (f"{printable(cell):<{width}}" for cell, width in zip(row, (*widths, 0), strict=True))
         print("  ".join(cells).rstrip())
     print(f"{sum(row[3] == 'can be converted' for row in rows)} of {len(rows)} can be converted")
-
-
-def _camera_of(pair: str) -> tuple[str, str]:
-    view, equals, camera = pair.partition("=")
-    if not equals:
-        raise UserError(f"--camera-of: expected VIEW=CAMERA,..., found {pair!r}. Remedy: --camera-of 002=007,007=002")
-    return view, camera

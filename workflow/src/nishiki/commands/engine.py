@@ -11,7 +11,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from statistics import fmean
 
@@ -121,7 +121,10 @@ def call_engine(
                 _tell(f"{done} of {total} scenes are finished and left as they are")
             held.leave_out_finished(scenes)
         expect_links(Path(flow.results))
-        set_aside_unsound(dict(_plans(flow, scenes)), _tell, contents=held.unclean)
+        plans = {scene: flow.plans[scene] for scene in scenes}
+        for swept in flow.sweep.scenes if flow.sweep else ():
+            plans |= {f"{swept.scene} {variant.name}": variant.plan for variant in swept.variants}
+        set_aside_unsound({name: _stages(flow, plan) for name, plan in plans.items()}, _tell, contents=held.unclean)
         with tempfile.TemporaryFile() as failed:
             counted = len(scenes) if unfinished_only else None
             shown = QUIET if ITS_OWN_OUTPUT & set(options) else _display(flow, scenes, counted, failed.fileno())
@@ -165,15 +168,6 @@ def expected_seconds(flow: Workflow, scenes: Sequence[str]) -> dict[str, float]:
 
 def _tell(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
-
-
-def _plans(flow: Workflow, scenes: list[str]) -> Iterator[tuple[str, list[tuple[str, Path, tuple[str, ...]]]]]:
-    """Stages of these scenes, and of every variant of a swept one."""
-    for scene in scenes:
-        yield scene, _stages(flow, flow.plans[scene])
-    for swept in flow.sweep.scenes if flow.sweep else ():
-        for variant in swept.variants:
-            yield f"{swept.scene} {variant.name}", _stages(flow, variant.plan)
 
 
 def _stages(flow: Workflow, plan: Plan) -> list[tuple[str, Path, tuple[str, ...]]]:

@@ -121,7 +121,12 @@ def _one(named: str, configfile: str | None, where: tuple, gone: tuple[str, ...]
     configfile = configfile or given or "config/config.yaml"
     values = load_yaml(Path(configfile))
     flow = Workflow({**values, "sweep": named}, file=configfile)
-    tell_plan(flow)
+    for swept in flow.sweep.scenes:
+        timed = sum(len(paths) for variant in swept.variants for paths in flow.timings(swept, variant).values())
+        print(
+            f"{flow.sweep.name}: {swept.scene}: {len(swept.variants)} variants, figures from {swept.evaluation}, "
+            f"timed: {', '.join(swept.counted)} ({timed} runs)"
+        )
     target = flow.sweep_path("sweep.json")
     options = [*profile_arguments(*where), "--keep-going", *rest]
     options += ["--config", f"sweep={json.dumps(named)}", "--", target]
@@ -129,16 +134,6 @@ def _one(named: str, configfile: str | None, where: tuple, gone: tuple[str, ...]
     if status or LOOKS_ONLY & set(rest):
         return 1 if status else 0
     return tell_result(Path(target))
-
-
-def tell_plan(flow) -> None:
-    """How many variants of which scenes, which stages are timed, how many stages will be made."""
-    for swept in flow.sweep.scenes:
-        timed = sum(len(paths) for variant in swept.variants for paths in flow.timings(swept, variant).values())
-        print(
-            f"{flow.sweep.name}: {swept.scene}: {len(swept.variants)} variants, figures from {swept.evaluation}, "
-            f"timed: {', '.join(swept.counted)} ({timed} runs)"
-        )
 
 
 def tell_result(path: Path) -> int:

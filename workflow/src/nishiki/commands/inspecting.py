@@ -112,21 +112,24 @@ def text_of(summary: dict[str, Any]) -> str:
     for stage in summary["stages"]:
         cost = f"{stage['memory_mb']:6} MiB {duration(stage['seconds']):>7}"
         lines.append(f"  {stage['stage']:{width}}  {stage['key']}  {stage['state']:4}  {cost}  {stage['does']}")
-    lines += (
-        _total_lines(summary["stages"]) + _read_lines(summary["reads"]) + _package_lines(summary["optional_packages"])
-    )
+    if to_run := [stage for stage in summary["stages"] if stage["state"] == "run"]:
+        count = f"{len(to_run)} of {len(summary['stages'])} stages to run"
+        memory, seconds = max(stage["memory_mb"] for stage in to_run), sum(stage["seconds"] for stage in to_run)
+        lines.append(f"  {count}: at most {memory} MiB and {duration(seconds)} of one core")
+    else:
+        lines.append("  nothing to run: every stage is done")
+    lines += _read_lines(summary["reads"])
+    packages = summary["optional_packages"]
+    loaded = [f"{name} ({PURPOSE[name]})" for name in packages["loaded"]]
+    lines.append(f"  optional packages loaded: {', '.join(loaded) or 'none'}")
+    if packages["not_loaded"]:
+        names = [f"{name} ({why})" for name, why in packages["not_loaded"].items()]
+        lines.append(f"  not loaded: {', '.join(names)}")
+    lines += [f"  {name} is not installed. Remedy: {how}" for name, how in packages["missing"].items()]
     if summary["held_out"]:
         lines.append(f"  held out of every fit and predicted instead: {', '.join(summary['held_out'])}")
     lines += [f"  without {left}: {why}" for left, why in summary["left_out"].items()]
     return "\n".join(lines)
-
-
-def _total_lines(stages: list[dict[str, Any]]) -> list[str]:
-    to_run = [stage for stage in stages if stage["state"] == "run"]
-    if not to_run:
-        return ["  nothing to run: every stage is done"]
-    memory, seconds = max(stage["memory_mb"] for stage in to_run), sum(stage["seconds"] for stage in to_run)
-    return [f"  {len(to_run)} of {len(stages)} stages to run: at most {memory} MiB and {duration(seconds)} of one core"]
 
 
 def duration(seconds: float) -> str:
@@ -155,15 +158,6 @@ def _read_lines(reads: dict[str, Any]) -> list[str]:
 def _size(read: int, of: int) -> str:
     unit, size = ("GB", 1e9) if of >= 1e9 else ("MB", 1e6) if of >= 1e5 else ("kB", 1e3)
     return f"{read / size:.2f} of {of / size:.2f} {unit}"
-
-
-def _package_lines(packages: dict[str, Any]) -> list[str]:
-    loaded = [f"{name} ({PURPOSE[name]})" for name in packages["loaded"]]
-    lines = [f"  optional packages loaded: {', '.join(loaded) or 'none'}"]
-    if packages["not_loaded"]:
-        names = [f"{name} ({why})" for name, why in packages["not_loaded"].items()]
-        lines.append(f"  not loaded: {', '.join(names)}")
-    return lines + [f"  {name} is not installed. Remedy: {how}" for name, how in packages["missing"].items()]
 
 
 def stage_state(flow: "Workflow", scene: str, stage: str) -> tuple[str, list[str]]:
@@ -234,17 +228,13 @@ def explain(scene: str | None, configfile: str, keys: tuple[str, str] | None) ->
         _explain_keys(flow.project.results, *keys)
         return
     for name, made in flow.plans.items():
-        _explain_scene(flow, name, made)
-
-
-def _explain_scene(flow: "Workflow", name: str, made: "Plan") -> None:
-    for stage in made.stages:
-        state, reasons = stage_state(flow, name, stage)
-        print(f"{name}/{stage}: {'will run' if state == 'run' else 'up to date'}")
-        for reason in reasons:
-            print(f"    {reason}")
-    for left, why in made.left_out.items():
-        print(f"{name}/{left}: left out, {why}")
+        for stage in made.stages:
+            state, reasons = stage_state(flow, name, stage)
+            print(f"{name}/{stage}: {'will run' if state == 'run' else 'up to date'}")
+            for reason in reasons:
+                print(f"    {reason}")
+        for left, why in made.left_out.items():
+            print(f"{name}/{left}: left out, {why}")
 
 
 def _explain_keys(results: Path, first: str, second: str) -> None:

@@ -99,7 +99,10 @@ def _arrow(drawing: Drawing, start: Sequence[float] | np.ndarray, step: np.ndarr
 
 
 def _numbers(judgement: Judgement, j: int) -> list[str]:
-    stated, shown = (_degrees(some[j]) for some in (judgement.directions, _shown_directions(judgement)))
+    stated, shown = (
+        f"azimuth {np.degrees(np.arctan2(y, x)) % 360:.0f}°, elevation {np.degrees(np.arcsin(np.clip(z, -1, 1))):.0f}°"
+        for x, y, z in (judgement.directions[j], _shown_directions(judgement)[j])
+    )
     (x, y), sigma = judgement.movement.shift[j], judgement.movement.sigma[j]
     shift = [f"shift {x:+z.2f}, {y:+z.2f} {error_text(sigma, 2)} px"] if np.isfinite(sigma) else []
     arrangement, found = judgement.arrangement, judgement.consistency
@@ -120,8 +123,3 @@ def _numbers(judgement: Judgement, j: int) -> list[str]:
         *shift,
         f"misfit {100 * found.residual[j]:.1f} %",
     ]
-
-
-def _degrees(direction: np.ndarray) -> str:
-    azimuth = np.degrees(np.arctan2(direction[1], direction[0])) % 360
-    return f"azimuth {azimuth:.0f}°, elevation {np.degrees(np.arcsin(np.clip(direction[2], -1, 1))):.0f}°"

@@ -93,7 +93,9 @@ def write_scene_page(
     )
     html = render_page(page)
     context.output.path("report.html").write_text(html, encoding="utf-8")
-    if picture := first_picture(context.inputs):
+    rendered = (artifact for stage, artifact in context.inputs.items() if stage.endswith("render"))
+    pictures = (contents(each, f"{name}.png") for each in rendered for name in each.diagnostics["pictures"])
+    if picture := next(filter(None, pictures), None):
         context.output.path(THUMBNAIL).write_bytes(file_jpeg(picture, THUMBNAIL_COLUMNS))
     return {
         "bytes": len(html.encode()),
@@ -115,16 +117,6 @@ def open_viewer(section: Section, address: str) -> Section:
             blocks[place] = dataclasses.replace(block, items=[first, *block.items[1:]])
             break
     return dataclasses.replace(section, blocks=blocks)
-
-
-def first_picture(inputs: Mapping[str, Artifact]) -> bytes | None:
-    """Return the first PNG that a stage rendered for this scene; None where none did."""
-    for stage, artifact in inputs.items():
-        if stage.endswith("render"):
-            for name in artifact.diagnostics["pictures"]:
-                if data := contents(artifact, f"{name}.png"):
-                    return data
-    return None
 
 
 def closing_sections(

@@ -158,7 +158,9 @@ class ColourCode:
         bright, top = np.percentile(lightness, (BRIGHT, FARTHEST)) if lightness.size else (1.0, 1.0)
         step = step / 116 * float(bright) / 0.8 ** (1 / 3)
         top = max(float(top), step / 2 * TOP)
-        seen = [_opponent(matrix) for matrix in to_xyz]
+        # differences of L*, a*, b* in units of 116, times Y^(2/3), under each lamp
+        thirds = (matrix / 3 for matrix in to_xyz)
+        seen = [np.stack([y, 500 / 116 * (x - y), 200 / 116 * (y - z)], axis=1) for x, y, z in thirds]
         bands = [] if basis is None else [basis * np.sqrt(BAND_SHARE / basis.shape[1])]
         features = np.concatenate([item / np.sqrt(len(seen)) for item in seen] + bands, axis=1)
         # the lightness of the first lamp is coded apart: along its own direction nothing is left to see
@@ -182,12 +184,6 @@ class ColourCode:
     def described(self) -> dict[str, Any]:
         """For the manifest."""
         return {"direction": self.direction.tolist(), "top": self.lightness.high, **self.chroma.described()}
-
-
-def _opponent(matrix: np.ndarray) -> np.ndarray:
-    """(K, 3): L*, a*, b* in units of 116 of differences of coefficients, times Y^(2/3); matrix: (3, K), white 1."""
-    x, y, z = matrix / 3
-    return np.stack([y, 500 / 116 * (x - y), 200 / 116 * (y - z)], axis=1)
 
 
 def colour_matrices(basis: np.ndarray | None, channels_to_xyz: np.ndarray) -> list[np.ndarray]:

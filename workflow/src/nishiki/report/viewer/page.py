@@ -53,8 +53,11 @@ def write_page(blocks: Blocks, manifest: dict[str, Any], entry: Path) -> dict[st
     from jinja2 import Environment, FileSystemLoader
     from markupsafe import Markup
 
-    paths = {"page" if path == entry else path.stem: path for path in modules_of(entry, [PAGE])}
-    modules = {f"viewer/{name}": _module(path, name) for name, path in paths.items()}
+    modules = {}
+    for path in modules_of(entry, [PAGE]):
+        name = "page" if path == entry else path.stem
+        text = path.read_bytes() + f"\n//# sourceURL=viewer/{name}.js\n".encode("ascii")  # the name in errors
+        modules[f"viewer/{name}"] = f"data:text/javascript;base64,{base64.b64encode(text).decode('ascii')}"
     manifest = {**manifest, "data": {"inline": blocks.kept is not None}}
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, keep_trailing_newline=True)
     html = environment.get_template("index.html.j2").render(
@@ -74,12 +77,6 @@ def write_page(blocks: Blocks, manifest: dict[str, Any], entry: Path) -> dict[st
         "blocks": len(blocks.bytes),
         "inline": blocks.kept is not None,
     }
-
-
-def _module(path: Path, name: str) -> str:
-    """Return a module as an address that holds it; errors name it as `viewer/...`."""
-    text = path.read_bytes() + f"\n//# sourceURL=viewer/{name}.js\n".encode("ascii")
-    return f"data:text/javascript;base64,{base64.b64encode(text).decode('ascii')}"
 
 
 def _texts() -> dict[str, dict[str, str]]:
