@@ -44,8 +44,11 @@ def capture_section(
     if "held out" in kinds:
         caption += " Diamonds: held out of all fits."
     items = [Figure("Lights", caption, svg=lights_plot(directions, lights, kinds))]
-    if saturated := _saturation(diagnostics, lights):
-        items.append(Figure("Saturation", SATURATION, svg=saturated))
+    shares = sorted(zip(diagnostics["saturated"], lights, strict=True), key=lambda pair: (-pair[0], pair[1]))
+    if largest := [(100 * share, name) for share, name in shares if share >= LEAST_SATURATED][:12]:
+        values, names = map(list, zip(*largest, strict=True))
+        drawing = bars(values, names, title="saturated share of the object by light", unit="%")
+        items.append(Figure("Saturation", SATURATION, svg=drawing))
     blocks.append(Figures(items))
     if table := _corrected(diagnostics.get("corrections", {})):
         blocks.append(table)
@@ -122,7 +125,12 @@ def facts_of_painting(
     size = f"{columns} × {rows} pixels"
     if pitch_mm:
         size += f" of {pitch_mm:g} mm, {columns * pitch_mm:.0f} × {rows * pitch_mm:.0f} mm"
-    facts.append(("Picture", size + _cropped(diagnostics)))
+    (row, column, *part), photograph = diagnostics["region"], diagnostics["photograph"]
+    if part != list(photograph):
+        why = "cropped to the object mask" if capture.get("mask") else "region of interest"
+        place = f"columns {column} to {column + part[1] - 1}, rows {row} to {row + part[0] - 1}"
+        size += f"; {why}: {place} of {photograph[1]} × {photograph[0]}"
+    facts.append(("Picture", size))
     share = diagnostics["mask_pixels"] / (rows * columns)
     if share < 1:
         facts.append(("Object mask", f"{100 * share:.1f} % of the picture"))
@@ -131,23 +139,11 @@ def facts_of_painting(
     used = f"{count['sample']} used for the fits"
     words = {"check": "kept from them to check the result", "held out": "held out of them and predicted instead"}
     kept = [f"{count[kind]} {text}" for kind, text in words.items() if count[kind]]
-    lamp = f"; spectrum {_named(capture['illuminant'])}" if capture.get("illuminant") else "; spectrum not known"
-    facts.append(("Lights", f"{len(kinds)}: {', '.join([used, *kept])}{lamp}"))
+    spectrum = "not known"
+    if illuminant := capture.get("illuminant"):
+        spectrum = f"in {illuminant}" if illuminant.endswith(".csv") else f"taken as CIE {illuminant}"
+    facts.append(("Lights", f"{len(kinds)}: {', '.join([used, *kept])}; spectrum {spectrum}"))
     return facts
-
-
-def _cropped(diagnostics) -> str:
-    """Return where the picture lies in the photographs, where it is a part of them."""
-    (row, column, rows, columns), photograph = diagnostics["region"], diagnostics["photograph"]
-    if [rows, columns] == list(photograph):
-        return ""
-    why = "cropped to the object mask" if diagnostics["capture"].get("mask") else "region of interest"
-    place = f"columns {column} to {column + columns - 1}, rows {row} to {row + rows - 1}"
-    return f"; {why}: {place} of {photograph[1]} × {photograph[0]}"
-
-
-def _named(illuminant: str) -> str:
-    return f"in {illuminant}" if illuminant.endswith(".csv") else f"taken as CIE {illuminant}"
 
 
 def _exposure(diagnostics, lights, kinds, directions) -> Table:
@@ -168,10 +164,8 @@ def _exposure(diagnostics, lights, kinds, directions) -> Table:
                 percent(_at(diagnostics["white_uniformity"], j, 100)),
             )
         )
-    head, align = (
-        ["Light", "role", "from normal", "azimuth", "saturated", "dark", "white level", "evenness"],
-        "llrrrrrr",
-    )
+    head = ["Light", "role", "from normal", "azimuth", "saturated", "dark", "white level", "evenness"]
+    align = "llrrrrrr"
     if diagnostics["white_level"]:
         caption = (
             "Each photograph. White board, in its worst channel: median level (share of full scale) and evenness over "
@@ -184,16 +178,6 @@ def _exposure(diagnostics, lights, kinds, directions) -> Table:
 
 def _at(values: list, j: int, factor: float) -> float | None:
     return factor * values[j] if j < len(values) and values[j] is not None else None
-
-
-def _saturation(diagnostics, lights) -> str:
-    """Return bars of the saturated share of the lights that have any, the largest twelve."""
-    shares = sorted(zip(diagnostics["saturated"], lights, strict=True), key=lambda pair: (-pair[0], pair[1]))
-    shown = [(100 * share, name) for share, name in shares if share >= LEAST_SATURATED][:12]
-    if not shown:
-        return ""
-    values, names = zip(*shown, strict=True)
-    return bars(list(values), list(names), title="saturated share of the object by light", unit="%")
 
 
 INTRO = (

@@ -4,7 +4,6 @@ from typing import Any
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.stage import Context
-from nishiki.capture.schema_base import OBJECT_FACTS
 from nishiki.goniometry.table import Reflectances
 from nishiki.report.numbers import figure, percent
 from nishiki.report.page import (
@@ -23,7 +22,7 @@ from nishiki.report.page import (
 )
 from nishiki.report.pictures import file_picture
 from nishiki.report.scene_page import Head, write_scene_page
-from nishiki.stages.report.capture import export_section
+from nishiki.stages.report.capture import FACTS, export_section
 from nishiki.stages.report.cloth_reflection import curves_section, errors_section, model_name, reflection_section
 from nishiki.stages.report.headline import cloth_headline
 from nishiki.stages.report.weave import weave_section
@@ -140,15 +139,7 @@ def coverage_section(samples: Artifact) -> Section:
     if drawing := contents(samples, "coverage.svg"):
         caption = "Each disc is one direction of light; dots are views seen from above, the weft to the right."
         blocks.append(Figures([Figure("Coverage", caption, svg=drawing.decode())], 1))
-    if rows := coverage_rows(read_json(samples, "reflectance.json") or {}):
-        head = ("θi", "φi", "views", "unusable", "covered", "widest gap", "steepest view")
-        blocks.append(Fold("Coverage", f"{len(rows)} directions of light", [Table(head, rows, "rrrrrrr")]))
-    return Section("coverage", "Measurements", blocks)
-
-
-def coverage_rows(stored: dict[str, Any]) -> list[tuple]:
-    """Return coverage of each direction of light; stored : reflectance.json."""
-    return [
+    rows = [
         (
             *(f"{figure(row.get(name))}°" for name in ("theta_deg", "phi_deg")),
             row.get("views"),
@@ -156,16 +147,18 @@ def coverage_rows(stored: dict[str, Any]) -> list[tuple]:
             percent(None if row.get("covered") is None else 100 * row["covered"]),
             *(f"{figure(row.get(name))}°" for name in ("gap_deg", "steepest_deg")),
         )
-        for row in stored.get("coverage") or []
+        for row in (read_json(samples, "reflectance.json") or {}).get("coverage") or []
     ]
+    if rows:
+        head = ("θi", "φi", "views", "unusable", "covered", "widest gap", "steepest view")
+        blocks.append(Fold("Coverage", f"{len(rows)} directions of light", [Table(head, rows, "rrrrrrr")]))
+    return Section("coverage", "Measurements", blocks)
 
 
 def facts(diagnostics: dict[str, Any], capture: dict[str, Any]) -> list[tuple[str, str]]:
     """Label and text of what is known of the measurements; capture : diagnostics of ingest, if there are any."""
     about = capture.get("capture") or {}
-    named = {"object_id": "Object", **OBJECT_FACTS}
-    named |= {key: key.capitalize() for key in ("creator", "date", "rights", "notes")}
-    rows = [(label, str(about[key])) for key, label in named.items() if about.get(key)]
+    rows = [(label, str(about[key])) for key, label in FACTS if about.get(key)]
     directions, along = diagnostics.get("directions"), diagnostics.get("normal_incidence")
     if directions is not None:
         text = f"{directions} pairs of directions, {diagnostics.get('incidences')} of light"

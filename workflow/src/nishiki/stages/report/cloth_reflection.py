@@ -187,7 +187,13 @@ def errors_section(evaluation: dict[str, Any] | None) -> Section | None:
 def _errors_of(region: dict[str, Any], default: str) -> list[Block]:
     if not region["held_out"]:
         return [Note(["Every measurement was used by a fit, so nothing is said of directions that were not measured."])]
-    models = default_first(region["models"], default)
+
+    def order(name: str) -> tuple:
+        """Put the default model first, the rest by error on what was held out, least first."""
+        error = mean_error((region["models"][name].get("held_out") or {}).get("by_incidence") or {})
+        return name != default, float("inf") if error is None else error, name
+
+    models = {name: region["models"][name] for name in sorted(region["models"], key=order)}
     held = {model: entry["held_out"]["by_incidence"] for model, entry in models.items()}
     angles = sorted({angle for part in held.values() for angle in part}, key=float)
     errors: list[list[Cell]] = []
@@ -247,16 +253,6 @@ def peak_error(part: dict[str, Any] | None) -> str | None:
     if part is None or part["peak_value_rel"] is None:
         return None
     return f"{round(100 * part['peak_value_rel'])} %, {figure(part['peak_direction_deg'], 2)}°"
-
-
-def default_first(models: dict[str, Any], default: str) -> dict[str, Any]:
-    """Return models with the default one first, the rest by error on what was held out, least first."""
-
-    def order(name: str) -> tuple:
-        error = mean_error((models[name].get("held_out") or {}).get("by_incidence") or {})
-        return name != default, float("inf") if error is None else error, name
-
-    return {name: models[name] for name in sorted(models, key=order)}
 
 
 def mean_error(parts: dict[str, dict]) -> float | None:

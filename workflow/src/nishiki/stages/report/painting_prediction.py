@@ -102,7 +102,13 @@ def _pictures(light, preview, maps: Maps, difference: np.ndarray, end: float, wi
     de00, classes = f"de00_{light['index']:03d}", f"classes_{light['index']:03d}"
     shape = tuple(maps.group[de00].shape)
     block = block_of(shape[1], widest)
-    in_view = shrink(lambda rows: _ranked(maps.read(classes, rows)), shape, block, worst=True)
+
+    def ranked(rows: slice) -> np.ndarray:
+        """Read classes as floats, 0 (not compared) as NaN, so that a block takes its gravest."""
+        values = maps.read(classes, rows)
+        return np.where(values > 0, values, np.nan).astype(np.float32)
+
+    in_view = shrink(ranked, shape, block, worst=True)
     small = shrink(lambda rows: maps.read(de00, rows), shape, block)
     pictures = {
         "Photograph": colour_picture(factor * observed, inside=inside),
@@ -233,8 +239,3 @@ def signed_end(maps: list[np.ndarray]) -> float:
     least_end = max(float(np.percentile(values, 98)) if values.size else 0.0, LEAST_SIGNED_END)
     power = 10.0 ** np.floor(np.log10(least_end))
     return float(next(power * step for step in (1, 2, 5, 10) if power * step >= least_end * (1 - 1e-9)))
-
-
-def _ranked(classes: np.ndarray) -> np.ndarray:
-    """Classes as floats, 0 (not compared) as NaN, so that a block takes its gravest."""
-    return np.where(classes > 0, classes, np.nan).astype(np.float32)
