@@ -107,6 +107,16 @@ def share(part: str, total_path: str) -> Figure:
     return figure
 
 
+def excess(part: str, over: str) -> Figure:
+    """One diagnostic less another; None where either is missing."""
+
+    def figure(diagnostics: Mapping[str, Any]) -> float | None:
+        value, other = at(part)(diagnostics), at(over)(diagnostics)
+        return None if value is None or other is None else value - other
+
+    return figure
+
+
 def extreme(path: str, of: Callable[[Iterable[float]], float] = max) -> Figure:
     """Return the largest (or smallest) number in the list or block at a dotted path."""
 

@@ -1,13 +1,12 @@
 """Declare the stages that compare paintings, objects and cloths with truth and with unseen photographs."""
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at
-from nishiki.stages.base import ARRAYS, OPENCV, Cost, SceneFacts, Stage, photographs_or_states
+from nishiki.artifacts.limits import Limit, excess
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, photographs_or_states
 
 
 class EvaluateSettings(Guarded, stage="evaluate", version=2):
@@ -21,18 +20,16 @@ class EvaluateSettings(Guarded, stage="evaluate", version=2):
     truth_sha256: str = Field("", description="digest of the truth; filled in by the plan")
 
 
-def _nothing_to_compare(facts: SceneFacts, settings: EvaluateSettings) -> str | None:
-    if facts.truth_sha256 or facts.check_lights or settings.hold_out:
-        return None
-    return "there is no truth, the capture has no check lights and no light is held out (set hold_out)"
-
-
 PAINTING = Stage(
     settings=EvaluateSettings,
     does="errors against truth, or on lights that the fit never saw",
     requires=("ingest", "normals"),
     wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
-    lacks=_nothing_to_compare,
+    lacks=lambda facts, settings: (
+        None
+        if facts.truth_sha256 or facts.check_lights or settings.hold_out
+        else "there is no truth, the capture has no check lights and no light is held out (set hold_out)"
+    ),
     needs_colour=True,
     looks_at=lambda facts, settings, asked: ("check",),
     libraries=ARRAYS,
@@ -44,17 +41,11 @@ PAINTING = Stage(
 )
 
 
-def _below_jpeg2000(diagnostics: Mapping[str, Any]) -> float | None:
-    """Compute by how many dB captured views come back below JPEG 2000 at equal bytes."""
-    peer, decoded = at("jpeg2000.psnr_db")(diagnostics), at("jpeg2000.decoded_psnr_db")(diagnostics)
-    return None if peer is None or decoded is None else peer - decoded
-
-
 OBJECT_LIMITS = (
     Limit(
         "below_jpeg2000",
         "dB by which captured views come back below JPEG 2000 at equal bytes",
-        _below_jpeg2000,
+        excess("jpeg2000.psnr_db", "jpeg2000.decoded_psnr_db"),
         most=4,
         warns=True,
         remedy="look where the surface misses the outlines and where views contradict each other on it: silhouettes, "
@@ -106,19 +97,17 @@ class ClothEvaluateSettings(Guarded, stage="cloth_evaluate", version=2):
     regions: tuple[str, ...] = Field((), description="regions to judge; none named: all")
 
 
-def _seen_from_one_light_only(facts: SceneFacts, settings: Any) -> str | None:
-    if facts.measurements > facts.frontal or facts.truth_sha256:
-        return None
-    return "the light stood at the normal of the cloth in every measurement: none is left to compare with"
-
-
 CLOTH = Stage(
     settings=ClothEvaluateSettings,
     does="errors of the predicted against the measured reflectance",
     geometry="goniometer",
     product="evaluate",
     requires=("goniometer_samples", "cloth_brdf"),
-    lacks=_seen_from_one_light_only,
+    lacks=lambda facts, settings: (
+        None
+        if facts.measurements > facts.frontal or facts.truth_sha256
+        else "the light stood at the normal of the cloth in every measurement: none is left to compare with"
+    ),
     needs_colour=True,
     looks_at=lambda facts, settings, asked: ("oblique",),
     libraries=("numpy", "scipy", "numba"),

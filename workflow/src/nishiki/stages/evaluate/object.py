@@ -32,7 +32,11 @@ def run(context: Context) -> dict:
     """Render every observation from the coded object, compare it, and count the bytes."""
     settings = context.settings
     photographs = Photographs(context.inputs)
-    truth = open_truth(context, photographs)
+    truth = None
+    if path := planned_truth(context):
+        if not (path / "truth.zarr").is_dir():
+            raise UserError(f"{path}: expected truth.zarr of a simulated turntable capture, found none")
+        truth = ObjectTruth(path, photographs)
     decoded = DecodedObject.open(context.inputs)
     charts = decoded.atlas.chart
     cost = cost_of(decoded.mesh, charts, decoded.cameras, decoded.lighting.as_dict(), decoded.residual.bytes)
@@ -143,16 +147,6 @@ class Work:
         write_png(self.context.output.path(f"{stem}.png"), strip, stamp=self.context.stamp)
         np.savez_compressed(self.context.output.path(f"{stem}.npz"), **panels)
         self.shown.append({"view": name, "left_out": left_out, "file": f"{stem}.png", "arrays": f"{stem}.npz"})
-
-
-def open_truth(context: Context, photographs: Photographs) -> ObjectTruth | None:
-    """Return the truth of a simulated capture, if one is given; UserError where it is not the one that was planned."""
-    path = planned_truth(context)
-    if path is None:
-        return None
-    if not (path / "truth.zarr").is_dir():
-        raise UserError(f"{path}: expected truth.zarr of a simulated turntable capture, found none")
-    return ObjectTruth(path, photographs)
 
 
 def headlines(evaluation: dict) -> dict:

@@ -5,7 +5,6 @@ from dataclasses import asdict
 
 import numpy as np
 
-from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, MapWriter, directional_shading, shading_normals
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.scene import gloss_table
@@ -55,11 +54,15 @@ class EvaluatedScene:
         self.frames = frames
         maps = Maps(inputs["normals"].folder)
         self.flags = maps.read("flags")
-        gloss, labels = read_gloss(inputs.get("brdf"))
+        gloss, labels = Gloss.none(), None  # a matte surface where the brdf stage is left out
+        if brdf := inputs.get("brdf"):
+            gloss = Gloss(*gloss_table(json.loads(brdf.path("parameters.json").read_text())))
+            if brdf.path("maps.zarr").is_dir() and "labels" in Maps(brdf.folder):
+                labels = Maps(brdf.folder).read("labels")
         shading = maps.read("shading") if "shading" in maps else None
         self.normals = maps.read("normals")
         normals = shading_normals(maps)
-        slopes = slope_covariance(normals) if "brdf" in inputs else None
+        slopes = slope_covariance(normals) if brdf else None
         self.model = PlaneMaps(normals, maps.read("reflectance"), gloss, shading, slopes, labels)
         self.known = ((self.flags & NO_ESTIMATE) == 0) & np.isfinite(self.model.coefficients).all(axis=-1)
         self.casts_shadows = not directional_shading(maps)
@@ -92,16 +95,6 @@ def parts_of(model: PlaneMaps, known: np.ndarray) -> np.ndarray:
         here = known & (labels == region)
         parts[here] += level[here] < np.quantile(level[here], DARK_SHARE)
     return parts
-
-
-def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None]:
-    """Return parameters of the brdf stage and its map of regions; a matte surface where the stage is left out."""
-    if brdf is None:
-        return Gloss.none(), None
-    parameters = json.loads(brdf.path("parameters.json").read_text())
-    gloss = Gloss(*gloss_table(parameters))
-    has_maps = brdf.path("maps.zarr").is_dir() and "labels" in Maps(brdf.folder)
-    return gloss, Maps(brdf.folder).read("labels") if has_maps else None
 
 
 def read_truth(context: Context, frames: Observations) -> Truth:
@@ -235,7 +228,12 @@ def one_light(
     score = comparison.score().as_dict()
     score.update(describe_light(frames, j), cast_shadows=height is not None)
     if known_truth:
-        score["truth"] = compare_pictures(known_truth, pictures, views, comparison.classes)
+        score["truth"] = {}
+        for case, picture in pictures.items():
+            true = known_truth.xyz_lamp if case == "lamp" else known_truth.xyz_d65  # free of noise
+            total, by_class, _ = truth_difference(picture, true, views[case].white, classes=comparison.classes)
+            by_name = {name: asdict(each) for name, each in by_class.items()}
+            score["truth"][case] = {"de00": asdict(total), "by_class": by_name}
     np.savez(context.output.path(f"preview_{j:03d}.npz"), **previews.arrays())
     out.write(f"de00_{j:03d}", comparison.de00_map, unit="CIEDE2000", light=name, nan=f"not compared: classes_{j:03d}")
     out.write(f"classes_{j:03d}", comparison.classes, meaning={str(k): v for k, v in NAMES.items()}, light=name)
@@ -275,13 +273,3 @@ def colours_for(scene: EvaluatedScene) -> dict:
         "lamp": spectral_colour(scene.curves["illuminant"], scene.basis),
         "D65": spectral_colour(illuminant("D65"), scene.basis),
     }
-
-
-def compare_pictures(truth, pictures: dict, views: dict, classes: np.ndarray) -> dict:
-    """Predicted XYZ against noise-free XYZ."""
-    result = {}
-    for case, picture in pictures.items():
-        true = truth.xyz_lamp if case == "lamp" else truth.xyz_d65
-        total, by_class, _ = truth_difference(picture, true, views[case].white, classes=classes)
-        result[case] = {"de00": asdict(total), "by_class": {name: asdict(s) for name, s in by_class.items()}}
-    return result

@@ -36,11 +36,15 @@ def write_normals(context: Context, scene: ExportedScene) -> dict:
             normals = scene.normals(rows)
             coded = normals_as_colours(normals)
             exr.write(normals)
-            angles = lost_angles(normals, coded)
+            # the angle between each normal and its 16-bit code is what the format loses
+            known = coded.any(axis=-1)
+            exact, read = normals[known].astype(np.float64), coded[known] / 65535 * 2 - 1
+            across = np.linalg.norm(np.cross(exact, read), axis=-1)
+            angles = np.degrees(np.arctan2(across, np.sum(exact * read, axis=-1)))
             largest = max(largest, float(angles.max(initial=0)))
             squares, count = squares + float(np.sum(angles**2)), count + angles.size
             if down:
-                coded[..., 1] = np.where(coded.any(axis=-1), 65535 - coded[..., 1], 0)
+                coded[..., 1] = np.where(known, 65535 - coded[..., 1], 0)
             yield coded
 
     with ExrWriter(path("exports/normals.exr"), ("N.X", "N.Y", "N.Z"), *scene.shape, header) as exr:
@@ -57,15 +61,6 @@ def write_normals(context: Context, scene: ExportedScene) -> dict:
         "largest_deg": largest,
         "rms_deg": (squares / count) ** 0.5 if count else 0.0,
     }
-
-
-def lost_angles(normals: np.ndarray, coded: np.ndarray) -> np.ndarray:
-    """Return (n,) degrees between normals (r, columns, 3) and what their 16-bit code says, where there is one."""
-    known = coded.any(axis=-1)
-    exact = normals[known].astype(np.float64)
-    read = coded[known] / 65535 * 2 - 1
-    across = np.linalg.norm(np.cross(exact, read), axis=-1)
-    return np.degrees(np.arctan2(across, np.sum(exact * read, axis=-1)))
 
 
 def stamped(context: Context) -> str:

@@ -1,19 +1,12 @@
 """Declaration of the stage `goniometer_samples`: settings, inputs, limits of its result, cost."""
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, extreme, share
 from nishiki.stages.base import ARRAYS, OPENCV, Asked, Cost, SceneFacts, SceneSettings, Stage
-
-
-def _albedo(diagnostics: Mapping[str, Any]) -> float | None:
-    """Return the largest share of light sent back, over the regions; along the normal where nothing else is known."""
-    return extreme("albedo")(diagnostics) or extreme("albedo_normal")(diagnostics)
-
 
 LIMITS = (
     Limit(
@@ -64,7 +57,8 @@ LIMITS = (
     Limit(
         "energy",
         "share of the light that is sent back, in the brightest channel",
-        _albedo,
+        # along the normal where nothing else is known
+        lambda diagnostics: extreme("albedo")(diagnostics) or extreme("albedo_normal")(diagnostics),
         most=1.1,
         remedy="check white_reflectance and the exposures; of a table, what its columns hold (goniometer.values)",
         why="captures gave 0.04 to 0.6; a surface sends back no more light than it gets",

@@ -58,7 +58,12 @@ def run(context: Context) -> dict:
         context.progress.tell("hollows")
         mesh, diagnostics["concavities"] = without_hollows(context, views, cameras, mesh, kept(masks, used))
     light = fewest_triangles(mesh, cameras, deviation_px=settings.deviation_px, most=settings.most_triangles)
-    mesh, step = on_grid(light.mesh, cameras, settings.grid_px)
+    mesh, step = light.mesh, None
+    if settings.grid_px:  # the coarsest grid that moves no vertex further
+        from nishiki.codec.compact import grid_step
+
+        step = grid_step(mesh, cameras, shift_px=settings.grid_px)
+        mesh = snapped(mesh, step)
     if source == "silhouettes":
         masks = [
             outline | (mask & outline_of(mesh, camera))
@@ -221,16 +226,6 @@ def sound(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera]):
                 "must be of one world; check units and axes"
             )
     return mesh, defects
-
-
-def on_grid(mesh: Mesh, cameras: list[Camera], shift_px: float) -> tuple[Mesh, float | None]:
-    """Return the mesh on the coarsest grid that moves no vertex by more than shift_px, and the grid's step."""
-    if not shift_px:
-        return mesh, None
-    from nishiki.codec.compact import grid_step
-
-    step = grid_step(mesh, cameras, shift_px=shift_px)
-    return snapped(mesh, step), step
 
 
 def fit_of(mesh: Mesh, cameras: list[Camera], masks: list, used: list[bool]) -> dict | None:

@@ -7,7 +7,7 @@ from pydantic import Field
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, flagged, share
 from nishiki.photometric.flags import FEW_LIGHTS
-from nishiki.stages.base import ARRAYS, Cost, Lights, SceneFacts, Stage
+from nishiki.stages.base import ARRAYS, Cost, Lights, Stage
 
 LIMITS = (
     Limit(
@@ -82,13 +82,6 @@ class NormalsSettings(Guarded, stage="normals", version=7, limits=LIMITS):
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
 
 
-def _normals_cost(facts: SceneFacts) -> Cost:
-    """With few lights the gloss is fitted together with the normals."""
-    if len(facts.lights) <= FEW_LIGHTS:
-        return Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=9, us_per_sample=0.02)
-    return Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=1, us_per_sample=0.28)
-
-
 STAGE = Stage(
     settings=NormalsSettings,
     does="normals and diffuse reflectance",
@@ -96,6 +89,10 @@ STAGE = Stage(
     wants=lambda settings: ("separate",),
     needs_colour=True,  # normals from luminance alone are others, so that they would depend on the products
     libraries=ARRAYS,
-    cost=_normals_cost,
+    cost=lambda facts: (  # with few lights the gloss is fitted together with the normals
+        Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=9, us_per_sample=0.02)
+        if len(facts.lights) <= FEW_LIGHTS
+        else Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=1, us_per_sample=0.28)
+    ),
     scatter=True,
 )

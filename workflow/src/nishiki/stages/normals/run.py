@@ -98,8 +98,11 @@ def map_tiles(context: Context) -> dict:
         for name, array in arrays.items():
             array[band] = tile_maps[name]
         inside = frames.mask[band]
-        known = inside & ((tile_maps["flags"] & bits.NO_ESTIMATE) == 0)
-        return count_flags(tile_maps["flags"], inside), tile_maps["sigma"][known][::17]
+        flags = tile_maps["flags"]
+        known = inside & ((flags & bits.NO_ESTIMATE) == 0)
+        counted = {"object_pixels": int(inside.sum()), "valid_pixels": int(known.sum())}
+        counted |= {f"flagged_{name}": int((inside & ((flags & bit) != 0)).sum()) for bit, name in bits.NAMES.items()}
+        return counted, tile_maps["sigma"][known][::17]
 
     counts: Counter[str] = Counter()
     sigmas = []
@@ -161,14 +164,6 @@ def add_correction_error(maps: dict, frames: Observations, lights: np.ndarray) -
         stated["shift_px"] = stated["shift_px"][lights]
     maps["correction_sigma"] = correction_error(maps["normals"], maps["albedo"], frames.directions[lights], stated)
     maps["sigma"] = np.minimum(np.hypot(maps["sigma"], maps["correction_sigma"]), UNKNOWN)
-
-
-def count_flags(flags: np.ndarray, inside: np.ndarray) -> dict[str, int]:
-    """Return pixels of the object, those with an estimate, and those with each flag."""
-    of_object = flags[inside]
-    valid = int(((of_object & bits.NO_ESTIMATE) == 0).sum())
-    named = {f"flagged_{name}": int(((of_object & bit) != 0).sum()) for bit, name in bits.NAMES.items()}
-    return {"object_pixels": int(inside.sum()), "valid_pixels": valid, **named}
 
 
 def percentiles(sigma: np.ndarray) -> dict[str, float | None]:

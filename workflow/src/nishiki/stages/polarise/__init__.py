@@ -5,9 +5,9 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, extreme
-from nishiki.stages.base import ARRAYS, OPENCV, Cost, SceneFacts, Stage, no_method
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, no_method
 
 
 def _largest_beta(diagnostics: Mapping[str, Any]) -> float | None:
@@ -117,19 +117,15 @@ class PolariseSettings(Guarded, stage="polarise", version=2, limits=LIMITS):
     pictures: int = Field(8, ge=0, description="views shown as pictures: whole, diffuse, specular")
 
 
-def _no_polarisers(facts: SceneFacts, settings: Closed) -> str | None:
-    if len(facts.states) < 2:
-        return "the photographs show one polariser state only"
-    return no_method(facts, settings)
-
-
 STAGE = Stage(
     settings=PolariseSettings,
     does="diffuse and specular parts, by the state of the polarisers",
     geometry="turntable",
     product="separate",
     requires=("ingest",),
-    lacks=_no_polarisers,
+    lacks=lambda facts, settings: (
+        no_method(facts, settings) if len(facts.states) > 1 else "the photographs show one polariser state only"
+    ),
     needs_colour=True,
     looks_at=lambda facts, settings, asked: ("photographs", "states", "white_states"),
     libraries=(*ARRAYS, OPENCV),

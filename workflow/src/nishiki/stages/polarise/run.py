@@ -32,7 +32,11 @@ def run(context: Context) -> dict:
     views = Views(folder)
     name = views.geometry.get("calibration")
     instrument = read_instrument(folder / name) if name else None
-    arms = arms_of(instrument, wavelength_nm=wavelength_of(views, settings))
+    wavelength = settings.wavelength_nm
+    if wavelength is None and len(views.channels) == 1:  # a single channel may have it in its name: "630 nm"
+        text = views.channels[0].removesuffix("nm").strip()
+        wavelength = float(text) if text.replace(".", "", 1).isdigit() else None
+    arms = arms_of(instrument, wavelength_nm=wavelength)
     sums = sums_of(views.states, generator=arms[0], analyser=arms[1], method=settings.method)
     writer = ComponentWriter(
         context.output.folder,
@@ -196,14 +200,6 @@ def unit_of(views: Views, sums: StateSums, boards: dict[str, Beta | None]) -> st
     """
     divided = sums.method != "circular" and all(board is not None for board in boards.values())
     return "white board" if views.attributes["white_board"] or divided else "full scale"
-
-
-def wavelength_of(views: Views, settings: PolariseSettings) -> float | None:
-    """Return the setting, else the wavelength that a single channel has in its name ('630 nm')."""
-    if settings.wavelength_nm is not None or len(views.channels) != 1:
-        return settings.wavelength_nm
-    text = views.channels[0].removesuffix("nm").strip()
-    return float(text) if text.replace(".", "", 1).isdigit() else None
 
 
 def totals(statistics: list[SeparationStatistics]) -> dict:

@@ -1,25 +1,18 @@
 """Declaration of the stage `residual`: settings, inputs, limits of its result, cost."""
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at
+from nishiki.artifacts.limits import Limit, at, excess
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, photographs_or_states
-
-
-def _residual_loss(diagnostics: Mapping[str, Any]) -> float | None:
-    psnr, model = at("psnr_db")(diagnostics), at("model_psnr_db")(diagnostics)
-    return None if psnr is None or model is None else model - psnr
-
 
 LIMITS = (
     Limit(
         "loss",
         "how much worse the stored result is than the model that it refines, dB",
-        _residual_loss,
+        excess("model_psnr_db", "psnr_db"),
         most=1,
         doubt=0,
         remedy="a finer residual.amount, or leave the stage out",
