@@ -19,7 +19,7 @@ from nishiki.commands.declare import (
 )
 from nishiki.commands.inspecting import expect_packages, planned_workflow
 from nishiki.commands.running import profile_arguments
-from nishiki.errors import UserError
+from nishiki.errors import UserError, require
 from nishiki.packages import optional
 
 FORMATS = """\
@@ -121,10 +121,11 @@ def _one(named: str, configfile: str | None, where: tuple, gone: tuple[str, ...]
     configfile = configfile or given or "config/config.yaml"
     values = load_yaml(Path(configfile))
     flow = Workflow({**values, "sweep": named}, file=configfile)
-    for swept in flow.sweep.scenes:
+    planned = require(flow.sweep)
+    for swept in planned.scenes:
         timed = sum(len(paths) for variant in swept.variants for paths in flow.timings(swept, variant).values())
         print(
-            f"{flow.sweep.name}: {swept.scene}: {len(swept.variants)} variants, figures from {swept.evaluation}, "
+            f"{planned.name}: {swept.scene}: {len(swept.variants)} variants, figures from {swept.evaluation}, "
             f"timed: {', '.join(swept.counted)} ({timed} runs)"
         )
     target = flow.sweep_path("sweep.json")
