@@ -53,6 +53,8 @@ def write_page(blocks: Blocks, manifest: dict[str, Any], entry: Path) -> dict[st
     from jinja2 import Environment, FileSystemLoader
     from markupsafe import Markup
 
+    files = sorted(PAGE.glob("texts.*.json"))
+    texts = {path.name.split(".")[1]: json.loads(path.read_text(encoding="utf-8")) for path in files}  # by language
     modules = {}
     for path in modules_of(entry, [PAGE]):
         name = "page" if path == entry else path.stem
@@ -63,7 +65,7 @@ def write_page(blocks: Blocks, manifest: dict[str, Any], entry: Path) -> dict[st
     html = environment.get_template("index.html.j2").render(
         title=manifest["title"],
         version=manifest["version"],
-        texts=Markup(_script_json(_texts())),
+        texts=Markup(_script_json(texts)),
         modules=Markup(_script_json({"imports": modules})),
         manifest=Markup(_script_json(manifest)),
         blocks={name: base64.b64encode(data).decode("ascii") for name, data in (blocks.kept or {}).items()},
@@ -77,12 +79,6 @@ def write_page(blocks: Blocks, manifest: dict[str, Any], entry: Path) -> dict[st
         "blocks": len(blocks.bytes),
         "inline": blocks.kept is not None,
     }
-
-
-def _texts() -> dict[str, dict[str, str]]:
-    """Return the page's texts by language."""
-    files = sorted(PAGE.glob("texts.*.json"))
-    return {path.name.split(".")[1]: json.loads(path.read_text(encoding="utf-8")) for path in files}
 
 
 def _script_json(value: Any) -> str:

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.gloss_profile import (
@@ -38,7 +37,9 @@ def run(context: Context) -> dict:
     frames = Observations(context.inputs["ingest"].folder)
     maps = Maps(context.inputs["normals"].folder)
     labels = maps.read("finish") if "finish" in maps else frames.regions
-    finishes = finishes_of(context.inputs["normals"], 1 if labels is None else int(labels.max()) + 1)
+    finishes, count = context.inputs["normals"].diagnostics["finishes"], 1 if labels is None else int(labels.max()) + 1
+    if len(finishes) != count:  # normals knows of one finish, which is that of every region
+        finishes = finishes[:1] * count
     regions, decision = fit_glossy(context, frames, maps, labels, finishes)
     for region, finish in zip(regions, finishes, strict=True):
         body = body_of(finish, context.settings.refractive_index)
@@ -89,12 +90,6 @@ def fit_regions(histogram: SpecularHistogram) -> list[dict]:
             )
         )
     return parameters
-
-
-def finishes_of(normals: Artifact, count: int) -> list[dict]:
-    """Return what `normals` says of each finish; of the only one for every region where it knows of no more."""
-    finishes = normals.diagnostics["finishes"]
-    return finishes if len(finishes) == count else finishes[:1] * count
 
 
 def body_of(finish: dict, refractive_index: float) -> GlossProfile:

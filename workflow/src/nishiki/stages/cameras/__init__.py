@@ -5,9 +5,9 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at
-from nishiki.stages.base import OPENCV, Asked, Cost, SceneFacts, Stage, poses_of
+from nishiki.stages.base import OPENCV, Cost, Stage, poses_of
 
 
 def _pose_outliers(diagnostics: Mapping[str, Any]) -> float | None:
@@ -68,10 +68,6 @@ class CamerasSettings(Guarded, stage="cameras", version=1, limits=LIMITS):
     steps: Literal["free", "equal"] = Field("free", description="turntable: one angle a view, or one step for all")
 
 
-def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -> tuple[str, ...]:
-    return () if poses_of(facts, settings) == "matrices" else ("calibration",)
-
-
 STAGE = Stage(
     settings=CamerasSettings,
     does="where each view was taken from",
@@ -80,7 +76,7 @@ STAGE = Stage(
     lacks=lambda facts, settings: (
         None if facts.has_poses else "the capture has no camera matrices, no board pictures and no correspondences"
     ),
-    looks_at=_looks_at,
+    looks_at=lambda facts, settings, asked: () if poses_of(facts, settings) == "matrices" else ("calibration",),
     libraries=("numpy", "scipy", "zarr", OPENCV),
     threads=1,
     cost=lambda facts: Cost(mib=200, seconds=1.5),

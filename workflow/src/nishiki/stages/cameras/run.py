@@ -1,7 +1,6 @@
 """Cameras: intrinsics, distortion and pose of every view, with reprojection errors."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -20,7 +19,8 @@ def run(context: Context) -> dict:
     """Take the poses from matrices, boards or correspondences, and tell how well they fit."""
     folder = context.inputs["ingest"].folder
     views = Views(folder)
-    points = points_of(folder, views)
+    name = views.geometry.get("correspondences")
+    points = read_points(folder / name, name, views.views) if name else None
     source = source_of(context.settings.source, views, points)
     if source == "matrices":
         cameras, errors, diagnostics, mirror = given(views, points)
@@ -70,12 +70,6 @@ def source_of(source: str, views: Views, points: dict[str, np.ndarray] | None) -
         f"cameras: the capture has no {source or 'camera matrices, boards or correspondences'}{detail}. Remedy: give "
         "turntable.cameras (3x4 matrices), a board picture for every view, or turntable.correspondences"
     )
-
-
-def points_of(folder: Path, views: Views) -> dict[str, np.ndarray] | None:
-    """Return correspondences of every view, as ingest carried them; None without."""
-    name = views.geometry.get("correspondences")
-    return read_points(folder / name, name, views.views) if name else None
 
 
 def given(

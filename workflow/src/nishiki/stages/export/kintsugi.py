@@ -77,9 +77,8 @@ TABLES = "basisFunctions.csv"
 BASES = 8  # as many as the viewer's shader adds up
 SAMPLES = 91  # of a table, as the Builder writes them
 NARROWEST, WIDEST = 0.01, 1.0  # radians; a table ends at 60 degrees
-FIRST_STEP = (
-    1 / 255
-)  # of light from behind: in the shader 0 would be divided by, and this adds nothing that 8 bits show
+FIRST_STEP = 1 / 255
+"""Of light from behind: in the shader 0 would be divided by, and this adds nothing that 8 bits show."""
 
 
 @dataclass(frozen=True)
@@ -95,15 +94,19 @@ class LobeBasis:
 
         All texels have the mean colour of the gloss. The strongest 0.1 % of the weights of a function are clipped.
         """
+        from scipy.optimize import nnls
+
         strength, width = ks.mean(axis=-1), np.clip(sigma, NARROWEST, WIDEST)
         glossy = width[strength > 0] if (strength > 0).any() else width
         low, high = np.percentile(glossy, (0.5, 99.5))
         widths = np.geomspace(low, max(high, 1.1 * low), BASES)
         own = np.geomspace(widths[0], widths[-1], 8 * BASES)
-        shares = _shares(own, widths)
+        basis = lobes(widths)
+        # nonnegative shares of these lobes whose sum is next to a lobe of each width
+        shares = np.array([nnls(basis.T, lobe)[0] for lobe in lobes(own)])
         peak, colour = 4 / np.pi * strength, ks.mean(axis=(0, 1)) / max(strength.mean(), 1e-12)
         tables, weights = np.empty((BASES, 3, SAMPLES)), np.empty((*strength.shape, BASES), np.uint8)
-        for number, lobe in enumerate(lobes(widths)):
+        for number, lobe in enumerate(basis):
             wanted = peak * np.interp(width, own, shares[:, number])
             largest = float(np.percentile(wanted[wanted > 0], 99.9)) if (wanted > 0).any() else 0.0
             tables[number] = largest * colour[:, None] * lobe
@@ -124,14 +127,6 @@ def lobes(widths: np.ndarray) -> np.ndarray:
     """Return (k, 91) exp(-phi^2 / (2 sigma^2)) at the samples of a table, of widths sigma (k,) in radians."""
     phi = np.pi / 3 * np.linspace(0, 1, SAMPLES) ** 2
     return np.exp(-(phi**2) / (2 * np.square(widths)[:, None]))
-
-
-def _shares(own: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """(n, k) nonnegative shares of lobes of `widths` (k,) whose sum is next to a lobe of each width in `own` (n,)."""
-    from scipy.optimize import nnls
-
-    basis = lobes(widths).T
-    return np.array([nnls(basis, lobe)[0] for lobe in lobes(own)])
 
 
 def write_kintsugi(context: Context, surface: ObjectSurface) -> dict:

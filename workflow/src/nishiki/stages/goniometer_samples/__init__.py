@@ -6,7 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, extreme, share
-from nishiki.stages.base import ARRAYS, OPENCV, Asked, Cost, SceneFacts, SceneSettings, Stage
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage
 
 LIMITS = (
     Limit(
@@ -96,19 +96,17 @@ class GoniometerSamplesSettings(Guarded, stage="goniometer_samples", version=2, 
     )
 
 
-def _looks_at(facts: SceneFacts, settings: SceneSettings, asked: Asked) -> tuple[str, ...]:
-    # Asked for by name the reflectances themselves are wanted, all of them. A light within normal_deg counts as along
-    # the normal, where ingest would take it for oblique.
-    return ("oblique",) if "goniometer_samples" in asked or settings["goniometer_samples"].normal_deg > 1 else ()
-
-
 STAGE = Stage(
     settings=GoniometerSamplesSettings,
     does="photographs by direction to reflectance, over the whole hemisphere",
     geometry="goniometer",
     requires=("ingest",),
     needs_colour=True,
-    looks_at=_looks_at,
+    # Asked for by name the reflectances themselves are wanted, all of them. A light within normal_deg counts as along
+    # the normal, where ingest would take it for oblique.
+    looks_at=lambda facts, settings, asked: (
+        ("oblique",) if "goniometer_samples" in asked or settings["goniometer_samples"].normal_deg > 1 else ()
+    ),
     libraries=(*ARRAYS, OPENCV),
     deliverables=("*.png", "*.csv"),
     threads=1,

@@ -119,11 +119,13 @@ def map_tiles(context: Context) -> dict:
 
 
 def merge(context: Context, tallies: list[dict]) -> dict:
-    """Return counts of pixels and of flags; uncertainty over a sample of the pixels."""
+    """Return counts of pixels and of flags; standard error of the direction, degrees, over a sample of the pixels."""
     counts: Counter[str] = Counter()
     for tally in tallies:
         counts.update(tally["counts"])
-    return {**dict(counts), **percentiles(np.concatenate([tally["sigma"] for tally in tallies])), **tallies[0]["same"]}
+    sigma = np.concatenate([tally["sigma"] for tally in tallies])
+    middle, high = np.degrees(np.percentile(sigma, [50, 95])).tolist() if sigma.size else (None, None)
+    return {**counts, "sigma_median_deg": middle, "sigma_p95_deg": high, **tallies[0]["same"]}
 
 
 def fit_lights(
@@ -164,14 +166,6 @@ def add_correction_error(maps: dict, frames: Observations, lights: np.ndarray) -
         stated["shift_px"] = stated["shift_px"][lights]
     maps["correction_sigma"] = correction_error(maps["normals"], maps["albedo"], frames.directions[lights], stated)
     maps["sigma"] = np.minimum(np.hypot(maps["sigma"], maps["correction_sigma"]), UNKNOWN)
-
-
-def percentiles(sigma: np.ndarray) -> dict[str, float | None]:
-    """Median and 95th percentile of the standard error of the direction, degrees, over a sample of the pixels."""
-    if not sigma.size:
-        return {"sigma_median_deg": None, "sigma_p95_deg": None}
-    middle, high = np.degrees(np.percentile(sigma, [50, 95]))
-    return {"sigma_median_deg": float(middle), "sigma_p95_deg": float(high)}
 
 
 run = TiledStage(map_tiles, merge)

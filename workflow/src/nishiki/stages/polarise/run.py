@@ -221,16 +221,11 @@ def picture(context: Context, name: str, place: int, view: SeparatedView, exposu
     parts = {"whole": view.diffuse + view.specular, "diffuse": view.diffuse, "specular": view.specular}
     codes = {key: display(values * np.float32(exposure)) for key, values in parts.items()}
     codes["side_by_side"] = np.concatenate(list(codes.values()), axis=1)
+    safe = "".join(letter if letter.isalnum() or letter in "._-" else "-" for letter in name)
     for key, pixels in codes.items():
-        file = f"pictures/{place:03}_{safe(name)}{key}.png"
+        file = f"pictures/{place:03}_{safe}{'_' if safe else ''}{key}.png"
         write_png(context.output.path(file), pixels, stamp=context.stamp | {"exposure": f"{exposure:.6g}"})
     return file
-
-
-def safe(name: str) -> str:
-    """Return a view's name as a part of a file name."""
-    kept = "".join(letter if letter.isalnum() or letter in "._-" else "-" for letter in name)
-    return f"{kept}_" if kept else ""
 
 
 def display(linear: np.ndarray) -> np.ndarray:

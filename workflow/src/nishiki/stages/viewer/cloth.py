@@ -65,11 +65,8 @@ def write_cloth(
         "format": 1, "chain": "cloth", **about, "shapes": shapes, "table": table, "dyes": dyes,
         "materials": [{"region": region, "model": model} for region, model in chosen],
     }  # fmt: skip
-    return {**write_page(blocks, manifest, PAGE), "shape_bytes": _bytes(blocks, "shape-"), "models": len(chosen)}
-
-
-def _bytes(blocks: Blocks, prefix: str) -> int:
-    return sum(size for name, size in blocks.bytes.items() if name.startswith(prefix))
+    shape_bytes = sum(size for name, size in blocks.bytes.items() if name.startswith("shape-"))
+    return {**write_page(blocks, manifest, PAGE), "shape_bytes": shape_bytes, "models": len(chosen)}
 
 
 SIDE = 193

@@ -14,7 +14,7 @@ from nishiki.artifacts.stage import Context
 from nishiki.codec.compact import mesh_step
 from nishiki.codec.design import Design, view_matrix
 from nishiki.codec.transform import Plane
-from nishiki.geometry.turn import CameraPath, fit_turn
+from nishiki.geometry.turn import fit_turn
 from nishiki.observations.views import Views
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.renderer import coded_parts
@@ -77,7 +77,13 @@ def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
         "views": [camera.as_dict() for camera in decoded.cameras],
         "lights": list(decoded.lights),
         "without": sorted(without),
-        "turn": turn_numbers(turn),
+        "turn": {
+            "axis": turn.axis.tolist(),
+            "point": turn.point.tolist(),
+            "position": turn.position.tolist(),
+            "length": turn.length,
+            "closed": bool(turn.closed),
+        },
         "lighting": decoded.lighting.as_dict(),
         "ceiling": decoded.ceiling,
         "parts": list(coded_parts(decoded.residual, decoded.encoding)),
@@ -87,17 +93,6 @@ def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
         "chart_steps": CHART_STEPS,
         "mesh_step": mesh_step(decoded.mesh, list(decoded.cameras)),
         "design": design.as_dict(),
-    }
-
-
-def turn_numbers(turn: CameraPath) -> dict:
-    """Return a turn as plain data."""
-    return {
-        "axis": turn.axis.tolist(),
-        "point": turn.point.tolist(),
-        "position": turn.position.tolist(),
-        "length": turn.length,
-        "closed": bool(turn.closed),
     }
 
 
