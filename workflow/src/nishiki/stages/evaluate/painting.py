@@ -225,8 +225,15 @@ def one_light(
         previews.add(rows, band.channels, observed[0], inside=inside)
         for case, colour in views.items():
             pictures[case][rows] = colour.xyz(band, None if scene.coefficients is None else scene.coefficients[rows])
-    score = comparison.score().as_dict()
-    score.update(describe_light(frames, j), cast_shadows=height is not None)
+    x, y, z = frames.directions[j]
+    score = comparison.score().as_dict() | {
+        "name": name,
+        "index": j,
+        "role": "check" if frames.roles[j] == "check" else "held out",
+        "incidence_deg": float(np.degrees(np.arctan2(np.hypot(x, y), z))),
+        "azimuth_deg": float(np.degrees(np.arctan2(y, x))),
+        "cast_shadows": height is not None,
+    }
     if known_truth:
         score["truth"] = {}
         for case, picture in pictures.items():
@@ -251,18 +258,6 @@ def lamp(context: Context, scene: EvaluatedScene, j: int) -> Light:
     return light_of(
         frames.directions[j], position, centre=centre, white_board=frames.white_board, angular_radius=radius
     )
-
-
-def describe_light(frames: Observations, j: int) -> dict:
-    """Return name, role and place of a light."""
-    x, y, z = frames.directions[j]
-    return {
-        "name": frames.lights[j],
-        "index": j,
-        "role": "check" if frames.roles[j] == "check" else "held out",
-        "incidence_deg": float(np.degrees(np.arctan2(np.hypot(x, y), z))),
-        "azimuth_deg": float(np.degrees(np.arctan2(y, x))),
-    }
 
 
 def colours_for(scene: EvaluatedScene) -> dict:

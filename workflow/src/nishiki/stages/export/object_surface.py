@@ -80,7 +80,13 @@ def shown_in(look: ObjectLook, name: str) -> Shown:
 
     def shown(points: SeenPoints) -> np.ndarray:
         texels = sample(stored, points.places)
-        return look.scale * viewer_light(look, points, texels, white_at_grazing=name != "gltf")
+        irradiance, strength = points.factors()
+        cos_phi, cos_i, cos_r, cos_q = points.cosines()
+        normal = texels[:, 4] * look.normal_reflectance
+        grazing = texels[:, 4] if name == "gltf" else 1.0
+        reflected = normal + (grazing - normal) * (1 - cos_q) ** 5
+        gloss = np.pi * reflected * isotropic_lobe(cos_phi, cos_i, cos_r, texels[:, 3]) * cos_i * strength
+        return look.scale * ((1 - reflected[:, None]) * texels[:, :3] * irradiance + gloss[:, None])
 
     return shown
 
@@ -108,17 +114,6 @@ def against_photographs(
         for name, each in found.items():
             result[name][group] = each.decibels()
     return result
-
-
-def viewer_light(look: ObjectLook, points: SeenPoints, texels: np.ndarray, *, white_at_grazing: bool) -> np.ndarray:
-    """(n, 3) what a viewer shows; texels (n, 5): base colour, alpha and share of the reflectance at the points."""
-    irradiance, strength = points.factors()
-    cos_phi, cos_i, cos_r, cos_q = points.cosines()
-    normal = texels[:, 4] * look.normal_reflectance
-    grazing = 1.0 if white_at_grazing else texels[:, 4]
-    reflected = normal + (grazing - normal) * (1 - cos_q) ** 5
-    gloss = np.pi * reflected * isotropic_lobe(cos_phi, cos_i, cos_r, texels[:, 3]) * cos_i * strength
-    return (1 - reflected[:, None]) * texels[:, :3] * irradiance + gloss[:, None]
 
 
 def direction_to(lamp: ViewLamp, positions: np.ndarray) -> np.ndarray:

@@ -21,10 +21,16 @@ def run(context: Context) -> dict:
     """Read every photograph's window, divide by the board, average repeats, complete the hemisphere."""
     settings = context.settings
     source = Measurements(context.inputs["ingest"].folder)
-    names, averaged, readings = from_table(source) if source.kind == "table" else from_photographs(source, context)
-    angles_deg = (
-        np.array([shot.angles_deg for shot in source.samples]) if source.kind != "table" else table_angles(source)
-    )
+    if source.kind == "table":
+        incident, outgoing, values = source.table
+        angles_deg, values = np.concatenate([incident, outgoing], axis=1), values[:, None, :]
+        valid = np.all(values > 0, axis=2)
+        values = np.where(valid[..., None], values, 0.0)
+        names, readings = ("cloth",), None
+        averaged = average_repeats(angles_deg, values, np.zeros_like(values), valid, np.ones(len(values)))
+    else:
+        angles_deg = np.array([shot.angles_deg for shot in source.samples])
+        names, averaged, readings = from_photographs(source, context)
     theta_i, phi_i, theta_r, phi_r = np.radians(angles_deg[averaged.rows].T)
     measured = ReflectanceSet(
         unit(theta_i, phi_i),
@@ -52,21 +58,6 @@ def run(context: Context) -> dict:
     report = {"stamp": context.stamp, "coverage": [light.as_dict() for light in covered]}
     write_reflectances(context.output.folder, measured, more=report)
     return diagnostics(measured, averaged, readings, made, covered) | {"symmetry_errors": symmetry_errors}
-
-
-def table_angles(source: Measurements) -> np.ndarray:
-    """Return (n, 4): theta_i, phi_i, theta_r, phi_r of a given table, degrees."""
-    incident, outgoing, _ = source.table
-    return np.concatenate([incident, outgoing], axis=1)
-
-
-def from_table(source: Measurements) -> tuple[tuple[str, ...], Averaged, Readings | None]:
-    """Return the rows of a table of reflectances; those with a value of 0 or below are not valid."""
-    values = source.table[2][:, None, :]
-    valid = np.all(values > 0, axis=2)
-    values = np.where(valid[..., None], values, 0.0)
-    ones = np.ones(len(values))
-    return ("cloth",), average_repeats(table_angles(source), values, np.zeros_like(values), valid, ones), None
 
 
 def from_photographs(source: Measurements, context: Context) -> tuple[tuple[str, ...], Averaged, Readings]:

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.capture.folder import Capture, load_capture
-from nishiki.capture.goniometer import GoniometerCapture
+from nishiki.capture.folder import load_capture
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.colour.colour import illuminant as cie_illuminant
@@ -40,7 +39,15 @@ def run(context: Context) -> dict:
     if getattr(capture, "table", None) is None:
         store = BandedGroup(context.output.folder / STORES[capture.geometry])
         store.update(stamp=context.stamp)  # inside the store, too, stands where it comes from
-    write_curves(capture, context)
+    curves: dict[str, Any] = {}  # (61,) and (channels, 61) on 400-700/5 nm, those that the capture has
+    for name in ("illuminant", "sensitivities"):
+        given = getattr(capture, name)
+        if isinstance(given, str):
+            curves[name] = cie_illuminant(given)
+        elif given is not None:
+            values = resample(given.wavelengths_nm, given.values.T, name=f"{context.capture}: {name}")
+            curves[name] = values[0] if name == "illuminant" else values
+    np.savez(context.output.path("curves.npz"), **curves)
     read = usage_of(
         capture,
         without=settings.without,
@@ -50,19 +57,6 @@ def run(context: Context) -> dict:
     )
     described = {"capture": capture.settings.model_dump(mode="json"), "read": read.as_dict()}
     return {**described, **result}
-
-
-def write_curves(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> None:
-    """curves.npz: illuminant (61,) and sensitivities (channels, 61) on 400-700/5 nm, those that the capture has."""
-    curves: dict[str, Any] = {}
-    for name in ("illuminant", "sensitivities"):
-        given = getattr(capture, name)
-        if isinstance(given, str):
-            curves[name] = cie_illuminant(given)
-        elif given is not None:
-            values = resample(given.wavelengths_nm, given.values.T, name=f"{context.capture}: {name}")
-            curves[name] = values[0] if name == "illuminant" else values
-    np.savez(context.output.path("curves.npz"), **curves)
 
 
 digest_of_capture = capture_digest

@@ -174,12 +174,10 @@ def material_arrays(brdf: Brdf) -> dict[str, dict[str, np.ndarray]]:
         "albedo_of_views": dye.gloss_albedo_at(around.grid_views()).astype(np.float32),
         "mean_albedo": np.array([dye.mean_albedo], np.float32),
     }
-    measured, black = (table_arrays(table) for table in BrdfTable.of(brdf, gloss))
-    return {"measured": measured | {"shares": of_all.astype(np.float32)}, "gloss": black | through}
-
-
-def table_arrays(table: BrdfTable) -> dict[str, np.ndarray]:
-    """Return a BRDF's table, ring after ring as differences."""
-    codes = np.moveaxis(table.codes, 2, 0)
-    changes = differences(codes.reshape(len(codes), -1))
-    return {"codes": changes.reshape(codes.shape), "largest": np.array([table.largest], np.float32)}
+    parts = {}
+    more = {"measured": {"shares": of_all.astype(np.float32)}, "gloss": through}
+    for (name, others), table in zip(more.items(), BrdfTable.of(brdf, gloss), strict=True):
+        codes = np.moveaxis(table.codes, 2, 0)
+        changes = differences(codes.reshape(len(codes), -1)).reshape(codes.shape)  # ring after ring
+        parts[name] = {"codes": changes, "largest": np.array([table.largest], np.float32)} | others
+    return parts
