@@ -73,7 +73,7 @@ class HalfVectorTable:
         def square(place: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
             light = unit(theta[place[1]], phi[place[0]])
             seen = np.maximum(m @ light, 0) * facets * jacobian
-            seen /= integral(seen)
+            seen /= float(trapezoid(seen.shape[0]) @ seen @ trapezoid(seen.shape[1]))
             where = warped(seen, s, t)
             half = unit(np.pi / 2 * where[0] ** 2, (2 * where[1] - 1) * np.pi)
             eye = 2 * (half @ light)[:, None] * half - light
@@ -243,8 +243,3 @@ def trapezoid(count: int) -> np.ndarray:
     weights = np.full(count, 1 / (count - 1))
     weights[[0, -1]] /= 2
     return weights
-
-
-def integral(table: np.ndarray) -> float:
-    """Of a table (rows, columns) over the square."""
-    return float(trapezoid(table.shape[0]) @ table @ trapezoid(table.shape[1]))

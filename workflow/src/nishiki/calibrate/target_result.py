@@ -121,23 +121,21 @@ def calibrate_target(given: TargetInput) -> Calibration:
     if given.encoding is None:
         how = coding.name if header.coding else f"{encoding} ({header.kind}, {header.sample})"
         warnings.append(f"Read as {how}; --encoding says otherwise.")
+    sentences = [f"{given.photograph.name}."]
+    for how, errors in judged.items():
+        levels = ", ".join(f"{standard}: {verdict(errors.summary, standard)}" for standard in CRITERIA)
+        mean, largest = errors.summary["delta_e_mean"], errors.summary["delta_e_max"]
+        sentences.append(f"Colours {how}: CIEDE2000 {mean:.2f} mean, {largest:.2f} largest ({levels}).")
     return Calibration(
         "target",
         numbers,
         [given.photograph, *([given.reflectances] if given.reflectances else [])],
         lines,
         _sections(picture, names, reference, patches, judged, recovered),
-        " ".join([f"{given.photograph.name}.", *(_sentence(how, errors) for how, errors in judged.items())]),
+        " ".join(sentences),
         files,
         warnings,
     )
-
-
-def _sentence(how: str, errors: ColourErrors) -> str:
-    """State the most important figures in a sentence."""
-    levels = ", ".join(f"{standard}: {verdict(errors.summary, standard)}" for standard in CRITERIA)
-    mean, largest = errors.summary["delta_e_mean"], errors.summary["delta_e_max"]
-    return f"Colours {how}: CIEDE2000 {mean:.2f} mean, {largest:.2f} largest ({levels})."
 
 
 def _spectrum(text: str) -> np.ndarray:

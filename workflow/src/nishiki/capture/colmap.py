@@ -13,7 +13,6 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -261,7 +260,12 @@ def read_transforms(path: Path, pictures: Pictures) -> Registration:
                 before = frames.setdefault(str(frame["file_path"]), {**shared, **frame})
                 if before["transform_matrix"] != frame["transform_matrix"]:
                     raise ValueError(f"two cameras of {frame['file_path']}")
-        matrices = [_matrix(frame["transform_matrix"]) for frame in frames.values()]
+        matrices = []
+        for frame in frames.values():
+            matrix = np.array([[finite(value) for value in row] for row in frame["transform_matrix"]])
+            if matrix.shape not in ((4, 4), (3, 4)):
+                raise ValueError(f"a transform_matrix of {' x '.join(map(str, matrix.shape))} numbers")
+            matrices.append(np.column_stack([rigid(matrix[:3, :3]), matrix[:3, 3]]))
         if not frames:
             raise ValueError("no frames")
     pictures.paths(list(frames), path.name)
@@ -269,14 +273,6 @@ def read_transforms(path: Path, pictures: Pictures) -> Registration:
     poses, notes = _poses(np.array(matrices), path.name)
     views = zip(frames, lenses, poses, strict=True)
     return Registration(tuple(RegisteredView.of(name, *lens, pose) for name, lens, pose in views), notes)
-
-
-def _matrix(rows: Any) -> np.ndarray:
-    """(3, 4): rotation and place of a camera."""
-    matrix = np.array([[finite(value) for value in row] for row in rows])
-    if matrix.shape not in ((4, 4), (3, 4)):
-        raise ValueError(f"a transform_matrix of {' x '.join(map(str, matrix.shape))} numbers")
-    return np.column_stack([rigid(matrix[:3, :3]), matrix[:3, 3]])
 
 
 def _poses(matrices: np.ndarray, file: str) -> tuple[np.ndarray, tuple[Problem, ...]]:

@@ -228,7 +228,12 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
         block["cameras"] = "cameras.csv"
         block |= {"turn": options.turn} if options.turn else {}
         block |= {"camera_of": options.camera_of} if options.camera_of else {}
-        _write_cameras(folder / "cameras.csv", layout, layout.matrices)
+        columns, numbers = MATRIX_COLUMNS, layout.matrices.reshape(-1, 12)
+        if layout.distortions is not None:
+            columns, numbers = columns + LENS_COLUMNS, np.hstack([numbers, layout.distortions])
+        # every digit that float64 has, so that reading gives the same matrices
+        lines = ([v, *map(repr, n)] for v, n in zip(layout.views, numbers.tolist(), strict=True))
+        (folder / "cameras.csv").write_text(table_text([["view", *columns], *lines]), encoding="utf-8")
     if layout.calibration is not None:
         block["calibration"] = take(layout.calibration, folder / layout.calibration.name, link)
     camera = {"channels": list(channel_names(header)), "encoding": coding}
@@ -236,7 +241,11 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
     settings |= {"turntable": block} if block else {}
     (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
     exposures, doubts = read_exposures(folder, rows)
-    _write_frames(folder / "frames.csv", rows, exposures)
+    names = ("file", "role", "view", "polariser", "silhouette")
+    table = dict(zip(names, zip(*rows, strict=True), strict=True)) | exposures
+    used = {name: cells for name, cells in table.items() if name in names[:2] or any(cells)}
+    text = table_text([list(used), *zip(*used.values(), strict=True)])
+    (folder / "frames.csv").write_text(text, encoding="utf-8")
     return [*notes, *doubts]
 
 
@@ -298,23 +307,6 @@ def _ending(stem: str, known: set[str]) -> str:
     """Find the longest end of a name, after a separator, that is a known state."""
     places = [0, *(match.end() for match in re.finditer(r"[^0-9A-Za-z.]+|(?<=[A-Za-z])(?=[0-9])", stem))]
     return next((stem[at:] for at in places if _state(stem[at:]) in known), stem)
-
-
-def _write_cameras(path: Path, layout: RoundLayout, matrices: np.ndarray) -> None:
-    """Every digit that float64 has, so that reading gives the same matrices."""
-    columns, numbers = MATRIX_COLUMNS, matrices.reshape(-1, 12)
-    if layout.distortions is not None:
-        columns, numbers = columns + LENS_COLUMNS, np.hstack([numbers, layout.distortions])
-    rows = [["view", *columns], *([v, *map(repr, n)] for v, n in zip(layout.views, numbers.tolist(), strict=True))]
-    path.write_text(table_text(rows), encoding="utf-8")
-
-
-def _write_frames(path: Path, rows: list[tuple[str, ...]], exposures: dict[str, list[str]]) -> None:
-    """Write the table without the columns that are empty throughout."""
-    names = ("file", "role", "view", "polariser", "silhouette")
-    columns = dict(zip(names, zip(*rows, strict=True), strict=True)) | exposures
-    kept = {name: cells for name, cells in columns.items() if name in names[:2] or any(cells)}
-    path.write_text(table_text([list(kept), *zip(*kept.values(), strict=True)]), encoding="utf-8")
 
 
 @dataclass(frozen=True)

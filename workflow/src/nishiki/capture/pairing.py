@@ -59,7 +59,10 @@ def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: s
         order = sorted(range(len(parts)), key=lambda i: parts[i])
         placed = dict(zip(order, partners, strict=True))
         chosen = tuple(placed[i] for i in range(len(parts)))
-        return Pairing(chosen, (_in_order(photographs, chosen, what, folder),))
+        pairs = ", ".join(f"{p.name} - {q.name}" for p, q in zip(photographs, chosen, strict=True))
+        summary = f"{what} have running numbers of their own: paired with the photographs in the order of the numbers"
+        remedy = f"If a pair is wrong, name the {what} as the photographs and convert again"
+        return Pairing(chosen, (warning("paired-in-order", folder, summary, found=pairs, remedy=remedy),))
     lacking = [p.name for p, part in zip(photographs, parts, strict=True) if part not in by_part]
     strange = [p.name for p, part in zip(others, present, strict=True) if part not in set(parts)]
     remedy = (
@@ -72,7 +75,10 @@ def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: s
 
 
 def names_apart(paths: Sequence[Path], folder: str) -> list[tuple[Token, ...]]:
-    """Return the parts of the names that vary (`varying_parts`). CaptureError (pairing-ambiguous) where two agree."""
+    """Strip names of what they all begin and end with; one name alone has no part that varies: ().
+
+    CaptureError (pairing-ambiguous) where two agree.
+    """
     names = [tokens(p.stem) for p in paths]
     first: dict[tuple, Path] = {}
     for path, name in zip(paths, names, strict=True):
@@ -81,7 +87,11 @@ def names_apart(paths: Sequence[Path], folder: str) -> list[tuple[Token, ...]]:
             found = f"{first[name].name}, {path.name}"
             refuse("pairing-ambiguous", folder, "two pictures of the same name", found=found, remedy=remedy)
         first[name] = path
-    return varying_parts(names)
+    shortest = min(map(len, names), default=0)
+    start = next((i for i in range(shortest) if len({name[i] for name in names}) > 1), shortest)
+    room = shortest - start
+    end = next((i for i in range(room) if len({name[-1 - i] for name in names}) > 1), room)
+    return [name[start : len(name) - end] for name in names]
 
 
 def tokens(stem: str) -> tuple[Token, ...]:
@@ -91,28 +101,12 @@ def tokens(stem: str) -> tuple[Token, ...]:
     )
 
 
-def varying_parts(names: Sequence[tuple[Token, ...]]) -> list[tuple[Token, ...]]:
-    """Strip the names of what they all begin and end with. One name alone has no part that varies: ()."""
-    shortest = min(map(len, names), default=0)
-    start = next((i for i in range(shortest) if len({name[i] for name in names}) > 1), shortest)
-    room = shortest - start
-    end = next((i for i in range(room) if len({name[-1 - i] for name in names}) > 1), room)
-    return [name[start : len(name) - end] for name in names]
-
-
 def counts_in_step(parts: Sequence[tuple], present: Sequence[tuple]) -> bool:
     """Whether both are running numbers of no common value, one set the other shifted."""
     if any(len(part) != 1 or not isinstance(part[0], int) for part in (*parts, *present)):
         return False
     ours, theirs = (sorted(part[0] for part in some) for some in (parts, present))
     return not set(ours) & set(theirs) and len({b - a for a, b in zip(ours, theirs, strict=True)}) == 1
-
-
-def _in_order(photographs: Sequence[Path], chosen: Sequence[Path], what: str, folder: str) -> Problem:
-    pairs = ", ".join(f"{p.name} - {q.name}" for p, q in zip(photographs, chosen, strict=True))
-    summary = f"{what} have running numbers of their own: paired with the photographs in the order of the numbers"
-    remedy = f"If a pair is wrong, name the {what} as the photographs and convert again"
-    return warning("paired-in-order", folder, summary, found=pairs, remedy=remedy)
 
 
 COLOURS = "uv ultraviolet violet royalblue blue cyan green lime yellow amber orange red".split()

@@ -85,7 +85,13 @@ def read_bundler(path: Path, pictures: Pictures) -> Registration:
             remedy = "Put the list of photographs that Bundler was given beside it (list.txt)"
             what = "names of photographs"
             refuse("photographs-count", path.name, what, expected=expected, found=found, remedy=remedy)
-        cameras = [_numbers(lines[2 + LINES * i : 2 + LINES * (i + 1)], 15) for i in range(count)]
+        cameras = []
+        for i in range(count):
+            words = b" ".join(lines[2 + LINES * i : 2 + LINES * (i + 1)]).split()
+            if len(words) != 15:
+                start = b" ".join(words)[:60].decode("latin-1")
+                raise ValueError(f"{len(words)} numbers where 15 are expected: {start}")
+            cameras.append(np.array([finite(word.decode("latin-1")) for word in words]))
         seen = _furthest(lines[2 + LINES * count :], count)
         views, unplaced, problems = [], [], []
         for name, camera, (x, y) in zip(names, cameras, seen, strict=True):
@@ -127,13 +133,6 @@ def _names(path: Path, folder: Path) -> list[str]:
         for words in map(str.split, text.splitlines())
         if words
     ]
-
-
-def _numbers(lines: list[bytes], count: int) -> np.ndarray:
-    words = b" ".join(lines).split()
-    if len(words) != count:
-        raise ValueError(f"{len(words)} numbers where {count} are expected: {b' '.join(words)[:60].decode('latin-1')}")
-    return np.array([finite(word.decode("latin-1")) for word in words])
 
 
 def _furthest(lines: list[bytes], count: int) -> np.ndarray:
@@ -180,31 +179,25 @@ def read_meshroom(path: Path, pictures: Pictures | None = None) -> Registration:
         content = json.loads(read_text(path, "json_bytes"))
         version = tuple(whole(each) for each in content["version"])
         lenses = {str(each["intrinsicId"]): _lens(each, version, path.name) for each in content["intrinsics"]}
-        poses = {str(each["poseId"]): _pose(each["pose"]["transform"]) for each in content.get("poses", [])}
+        poses = {}  # (3, 4) each: R and -R C
+        for each in content.get("poses", []):
+            transform = each["pose"]["transform"]
+            rotation = np.array([finite(value) for value in transform["rotation"]]).reshape(3, 3).T
+            centre = np.array([finite(value) for value in transform["center"]]).reshape(3)
+            poses[str(each["poseId"])] = np.column_stack([rigid(rotation), -rotation @ centre])
         expect_rows(len(content["views"]), "views", path.name, "cameras")
-        views = [
-            _view(view, lenses, poses[str(view["poseId"])])
-            for view in content["views"]
-            if str(view.get("poseId")) in poses
-        ]
+        views = []
+        for view in content["views"]:
+            if str(view.get("poseId")) not in poses:
+                continue
+            name = view["path"]
+            if "rigId" in view or view.get("isPoseIndependant") in (False, "false", "0"):
+                raise ValueError(f"'{name}' belongs to a rig of cameras, whose poses are not read")
+            rows, columns, lens = lenses[str(view["intrinsicId"])]
+            views.append(RegisteredView.of(name, (rows, columns), lens, poses[str(view["poseId"])]))
         if not views:
             raise ValueError("no photograph has a pose")
     return Registration(tuple(views))
-
-
-def _view(view: dict, lenses: dict, pose: np.ndarray) -> RegisteredView:
-    name = view["path"]
-    if "rigId" in view or view.get("isPoseIndependant") in (False, "false", "0"):
-        raise ValueError(f"'{name}' belongs to a rig of cameras, whose poses are not read")
-    rows, columns, lens = lenses[str(view["intrinsicId"])]
-    return RegisteredView.of(name, (rows, columns), lens, pose)
-
-
-def _pose(transform: dict) -> np.ndarray:
-    """(3, 4): R and -R C."""
-    rotation = np.array([finite(each) for each in transform["rotation"]]).reshape(3, 3).T
-    centre = np.array([finite(each) for each in transform["center"]]).reshape(3)
-    return np.column_stack([rigid(rotation), -rotation @ centre])
 
 
 def _lens(intrinsic: dict, version: tuple[int, ...], file: str) -> tuple[int, int, Intrinsics]:

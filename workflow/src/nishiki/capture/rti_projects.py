@@ -86,7 +86,12 @@ def read_relight(path: Path, kind: str | None = None, width_mm: float | None = N
 def _of_project(content: dict, images: list, path: Path, kind: str | None, width_mm: float | None) -> StatedLights:
     """Photographs that are neither skipped nor hidden, and that have a lamp."""
     expect_rows(len(images), "lights", path.name, "lights")
-    names = [_name(image, path.name) for image in images]
+    names: list[str] = []
+    for image in images:
+        name = image.get("filename") if isinstance(image, dict) else None
+        if not isinstance(name, str) or not name:
+            raise _unreadable(path.name, "images with 'filename'", repr(image)[:80])
+        names.append(name)
     stated_dome = content.get("dome")
     dome = stated_dome if isinstance(stated_dome, dict) else {}
     taken = [i for i, image in enumerate(images) if image.get("skip") is not True]
@@ -233,14 +238,6 @@ def _read(path: Path) -> dict:
         return json_object(text)
     except ValueError as e:
         raise _unreadable(path.name, "a JSON object", str(e)[:80]) from e
-
-
-def _name(image: object, file: str) -> str:
-    """File name of one photograph of a project."""
-    name = image.get("filename") if isinstance(image, dict) else None
-    if not isinstance(name, str) or not name:
-        raise _unreadable(file, "images with 'filename'", repr(image)[:80])
-    return name
 
 
 def _vectors(listed: object, file: str) -> np.ndarray:

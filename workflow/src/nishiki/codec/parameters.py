@@ -202,7 +202,9 @@ def encode_parameters(
     """
     out = np.zeros(design.parameter_shape(extent), np.int32)
     block = Block(design.parameter_plane(extent), np.eye(1), np.eye(1))
-    groups = zip(_planes(maps), (weights.kd, weights.ks, weights.sigma[..., None]), typical, strict=True)
+    width = np.log(np.clip(maps.sigma, WIDTH_FLOOR, 1e3))
+    quantities = np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0), width[None]
+    groups = zip(quantities, (weights.kd, weights.ks, weights.sigma[..., None]), typical, strict=True)
     for group, (values, weight, usual) in enumerate(groups):
         mix, mean = design.parameter_mix(group), design.parameter_mean(group)
         planes = np.tensordot(mix, values - mean[:, None, None], 1).astype(np.float32)
@@ -236,8 +238,3 @@ def decode_parameters(values: np.ndarray, design: Design, extent: Extent) -> Til
         planes.append(np.moveaxis(mixed, 0, -1).astype(np.float32))
     width = np.exp(np.clip(planes[2][..., 0], np.log(WIDTH_FLOOR), np.log(1e3)))
     return TileMaps(np.maximum(planes[0], 0), np.maximum(planes[1], 0), width)
-
-
-def _planes(maps: TileMaps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    width = np.log(np.clip(maps.sigma, WIDTH_FLOOR, 1e3))
-    return np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0), width[None]

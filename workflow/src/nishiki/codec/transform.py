@@ -79,7 +79,8 @@ def level_matrix(wavelet: str, length: int, *, mirrored: bool = False) -> np.nda
             reach = len(taps) // 2
             for i in range(half):
                 for k, tap in enumerate(taps):
-                    matrix[row + i, _reflect(2 * i + offset + k - reach, length)] += tap
+                    at = (2 * i + offset + k - reach) % (2 * length - 2)
+                    matrix[row + i, 2 * length - 2 - at if at >= length else at] += tap
         return matrix
     for row, taps in ((0, low), (half, high)):
         for i in range(half):
@@ -94,12 +95,6 @@ def _symmetric(wavelet: str, taps: tuple[float, ...]) -> np.ndarray:
     if len(inner) % 2 == 0 or not np.allclose(inner, inner[::-1]):
         raise UserError(f"mirrored ends need symmetric filters of odd length (bior2.2, bior4.4), found {wavelet!r}")
     return inner
-
-
-def _reflect(index: int, length: int) -> int:
-    period = 2 * (length - 1)
-    index %= period
-    return period - index if index >= length else index
 
 
 def levels_of(length: int, most: int) -> int:

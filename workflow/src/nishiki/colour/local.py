@@ -150,18 +150,14 @@ def evaluate_correction(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Plain form of the correction: values (P, B), variance (P,), distance to the nearest centre (P,), in float64."""
     responses = np.asarray(responses, dtype=float)
-    values, variance, nearest = kernel_sums(correction, space.coordinates(responses))
-    return values * (space.taper(space.coordinates(responses)) * dark_weight(responses))[:, None], variance, nearest
-
-
-def kernel_sums(correction: LocalCorrection, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Kernel sum (P, B) without taper and dark weight, variance (P,) and nearest distance (P,) at z (P, N)."""
+    z = space.coordinates(responses)
     apart = distances(z, correction.centres)
     kernel = compact_kernel(apart / correction.radius)
     # The fourth power makes the smoother of the variance narrower than that of the values, at no further square root.
     share = kernel**4
     variance = (share @ correction.variance + 1e-2 * correction.far_variance) / (share.sum(axis=1) + 1e-2)
-    return kernel @ correction.weights, variance, apart.min(axis=1)
+    values = (kernel @ correction.weights) * (space.taper(z) * dark_weight(responses))[:, None]
+    return values, variance, apart.min(axis=1)
 
 
 def distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:

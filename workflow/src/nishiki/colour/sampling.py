@@ -42,7 +42,10 @@ def resample(
             "measure the missing part, or extend the table by hand with values that you can defend"
         )
     inside = np.clip(WAVELENGTHS_NM, low, high)
-    return _linear(wavelengths, samples, inside)
+    right = np.clip(np.searchsorted(wavelengths, inside, side="right"), 1, wavelengths.size - 1)
+    left = right - 1
+    fraction = (inside - wavelengths[left]) / (wavelengths[right] - wavelengths[left])
+    return samples[..., left] * (1.0 - fraction) + samples[..., right] * fraction
 
 
 def _checked_curve(wavelengths_nm, values, name):
@@ -69,13 +72,6 @@ def _checked_curve(wavelengths_nm, values, name):
             "fill or drop them"
         )
     return wavelengths, samples
-
-
-def _linear(wavelengths, samples, at):
-    right = np.clip(np.searchsorted(wavelengths, at, side="right"), 1, wavelengths.size - 1)
-    left = right - 1
-    fraction = (at - wavelengths[left]) / (wavelengths[right] - wavelengths[left])
-    return samples[..., left] * (1.0 - fraction) + samples[..., right] * fraction
 
 
 def principal_basis(reflectances: np.ndarray, count: int) -> np.ndarray:

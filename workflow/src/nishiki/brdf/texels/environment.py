@@ -253,7 +253,9 @@ def settle(
         return _fitted(sample, cameras, light_of, len(stated.vectors), encoding)
     if stated.kind == "direction" or falloff == "none":
         return stated, {"falloff": "none"}
-    near = replace(stated, reference=_distance(stated, sample, cameras, light_of))
+    centre = sample.positions.mean(axis=0) if len(sample.positions) else np.zeros(3)
+    places = [stated.lamp(camera, int(light)).vector for camera, light in zip(cameras, light_of, strict=True)]
+    near = replace(stated, reference=float(np.mean(np.linalg.norm(np.array(places) - centre, axis=1))))
     if falloff == "inverse_square":
         return near, {"falloff": falloff}
     left = [_lambert_residual(lighting, sample, cameras, light_of) for lighting in (stated, near)]
@@ -286,12 +288,6 @@ def _fitted(
             {"explained": fit.explained, "rounds": fit.rounds, "texels": fit.texels, "highlight_gain": lobe.gain}
         )
     return Lighting("environment", tuple(vectors), tuple(harmonics)), {"environment": reports}
-
-
-def _distance(lighting: Lighting, sample: Sample, cameras: list[Camera], light_of: np.ndarray) -> float:
-    centre = sample.positions.mean(axis=0) if len(sample.positions) else np.zeros(3)
-    places = [lighting.lamp(camera, int(light)).vector for camera, light in zip(cameras, light_of, strict=True)]
-    return float(np.mean(np.linalg.norm(np.array(places) - centre, axis=1)))
 
 
 def _lambert_residual(lighting: Lighting, sample: Sample, cameras: list[Camera], light_of: np.ndarray) -> float:

@@ -69,7 +69,12 @@ def fit_object(
     `threads`.
     """
     tiles = list(tiles)
-    lattice = lattice_of([read(tile) for tile in tiles[:: max(len(tiles) // 6, 1)]])
+    some = [read(tile) for tile in tiles[:: max(len(tiles) // 6, 1)]]
+    edge = CELL * spacing(some)
+    first_texel = np.concatenate([tile.positions[tile.inside][:1] for tile in some] or [np.empty((0, 3))])[:1]
+    # Far from the world's origin cells are counted from a multiple of FAR cells near the first texel.
+    origin = FAR * edge * np.rint(first_texel.astype(float).sum(axis=0) / (FAR * edge))
+    lattice = Lattice(edge, tuple(origin.tolist()))
 
     def fitted_tile(k: int) -> Tile:
         return read(tiles[k]) if apart else read(tiles[k]).joined
@@ -90,17 +95,6 @@ def fit_object(
 
     finished = every(finish)
     return _described(first, widths, gloss, finished)
-
-
-def lattice_of(tiles: list[Tile]) -> Lattice:
-    """Make cells of `CELL` texels, counted from the world's origin.
-
-    Far from it they are counted from a multiple of FAR cells near the first texel of these tiles.
-    """
-    edge = CELL * spacing(tiles)
-    first = np.concatenate([tile.positions[tile.inside][:1] for tile in tiles] or [np.empty((0, 3))])[:1]
-    origin = FAR * edge * np.rint(first.astype(float).sum(axis=0) / (FAR * edge))
-    return Lattice(edge, tuple(origin.tolist()))
 
 
 def spacing(tiles: list[Tile]) -> float:

@@ -50,11 +50,8 @@ def read_overview(photographs: Sequence[Path], read: Callable[[Path], np.ndarray
     first = read(photographs[0])
     factor = max(1.0, max(first.shape) / SEARCH_SIDE, (len(photographs) * first.size / SEARCH_PIXELS) ** 0.5)
     size = (round(first.shape[1] / factor), round(first.shape[0] / factor))
-
-    def reduce_one(path: Path) -> np.ndarray:
-        return cv2.resize(read(path), size, interpolation=cv2.INTER_AREA)
-
-    return Overview(np.array(list(in_threads(reduce_one, photographs, 2))), first.shape[1] / size[0])
+    reduced = in_threads(lambda path: cv2.resize(read(path), size, interpolation=cv2.INTER_AREA), photographs, 2)
+    return Overview(np.array(list(reduced)), first.shape[1] / size[0])
 
 
 def subtract_surroundings(stack: np.ndarray) -> np.ndarray:
