@@ -172,21 +172,13 @@ def _to_degrees(rows: np.ndarray, units: dict[str, str], name: str) -> list[Prob
     return notes
 
 
-def quantity_of(column: str) -> str:
-    """Return what a column holds, as far as its name tells: a key of QUANTITIES, or UNSAID."""
-    folded = column.casefold()
-    for quantity, pattern in QUANTITIES.items():
-        match = pattern.search(folded.replace("_", " ").replace("-", " "))
-        if match:
-            return quantity
-    return UNSAID
-
-
 def _expect_reflectances(channels: tuple[str, ...], name: str, values: str) -> None:
     """Raise CaptureError (table-quantities) unless all columns hold the quantity `values`, as far as names tell."""
     held: dict[str, list[str]] = {}
     for channel in channels:
-        held.setdefault(quantity_of(channel), []).append(channel)
+        words = channel.casefold().replace("_", " ").replace("-", " ")
+        quantity = next((quantity for quantity, pattern in QUANTITIES.items() if pattern.search(words)), UNSAID)
+        held.setdefault(quantity, []).append(channel)
     stated = RADIANCE_FACTOR if values.startswith("radiance_factor") else BRDF
     if set(held) <= {stated} or set(held) <= {UNSAID}:
         return

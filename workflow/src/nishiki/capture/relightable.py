@@ -127,6 +127,13 @@ def write_rendered(folder: Path, layout: Rendering, source: Path, options: Conve
     what = f"{image.layout} {file.name}" if file.is_dir() else f"{image.layout} file {file.name}"
     angles = f"{polar.min():.0f} to {polar.max():.0f} degrees from the normal"
     about = f"rendered from the {what} under {len(rows)} lamps {angles}"
+    if isinstance(image, RelightFolder | WebRtiFolder):
+        inside = RELIGHT if isinstance(image, RelightFolder) else "webrti"
+        for name in image.files:
+            take(file / name, folder / inside / name, options.link)
+        rendered_from = f"{inside}/{image.files[0]}"
+    else:
+        rendered_from = take(file, folder / file.name, options.link)
     settings = {
         "format": FORMAT,
         "title": options.title or (file.name if file.is_dir() else file.stem),
@@ -134,7 +141,7 @@ def write_rendered(folder: Path, layout: Rendering, source: Path, options: Conve
         "geometry": "plane",
         "camera": {"channels": list(COLOUR), "encoding": options.encoding or "srgb"},
         "lights": {"file": "lights.lp", "kind": "direction"},
-        "rendered_from": _keep(image, file, folder, options.link),
+        "rendered_from": rendered_from,
     }
     doubts: list[Problem] = []
     pitch = options.width_mm / image.shape[1] if options.width_mm else getattr(image, "pitch_mm", 0.0)
@@ -152,16 +159,6 @@ def write_rendered(folder: Path, layout: Rendering, source: Path, options: Conve
         what, found = "values beyond black and full brightness were clipped", f"{100 * np.mean(clipped):.2g} % of all"
         notes.append(warning("rendered-clipped", file.name, what, found=found))
     return notes
-
-
-def _keep(image: RelightableImage, source: Path, folder: Path, link: bool) -> str:
-    """Take the image itself along; returns its name relative to the capture."""
-    if not isinstance(image, RelightFolder | WebRtiFolder):
-        return take(source, folder / source.name, link)
-    place = RELIGHT if isinstance(image, RelightFolder) else "webrti"
-    for name in image.files:
-        take(source / name, folder / place / name, link)
-    return f"{place}/{image.files[0]}"
 
 
 def _render(image: RelightableImage, light: np.ndarray, path: Path) -> float:

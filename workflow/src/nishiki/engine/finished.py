@@ -57,16 +57,13 @@ def reason_to_run(flow: Workflow, scene: str, *, contents: bool = False) -> str:
             if other in CHAIN and manifest["upstream"].get(other, {}).get("digest") != published[other]["digest"]:
                 return f"{name} was made from another version of {other} than the present one"
         published[name] = {"key": planned.key, "digest": artifact.sha256}
-    return "" if _is_published(f"{folder}/current/{INDEX}", published, flow.code("publish")) else "not published"
-
-
-def _is_published(path: str, artifacts: dict[str, dict[str, str]], code: str) -> bool:
+    code = flow.code("publish")
     try:
-        with open(path, "rb") as handle:
+        with open(f"{folder}/current/{INDEX}", "rb") as handle:
             index = json.load(handle)
-        return index["artifacts"] == artifacts and index["code"] == code
+        return "" if index["artifacts"] == published and index["code"] == code else "not published"
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return False
+        return "not published"
 
 
 @cache
@@ -98,25 +95,24 @@ def unsound_artifacts(
     not the one that it was made from. Sizes are looked at; contents: what a stage checks of its inputs too, as after a
     power cut; `./nishiki verify` reads everything.
     """
-    return [item for stages in plans.values() for item in _of_scene(stages, contents)]
-
-
-def _of_scene(stages: list[tuple[str, Path, tuple[str, ...]]], contents: bool) -> Iterator[Unsound]:
-    sound: dict[str, str] = {}
-    for name, folder, upstream in stages:
-        if not folder.exists() or not any(folder.iterdir()):  # Snakemake makes the folder before the stage starts
-            continue
-        try:
-            artifact = open_artifact(folder, contents=contents)
-        except UserError as error:
-            yield Unsound(folder, str(error).removeprefix(f"{folder}: "))
-            continue
-        made_from = {other: part.get("digest") for other, part in artifact.manifest["upstream"].items()}
-        stale = [other for other in upstream if other in sound and made_from.get(other) != sound[other]]
-        if stale:
-            yield Unsound(folder, f"made from another version of {stale[0]} than the present one")
-        else:
-            sound[name] = file_digest(folder / MANIFEST)
+    unsound = []
+    for stages in plans.values():
+        sound: dict[str, str] = {}
+        for name, folder, upstream in stages:
+            if not folder.exists() or not any(folder.iterdir()):  # Snakemake makes the folder before the stage starts
+                continue
+            try:
+                artifact = open_artifact(folder, contents=contents)
+            except UserError as error:
+                unsound.append(Unsound(folder, str(error).removeprefix(f"{folder}: ")))
+                continue
+            made_from = {other: part.get("digest") for other, part in artifact.manifest["upstream"].items()}
+            stale = [other for other in upstream if other in sound and made_from.get(other) != sound[other]]
+            if stale:
+                unsound.append(Unsound(folder, f"made from another version of {stale[0]} than the present one"))
+            else:
+                sound[name] = file_digest(folder / MANIFEST)
+    return unsound
 
 
 def set_aside(folder: Path) -> Path:

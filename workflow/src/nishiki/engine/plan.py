@@ -4,7 +4,7 @@ What `PARTS` does not name (the photographs that a fit needs, their white boards
 masks) is always read.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -143,7 +143,9 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
             reasons_shown = left_out | {f"package {package}": why for package, why in idle.items()}
             settings[name] = settings[name].model_copy(update={"left_out": reasons_shown})
         values = settings[name].model_dump(mode="json")
-        upstream = {other: keys[other] for other in _reads(name, settings[name], stages)}
+        reads = (*CHAIN[name].requires, *CHAIN[name].wants(settings[name]), *CHAIN[name].uses)
+        before = ["capture"] if name == "ingest" else [other for other in CHAIN if other in reads and other in stages]
+        upstream = {other: keys[other] for other in before}
         keys[name] = key_of_text(name, CHAIN[name].version, canonical(values), upstream)
         stages[name] = PlannedStage(name, keys[name], values, upstream, packages[name])
     return Plan(scene, facts, stages, left_out, held_out, packages, idle)
@@ -235,12 +237,3 @@ def _reach(name: str, facts: SceneFacts, settings: dict, needed: set[str], left_
         _reach(upstream, facts, settings, needed, left_out)
     needed.add(name)
     return True
-
-
-def _reads(name: str, settings: Closed, before: Mapping[str, Any]) -> tuple[str, ...]:
-    """Stages that a stage reads, of those before it in the plan; the first one reads the capture."""
-    if name == "ingest":
-        return ("capture",)
-    stage = CHAIN[name]
-    reads = (*stage.requires, *stage.wants(settings), *stage.uses)
-    return tuple(other for other in CHAIN if other in reads and other in before)

@@ -179,23 +179,15 @@ def _scene(row: dict[str, str], configuration: Configuration, values: dict, tabl
         hint = FORMER.get(unknown[0], f"known: {', '.join(PRODUCTS)}")
         raise UserError(f"{table}: scene {name!r}: unknown product {unknown[0]!r}; {hint}")
     truth = row.get("truth", "").strip()
-    return Scene(
-        name, _place(capture), _place(truth) if truth else None, products, _scene_settings(row, configuration, values)
-    )
+    settings: StageSettings = configuration
+    if path := row.get("settings", "").strip():
+        shared = {key: value for key, value in values.items() if key in StageSettings.model_fields}
+        settings = parse(StageSettings, merged(shared, load_yaml(Path(path))), path)
+    return Scene(name, _place(capture), _place(truth) if truth else None, products, settings)
 
 
 def _place(text: str) -> Path:
     return Path(os.path.expandvars(text)).expanduser()
-
-
-def _scene_settings(row: dict[str, str], configuration: Configuration, values: dict) -> StageSettings:
-    """Merge the settings of the project with those of the scene's own file."""
-    path = row.get("settings", "").strip()
-    if not path:
-        return configuration
-    overrides = load_yaml(Path(path))
-    shared = {key: value for key, value in values.items() if key in StageSettings.model_fields}
-    return parse(StageSettings, merged(shared, overrides), path)
 
 
 def scene_with(scene: Scene, overrides: dict, where: str) -> Scene:

@@ -255,7 +255,11 @@ def read_blocks(path: Path) -> Iterator[np.ndarray] | None:
             (size,) = struct.unpack("<i", file.read(4))
             header[name] = file.read(size)
         start = file.tell()
-    types = _types(header["channels"])
+    types, place, channels = [], 0, header["channels"]
+    while channels[place]:
+        place = channels.index(b"\0", place) + 1
+        types.append(struct.unpack_from("<i", channels, place)[0])
+        place += 16
     if header["compression"] != bytes([ZIP]) or set(types) != {FLOAT}:
         return None
     left, top, right, bottom = struct.unpack("<4i", header["dataWindow"])
@@ -314,16 +318,6 @@ def _summed(packed: bytes) -> bytes:
     half = (len(split) + 1) // 2
     data[::2], data[1::2] = split[:half], split[half:]
     return data.tobytes()
-
-
-def _types(channels: bytes) -> list[int]:
-    """Type of each channel of a chlist."""
-    types, place = [], 0
-    while channels[place]:
-        place = channels.index(b"\0", place) + 1
-        types.append(struct.unpack_from("<i", channels, place)[0])
-        place += 16
-    return types
 
 
 def _text(file: BinaryIO) -> str:

@@ -38,8 +38,10 @@ def icc_profile(space: RgbSpace) -> bytes:
     """Encode the profile; the same space gives the same bytes."""
     curve = b"para" + bytes(4) + struct.pack(">HH", 0, 0) + _fixed(space.gamma)
     matrix = space.to_xyz()
-    texts = {b"desc": space.name, b"cprt": "No copyright, use freely"}
-    tags = {tag: _text(text) for tag, text in texts.items()}
+    tags = {}
+    for tag, text in ((b"desc", space.name), (b"cprt", "No copyright, use freely")):
+        coded = text.encode("utf-16-be")  # multiLocalizedUnicodeType, one record in English
+        tags[tag] = b"mluc" + bytes(4) + struct.pack(">II2s2sII", 1, 12, b"en", b"US", len(coded), 28) + coded
     tags[b"wtpt"] = _xyz(D50)
     for column, letter in enumerate(b"rgb"):
         tags[bytes([letter]) + b"XYZ"] = _xyz(matrix[:, column])
@@ -66,12 +68,6 @@ def _numbers(values: tuple[float, ...] | np.ndarray) -> bytes:
 
 def _xyz(values: tuple[float, ...] | np.ndarray) -> bytes:
     return b"XYZ " + bytes(4) + _numbers(values)
-
-
-def _text(text: str) -> bytes:
-    """multiLocalizedUnicodeType, one record in English."""
-    coded = text.encode("utf-16-be")
-    return b"mluc" + bytes(4) + struct.pack(">II2s2sII", 1, 12, b"en", b"US", len(coded), 28) + coded
 
 
 MOST_STEPS = 4096  # of a table; longer ones are resampled
@@ -212,8 +208,11 @@ def png_coding(chunks: dict[bytes, bytes], exif: Coding | None) -> Coding | None
     if len(code := chunks.get(b"cICP", b"")) == 4:
         primaries, transfer = code[0], code[1]
         name = f"{_SPACES.get(primaries, f'primaries {primaries}')}, cICP"
-        if transfer == 16:
-            return Coding(f"{name}, PQ", Curve(table=_perceptual_quantizer()), _known(primaries))
+        if transfer == 16:  # SMPTE ST 2084: light of a code, as a share of 10,000 candelas a square metre
+            m1, m2, c1, c2, c3 = 2610 / 16384, 78.84375, 0.8359375, 18.8515625, 18.6875
+            root = np.linspace(0, 1, MOST_STEPS) ** (1 / m2)
+            table = tuple((np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1))
+            return Coding(f"{name}, PQ", Curve(table=table), _known(primaries))
         if transfer not in _TRANSFERS:
             return Coding(name, fault=f"transfer function {transfer} of H.273")
         words, curve = _TRANSFERS[transfer]
@@ -240,13 +239,6 @@ def png_coding(chunks: dict[bytes, bytes], exif: Coding | None) -> Coding | None
 
 def _known(primaries: int) -> Matrix | None:
     return primaries_xyz(_XY[primaries]) if primaries in _XY else None
-
-
-def _perceptual_quantizer() -> tuple[float, ...]:
-    """SMPTE ST 2084: light of a code, as a share of 10,000 candelas a square metre."""
-    m1, m2, c1, c2, c3 = 2610 / 16384, 78.84375, 0.8359375, 18.8515625, 18.6875
-    root = np.linspace(0, 1, MOST_STEPS) ** (1 / m2)
-    return tuple((np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1))
 
 
 def transfer_function(values: tuple[int, ...], bits: int) -> Coding | None:

@@ -61,8 +61,11 @@ def open_exr(file: BinaryIO, name: str) -> Picture:
         raise ValueError("the file's further parts are much larger than its first")
     coding = Coding("linear, OpenEXR", LINEAR, _primaries(headers[0].get("chromaticities")))
     exposure, aperture, speed = (positive_number(headers[0].get(key)) for key in ("expTime", "aperture", "isoSpeed"))
+    names = tuple(channel.base for channel in channels)
+    if names not in (("R", "G", "B"), ("Y",)):
+        names = tuple(".".join(filter(None, (channel.layer, channel.base))) for channel in channels)
     header = ImageHeader(
-        "exr", window[2], window[3], len(channels) + len(alpha), "float32", bool(alpha), names=_names(channels),
+        "exr", window[2], window[3], len(channels) + len(alpha), "float32", bool(alpha), names=names,
         stored_bytes=_LEAST_SAMPLE * sum(stored), ratio=_RATIO.get(headers[0]["compression"].name, 0), coding=coding,
         exif=Exif(exposure, aperture, speed),
     )  # fmt: skip
@@ -77,7 +80,12 @@ def open_exr(file: BinaryIO, name: str) -> Picture:
         with OpenEXR.File(path, separate_channels=True) as opened:
             for place, channel in enumerate([*order, *alpha]):
                 values = opened.channels(channel.part)[channel.stored].pixels
-                _place(values, windows[channel.part], out[:, :, place], window)
+                data = windows[channel.part]
+                top, left = data[0] - window[0], data[1] - window[1]
+                rows = slice(max(top, 0), max(min(top + data[2], header.rows), 0))
+                columns = slice(max(left, 0), max(min(left + data[3], header.columns), 0))
+                part = values[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
+                out[rows, columns, place] = part  # what lies in the display window
         return out
 
     return Picture(header, decode)
@@ -108,18 +116,14 @@ def several_layers(names: tuple[str, ...]) -> bool:
 
 def _channels(header: dict[str, Any], part: int) -> list[_Channel]:
     """List a part's channels of full resolution, its own name before those of its layers where it has one."""
-    found = []
+    found, name = [], str(header.get("name", ""))
+    name = "" if name.casefold() in _BEAUTY else name
     for channel in header["channels"]:
         layer, _, base = channel.name.rpartition(".")
         full = channel.xSampling == channel.ySampling == 1
         if full and base.casefold() not in ("ry", "by"):
-            found.append(_Channel(part, channel.name, ".".join(filter(None, (_part_name(header), layer))), base))
+            found.append(_Channel(part, channel.name, ".".join(filter(None, (name, layer))), base))
     return found
-
-
-def _part_name(header: dict[str, Any]) -> str:
-    name = str(header.get("name", ""))
-    return "" if name.casefold() in _BEAUTY else name
 
 
 def _light(found: list[_Channel]) -> list[_Channel]:
@@ -139,26 +143,10 @@ def _light(found: list[_Channel]) -> list[_Channel]:
     return sorted(chosen, key=lambda c: (c.layer, order.get(c.base, 3), c.base))
 
 
-def _names(channels: list[_Channel]) -> tuple[str, ...]:
-    """Their names, with the layer unless they are red, green and blue of the one that is taken."""
-    bases = tuple(channel.base for channel in channels)
-    if bases in (("R", "G", "B"), ("Y",)):
-        return bases
-    return tuple(".".join(filter(None, (channel.layer, channel.base))) for channel in channels)
-
-
 def _window(corners: tuple[np.ndarray, np.ndarray]) -> tuple[int, int, int, int]:
     """Row, column, rows, columns of a window between two corners (x, y), both inclusive."""
     (left, top), (right, bottom) = (tuple(int(n) for n in corner) for corner in corners)
     return top, left, bottom - top + 1, right - left + 1
-
-
-def _place(values: np.ndarray, window: tuple[int, int, int, int], out: np.ndarray, display: tuple[int, ...]) -> None:
-    """Copy the part of a data window that lies in the display window to its place there."""
-    top, left = window[0] - display[0], window[1] - display[1]
-    rows = slice(max(top, 0), max(min(top + window[2], out.shape[0]), 0))
-    columns = slice(max(left, 0), max(min(left + window[3], out.shape[1]), 0))
-    out[rows, columns] = values[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
 
 
 def _primaries(corners: Any) -> Matrix | None:

@@ -83,7 +83,8 @@ def expect_mesh_file(path: Path, file: str) -> None:
     # in text a value is a digit and a blank; the very last needs no blank
     needed = sum(e.count * (2 * len(e.properties) if text_file else e.least) for e in elements)
     if needed > size - start + 1:
-        expected, found = f"{needed} bytes or more for {_counts(elements)}", f"{size - start} bytes after its heading"
+        counts = ", ".join(f"{e.count} {e.name[:20]}" for e in elements[:4])
+        expected, found = f"{needed} bytes or more for {counts}", f"{size - start} bytes after its heading"
         what = "damaged PLY file: it is cut off, or its heading is wrong"
         raise Refused(file, what, expected=expected, found=found, remedy=REMEDY)
 
@@ -116,7 +117,3 @@ def read_heading(stream: BinaryIO, file: str) -> tuple[bool, list[Element], int]
         raise Refused(file, UNREADABLE, found=found, remedy=REMEDY)
     end += len(b"end_header")
     return form == "ascii", elements, end + (2 if start[end : end + 2] == b"\r\n" else 1)
-
-
-def _counts(elements: list[Element]) -> str:
-    return ", ".join(f"{e.count} {e.name[:20]}" for e in elements[:4])

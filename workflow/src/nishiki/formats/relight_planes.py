@@ -114,7 +114,12 @@ def _read_joined_tiles(folder: Path, name: str, number: int, out: np.ndarray) ->
     start = sum(-(-(width >> halved) // size) * -(-(height >> halved) // size) for halved in below)
     joined = f"{name[:-4]}.tzb"
     place, across = f"{folder.name}/{joined}", -(-columns // size)
-    with open(_opened(within(folder, joined), place), "rb") as file:
+    path = within(folder, joined)
+    try:
+        handle = open_regular(path, place)
+    except FileNotFoundError:
+        raise Refused(place, "the file of the tiles is missing", remedy=REMEDY) from None
+    with open(handle, "rb") as file:
         stored = file.seek(0, 2)
         for tile in range(-(-rows // size) * across):
             row, column = divmod(tile, across)
@@ -131,13 +136,6 @@ def _read_joined_tiles(folder: Path, name: str, number: int, out: np.ndarray) ->
             part = out[row * size : (row + 1) * size, column * size : (column + 1) * size]
             copy_plane(codes, part, margin, f"{place}, tile {first}")
     return [name, joined] if number == 0 or name != ALL_PLANES else []
-
-
-def _opened(path: Path, name: str) -> int:
-    try:
-        return open_regular(path, name)
-    except FileNotFoundError:
-        raise Refused(name, "the file of the tiles is missing", remedy=REMEDY) from None
 
 
 def _decoded(content: np.ndarray, most: int, name: str) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import tifffile
 
-from nishiki.formats.coding import Coding, transfer_function
+from nishiki.formats.coding import transfer_function
 from nishiki.formats.exif import exif_of_page, quiet_tifffile
 from nishiki.formats.picture_files import AS_RGB, ImageHeader, Output, Picture, Sample, Wanted, unsupported
 
@@ -71,7 +71,10 @@ def open_tiff(file: BinaryIO, name: str) -> Picture:
             _divide_by_alpha(out)
         return out
 
-    return Picture(header, decode, first.iccprofile or b"").coded(_transfer(first))
+    table, depth = first.tags.valueof(301), first.bitspersample  # TransferFunction
+    stated = isinstance(table, (tuple, np.ndarray)) and depth <= 16
+    coding = transfer_function(tuple(table), depth) if stated else None
+    return Picture(header, decode, first.iccprofile or b"").coded(coding)
 
 
 def _full_pages(tiff: tifffile.TiffFile) -> list[tifffile.TiffPage]:
@@ -175,9 +178,3 @@ def _divide_by_alpha(codes: np.ndarray) -> None:
         chosen = codes[partial].astype(np.float32)
         chosen[:, :-1] *= top / chosen[:, -1:]
         codes[partial] = chosen if codes.dtype.kind == "f" else np.rint(np.minimum(chosen, top))
-
-
-def _transfer(page: tifffile.TiffPage) -> Coding | None:
-    """Read the coding that TransferFunction and PrimaryChromaticities state."""
-    values, bits = page.tags.valueof(301), page.bitspersample
-    return transfer_function(tuple(values), bits) if isinstance(values, (tuple, np.ndarray)) and bits <= 16 else None

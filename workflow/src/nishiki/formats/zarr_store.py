@@ -42,17 +42,12 @@ def write_chunk(path: Path, values: np.ndarray, *, compression: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb", buffering=0) as file:
         for part in (payload, google_crc32c.value(payload).to_bytes(4, "little")):
-            _write_all(file, part, path)
-
-
-def _write_all(file: io.RawIOBase, part: bytes, path: Path) -> None:
-    """Write all of `part`: a disk that becomes full takes a piece first, and tells the reason when the rest comes."""
-    rest = memoryview(part)
-    while rest:
-        try:
-            rest = rest[file.write(rest) :]
-        except OSError as error:
-            raise OSError(error.errno, error.strerror, str(path)) from None
+            rest = memoryview(part)
+            while rest:  # a disk that becomes full takes a piece first, and tells the reason when the rest comes
+                try:
+                    rest = rest[file.write(rest) :]
+                except OSError as error:
+                    raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def read_chunk(path: Path, shape: tuple, dtype: np.dtype, *, compression: str, checksum: bool = True) -> np.ndarray:
@@ -65,7 +60,12 @@ def read_chunk(path: Path, shape: tuple, dtype: np.dtype, *, compression: str, c
     if checksum:
         _expect_checksum(payload, end, path)
     if compression == "zstd":
-        payload = _unpacked(payload, path)
+        from numcodecs.zstd import Zstd
+
+        try:
+            payload = Zstd().decode(payload)
+        except RuntimeError as error:
+            raise UserError(f"{path}: part of a stored array is damaged ({error}). {REMEDY}") from None
     values = np.frombuffer(payload, np.dtype(dtype).newbyteorder("<"))
     if values.size != np.prod(shape):
         raise UserError(f"{path}: {values.size} values, expected {tuple(shape)}. {REMEDY}")
@@ -94,15 +94,6 @@ def _opened(path: Path) -> io.FileIO:
 def _expect_checksum(payload: Any, end: bytes, path: Path) -> None:
     if len(end) != CHECKSUM_BYTES or google_crc32c.value(payload) != int.from_bytes(end, "little"):
         raise UserError(f"{path}: part of a stored array is damaged (checksum differs). {REMEDY}")
-
-
-def _unpacked(payload: bytes, path: Path) -> bytes:
-    from numcodecs.zstd import Zstd
-
-    try:
-        return Zstd().decode(payload)
-    except RuntimeError as error:
-        raise UserError(f"{path}: part of a stored array is damaged ({error}). {REMEDY}") from None
 
 
 METADATA = "zarr.json"

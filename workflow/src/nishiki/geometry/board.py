@@ -142,6 +142,8 @@ def calibrate(
     when the board was held the same way in all of them: no two boards 8 degrees apart, or a standard deviation of the
     focal length or of the principal point above 4 % of it or of the longer side.
     """
+    import cv2
+
     sparse = tuple(each.name for each in pictures if len(each.ids) < LEAST_CALIBRATION_CORNERS)
     used = [each for each in pictures if len(each.ids) >= LEAST_CALIBRATION_CORNERS]
     if len(used) < LEAST_PICTURES:
@@ -172,7 +174,11 @@ def calibrate(
             "another way in every picture"
         )
     errors = dict(zip([each.name for each in used], fit.errors.tolist(), strict=True))
-    errors |= {each.name: _alone(each, fit) for each in outliers}
+    coefficients = np.array(fit.distortion)
+    for each in outliers:  # at their own best poses
+        _, turn, shift = cv2.solvePnP(each.points, each.pixels, fit.intrinsics, coefficients)
+        projected = cv2.projectPoints(each.points, turn, shift, fit.intrinsics, coefficients)[0].reshape(-1, 2)
+        errors[each.name] = float(np.sqrt(((projected - each.pixels) ** 2).sum(axis=1).mean()))
     return Calibration(
         fit.intrinsics,
         fit.distortion,
@@ -249,13 +255,3 @@ def _fit_from(start: np.ndarray, pictures: list[BoardCorners], rows: int, column
         float(max(sigma[2:4])),
         float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min()))),  # largest angle between two boards
     )
-
-
-def _alone(picture: BoardCorners, fit: _Fit) -> float:
-    """Error of a picture that took no part in the fit, at its own best pose."""
-    import cv2
-
-    coefficients = np.array(fit.distortion)
-    _, turn, shift = cv2.solvePnP(picture.points, picture.pixels, fit.intrinsics, coefficients)
-    projected = cv2.projectPoints(picture.points, turn, shift, fit.intrinsics, coefficients)[0].reshape(-1, 2)
-    return float(np.sqrt(((projected - picture.pixels) ** 2).sum(axis=1).mean()))

@@ -10,7 +10,7 @@ of their focal lengths, leave the contradiction (almost) as it is and cannot be 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -101,7 +101,10 @@ def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera], *, m
             return replace(found, correction=Correction("silhouette-inverted", views=tuple(inverted)), corrected=share)
     if found.contradiction <= NOTICEABLE and max(found.by_view) <= NOTICEABLE_VIEW:
         return found
-    least, of_all = np.inf, (_reversals, _orders, _exchanges, _mirrors, _scales, _steps, _focal_lengths, _odd_views)
+    of_size = partial(_scaled, kind="camera-scale", factors=SCALES, columns=3)  # cameras of pictures of another size
+    of_focal_length = partial(_scaled, kind="focal-length", factors=FOCAL_FACTORS, columns=2)
+    of_all = (_reversals, _orders, _exchanges, _mirrors, of_size, _steps, of_focal_length, _odd_views)
+    least = np.inf
     strict = Outlines(outlines.masks, outlines.cameras, 0) if misses else outlines
     # a mistake of all cameras shows in many views
     few = np.quantile(found.by_view, 0.75) < EXPLAINED * found.contradiction
@@ -262,16 +265,6 @@ def _mirror(camera: Camera, axes: tuple[int, ...]) -> Camera:
         k[axis] *= -1
         k[axis, 2] += last[axis]
     return replace(camera, intrinsics=k)
-
-
-def _scales(outlines: Outlines) -> list[Trial]:
-    """Try cameras of pictures of another size."""
-    return _scaled(outlines, "camera-scale", SCALES, 3)
-
-
-def _focal_lengths(outlines: Outlines) -> list[Trial]:
-    """Try cameras with another focal length."""
-    return _scaled(outlines, "focal-length", FOCAL_FACTORS, 2)
 
 
 def _scaled(outlines: Outlines, kind: str, factors: Sequence[float], columns: int) -> list[Trial]:

@@ -64,7 +64,10 @@ def estimate_pose(
     """
     sight = Sight(sight.name, np.asarray(sight.points, np.float64), np.asarray(sight.pixels, np.float64))
     _expect_spread(sight, np.ones(len(sight.points), bool))
-    given, (sight, middle, size) = sight, _unit(sight)
+    # about the points' mean, of unit size, so that the solvers' tolerances fit
+    middle = sight.points.mean(axis=0)
+    size = float(np.sqrt(((sight.points - middle) ** 2).sum(axis=1).mean()))
+    given, sight = sight, Sight(sight.name, (sight.points - middle) / size, sight.pixels)
     lens = _Lens.of(intrinsics, distortion, rows, columns)
     start = _first_pose(sight, lens, outlier_px)
     if start is None:
@@ -93,13 +96,6 @@ REMEDY = (
     "Remedy: check that columns and rows are not swapped, that points carry the mesh's own coordinates and unit, that "
     "the world is right-handed, and that the intrinsics are those of these pictures"
 )
-
-
-def _unit(sight: Sight) -> tuple[Sight, np.ndarray, float]:
-    """Points about their mean, of unit size, so that the solvers' tolerances fit; the mean and the size."""
-    middle = sight.points.mean(axis=0)
-    size = float(np.sqrt(((sight.points - middle) ** 2).sum(axis=1).mean()))
-    return Sight(sight.name, (sight.points - middle) / size, sight.pixels), middle, size
 
 
 def refine_pose(camera: Camera, points: np.ndarray, pixels: np.ndarray) -> Camera:

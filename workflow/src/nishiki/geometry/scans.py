@@ -329,6 +329,8 @@ def align(cloud: Cloud, target: Cloud, start: Motion, *, overlap: float, steps: 
     The error is the root mean square distance to the points' tangent planes (at least a tenth of the distance to the
     points) over the closest part `overlap`.
     """
+    from scipy.spatial.transform import Rotation
+
     keep = max(6, int(overlap * len(cloud.points)))
     motion = start
     for step in range(steps + 1):
@@ -346,14 +348,8 @@ def align(cloud: Cloud, target: Cloud, start: Motion, *, overlap: float, steps: 
         # A sphere or a plane leaves directions open: a weak pull to stay keeps them still.
         matrix = system.T @ system + 1e-6 * len(points) * np.eye(6)
         change = -np.linalg.solve(matrix, system.T @ gaps)
-        turn = _turn(change[:3] / size)
+        turn = Rotation.from_rotvec(change[:3] / size).as_matrix()
         motion = Motion(turn, centre - turn @ centre + change[3:]).after(motion)
         if np.abs(change).max() < 1e-6 * size:
             break
     return motion, float(np.sqrt((np.maximum(np.abs(gaps), 0.1 * distance[chosen]) ** 2).mean()))
-
-
-def _turn(vector: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_rotvec(vector).as_matrix()

@@ -95,11 +95,13 @@ def segment(picture: np.ndarray, *, background: str = "auto") -> Silhouette:
         small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
     colours = background_colours(small, background)
     distance = background_distance(small, colours)
-    mask, dropped = _cut(small, distance)
+    mask, _, dropped, _ = tidy(cv2.GaussianBlur(distance, (0, 0), 0.8) > best_level(distance), distance)
+    mask = at_half_cover(small, mask)
     mask, parts, crumbs, holes = tidy(mask, distance)
     separation = _separation(mask, distance)
     if shrink < 1:
-        mask = _finer(picture, mask, shrink)
+        soft = cv2.resize(mask.astype(np.float32), picture.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+        mask = at_half_cover(picture, soft > 0.5, reach=int(np.ceil((REACH_PX + 1) / shrink)))
     return Silhouette(mask, separation, parts, dropped + crumbs, holes)
 
 
@@ -224,14 +226,6 @@ def best_level(distance: np.ndarray) -> float:
     return float(np.exp(levels[int(np.argmax(steepness))]) - 0.5)
 
 
-def _cut(picture: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int]:
-    """Object pixels by the distance, then along the outline by how they mix the colours of its two sides."""
-    import cv2
-
-    mask, _, dropped, _ = tidy(cv2.GaussianBlur(distance, (0, 0), 0.8) > best_level(distance), distance)
-    return at_half_cover(picture, mask), dropped
-
-
 def at_half_cover(picture: np.ndarray, mask: np.ndarray, *, reach: int = REACH_PX) -> np.ndarray:
     """Mask whose outline runs where the object covers half a pixel.
 
@@ -247,7 +241,8 @@ def at_half_cover(picture: np.ndarray, mask: np.ndarray, *, reach: int = REACH_P
 
     if not mask.any():
         return mask
-    area = _around(mask, 6 * reach)
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    area = tuple(slice(max(0, each[0] - 6 * reach), each[-1] + 1 + 6 * reach) for each in (rows, columns))
     light = decode(picture[area].astype(np.float32) / 255, "srgb")
     moved = mask.copy()
     for _ in range(2):
@@ -287,14 +282,6 @@ def _half_covered(light: np.ndarray, mask: np.ndarray, reach: int) -> np.ndarray
     return np.where(known, cover > 0.5, mask)
 
 
-def _around(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    return (
-        slice(max(0, rows[0] - margin), rows[-1] + 1 + margin),
-        slice(max(0, columns[0] - margin), columns[-1] + 1 + margin),
-    )
-
-
 def tidy(mask: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int, int, int]:
     """Mask of the large parts only, its holes filled where they do not look like background.
 
@@ -331,11 +318,3 @@ def _separation(mask: np.ndarray, distance: np.ndarray) -> float:
     if not within.any() or not beyond.any():
         return 0.0
     return float(np.median(distance[within]) - np.median(distance[beyond]))
-
-
-def _finer(picture: np.ndarray, mask: np.ndarray, shrink: float) -> np.ndarray:
-    """Mask at the picture's own resolution: the coarse outline, moved to where half a pixel is covered."""
-    import cv2
-
-    soft = cv2.resize(mask.astype(np.float32), picture.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-    return at_half_cover(picture, soft > 0.5, reach=int(np.ceil((REACH_PX + 1) / shrink)))
