@@ -181,7 +181,11 @@ def _fault(model: type[Closed], path: tuple, problem: Any) -> Fault:
     if problem["type"] == "missing":
         return Fault("missing-key", key)
     if problem["type"] == "extra_forbidden":
-        known = _known_keys(model, path[:-1])
+        block = model  # that of the key; of a union the first model that fits
+        for part in path[:-1]:
+            field = block.model_fields.get(str(part)) if isinstance(part, str) else None
+            block = (_inner_model(field.annotation) if field else None) or block
+        known = sorted(block.model_fields)
         near = difflib.get_close_matches(last, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
         return Fault("unknown-key", key, hint=FORMER.get(key, hint))
@@ -196,16 +200,6 @@ def _wrong_value(key: str, text: str, value: Any) -> Fault:
 
 def _joined(path: tuple) -> str:
     return ".".join(map(str, path))
-
-
-def _known_keys(model: type[Closed], path: tuple) -> list[str]:
-    """Keys of the block at `path` inside `model` (unions are searched for the first model that fits)."""
-    for part in path:
-        field = model.model_fields.get(str(part)) if isinstance(part, str) else None
-        inner = _inner_model(field.annotation) if field else None
-        if inner is not None:
-            model = inner
-    return sorted(model.model_fields)
 
 
 def _inner_model(annotation: Any) -> type[Closed] | None:

@@ -259,7 +259,12 @@ def cut(
             else:  # a triangle alone is flat, so this comes to an end
                 labels = labels.copy()
                 labels[away] = labels.max() + 1 + np.arange(away.sum())
-    labels = renumber(spread(np.where(usable, labels, -1).astype(np.int32), neighbours), areas)
+    labels = spread(np.where(usable, labels, -1).astype(np.int32), neighbours)
+    inside = labels >= 0
+    size = np.bincount(labels[inside], areas[inside], minlength=int(labels.max(initial=-1)) + 1)
+    place = np.empty(len(size), np.int32)  # charts are numbered by area, the largest first
+    place[np.argsort(-size, kind="stable")] = np.arange(len(size))
+    labels = np.where(inside, place[labels] if len(size) else -1, -1).astype(np.int32)
     frames = frame_along(directions_of(labels, normals, areas), up=up, front=front)
     plane = flatten(vertices[mesh.triangles], labels, frames)
     return Charts(labels, frames, plane, rounds, int((~usable).sum()), *totals)
@@ -343,12 +348,3 @@ def split(labels: np.ndarray, away: np.ndarray, normals: np.ndarray, neighbours:
     keys = np.where(labels >= 0, keys, -1)
     named = np.unique(keys, return_inverse=True)[1].reshape(-1) - int((keys < 0).any())
     return components(named.astype(np.int32), neighbours)
-
-
-def renumber(labels: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """Charts numbered by area, the largest first."""
-    inside = labels >= 0
-    size = np.bincount(labels[inside], areas[inside], minlength=int(labels.max(initial=-1)) + 1)
-    place = np.empty(len(size), np.int32)
-    place[np.argsort(-size, kind="stable")] = np.arange(len(size))
-    return np.where(inside, place[labels] if len(size) else -1, -1).astype(np.int32)

@@ -200,7 +200,12 @@ def registered(
         run.ended = "interrupted"
         raise
     finally:
-        _end(run)
+        with suppress(OSError):  # a full disk must not hide why the run failed
+            if run.ended == "done":
+                run.path.unlink(missing_ok=True)
+            else:  # the record tells that the run ended by itself
+                _write(run.descriptor, {**run.facts, "ended": run.ended})
+        os.close(run.descriptor)
 
 
 @contextmanager
@@ -283,16 +288,6 @@ def _write(descriptor: int, facts: dict[str, Any]) -> None:
     os.pwrite(descriptor, data, 0)
     os.ftruncate(descriptor, len(data))
     os.fsync(descriptor)
-
-
-def _end(run: HeldRun) -> None:
-    """Take the record away after success; otherwise note that the run ended by itself."""
-    with suppress(OSError):  # a full disk must not hide why the run failed
-        if run.ended == "done":
-            run.path.unlink(missing_ok=True)
-        else:
-            _write(run.descriptor, {**run.facts, "ended": run.ended})
-    os.close(run.descriptor)
 
 
 def _forget(record: Record, scenes: set[str]) -> None:

@@ -142,7 +142,11 @@ def open_relight(folder: Path) -> RelightFolder:
     if kind == "rbf":
         lights = _numbers(info, "lights", None, name).reshape(-1, 3)
         (width,) = _numbers(info, "sigma", 1, name)
-        _expect_gaussians(lights, width, name)
+        lengths = np.linalg.norm(lights, axis=1)
+        if len(lights) == 0 or np.abs(lengths - 1).max() > OFF_UNIT:
+            found = f"length {lengths[np.abs(lengths - 1).argmax()]:.3g}" if len(lights) else "none"
+            raise _unusable(name, "lights", "vectors of length 1", found)
+        _expect_at_least(LEAST_WIDTH, "sigma", width, name)
     if kind in TABULATED:
         directions = len(lights)
         if kind == "bilinear":
@@ -195,15 +199,6 @@ def _components(basis: np.ndarray, spans: np.ndarray, triples: tuple[int, int] |
     channel = np.where(np.arange(planes) < 3 * alternating, np.arange(planes) % 3, 0)
     values[1:] *= np.eye(3)[channel][:, None]
     return values @ FROM_YCOCG.T
-
-
-def _expect_gaussians(lights: np.ndarray, width: float, name: str) -> None:
-    """Refused unless lights are unit vectors, and the width is not close to 0."""
-    lengths = np.linalg.norm(lights, axis=1)
-    if len(lights) == 0 or np.abs(lengths - 1).max() > OFF_UNIT:
-        found = f"length {lengths[np.abs(lengths - 1).argmax()]:.3g}" if len(lights) else "none"
-        raise _unusable(name, "lights", "vectors of length 1", found)
-    _expect_at_least(LEAST_WIDTH, "sigma", width, name)
 
 
 def _expect_at_least(least: float, key: str, value: float, name: str) -> None:

@@ -247,17 +247,13 @@ def open_web_rti(folder: Path) -> WebRtiFolder:
             before = (margin + max(-top, 0), margin + max(-left, 0))
             copy_plane(stored, window[..., 3 * layer : 3 * layer + 3], before, f"{folder.name}/{part}")
             files.append(part)
-    return WebRtiFolder(_image(kind, codes, scale, bias), tuple(files))
-
-
-def _image(kind: str, codes: np.ndarray, scale: np.ndarray, bias: np.ndarray) -> PtmFile | HshFile:
-    """Make the image of its layers (rows, columns, 3 a layer)."""
     if kind == "LRGB_PTM":
-        return PtmFile(kind, codes[None, ::-1, :, :PTM_TERMS], codes[::-1, :, PTM_TERMS:], scale, bias)
-    terms = np.moveaxis(codes.reshape(*codes.shape[:2], len(scale), 3), 3, 2)
+        image = PtmFile(kind, codes[None, ::-1, :, :PTM_TERMS], codes[::-1, :, PTM_TERMS:], scale, bias)
+        return WebRtiFolder(image, tuple(files))
+    values = np.moveaxis(codes.reshape(rows, columns, len(scale), 3), 3, 2)
     if kind == "HSH_RTI":
-        return HshFile(terms, bias, scale)
-    return PtmFile(kind, np.moveaxis(terms, 2, 0)[:, ::-1], None, scale, bias)
+        return WebRtiFolder(HshFile(values, bias, scale), tuple(files))
+    return WebRtiFolder(PtmFile(kind, np.moveaxis(values, 2, 0)[:, ::-1], None, scale, bias), tuple(files))
 
 
 def _numbers(text: str | None, count: int) -> np.ndarray:

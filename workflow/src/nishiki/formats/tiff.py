@@ -68,7 +68,13 @@ def open_tiff(file: BinaryIO, name: str) -> Picture:
         for i, page in enumerate(pages):
             _decode_page(page, out[:, :, i * samples : (i + 1) * samples])
         if extra[-1:] == (ASSOCIATED,):
-            _divide_by_alpha(out)
+            # undo the multiplication of colour by alpha, the last channel, where it is neither 0 nor full
+            top = np.float32(1.0) if out.dtype.kind == "f" else np.float32(np.iinfo(out.dtype).max)
+            partial = (out[:, :, -1] > 0) & (out[:, :, -1] < top)
+            if partial.any():
+                chosen = out[partial].astype(np.float32)
+                chosen[:, :-1] *= top / chosen[:, -1:]
+                out[partial] = chosen if out.dtype.kind == "f" else np.rint(np.minimum(chosen, top))
         return out
 
     table, depth = first.tags.valueof(301), first.bitspersample  # TransferFunction
@@ -168,13 +174,3 @@ def _decode_page(page: tifffile.TiffPage, out: np.ndarray) -> None:
         if page.photometric == WHITE_IS_ZERO:
             light = out[:, :, : out.shape[2] - len(page.extrasamples)]
             np.subtract(255 if page.bitspersample < 8 else top_code, light, out=light)
-
-
-def _divide_by_alpha(codes: np.ndarray) -> None:
-    """Undo the multiplication of colour by an associated alpha, the last channel, where it is neither 0 nor full."""
-    top = np.float32(1.0) if codes.dtype.kind == "f" else np.float32(np.iinfo(codes.dtype).max)
-    partial = (codes[:, :, -1] > 0) & (codes[:, :, -1] < top)
-    if partial.any():
-        chosen = codes[partial].astype(np.float32)
-        chosen[:, :-1] *= top / chosen[:, -1:]
-        codes[partial] = chosen if codes.dtype.kind == "f" else np.rint(np.minimum(chosen, top))

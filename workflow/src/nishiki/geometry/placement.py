@@ -129,7 +129,12 @@ def measure_placement(
     found = overlap(stated)
     if found >= enough:
         return Placement(found, *stated, found)
-    points, scores = _surface_points(mesh), {}
+    # points spread evenly over the surface, always the same
+    rng, scores = np.random.default_rng(0), {}
+    areas = np.linalg.norm(face_vectors(mesh.vertices, mesh.triangles), axis=1)
+    corners = mesh.vertices[mesh.triangles[rng.choice(len(areas), POINTS, p=areas / areas.sum())]]
+    u, v = np.sqrt(rng.random(POINTS)), rng.random(POINTS)
+    points = np.einsum("nk,nkc->nc", np.stack([1 - u, u * (1 - v), u * v], axis=1), corners)
     for scale, axes in product(SCALES, AXES):
         moved, _ = move_mesh(points, mesh.triangles, scale, *axes)
         scores[scale, *axes] = total = 0.0
@@ -151,16 +156,6 @@ def _shrink(mask: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
     rows, columns = (max(2, round(n * factor)) for n in mask.shape)
     small = cv2.resize(mask.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA) >= 0.5
     return small, camera.resize(rows, columns)
-
-
-def _surface_points(mesh: Mesh) -> np.ndarray:
-    """(4000, 3) points spread evenly over the surface, always the same."""
-    rng = np.random.default_rng(0)
-    areas = np.linalg.norm(face_vectors(mesh.vertices, mesh.triangles), axis=1)
-    corners = mesh.vertices[mesh.triangles[rng.choice(len(areas), POINTS, p=areas / areas.sum())]]
-    u, v = np.sqrt(rng.random(POINTS)), rng.random(POINTS)
-    weights = np.stack([1 - u, u * (1 - v), u * v], axis=1)
-    return np.einsum("nk,nkc->nc", weights, corners)
 
 
 def _splat_overlap(points: np.ndarray, mask: np.ndarray, camera: Camera) -> float:
