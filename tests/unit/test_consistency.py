@@ -8,6 +8,7 @@ from lit_relief import degrees, dome, photographs
 from nishiki.capture.lights import read_lights
 from nishiki.formats.problems import error_text
 from nishiki.photometric.consistency import LEAST_AMBIENT, examine_photographs
+from nishiki.photometric.lambert_fit import solve_normals
 from nishiki.photometric.near_lamps import measure_width
 
 
@@ -77,6 +78,15 @@ def test_room_light_in_measured_photographs(data, name):
         result = examine_photographs(values + room * albedo, lights)
         assert result.ambient == pytest.approx(0.94 * room, rel=0.25)
         assert result.ambient > 5 * result.ambient_sigma
+
+
+def test_pixels_that_few_lamps_light_have_finite_normals():
+    lamps = np.array([[0, 0.6, 0.8], [0.6, 0, 0.8], [0, 0, 1]])[:, None]
+    lit = np.arange(3)[:, None] < np.arange(4)  # by none, one, two and all of them
+    normals, inverses = solve_normals(np.where(lit, 4.0, 0.0), np.full(lit.shape, 0.5), lamps)
+    assert np.isfinite(normals).all()
+    assert np.isfinite(inverses).all()
+    assert (normals[~lit.any(axis=0)] == 0).all()
 
 
 def test_a_dark_photograph_and_a_repeated_one_are_named():

@@ -8,7 +8,7 @@ import pytest
 from nishiki.photometric.interreflection import form_factors
 from nishiki.photometric.solve import estimate_normals
 from nishiki.stages.normals import NormalsSettings
-from nishiki.stages.normals.interreflection import find_thrown_light, read_facets
+from nishiki.stages.normals.interreflection import Thrown, find_thrown_light, read_facets
 from nishiki.stages.normals.parcel import mean_of_channels
 
 RIM_DEG = 50.0  # slope of the bowl at its rim
@@ -126,6 +126,35 @@ def test_few_lamps_and_settings_leave_it_out():
     assert find_thrown_light(frames, np.arange(6), NormalsSettings())[0] is None
     for chosen in ({"interreflection": "none"}, {"solver": "least_squares"}):
         assert find_thrown_light(frames, np.arange(17), NormalsSettings(**chosen)) == (None, None)
+
+
+def test_lamps_that_give_no_normals_throw_no_light():
+    thrown, decision = find_thrown_light(photographed(48), np.arange(2), NormalsSettings())
+    assert thrown is None
+    assert decision.measured == 0
+
+
+def test_a_lamp_without_samples_decides_nothing():
+    frames = photographed(48)
+    whole = frames.read
+
+    def read(rows: slice, lights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        values, valid = whole(rows, lights)
+        return values, valid & (lights != 3)[:, None, None]
+
+    frames.read = read
+    assert find_thrown_light(frames, np.arange(17), NormalsSettings())[0] is not None
+
+
+def test_shares_lie_on_the_middles_of_facets_in_wide_pictures():
+    size, shape = 1000, (2500, 40_000)
+    ramp = np.arange(40, dtype=np.float32) / 1000
+    shares = np.broadcast_to(ramp[:, None], (3, 40, 1))
+    edges = [np.append(np.arange(0, n, size), n) for n in shape]
+    left = Thrown(shares, tuple(edges)).taken_off(np.ones((1, 4, shape[1], 1), np.float32), slice(1498, 1502))
+    middle = 1 - ramp[20]
+    assert left[0, :, 20_499:20_501, 0] == pytest.approx(middle, abs=1e-5)
+    assert left[0, :, 21_000, 0] == pytest.approx(middle - 0.0005, abs=1e-5)
 
 
 def test_facets_average_what_is_valid():

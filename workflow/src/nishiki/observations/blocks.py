@@ -64,8 +64,8 @@ def field_rows(field: np.ndarray, edges: Edges, start: int, stop: int) -> np.nda
         return np.broadcast_to(field, (stop - start, int(edges[1][-1]), field.shape[2]))
     (above, down), (left, right) = positions(edges[0], start, stop), positions(edges[1], 0, int(edges[1][-1]))
     below, beyond = (np.minimum(n + 1, size - 1) for n, size in zip((above, left), field.shape, strict=False))
-    across = field[:, left] + right[:, None] * (field[:, beyond] - field[:, left])
-    return across[above] + down[:, None, None] * (across[below] - across[above])
+    field = field[above] + down[:, None, None] * (field[below] - field[above])
+    return field[:, left] + right[:, None] * (field[:, beyond] - field[:, left])
 
 
 def on_one_grid(gain: np.ndarray, dark: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

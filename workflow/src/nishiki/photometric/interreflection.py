@@ -85,6 +85,8 @@ def form_factors(normals: np.ndarray, valid: np.ndarray) -> sparse.csr_array:
     valid : (rows, columns) bool
         Facets with a normal.
     """
+    if not valid.any():
+        return sparse.csr_array((0, 0))
     height = integrate_normals(normals, valid=valid).height
     row, column = np.nonzero(valid)
     facing = normals[row, column].astype(np.float64)
@@ -143,7 +145,7 @@ def reflectance_of(observations: np.ndarray, light: np.ndarray, used: np.ndarray
 
 
 def left_out_errors(facets: Facets, found: Interreflection | None, folds: int) -> np.ndarray:
-    """Return the mean error (lights,) of predicted radiance, each light left out of the fit by turns.
+    """Return the mean error (lights,) of predicted radiance, each left out of the fit by turns; 0 without samples.
 
     found : thrown light to take off before the fit, and to predict with all its bounces; None: no such light.
     """
@@ -159,5 +161,6 @@ def left_out_errors(facets: Facets, found: Interreflection | None, folds: int) -
             for _ in range(BOUNCES):
                 radiance = reflectance * (cosines + thrown(found.factors, radiance, found.known))
         apart = np.abs(radiance - facets.observations[left]).mean(axis=-1)
-        errors[left] = apart.mean(axis=(1, 2), where=facets.valid[left] & known)
+        compared = facets.valid[left] & known
+        errors[left] = apart.sum(axis=(1, 2), where=compared) / np.maximum(compared.sum(axis=(1, 2)), 1)
     return errors

@@ -238,11 +238,13 @@ def solve_normals(weights: np.ndarray, values: np.ndarray, lamps: np.ndarray) ->
         matrix = np.einsum("jas,jbs->abs", weights[:, None] * across, across)
         moments = np.einsum("js,jas->as", weights * values, across)
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix
-    least = 1e-9 * (xx + yy + zz) + 1e-300
+    trace = xx + yy + zz
+    least = 1e-9 * trace
     xx, yy, zz = xx + least, yy + least, zz + least
     a, b, c, d, e = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy, xx * zz - xz * xz, xy * xz - xx * yz
     cofactors = np.array([[a, b, c], [b, d, e], [c, e, xx * yy - xy * xy]])
-    inverse = (cofactors / (xx * a + xy * b + xz * c)).transpose(2, 0, 1)
+    determinant = np.maximum(xx * a + xy * b + xz * c, trace * least**2 / 3 + 1e-300)  # no less, but for rounding
+    inverse = (cofactors / determinant).transpose(2, 0, 1)
     return np.einsum("sab,bs->sa", inverse, moments), inverse
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nishiki.model_selection.decision import Decision
+from nishiki.observations.blocks import Edges, field_rows
 from nishiki.observations.parcels import Parcel
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
@@ -27,29 +28,18 @@ SCALES = 2.0 ** np.arange(-2, 0.1, 0.5)  # of the level at which they do: withou
 
 @dataclass(frozen=True)
 class Thrown:
-    """Hold the shares (lights, rows, columns, channels) of a grid with `step` pixels from facet to facet."""
+    """Hold the shares (r, c, lights * channels) of a grid of facets, whose edges are these in pixels."""
 
     shares: np.ndarray
-    step: int
+    edges: Edges
 
     def taken_off(self, observations: np.ndarray, rows: slice) -> np.ndarray:
         """Return observations (lights, rows, columns, channels) of some rows without the light of other places."""
-        import cv2
-
         from nishiki.photometric.interreflection import taken_off
 
-        along = (np.arange(rows.start, rows.stop), np.arange(observations.shape[2]))
-        places = np.meshgrid(
-            *(((n - (self.step - 1) / 2) / self.step).astype(np.float32) for n in along), indexing="ij"
-        )
-        lights, size = len(observations), observations.shape[1:]
-        planes = self.shares.transpose(1, 2, 0, 3).reshape(*self.shares.shape[1:3], -1)
-        shares = np.empty(observations.shape, np.float32)
-        for light in range(lights):
-            plane = np.ascontiguousarray(planes[..., light * size[2] : (light + 1) * size[2]])
-            drawn = cv2.remap(plane, places[1], places[0], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            shares[light] = drawn.reshape(size)
-        return taken_off(observations, shares)
+        lights, *picture, channels = observations.shape
+        shares = field_rows(self.shares, self.edges, rows.start, rows.stop).reshape(*picture, lights, channels)
+        return taken_off(observations, np.maximum(shares.transpose(2, 0, 1, 3), 0, order="C"))
 
 
 def find_thrown_light(
@@ -67,8 +57,6 @@ def find_thrown_light(
 
     step = max(1, -(-max(frames.shape) // SIDE))
     facets = read_facets(frames, lights, step, settings)
-    if not facets.valid.any():
-        return None, None
     few = facets.every(2)
     found = find_interreflection(few)
     brightest = np.quantile(found.reflectance[found.known], BRIGHT) if found.known.any() else 1.0
@@ -91,10 +79,10 @@ def find_thrown_light(
         best = scale if most > ERRORS * gains.std(ddof=1) / np.sqrt(gains.size) else 0.0
     if not best:
         return None, kept
-    shares = find_interreflection(facets.scaled(best)).shares.astype(np.float32)
-    return Thrown(shares, step), Decision(
-        "interreflection", "taken off", words, share, COUNTS, "nothing", kept.override
-    )
+    shares = find_interreflection(facets.scaled(best)).shares.astype(np.float32).transpose(1, 2, 0, 3)
+    rows, columns = (np.append(np.arange(0, size, step), size) for size in frames.shape)
+    made = Decision("interreflection", "taken off", words, share, COUNTS, "nothing", kept.override)
+    return Thrown(shares.reshape(*shares.shape[:2], -1), (rows, columns)), made
 
 
 def read_facets(frames: Observations, lights: np.ndarray, step: int, settings: NormalsSettings) -> Facets:
