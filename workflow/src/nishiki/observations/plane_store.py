@@ -69,7 +69,11 @@ def write_observations(
 
     def store(number: int, codes: np.ndarray) -> None:
         found[number] = count_unusable(codes, mask, reader.saturated, reader.clip)
-        write_photograph(group.folder / "codes", number, codes, mask, band_rows, settings.compression)
+        for band in bands_with_object(mask, band_rows):
+            part = codes[band * band_rows : (band + 1) * band_rows]
+            if len(part) < band_rows:  # chunks are whole: the last one is padded
+                part = np.concatenate([part, np.zeros((band_rows - len(part), *part.shape[1:]), codes.dtype)])
+            write_chunk(chunk_path(group.folder / "codes", number, band), part, compression=settings.compression)
 
     for j, (frame, codes) in enumerate(reader.read_all(capture.observed)):
         reduced.add(frame, codes)
@@ -129,17 +133,6 @@ def cropped(reader: FrameReader, mask: np.ndarray, white_block: int) -> tuple[Fr
     region = region_around(mask, reader.region, white_block)
     window = window_of(reader.region, region)
     return replace(reader, region=region), np.ascontiguousarray(mask[window])
-
-
-def write_photograph(
-    array: Path, number: int, codes: np.ndarray, mask: np.ndarray, band_rows: int, compression: str
-) -> None:
-    """Write the codes (rows, columns, channels) of a photograph, a chunk for each band with a pixel of the mask."""
-    for band in bands_with_object(mask, band_rows):
-        part = codes[band * band_rows : (band + 1) * band_rows]
-        if len(part) < band_rows:  # chunks are whole: the last one is padded
-            part = np.concatenate([part, np.zeros((band_rows - len(part), *part.shape[1:]), codes.dtype)])
-        write_chunk(chunk_path(array, number, band), part, compression=compression)
 
 
 def frame_problems(frame: Frame, counts: np.ndarray, highest: float, reader: FrameReader) -> list[Problem]:

@@ -202,7 +202,10 @@ def fit_movements(
         if rounds < ROUNDS // 2:  # least absolute deviations first: the minority of wrong peaks must not pull
             weights = strength / np.maximum(residual, 0.02)
         else:
-            scale = max(1.4826 * _weighted_median(residual, strength), 0.02)
+            order = np.argsort(residual)
+            total = np.cumsum(strength[order])
+            median = float(residual[order][np.searchsorted(total, total[-1] / 2)]) if total[-1] > 0 else 0.0
+            scale = max(1.4826 * median, 0.02)
             weights = strength / np.square(1 + np.square(residual / (2 * scale)))
     agrees = (residual < AGREE) & (strength > 0)
     support = np.bincount(pairs[agrees].ravel(), minlength=count)
@@ -221,12 +224,6 @@ def fit_movements(
     lost = support < LEAST_SUPPORT
     change[lost], sigma[lost] = 0, np.inf
     return change, sigma
-
-
-def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
-    order = np.argsort(values)
-    total = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(total, total[-1] / 2)]) if total[-1] > 0 else 0.0
 
 
 def _features(pictures: Sequence[np.ndarray] | np.ndarray, inside: np.ndarray) -> np.ndarray:

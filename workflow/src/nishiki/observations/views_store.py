@@ -252,16 +252,12 @@ def _write_calibration(path: Path, group: BandedGroup, reader: FrameReader, tick
         return
     size = (reader.rows, reader.columns, 1)
     group.create_array("calibration", (len(frames), *size), (1, *size), np.uint8, compression="zstd")
-    for i, (frame, codes) in enumerate(reader.read_all(frames)):
-        write_chunk(chunk_path(path / "calibration", i, 0), grey_picture(codes, reader), compression="zstd")
-        tick(frame.file)
-
-
-def grey_picture(codes: np.ndarray, reader: FrameReader) -> np.ndarray:
-    """Codes (rows, columns, channels) as an 8-bit grey picture (rows, columns, 1), sRGB-coded."""
-    count = codes.shape[2]
+    count = len(reader.names)
     weights = LUMA_WEIGHTS if count == 3 else np.full(count, 1 / count)
-    grey = codes.astype(np.float32) @ (weights / reader.full).astype(np.float32)
-    if reader.coding.linear:
-        grey = encode(np.nan_to_num(grey), "srgb")
-    return np.rint(255 * np.clip(grey, 0, 1)).astype(np.uint8)[:, :, None]
+    for i, (frame, codes) in enumerate(reader.read_all(frames)):
+        grey = codes.astype(np.float32) @ (weights / reader.full).astype(np.float32)
+        if reader.coding.linear:
+            grey = encode(np.nan_to_num(grey), "srgb")
+        picture = np.rint(255 * np.clip(grey, 0, 1)).astype(np.uint8)[:, :, None]
+        write_chunk(chunk_path(path / "calibration", i, 0), picture, compression="zstd")
+        tick(frame.file)

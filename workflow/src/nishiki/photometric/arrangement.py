@@ -102,6 +102,8 @@ def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
 
 def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int = STARTS) -> Arrangement | None:
     """Find the order and the axes that explain the photographs best, without a test of what was found."""
+    from scipy.optimize import linear_sum_assignment
+
     tiles = cut_tiles(values, lamps)
     if tiles is None:
         return None
@@ -125,8 +127,12 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
         for turn in turns:
             following: Trial | None = trial
             for _ in range(TURNS):
-                if following is not None:
-                    following, turn = _add(trials, tiles, _reassigned(tiles, following, turn)), np.eye(3)
+                if following is None:
+                    break
+                # assign the photographs to the lamps that explain them best, given the normals of the trial, turned
+                cost = np.nanmean(tabulate_misfits(tiles, following, turn), axis=2)
+                order = linear_sum_assignment(np.nan_to_num(cost, nan=1.0))[1]
+                following, turn = _add(trials, tiles, order), np.eye(3)
     # the simplest arrangement that is better than that stated, and than which no other is better
     rivals = [(trial, axes) for trial in trials.values() for axes in range(len(AXES))]
     rivals = [rival for rival in rivals if _beyond_doubt((first, 0), rival)]
@@ -184,14 +190,6 @@ def turned(directions: np.ndarray, axes: str) -> np.ndarray:
         sign = -1 if name.startswith("-") else 1
         result[..., place] = sign * directions[..., LETTERS.index(name.lstrip("-"))]
     return result
-
-
-def _reassigned(tiles: Tiles, trial: Trial, turn: np.ndarray) -> np.ndarray:
-    """Assign the photographs to the lamps that explain them best, given the normals of a trial, turned."""
-    from scipy.optimize import linear_sum_assignment
-
-    cost = np.nanmean(tabulate_misfits(tiles, trial, turn), axis=2)
-    return linear_sum_assignment(np.nan_to_num(cost, nan=1.0))[1]
 
 
 def _find_exchange(tiles: Tiles, trial: Trial) -> np.ndarray | None:

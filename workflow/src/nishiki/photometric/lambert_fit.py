@@ -124,7 +124,12 @@ def fit_lambert(
     vectors = directions.reshape(lights, -1, 3)
     for turn in range(ROUNDS):
         if places is not None:
-            vectors, slope = near_field(directions, places, width)
+            # irradiance vectors (lights, pixels, 3), 1 at distance 1, and their slope by the width of the picture
+            to_lamp = directions[:, None] - width * places
+            distance = np.maximum(np.linalg.norm(to_lamp, axis=2)[..., None], NEAREST)
+            approach = np.einsum("jsa,sa->js", to_lamp, places)[..., None]
+            vectors = to_lamp / distance**3
+            slope = (3 * approach * to_lamp / distance**2 - places) / distance**3
         lamps = gains[:, None, None] * vectors
         direct = filled - ambient * ambience
         normals, inverse = solve_normals(weights, direct, lamps)
@@ -201,18 +206,6 @@ def fit_lambert(
         width,
         float(np.sqrt(variance[-1])) if places is not None else 0.0,
     )
-
-
-def near_field(vectors: np.ndarray, places: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute irradiance vectors (lights, pixels, 3) of lamps at positions (lights, 3), and their slope by the width.
-
-    places (pixels, 3): in a picture that is 1 wide; width: of the picture, in the unit of the positions. A lamp at
-    distance 1 lights the middle by 1.
-    """
-    to_lamp = vectors[:, None] - width * places
-    distance = np.maximum(np.linalg.norm(to_lamp, axis=2)[..., None], NEAREST)
-    approach = np.einsum("jsa,sa->js", to_lamp, places)[..., None]
-    return to_lamp / distance**3, (3 * approach * to_lamp / distance**2 - places) / distance**3
 
 
 def multiply(first: np.ndarray, second: np.ndarray) -> np.ndarray:

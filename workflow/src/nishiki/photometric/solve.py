@@ -264,21 +264,17 @@ def lambertian(stack, directions, factors, max_condition) -> Estimates:
     """Lambertian least squares into new outputs; factors (lights, pixels) uint8 or float32, or None for all."""
     from nishiki.photometric.least_squares import BLOCK, solve_weighted
 
-    outputs = empty_outputs(stack.shape[1])
-    factors = np.ones(stack.shape, np.uint8) if factors is None else factors
-    blocks, products = -(-stack.shape[1] // BLOCK), direction_products(directions)
-    over_rows(solve_weighted, blocks, stack, factors, products, float(max_condition), outputs)
-    return outputs
-
-
-def empty_outputs(pixels):
-    """Make arrays that the kernels fill."""
-    return Estimates(
+    pixels = stack.shape[1]
+    outputs = Estimates(
         np.empty((pixels, 3), dtype=np.float32),
         np.empty((4, pixels), dtype=np.float32),
         np.empty(pixels, dtype=np.uint16),
         np.empty(pixels, dtype=np.uint8),
     )
+    factors = np.ones(stack.shape, np.uint8) if factors is None else factors
+    blocks, products = -(-pixels // BLOCK), direction_products(directions)
+    over_rows(solve_weighted, blocks, stack, factors, products, float(max_condition), outputs)
+    return outputs
 
 
 def as_field(normals, scalars, used, flags, shape, solver):
