@@ -56,10 +56,8 @@ class Arm:
     def generated(self, angle: float) -> np.ndarray:
         """(4,) Stokes vector of unit intensity that leaves the generator turned to `angle`."""
         if self.retardance is None:
-            stokes = 2 * polariser(angle + self.offset)[:, 0]
-        else:
-            stokes = retarder(self.retardance, angle + self.offset) @ (2 * polariser(self.polariser_angle)[:, 0])
-        return stokes
+            return 2 * polariser(angle + self.offset)[:, 0]
+        return retarder(self.retardance, angle + self.offset) @ (2 * polariser(self.polariser_angle)[:, 0])
 
     def analysed(self, angle: float) -> np.ndarray:
         """(4,) row by which the analyser turned to `angle` weighs the Stokes vector that it meets."""
@@ -73,8 +71,7 @@ def design_matrix(generator: Arm, analyser: Arm, angles: np.ndarray) -> np.ndarr
 
     angles (n, 2) radians: generator, analyser.
     """
-    rows = [np.kron(analyser.analysed(a), generator.generated(g)) for g, a in angles]
-    return np.array(rows)
+    return np.array([np.kron(analyser.analysed(a), generator.generated(g)) for g, a in angles])
 
 
 LINEAR = tuple(4 * row + column for row in range(3) for column in range(3))

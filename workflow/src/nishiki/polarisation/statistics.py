@@ -137,9 +137,12 @@ def diagnose(sums: StateSums, thinned: Thinned) -> dict:
         return {"residual": None, "unexplained": None, "pixels_used": 0}
     series = np.concatenate(means, axis=1)
     order = find_order(remove_nuisance(series[:, None]), sums.design)
+    rest = (series - sums.design @ (sums.inverse @ series)) ** 2
+    varied = float(((series - series.mean(axis=0)) ** 2).sum())
+    differ = varied > 0 and not np.sqrt(rest.mean()) < DRIFT * abs(series.mean())
     diagnostics: dict = {
         "residual": float(np.sqrt(left / count) / (total / count)) if total > 0 else None,
-        "unexplained": _unexplained(sums, series),
+        "unexplained": float(rest.sum()) / varied if differ else 0.0,
         "exchanged": sum(i != k for i, k in enumerate(order.order)) if order else 0,
         "pixels_used": int(thinned.valid.sum()),
     }
@@ -150,12 +153,3 @@ def diagnose(sums: StateSums, thinned: Thinned) -> dict:
         diagnostics["mueller"] = (mean / mean[0]).reshape(4, 4).tolist() if mean[0] > 0 else None
         diagnostics["polarisance_median"] = float(np.median(known)) if known.size else None
     return diagnostics
-
-
-def _unexplained(sums: StateSums, series: np.ndarray) -> float:
-    """See `diagnose`; series (states, groups)."""
-    left = series - sums.design @ (sums.inverse @ series)
-    varied = float(((series - series.mean(axis=0)) ** 2).sum())
-    if not varied > 0 or np.sqrt((left**2).mean()) < DRIFT * abs(series.mean()):
-        return 0.0
-    return float((left**2).sum()) / varied

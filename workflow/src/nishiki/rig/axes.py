@@ -85,8 +85,10 @@ class Grbl:
         self.alarmed = False
         with closed_on_failure(self.line):
             # Most boards restart when their port is opened; one that is reached by USB itself does not.
-            greeting = self.line.greeting(GREETING, GREETING_S)
-            self._expect_release(greeting or self._restart())
+            greeting = self.line.greeting(GREETING, GREETING_S) or self._restart()
+            if re.search(TOO_OLD, greeting):
+                where = f"{device} at {port}"
+                raise DeviceError(f"{where}: expected GRBL 1.1 or newer, found {greeting!r}. Remedy: install GRBL 1.1")
 
     @property
     def homed(self) -> bool:
@@ -132,12 +134,6 @@ class Grbl:
         """Close the line; a second call does nothing."""
         self.home_position = {}
         self.line.close()
-
-    def _expect_release(self, greeting: str) -> None:
-        """Raise DeviceError where the controller runs a release of GRBL that this module cannot read."""
-        if re.search(TOO_OLD, greeting):
-            where = f"{self.device} at {self.port}"
-            raise DeviceError(f"{where}: expected GRBL 1.1 or newer, found {greeting!r}. Remedy: install GRBL 1.1")
 
     def _restart(self) -> str:
         """Restart the controller and return its greeting."""

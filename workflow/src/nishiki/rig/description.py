@@ -105,7 +105,11 @@ def open_rig(path: Path) -> Rig:
     """
     description = read_rig(path)
     with ExitStack() as opened:
-        lamps = _open_lamps(description.lamps, path, opened)
+        lamps: Any = None
+        if isinstance(description.lamps, DomeSettings):
+            lamps = _keep(BracketDome("lamps", description.lamps), opened)
+        elif description.lamps is not None:
+            lamps = _keep(_open_own("lamps", description.lamps, path, DescribedLamps, HomeMadeLamps), opened)
         rig = Rig(
             lamps=lamps,
             axes=_open_axes(description.axes, path, opened),
@@ -123,14 +127,6 @@ def _keep(device: Any, opened: ExitStack) -> Any:
     """Keep a device open; it is closed where a later one does not open."""
     opened.callback(device.close)
     return device
-
-
-def _open_lamps(settings: Any, path: Path, opened: ExitStack) -> Any:
-    if settings is None:
-        return None
-    if isinstance(settings, DomeSettings):
-        return _keep(BracketDome("lamps", settings), opened)
-    return _keep(_open_own("lamps", settings, path, DescribedLamps, HomeMadeLamps), opened)
 
 
 def _open_axes(axes: dict[str, Any], path: Path, opened: ExitStack) -> dict[str, Any]:

@@ -148,7 +148,10 @@ def _planned(row: dict[str, str], where: str) -> PlannedFrame:
 def summary(frames: tuple[PlannedFrame, ...], destination: Path) -> str:
     """Frames of each role, duration, size and free space, in two lines."""
     roles = Counter(frame.role for frame in frames)
-    size, free = sum(frame.bytes for frame in frames), shutil.disk_usage(existing(destination)).free
+    folder = destination.absolute()
+    while not folder.exists():
+        folder = folder.parent
+    size, free = sum(frame.bytes for frame in frames), shutil.disk_usage(folder).free
     counts = ", ".join(f"{count} {role}" for role, count in roles.items())
     room = "enough" if free > size else "NOT ENOUGH"
     return (
@@ -156,14 +159,6 @@ def summary(frames: tuple[PlannedFrame, ...], destination: Path) -> str:
         f"about {duration(sum(frame.seconds for frame in frames))}, {size / 1e9:.2f} GB; "
         f"free space {free / 1e9:.2f} GB: {room}"
     )
-
-
-def existing(path: Path) -> Path:
-    """Return the path, or the nearest folder above it that exists."""
-    path = path.absolute()
-    while not path.exists():
-        path = path.parent
-    return path
 
 
 def duration(seconds: float) -> str:

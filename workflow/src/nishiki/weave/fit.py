@@ -275,21 +275,17 @@ def _identifiability(model: WeaveModel, weft: Plane, warp: Plane, problem: Probl
 
     rows, kind = _rows(weft, warp), READINGS[model.reading]
 
-    def predict(values):
-        return _predict(model, values, rows, kind)
+    def predict(values: dict[str, float]) -> np.ndarray:
+        """Reflectance (n,) for parameters by name; lengths need no common scale."""
+        contact = values.get("contact_weft", model.weft.contact)
+        weft = (*(values.get(f"{name}_weft", 0.0) for name in ("theta_a", "l", "r")), 0.0, values["n_weft"], contact)
+        warp = (*(values.get(f"{name}_warp", 0.0) for name in ("theta_a", "l", "r", "m")), 1.0, HALF_PI)
+        f0 = ((values["index"] - 1) / (values["index"] + 1)) ** 2
+        both = columns(weft, warp, (values["a_weft"], values["a_warp"]), rows, f0=f0, reading=kind)
+        return both @ [values.get("k_s", 0.0) * f0, values.get("k_d", 0.0)]
 
     return identify(predict, known, problem.weight, variance=variance)
 
 
 def _rows(weft: Plane, warp: Plane) -> np.ndarray:
     return np.concatenate([plane_rows(k, plane.theta_i, plane.theta_r) for k, plane in enumerate((weft, warp))])
-
-
-def _predict(model: WeaveModel, values: dict[str, float], rows: np.ndarray, reading: int) -> np.ndarray:
-    """Reflectance (n,) for parameters by name; lengths need no common scale."""
-    contact = values.get("contact_weft", model.weft.contact)
-    weft = (*(values.get(f"{name}_weft", 0.0) for name in ("theta_a", "l", "r")), 0.0, values["n_weft"], contact)
-    warp = (*(values.get(f"{name}_warp", 0.0) for name in ("theta_a", "l", "r", "m")), 1.0, HALF_PI)
-    f0 = ((values["index"] - 1) / (values["index"] + 1)) ** 2
-    both = columns(weft, warp, (values["a_weft"], values["a_warp"]), rows, f0=f0, reading=reading)
-    return both @ [values.get("k_s", 0.0) * f0, values.get("k_d", 0.0)]

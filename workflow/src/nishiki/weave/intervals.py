@@ -108,6 +108,7 @@ def _in(problem: Problem, p, rest, edges, cell, low, high):
 
 
 NULL = 1e-7  # singular value over the largest below which no measurement, however exact, would tell
+STEP = 1e-5  # of the differences, in a logarithm
 WEAK = 0.1  # standard deviation of a logarithm
 LEAST = 0.05  # share of a direction's largest part from which a parameter is named
 
@@ -129,7 +130,11 @@ def identify(predict, parameters: dict[str, float], weight: np.ndarray, *, varia
     out; weight (n,) = 1 / sigma; variance: of the weighted residuals, used where above 1.
     """
     names = [name for name, value in parameters.items() if value > 0]
-    slopes = np.stack([_slope(predict, parameters, name) for name in names], axis=1) * weight[:, None]
+
+    def moved(name: str, sign: int) -> np.ndarray:
+        return predict({**parameters, name: parameters[name] * np.exp(sign * STEP)})
+
+    slopes = np.stack([(moved(name, 1) - moved(name, -1)) / (2 * STEP) for name in names], axis=1) * weight[:, None]
     _, singular, rows = np.linalg.svd(slopes, full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(names) - len(singular))])
     largest = max(float(singular[0]), 1e-300)
@@ -142,12 +147,6 @@ def identify(predict, parameters: dict[str, float], weight: np.ndarray, *, varia
         weak_error=[float(f"{spread / singular[k]:.3g}") for k in weak],
         singular=[float(f"{value / largest:.3g}") if value > NULL * largest else 0.0 for value in singular],
     )
-
-
-def _slope(predict, parameters: dict[str, float], name: str, step: float = 1e-5) -> np.ndarray:
-    """Differentiate by the logarithm of one parameter with central differences."""
-    up, down = ({**parameters, name: parameters[name] * np.exp(sign * step)} for sign in (1, -1))
-    return (predict(up) - predict(down)) / (2 * step)
 
 
 def _reduced(rows: np.ndarray) -> np.ndarray:

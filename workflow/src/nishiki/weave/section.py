@@ -326,7 +326,11 @@ def make_surface(
             along = np.maximum(along, _hump(_nearest(y, float_middle, warp.period), warp.shape, warp.m))
             up = _hump(_nearest(y, binding, warp.period), warp.shape, 0.0)
             weft_height = np.maximum(weft_height, up[:, None] + _hump(away, weft.shape, 0.0)[None])
-        cap = _cap(away, weft)
+        if weft.n < 1.5:
+            cap = _hump(away, weft.shape, 0.0)
+        else:  # the contact's arcs, stretched so that yarns lie evenly spaced
+            sine = np.minimum(np.abs(away) / 0.5, 1.0) * np.sin(weft.contact)
+            cap = -weft.r * (1.0 - np.sqrt(np.maximum(1.0 - sine**2, 0.0)))
         warp_height = np.where(inside[None], np.maximum(warp_height, along[:, None] + cap[None]), warp_height)
     return WovenSurface(x, y, np.maximum(warp_height, weft_height), warp_height >= weft_height, pattern)
 
@@ -344,14 +348,6 @@ def _hump(away: np.ndarray, shape, flat: float) -> np.ndarray:
     on_arc = np.minimum(beyond, edge)
     drop = radius - np.sqrt(np.maximum(radius**2 - on_arc**2, 0.0))
     return -drop - np.maximum(beyond - edge, 0.0) * np.tan(theta_a)
-
-
-def _cap(away: np.ndarray, weft: WeftSection) -> np.ndarray:
-    """Height below a warp yarn's crest: the contact's arcs, stretched so that yarns lie evenly spaced."""
-    if weft.n < 1.5:
-        return _hump(away, weft.shape, 0.0)
-    sine = np.minimum(np.abs(away) / 0.5, 1.0) * np.sin(weft.contact)
-    return -weft.r * (1.0 - np.sqrt(np.maximum(1.0 - sine**2, 0.0)))
 
 
 def shade(surface: WovenSurface, *, repeats: int = 2, width: int = 640) -> np.ndarray:

@@ -34,13 +34,6 @@ def screen_shape(view: View, scene: PlaneScene) -> tuple[int, int]:
     return scene.shape if view.rows is None else (view.rows, require(view.columns))
 
 
-def homogeneous_eye(view: View) -> np.ndarray:
-    """(4,): position and 1, or the frontal direction and 0."""
-    if view.eye_mm is None:
-        return np.array([0.0, 0.0, 1.0, 0.0])
-    return np.append(np.asarray(view.eye_mm, np.float64), 1.0)
-
-
 def footprint(to_map: np.ndarray, first: int, last: int, columns: int, shape: tuple[int, int]) -> tuple[float, float]:
     """Largest steps on the maps, in their pixels, from one screen row and one screen column to the next.
 

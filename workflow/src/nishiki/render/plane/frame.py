@@ -10,6 +10,7 @@ from nishiki.render.plane import camera
 from nishiki.render.plane.flags import BACKGROUND, TURNED_AWAY, UNUSABLE
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
 from nishiki.render.plane.shade import (
+    FRONTAL_EYE,
     ColourGroups,
     PlaneMaps,
     Shading,
@@ -87,7 +88,8 @@ def render(
         reduction *= 2
     maps, seen = reduce_maps(scene, visibility, reduction)
     shrink = np.array([[1 / reduction, 0, 0.5 / reduction - 0.5], [0, 1 / reduction, 0.5 / reduction - 0.5], [0, 0, 1]])
-    painter = _Painter(maps, seen, lights, groups, ambient.level, plane, shrink @ to_map, camera.homogeneous_eye(view),
+    eye = FRONTAL_EYE if view.eye_mm is None else np.append(np.asarray(view.eye_mm, np.float64), 1.0)
+    painter = _Painter(maps, seen, lights, groups, ambient.level, plane, shrink @ to_map, eye,
         (scene.shape[0] / reduction, scene.shape[1] / reduction))  # fmt: skip
     xyz = np.empty((rows, columns, 3), np.float32)
     flags, coverage = np.empty((rows, columns), np.uint8), np.empty((rows, columns), np.float32)

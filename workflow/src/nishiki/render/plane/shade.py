@@ -133,7 +133,10 @@ def shade_channels(
     visible = np.zeros((0, 0, 0), np.float32) if visibility is None else np.ascontiguousarray(visibility, np.float32)
     values = np.empty((*normals.shape[:2], groups.matrices.shape[1]), np.float32)
     flags = np.empty(normals.shape[:2], np.uint8)
-    table = _gloss_table(gloss)
+    # beta and 1 / gamma^2 of each region's lobes (regions, 2 lobes); lobes that are 0 are dropped
+    used = gloss.beta.max(axis=0) > 0 if gloss.refractive_index.max() > 1 else np.zeros(gloss.beta.shape[1], bool)
+    lobes = np.stack([gloss.beta[:, used], gloss.gamma[:, used] ** -2.0], axis=-1)
+    table = np.ascontiguousarray(lobes.reshape(len(gloss.beta), -1))
     arrays = (
         np.ascontiguousarray(normals, np.float32),
         np.ascontiguousarray(coefficients, np.float32),
@@ -149,12 +152,7 @@ def shade_channels(
         (table, gloss.refractive_index, gloss.transmission, entering),
         (lamps, groups.of_light, visible),
         (groups.matrices, groups.offsets, groups.whites),
-        (
-            np.ascontiguousarray(plane, np.float64),
-            np.asarray(eye, np.float64),
-            float(ambient_level),
-            groups.ambient,
-        ),
+        (np.ascontiguousarray(plane, np.float64), np.asarray(eye, np.float64), float(ambient_level), groups.ambient),
         (values, flags),
     )
     return Shading(values, flags)
@@ -179,13 +177,6 @@ def _entering(gloss: Gloss) -> np.ndarray:
     cosine = (nodes + 1) / 2
     mean = [weights @ (cosine * transmittance(cosine, index)) for index in gloss.refractive_index]
     return 1 - gloss.transmission * (1 - np.array(mean))
-
-
-def _gloss_table(gloss: Gloss) -> np.ndarray:
-    """(regions, 2 lobes) beta and 1 / gamma^2 of each lobe; lobes that are 0 are dropped."""
-    used = gloss.beta.max(axis=0) > 0 if gloss.refractive_index.max() > 1 else np.zeros(gloss.beta.shape[1], bool)
-    table = np.stack([gloss.beta[:, used], gloss.gamma[:, used] ** -2.0], axis=-1)
-    return np.ascontiguousarray(table.reshape(len(gloss.beta), -1))
 
 
 @dataclass(frozen=True)

@@ -45,9 +45,15 @@ def cast_shadows(height: np.ndarray, lights: list[Light], *, pitch: float, metho
         raise UserError(f"height: expected (rows, columns), found {height.shape}")
     known = np.isfinite(height)
     surface = np.ascontiguousarray(height, np.float32)
+    pieces, count = np.zeros((0, 0), np.int32), 1  # all is one piece
     if not known.all():
+        from scipy import ndimage
+
         surface = np.where(known, surface, np.float32(np.nan))
-    pieces, count = separate_pieces(known)
+        # connected pieces, by the neighbours that the integration joins; 0 where unknown
+        numbers, found = ndimage.label(known)
+        if found > 1:
+            pieces, count = np.ascontiguousarray(numbers, np.int32), found + 1
     visibility = np.empty((len(lights), *height.shape), np.float32)
     for j, light in enumerate(lights):
         if method == "sweep" and light.position_mm is None:
@@ -57,20 +63,6 @@ def cast_shadows(height: np.ndarray, lights: list[Light], *, pitch: float, metho
         visibility[j][~known] = 1
     shadowed = 1 - visibility.mean(axis=(1, 2), dtype=np.float64)
     return CastShadows(visibility, shadowed, int(known.size - np.count_nonzero(known)))
-
-
-def separate_pieces(known: np.ndarray) -> tuple[np.ndarray, int]:
-    """Find connected pieces of known heights (rows, columns) bool, by the neighbours that the integration joins.
-
-    Returns int32 (rows, columns) with the piece of each pixel, 0 where unknown, and the number of labels; (0, 0) and 1
-    where all is one piece.
-    """
-    if known.all():
-        return np.zeros((0, 0), np.int32), 1
-    from scipy import ndimage
-
-    pieces, count = ndimage.label(known)
-    return (np.ascontiguousarray(pieces, np.int32), count + 1) if count > 1 else (np.zeros((0, 0), np.int32), 1)
 
 
 def _sweep_light(surface, pieces, count: int, light: Light, pitch: float) -> np.ndarray:
