@@ -109,7 +109,12 @@ def measured_choice(
         return np.arange(count), None
     order = spread_order(directions)
     full = [solve(sample.observations, sample.directions, sample.valid) for sample in samples]
-    number, predicted = _predicted_number(order, samples, full, LIMIT_DEG, FEWEST)
+    number, most = FEWEST, count
+    while number < most:  # the fewest whose predicted addition is within the limit
+        middle = (number + most) // 2
+        within = added_deg(order[:middle], samples, full) <= LIMIT_DEG
+        number, most = (number, middle) if within else (middle + 1, most)
+    predicted = added_deg(order[:number], samples, full)
     moved = np.inf
     while number < count:
         moved = moved_deg(np.sort(order[:number]), samples, full, solve)
@@ -135,15 +140,6 @@ def measured_choice(
     return np.sort(order[:number]), decision
 
 
-def _predicted_number(order, samples, full, limit_deg: float, fewest: int) -> tuple[int, float]:
-    """Fewest lights of the order whose predicted addition is within the limit, and that addition, degrees."""
-    low, high = fewest, len(order)
-    while low < high:
-        middle = (low + high) // 2
-        low, high = (low, middle) if added_deg(order[:middle], samples, full) <= limit_deg else (middle + 1, high)
-    return low, added_deg(order[:low], samples, full)
-
-
 def added_deg(rows: np.ndarray, samples: Sequence[LightSample], full) -> float:
     """Angle that fewer lights are expected to add to the error of a normal, degrees: median over the pixels.
 
@@ -152,21 +148,16 @@ def added_deg(rows: np.ndarray, samples: Sequence[LightSample], full) -> float:
     lights, what fewer lights add is the difference of the two variances (their matrices are nested). A pixel that is
     left with fewer than three lights counts as lost (90 degrees).
     """
-    added = [
-        _added(rows, sample.directions, usable, field) for sample, (usable, field) in zip(samples, full, strict=True)
-    ]
-    values = np.concatenate(added) if added else np.empty(0)
+    added = [np.empty(0)]
+    for piece, (usable, field) in zip(samples, full, strict=True):
+        known = (field.flags.ravel() & bits.NO_ESTIMATE) == 0
+        normals, sigma = field.normals.reshape(-1, 3)[known].astype(np.float64), field.sigma.ravel()[known]
+        masks = usable.reshape(len(usable), -1)[:, known].astype(np.float64)
+        all_of, of_rows = (_across(piece.directions[k], masks[k], normals) for k in (slice(None), rows))
+        share = np.where(np.isfinite(of_rows), of_rows / all_of - 1, np.inf)
+        added.append(np.minimum(sigma * np.sqrt(np.maximum(share, 0)), 0.5 * np.pi))
+    values = np.concatenate(added)
     return float(np.degrees(np.median(values))) if values.size else 0.0
-
-
-def _added(rows: np.ndarray, directions: np.ndarray, usable: np.ndarray, field: NormalField) -> np.ndarray:
-    """(pixels,) radians, of those with an estimate."""
-    known = (field.flags.ravel() & bits.NO_ESTIMATE) == 0
-    normals, sigma = field.normals.reshape(-1, 3)[known].astype(np.float64), field.sigma.ravel()[known]
-    masks = usable.reshape(len(usable), -1)[:, known].astype(np.float64)
-    all_of, of_rows = (_across(directions[k], masks[k], normals) for k in (slice(None), rows))
-    share = np.where(np.isfinite(of_rows), of_rows / all_of - 1, np.inf)
-    return np.minimum(sigma * np.sqrt(np.maximum(share, 0)), 0.5 * np.pi)
 
 
 def _across(directions: np.ndarray, masks: np.ndarray, normals: np.ndarray) -> np.ndarray:

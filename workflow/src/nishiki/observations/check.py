@@ -25,10 +25,10 @@ from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.observations.blocks import CHECK_BLOCK, block_edges
 from nishiki.observations.consistency import Judgement, ReducedPhotographs, judgement_problems
 from nishiki.observations.frames import FrameReader, unusable_coding
-from nishiki.observations.goniometer_check import goniometer_files, look_at_windows, table_problems
+from nishiki.observations.goniometer_check import look_at_windows, table_problems
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.plane_store import frame_problems
-from nishiki.observations.polariser_check import listed_files, silhouette_problems, turntable_content_problems
+from nishiki.observations.polariser_check import silhouette_problems, turntable_content_problems
 from nishiki.observations.reference import DarkField, board_field, measure_darks
 from nishiki.observations.region import AnyCapture, object_mask, region_numbers, region_of
 from nishiki.observations.store_parts import RepeatedFiles, as_errors, attempt
@@ -77,34 +77,29 @@ def check_capture(
     return sorted(distinct, key=lambda p: p.severity != "error")
 
 
-def _listed(capture: AnyCapture) -> set[str]:
-    """Every file that the capture's tables name."""
-    if isinstance(capture, GoniometerCapture):
-        return goniometer_files(capture)
-    if isinstance(capture, TurntableCapture):
-        return listed_files(capture)
-    settings = capture.settings
-    named = [settings.lights.file, settings.lights.intensities, settings.camera.sensitivities, settings.illuminant]
-    named += [
-        settings.rendered_from,
-        settings.mask,
-        settings.regions,
-        *("capture.yaml", "frames.csv", MIRROR_BALLS),
-        *(name for f in capture.frames for name in f.names),
-    ]
-    if settings.rendered_from and "/" in settings.rendered_from:  # a folder of relight: info.json stands for its planes
-        folder = Path(settings.rendered_from).parent
-        named += [f"{folder.as_posix()}/{name}" for name, entry in walk(capture.payload / folder) if entry.is_file()]
-    return {Path(name).as_posix() for name in named if name}
-
-
 def _unlisted(capture: AnyCapture) -> list[Problem]:
-    """Files in the payload that nothing names: harmless, but perhaps a forgotten photograph."""
-    payload = capture.payload
-    files = (name for name, entry in walk(payload) if entry.is_file())
+    """Files in the payload that no table names: harmless, but perhaps a forgotten photograph."""
+    settings = capture.settings
+    named = [settings.camera.sensitivities, settings.illuminant, "capture.yaml"]
+    named += [name for frame in capture.frames for name in frame.names]
+    if isinstance(capture, GoniometerCapture):
+        named += ["" if capture.table else "frames.csv", *(file for _, file in capture.settings.goniometer.files)]
+    elif isinstance(capture, TurntableCapture):
+        lights, turntable = capture.settings.lights, capture.settings.turntable
+        named += [lights.file if lights else None, "frames.csv", *(file for _, file in turntable.files)]
+        named += [frame.silhouette for frame in capture.frames]
+    else:
+        plane = capture.settings
+        named += [plane.lights.file, plane.lights.intensities, plane.rendered_from, plane.mask, plane.regions]
+        named += ["frames.csv", MIRROR_BALLS]
+        if plane.rendered_from and "/" in plane.rendered_from:  # a folder of relight: info.json stands for its planes
+            folder = Path(plane.rendered_from).parent
+            files = (name for name, entry in walk(capture.payload / folder) if entry.is_file())
+            named += [f"{folder.as_posix()}/{name}" for name in files]
+    listed = {Path(name).as_posix() for name in named if name}
     tag_files = {"bagit.txt", "bag-info.txt", "manifest-sha256.txt", "tagmanifest-sha256.txt"}
     remedy = "List it in frames.csv, or move it out of the capture"
-    extra = sorted(set(files) - _listed(capture) - tag_files)
+    extra = sorted({name for name, entry in walk(capture.payload) if entry.is_file()} - listed - tag_files)
     return [warning("file-unlisted", name, "no table names this file", remedy=remedy) for name in extra]
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -106,14 +105,6 @@ AGREE = 1 / 3  # of the disagreement is left by the reading that is right
 MOST_ALBEDO = 1.1  # some room for the gaps between the views
 FORWARD = 0.3  # correlation with the half vector; sound surfaces gave .67 to 1, turned by half a turn at most .26
 BACKWARD = 0.4  # by which the correlation with the half vector grows where the views are turned by half a turn
-
-
-def goniometer_files(capture: GoniometerCapture) -> set[str]:
-    """Every file that the capture's tables name."""
-    settings = capture.settings
-    named = ["capture.yaml", "" if capture.table else "frames.csv", settings.camera.sensitivities, settings.illuminant]
-    named += [*(file for _, file in settings.goniometer.files), *(f.file for f in capture.frames)]
-    return {Path(name).as_posix() for name in named if name}
 
 
 def look_at_windows(capture: GoniometerCapture, size: tuple[int, int], contents: bool, tick: Tick) -> list[Problem]:

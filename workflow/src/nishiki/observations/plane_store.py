@@ -12,14 +12,14 @@ from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
 from nishiki.formats.problems import Problem
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
-from nishiki.observations.blocks import bands_with_object, rows_of_band
+from nishiki.observations.blocks import bands_with_object, edges_between, rows_of_band
 from nishiki.observations.consistency import ReducedPhotographs
 from nishiki.observations.corrections import find_corrections
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.plane import FORMAT, STORE
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import measure_darks, measure_gains, measure_room
-from nishiki.observations.region import chosen, edges_of, object_mask, region_around, region_numbers, window_of
+from nishiki.observations.region import chosen, object_mask, region_around, region_numbers, window_of
 from nishiki.observations.resampling import subtract_room
 from nishiki.observations.store_parts import (
     ALL_SATURATED,
@@ -58,7 +58,12 @@ def write_observations(
     if capture.mask is not None:
         reader, mask = cropped(reader, mask, settings.white_block)
     _, _, rows, columns = reader.region
-    edges = edges_of(asked, reader.region, settings.white_block)
+    rows_read, columns_read = window_of(asked, reader.region)
+    # edges of the blocks of the asked region that lie in the kept one, counted from its corner
+    edges = (
+        edges_between(asked[2], settings.white_block, rows_read.start, rows_read.stop),
+        edges_between(asked[3], settings.white_block, columns_read.start, columns_read.stop),
+    )
     darks = measure_darks(reader, edges, tick)
     gains = measure_gains(reader, darks, edges, mask, tick)
     reader = replace(reader, room=measure_room(reader, darks, tick))

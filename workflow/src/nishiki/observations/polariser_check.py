@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
@@ -137,15 +136,6 @@ def _crossed_over_parallel(pictures: dict[str, np.ndarray]) -> float | None:
 
 
 Tick = Callable[[str], None]
-
-
-def listed_files(capture: TurntableCapture) -> set[str]:
-    """Every file that the capture's tables name."""
-    settings = capture.settings
-    named = [settings.lights.file if settings.lights else None, settings.camera.sensitivities, settings.illuminant]
-    named += [file for _, file in settings.turntable.files]
-    named += [name for frame in capture.frames for name in (frame.file, frame.silhouette)]
-    return {Path(name).as_posix() for name in (*named, "capture.yaml", "frames.csv") if name}
 
 
 def silhouette_problems(capture: TurntableCapture, size: tuple[int, int]) -> list[Problem]:

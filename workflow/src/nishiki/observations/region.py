@@ -16,7 +16,7 @@ from nishiki.errors import require
 from nishiki.formats.images import Region, read_header
 from nishiki.formats.masks import Mask, examine_mask, expect_size, label_problems, read_labels
 from nishiki.formats.problems import Problem, refuse
-from nishiki.observations.blocks import Edges, blocks_around, edges_between
+from nishiki.observations.blocks import blocks_around
 
 MANY_REGIONS = 256  # labels of 8 bits
 MARGIN = 8
@@ -83,15 +83,6 @@ def window_of(outer: Region, inner: Region) -> tuple[slice, slice]:
     """Rows and columns of a region inside an array of the region around it."""
     row, column = inner[0] - outer[0], inner[1] - outer[1]
     return slice(row, row + inner[2]), slice(column, column + inner[3])
-
-
-def edges_of(asked: Region, kept: Region, white_block: int) -> Edges:
-    """Edges of the blocks of the asked region that lie in the kept one, counted from its corner."""
-    rows, columns = window_of(asked, kept)
-    return (
-        edges_between(asked[2], white_block, rows.start, rows.stop),
-        edges_between(asked[3], white_block, columns.start, columns.stop),
-    )
 
 
 AnyCapture = Capture | TurntableCapture | GoniometerCapture

@@ -171,15 +171,10 @@ def _places(size: int) -> list[int]:
     return sorted({*range(0, size - PATCH + 1, STEP), size - PATCH})
 
 
-def _cosines() -> np.ndarray:
-    """(PATCH, PATCH) float32 orthonormal cosine transform."""
-    k, x = np.mgrid[:PATCH, :PATCH]
-    rows = np.sqrt(2 / PATCH) * np.cos(np.pi * (x + 0.5) * k / PATCH)
-    rows[0] = np.sqrt(1 / PATCH)
-    return rows.astype(np.float32)
-
-
-COSINES = _cosines()
+COSINES = np.sqrt(2 / PATCH) * np.cos(np.pi * (np.arange(PATCH) + 0.5) * np.arange(PATCH)[:, None] / PATCH)
+COSINES[0] = np.sqrt(1 / PATCH)
+COSINES = COSINES.astype(np.float32)
+"""(PATCH, PATCH) orthonormal cosine transform."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

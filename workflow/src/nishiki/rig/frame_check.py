@@ -8,15 +8,12 @@ ratio of the finest detail to detail twice as coarse, which hardly depends on th
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nishiki.capture.schema_base import CameraResponse
-from nishiki.capture.taking import channel_names
 from nishiki.colour.colour import decode
-from nishiki.formats.images import read_codes, read_header
 from nishiki.observations.linearise import full_scale, saturation_code
 from nishiki.rig.frames_table import PlannedFrame
 from nishiki.rig.plan import Checks, ReadPlan, frame_distance, incidence_cosines
@@ -42,12 +39,6 @@ class Measures:
     peak: float  # code, of full scale, that one pixel of a thousand exceeds
     sharpness: float | None  # ratio of the energies of fine and coarser detail; None where there is none
     exposure_s: float | None  # as EXIF tells
-
-
-def read_photograph(path: Path) -> np.ndarray:
-    """Codes (rows, columns, channels). CaptureError where the file is damaged or no photograph."""
-    header = read_header(path)
-    return read_codes(path, channel_names(header), header=header)
 
 
 def measure(codes: np.ndarray, camera: CameraResponse, exposure_s: float | None) -> Measures:

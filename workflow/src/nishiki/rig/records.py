@@ -38,9 +38,11 @@ class Journal:
         """Append an event; it is on the disk when this returns. Returns the line's content."""
         line = {"time": datetime.now().astimezone().isoformat(timespec="milliseconds"), "event": event, **facts}
         is_new = not self.path.exists()
-        with self.path.open("ab") as file:
-            if not is_new and not self._ends_with_line():
-                file.write(b"\n")
+        with self.path.open("a+b") as file:
+            if file.seek(0, os.SEEK_END):
+                file.seek(-1, os.SEEK_END)
+                if file.read(1) != b"\n":
+                    file.write(b"\n")
             file.write(json.dumps(line, ensure_ascii=False).encode() + b"\n")
             file.flush()
             os.fsync(file.fileno())
@@ -59,12 +61,6 @@ class Journal:
                 continue
             if isinstance(event, dict) and "event" in event:
                 yield event
-
-    def _ends_with_line(self) -> bool:
-        with self.path.open("rb") as file:
-            size = file.seek(0, os.SEEK_END)
-            file.seek(max(0, size - 1))
-            return size == 0 or file.read(1) == b"\n"
 
 
 SEEN_PX = 900

@@ -24,14 +24,15 @@ from typing import Any
 
 from nishiki.capture.schema_base import CameraResponse, validate
 from nishiki.capture.seal import MANIFEST, capture_digest, read_manifest, seal, sha256_of
+from nishiki.capture.taking import channel_names
 from nishiki.errors import UserError
 from nishiki.formats.exif import read_exif
 from nishiki.formats.files import flush, put_file
-from nishiki.formats.images import read_header
+from nishiki.formats.images import read_codes, read_header
 from nishiki.formats.problems import CaptureError, group_problems
 from nishiki.rig.description import OpenedRig, expect_devices, open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Rig, ask_operator
-from nishiki.rig.frame_check import Measures, Neighbours, measure, read_photograph
+from nishiki.rig.frame_check import Measures, Neighbours, measure
 from nishiki.rig.frames_table import AUTOMATIC, PlannedFrame, read_table, summary, table_text
 from nishiki.rig.plan import ReadPlan, read_plan
 from nishiki.rig.records import Journal, RunState, capture_settings, refuse_unusable_settings, write_tables
@@ -286,7 +287,8 @@ class CaptureRun:
         _clear(self.incoming)
         path = self._pick(frame, rig.camera.photograph(self.incoming))
         try:
-            codes = read_photograph(path)
+            header = read_header(path)
+            codes = read_codes(path, channel_names(header), header=header)
         except CaptureError as error:
             return path, taken, None, [f"the photograph cannot be read: {error.problems[0]}"]
         measures = measure(codes, self.camera, read_exif(path).exposure_s)

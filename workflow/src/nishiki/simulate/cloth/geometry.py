@@ -109,19 +109,15 @@ def centre_line(on_top: np.ndarray, *, spacing: float, amplitude: float, bend: f
         if on_top[first] and last - first > 1:
             length = (last - first) * spacing
             t = ((place - first * spacing) % period) / length
-            bump, rate = _arch(np.clip(t, 0.0, 1.0))
+            u = 2.0 * np.clip(t, 0.0, 1.0) - 1.0
+            # the arch (1 − u²)² is level at both ends; _STEEPEST is its steepest slope by t
             top = arch * length / _STEEPEST
-            height, slope = height + top * bump, slope + top / length * rate
+            height = height + top * (1.0 - u * u) ** 2
+            slope = slope + top / length * (-8.0 * u * (1.0 - u * u))
     return height, slope, descent
 
 
 _STEEPEST = 16.0 / (3.0 * math.sqrt(3.0))
-
-
-def _arch(t):
-    """(1 − (2t − 1)²)² and its slope: level at both ends; steepest slope 16/(3√3)."""
-    u = 2.0 * t - 1.0
-    return (1.0 - u * u) ** 2, -8.0 * u * (1.0 - u * u)
 
 
 POWERS = 1024  # |u|^e is stored at so many steps of |u|

@@ -13,7 +13,7 @@ import numpy as np
 
 from nishiki.errors import require
 from nishiki.simulate.cloth.geometry import Solids, escapes, make_solids
-from nishiki.simulate.cloth.points import Chains, Ends, SurfacePoints, make_chains, make_points
+from nishiki.simulate.cloth.points import Chains, SurfacePoints, make_chains, make_points
 from nishiki.simulate.cloth.settings import ClothSettings
 from nishiki.simulate.randomness import GOLDEN_RATIO
 from nishiki.simulate.reflection import body, in_frame, reflect_filament
@@ -120,16 +120,13 @@ def seen_from(cloth: Cloth, directions: np.ndarray) -> Reach:
     )
     if chains is None:
         return Reach(directions, lit, None, None)
-    return Reach(directions, lit, *(_enter(cloth, directions, lit, end) for end in (chains.first, chains.last)))
-
-
-def _enter(cloth: Cloth, directions: np.ndarray, lit: np.ndarray, ends: Ends) -> np.ndarray:
-    out = np.empty((len(directions), cloth.dye.shape[1], len(ends.kind)), np.float32)
-    over_rows(
-        _ends, len(directions), (directions, lit), (ends.point, ends.place, ends.frame, ends.kind, ends.toward),
-        (cloth.solids.numbers, cloth.solids.free), (cloth.surface, cloth.dye), out,
-    )  # fmt: skip
-    return out
+    entering = np.empty((2, len(directions), cloth.dye.shape[1], len(chains.first.kind)), np.float32)
+    for ends, out in zip((chains.first, chains.last), entering, strict=True):
+        over_rows(
+            _ends, len(directions), (directions, lit), (ends.point, ends.place, ends.frame, ends.kind, ends.toward),
+            (cloth.solids.numbers, cloth.solids.free), (cloth.surface, cloth.dye), out,
+        )  # fmt: skip
+    return Reach(directions, lit, *entering)
 
 
 def cell_maps(cloth: Cloth, lamps, views, index: np.ndarray) -> np.ndarray:
