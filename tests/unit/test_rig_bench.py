@@ -98,7 +98,7 @@ with open_rig(Path("rig.yaml")) as rig:
 
 def test_a_virtual_camera_on_usb_sees_what_the_dome_lights(bench, tmp_path):
     camera = VirtualCamera(tmp_path / "usb", as_jpeg(bench.darks[0]))
-    bench.show_to(camera, as_jpeg)
+    bench.dome.on_light = lambda lit: camera.show(as_jpeg(bench.photograph(lit)))
     Path("rig.yaml").write_text(re.sub("camera: .*", "camera: {kind: gphoto}", RIG))
     environment = os.environ | {"PYTHONPATH": str(SOURCE), "VCAMERADIR": str(tmp_path / "usb")}
     done = subprocess.run([sys.executable, "-c", BY_USB], env=environment, capture_output=True, text=True, check=False)

@@ -19,10 +19,7 @@ class Progress:
 
     def __call__(self, done: int, total: int, what: str) -> None:
         """Tell that `done` of `total` are done, the last being `what`."""
-        now = time.monotonic()
-        if now - self._last >= self.every_s:
-            self._last = now
-            print(f"{self.label}: {done} of {total}, {what}", file=self.stream, flush=True)
+        self.tell(f"{done} of {total}, {what}")
 
     def tell(self, what: str) -> None:
         """Tell what is being worked on."""

@@ -1,6 +1,5 @@
 """Check a goniometer's data: sizes, saturation, boards and regions of photographs; energy and symmetry of tables."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from nishiki.goniometry.directions import unit
 from nishiki.observations.blocks import CHECK_BLOCK, picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField, measure_darks
-from nishiki.observations.store_parts import RepeatedFiles, as_errors
+from nishiki.observations.store_parts import RepeatedFiles, Tick, as_errors
 
 DARK_WHITE = 0.005  # of full scale: below it the board's quantisation alone is worth a percent
 
@@ -99,7 +98,6 @@ def white_level(frame: Frame, codes: np.ndarray, reader: FrameReader[GoniometerC
     return least
 
 
-Tick = Callable[[str], None]
 DISAGREE = 0.2  # sound tables gave at most .13, simulated cloths .06, wrong ones .35 and more
 AGREE = 1 / 3  # of the disagreement is left by the reading that is right
 MOST_ALBEDO = 1.1  # some room for the gaps between the views

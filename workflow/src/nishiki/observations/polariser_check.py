@@ -1,7 +1,6 @@
 """Compare the opened photographs of a turntable with what its capture states: sizes, white boards, polarisers."""
 
 from collections import Counter
-from collections.abc import Callable
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from nishiki.observations.blocks import CHECK_BLOCK, picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import measure_darks
-from nishiki.observations.store_parts import RepeatedFiles, as_errors
+from nishiki.observations.store_parts import RepeatedFiles, Tick, as_errors
 from nishiki.observations.turntable_coherence import Pictures, capture_problems
 from nishiki.observations.views_store import read_silhouette, view_problems
 from nishiki.observations.views_white import measure_whites
@@ -133,9 +132,6 @@ def _crossed_over_parallel(pictures: dict[str, np.ndarray]) -> float | None:
     lit = total > LIT * np.percentile(total, 99)
     bright = float(parallel[lit].sum())
     return float(crossed[lit].sum()) / bright if bright > 0 else None
-
-
-Tick = Callable[[str], None]
 
 
 def silhouette_problems(capture: TurntableCapture, size: tuple[int, int]) -> list[Problem]:

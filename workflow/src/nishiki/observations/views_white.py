@@ -1,6 +1,6 @@
 """White boards of a turntable: those that normalise every view, and those that are kept for each polariser state."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +12,8 @@ from nishiki.observations.blocks import Edges, grid_of, on_one_grid
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.linearise import straight_scale
 from nishiki.observations.reference import DEAD, DarkField, white_field
+from nishiki.observations.store_parts import Tick
 from nishiki.observations.views_decode import view_values
-
-Tick = Callable[[str], None]
 
 
 @dataclass(frozen=True)

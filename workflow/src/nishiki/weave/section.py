@@ -181,7 +181,7 @@ class Section:
         """Fields by name, as numbers."""
         return {name: float(value) for name, value in asdict(self).items()}
 
-    def _check(self) -> None:
+    def __post_init__(self) -> None:
         theta_a, length, radius, flat, yarns, contact = self.shape
         if not np.all(np.isfinite(self.shape)):
             raise ValueError(f"section {self}: expected finite numbers")
@@ -202,9 +202,6 @@ class WarpSection(Section):
     r: float
     m: float = 0.0
 
-    def __post_init__(self):
-        self._check()
-
     @property
     def shape(self) -> tuple[float, float, float, float, float, float]:
         """(theta_a, l, r, m, n, contact)."""
@@ -222,9 +219,6 @@ class WeftSection(Section):
     # angle of the arcs on both sides of a contact; pi/2 (circles that touch) is the model, less stands for yarns that
     # are pressed together or flattened and meet at that slope. n need not be whole (mean over a cloth)
     contact: float = HALF_PI
-
-    def __post_init__(self):
-        self._check()
 
     @property
     def shape(self) -> tuple[float, float, float, float, float, float]:

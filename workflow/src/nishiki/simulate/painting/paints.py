@@ -1,4 +1,4 @@
-"""Paints: invented pigments, the ramps of their mixtures, and what each gives in the camera's channels and in XYZ.
+"""Paints: invented pigments, the ramps of their mixtures, and what each gives in XYZ.
 
 No measured pigment is behind the numbers: they are shapes (edges and bands) that give colours of the kind their names
 suggest. Mixing: Duncan's rule, K and S add by concentration; reflectance of a thick layer: Kubelka & Munk (1931);
@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.simulate.capture import FINE_NM, sensitivities
-from nishiki.simulate.painting.settings import SimulationSettings, planck_spectrum
 from nishiki.simulate.randomness import subkey
 
 INNER_REFLECTION = 0.5  # share of diffuse light that the surface sends back into the paint layer (Saunderson's k2)
@@ -182,19 +180,6 @@ def make_palette(wavelengths_nm: np.ndarray, *, alpha: float, seed: int) -> Pale
     between = random.uniform(0.8, 1.2, steps.size)[region]
     roughness = alpha * between * random.uniform(0.95, 1.05, region.size)
     return Palette(first, steps, region, tuple(names), np.array(spectra), np.clip(roughness, 0.0, 1.0))
-
-
-def camera_tables(palette: Palette, settings: SimulationSettings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute the responses (table, squared, white) of the camera to the paints.
-
-    table: (labels, channels) relative to a perfect white; squared: of the squared reflectance (light that met the paint
-    twice); white: its own response (channels,), the largest = 1.
-    """
-    lamp = planck_spectrum(FINE_NM, settings.lights.colour_temperature_k)
-    weights = sensitivities(FINE_NM, settings.camera.channels) * lamp
-    white = weights.sum(axis=1)
-    weights = (weights / white[:, None]).T
-    return palette.spectra @ weights, palette.spectra**2 @ weights, white / white.max()
 
 
 def xyz_tables(spectra: np.ndarray, illuminant: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

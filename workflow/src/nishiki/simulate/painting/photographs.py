@@ -10,6 +10,7 @@ from nishiki.errors import UserError
 from nishiki.simulate.capture import (
     BOARD_REFLECTANCE,
     DARK_FRAMES,
+    FINE_NM,
     CameraSettings,
     Truth,
     camera_from,
@@ -22,7 +23,7 @@ from nishiki.simulate.capture import (
     write_image,
 )
 from nishiki.simulate.painting.objects import SimulatedObject, make_object
-from nishiki.simulate.painting.paints import REGIONS, camera_tables, make_palette, xyz_tables
+from nishiki.simulate.painting.paints import REGIONS, make_palette, xyz_tables
 from nishiki.simulate.painting.settings import (
     PRESETS,
     LampPose,
@@ -76,8 +77,13 @@ class Tables:
 
 def make_tables(thing: SimulatedObject, settings: SimulationSettings, *, with_truth: bool) -> Tables:
     """Make the colour tables for sample lights, or for check lights with their truth."""
-    table, squared, response = camera_tables(thing.palette, settings)
-    parts, squares, whites = [table], [squared], [np.ones(table.shape[1])]
+    spectrum = planck_spectrum(FINE_NM, settings.lights.colour_temperature_k)
+    weights = sensitivities(FINE_NM, settings.camera.channels) * spectrum
+    response = weights.sum(axis=1)
+    weights = (weights / response[:, None]).T
+    signal = response / response.max() * settings.camera.white_level
+    spectra = thing.palette.spectra
+    parts, squares, whites = [spectra @ weights], [spectra**2 @ weights], [np.ones(len(response))]
     if with_truth:
         from nishiki.colour.colour import illuminant
 
@@ -87,7 +93,7 @@ def make_tables(thing: SimulatedObject, settings: SimulationSettings, *, with_tr
             parts.append(xyz)
             squares.append(xyz_squared)
             whites.append(xyz_white)
-    return Tables(np.hstack(parts), np.hstack(squares), np.concatenate(whites), response * settings.camera.white_level)
+    return Tables(np.hstack(parts), np.hstack(squares), np.concatenate(whites), signal)
 
 
 def true_spectra(settings: SimulationSettings) -> np.ndarray:

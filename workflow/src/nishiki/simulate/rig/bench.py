@@ -16,7 +16,6 @@ from pathlib import Path
 import yaml
 
 from nishiki.errors import UserError
-from nishiki.simulate.rig.camera import VirtualCamera
 from nishiki.simulate.rig.dome import SimulatedDome
 
 SUBJECTS = {"white board": "white", "lens cap on": "dark", "lens cap off": "object", "object": "object"}
@@ -80,14 +79,6 @@ class PaintingBench:
         draft = self.saved_in / f".DSC_{self.taken:04d}{source.suffix}"
         shutil.copyfile(source, draft)
         draft.rename(draft.with_name(draft.name[1:]))
-
-    def show_to(self, camera: VirtualCamera, encode: Callable[[Path], bytes]) -> None:
-        """Put what the dome lights before a virtual camera, from now on.
-
-        encode : callable
-            The JPEG file that the camera makes of a photograph.
-        """
-        self.dome.on_light = lambda lit: camera.show(encode(self.photograph(lit)))
 
     def obey(self, request: str) -> None:
         """Do what a person is asked: put something before the lens. UserError where the request names nothing known."""
