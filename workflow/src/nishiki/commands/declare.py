@@ -45,12 +45,8 @@ class Group(Command, click.Group):
     sections: dict[str, Iterable[str]] | None = None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options, then the commands, each with the first sentence of its help."""
+        """Write the options, then the commands by section, each with the first sentence of its help."""
         super().format_options(ctx, formatter)
-        self.format_commands(ctx, formatter)
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the commands by section."""
         for title, names in (self.sections or {"commands": self.list_commands(ctx)}).items():
             with formatter.section(title.capitalize()):
                 rows = [(name, require(self.get_command(ctx, name)).get_short_help_str(200)) for name in names]

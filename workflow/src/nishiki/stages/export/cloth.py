@@ -182,16 +182,14 @@ def camera_of(cloth: ExportedCloth) -> Camera:
 
 def camera_facts(camera: Camera, middle: np.ndarray) -> dict:
     """Return place, target, up, vertical field of view, degrees, size, and distance from the cloth's middle (3,)."""
-    distance = float(np.linalg.norm(camera.centre - middle))
-    focal = camera.intrinsics[1, 1]
     return {
         "origin": camera.centre.tolist(),
         "target": (camera.centre + camera.rotation[2]).tolist(),
         "up": (-camera.rotation[1]).tolist(),
-        "field_of_view_deg": float(2 * np.degrees(np.arctan(camera.rows / (2 * focal)))),
+        "field_of_view_deg": float(2 * np.degrees(np.arctan(camera.rows / (2 * camera.intrinsics[1, 1])))),
         "rows": camera.rows,
         "columns": camera.columns,
-        "distance": distance,
+        "distance": float(np.linalg.norm(camera.centre - middle)),
     }
 
 

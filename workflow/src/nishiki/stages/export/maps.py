@@ -166,11 +166,6 @@ REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 ROWS_AT_A_TIME = 32  # of 61 bands in memory
 
 
-def channel(wavelength_nm: float) -> str:
-    """Name of a band of a reflective picture: T, the wavelength with a decimal comma, its unit."""
-    return f"T.{wavelength_nm:.6f}".replace(".", ",").replace("T,", "T.", 1) + "nm"
-
-
 def write_spectral(context: Context, scene: ExportedScene) -> dict:
     """Write `spectra.exr`, and `spectra.img` with its `spectra.hdr`."""
     basis = scene.basis
@@ -181,7 +176,8 @@ def write_spectral(context: Context, scene: ExportedScene) -> dict:
         )
     to_rgb = scene.to_srgb().T
     path = context.output.path
-    names = [channel(float(wavelength)) for wavelength in WAVELENGTHS_NM]
+    # bands of a reflective picture: T, the wavelength with a decimal comma, its unit
+    names = ["T." + f"{wavelength:.6f}nm".replace(".", ",") for wavelength in WAVELENGTHS_NM]
     header: dict[str, str | float | Sequence[float]] = {
         "spectralLayoutVersion": "1.0",
         "chromaticities": REC_709,

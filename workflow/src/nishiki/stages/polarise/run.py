@@ -126,11 +126,8 @@ def separate(
     )
     if smoothed.doubtful is not None:
         figures = replace(figures, doubtful=smoothed.doubtful)
-    before, separated = (
-        separated,
-        components(smoothed.planes, valid, sums, beta=beta, phase=phase, sense=sense, gain=gain),
-    )
-    return separated, figures, facts | smoothing_diagnostics(before, separated, smoothed.noise)
+    after = components(smoothed.planes, valid, sums, beta=beta, phase=phase, sense=sense, gain=gain)
+    return after, figures, facts | smoothing_diagnostics(separated, after, smoothed.noise)
 
 
 def smoothing_diagnostics(before: SeparatedView, after: SeparatedView, noise: PhotographNoise | None) -> dict:

@@ -36,7 +36,13 @@ def run(context: Context) -> dict:
     settings = context.settings
     scene = load_scene(context.inputs, cast_shadows=settings.cast_shadows)
     lights = [light for picture in settings.pictures for light in picture.lights]
-    spectra = {name: spectrum(name) for name in {item.illuminant for item in (*lights, *settings.sequences)}}
+    spectra = {}
+    for name in {item.illuminant for item in (*lights, *settings.sequences)}:
+        if name.lower().endswith(".csv"):
+            curves = read_curves(Path(name), label=name)
+            spectra[name] = resample(curves.wavelengths_nm, curves.values.T, name=name)[0]
+        else:
+            spectra[name] = cie_illuminant(name)
     pictures, notes = {}, []
     for picture in context.progress.over(settings.pictures, "picture"):
         made = paint(scene, picture, spectra, settings)
@@ -90,14 +96,6 @@ def colours(inputs: dict[str, Artifact], maps: Maps) -> dict[str, np.ndarray]:
         basis = np.array(spectra.attributes("coefficients")["basis"])
         return {"coefficients": spectra.read("coefficients"), "basis": basis}
     return {"coefficients": displayed_colours(maps.read("reflectance"), display_map(maps))}
-
-
-def spectrum(name: str) -> np.ndarray:
-    """Return (61,) power of a CIE illuminant, or of a table (wavelength_nm, power)."""
-    if not name.lower().endswith(".csv"):
-        return cie_illuminant(name)
-    curves = read_curves(Path(name), label=name)
-    return resample(curves.wavelengths_nm, curves.values.T, name=name)[0]
 
 
 def paint(
