@@ -180,12 +180,19 @@ def _run(
     opened = [open_artifact(Path(folder)) for folder in arguments.inputs]
     inputs = {artifact.stage: artifact for artifact in opened if "part" not in artifact.manifest}
     parts = [artifact for artifact in opened if "part" in artifact.manifest]
-    upstream = _upstream(inputs, arguments.capture, digest_of_capture)
+    if not digest_of_capture:
+        upstream = {name: artifact.key for name, artifact in inputs.items()}
+    elif arguments.capture is None:
+        raise UserError("--capture is needed: the sealed capture folder")
+    else:
+        upstream = {"capture": digest_of_capture(arguments.capture)}
     values = settings.model_dump(mode="json")
     key = stage_key(model.STAGE, model.VERSION, values, upstream)
     read = {name: {"key": item.key, "digest": item.digest} for name, item in inputs.items()}
     joined = in_order(parts, key=key, code=arguments.code, upstream=read) if parts else ()
-    part = _part(arguments.part, run, model.STAGE)
+    if arguments.part is not None and not isinstance(run, TiledStage):
+        raise UserError(f"--part: {model.STAGE} cannot be divided")
+    part = None if arguments.part is None else StagePart.parse(arguments.part)
     target = arguments.output if part else _target(arguments.output, key)
     stamp = {"scene": arguments.scene, "stage": model.STAGE, "key": key, "version": PROJECT_VERSION}
     with ArtifactWriter(target) as output:
@@ -221,25 +228,6 @@ def _run(
         }
         made_from = [Path(name) if name.endswith(MANIFEST) else Path(name, MANIFEST) for name in arguments.inputs]
         output.finish(manifest, facts.finish(arguments.capture), inputs=made_from)
-
-
-def _upstream(
-    inputs: dict[str, Artifact], capture: Path | None, digest_of_capture: Callable[[Path], str] | None
-) -> dict[str, str]:
-    """Keys of the upstream artifacts; of the first stage, the digest of the capture."""
-    if not digest_of_capture:
-        return {name: artifact.key for name, artifact in inputs.items()}
-    if capture is None:
-        raise UserError("--capture is needed: the sealed capture folder")
-    return {"capture": digest_of_capture(capture)}
-
-
-def _part(text: str | None, run: Callable[[Context], dict[str, Any]], stage: str) -> StagePart | None:
-    if text is None:
-        return None
-    if not isinstance(run, TiledStage):
-        raise UserError(f"--part: {stage} cannot be divided")
-    return StagePart.parse(text)
 
 
 def _json(text: str, where: str) -> dict[str, Any]:

@@ -66,7 +66,12 @@ def calibrate_target(given: TargetInput) -> Calibration:
 
     Raises UserError where no target is found, its corners are wrong, too much of it is saturated, or a table is wrong.
     """
-    light = None if given.light is None else _spectrum(given.light)
+    light = None
+    if given.light is not None and given.light.lower().endswith(".csv"):
+        lamp = read_curves(Path(given.light))
+        light = np.interp(WAVELENGTHS_NM, lamp.wavelengths_nm, lamp.values[:, 0])
+    elif given.light is not None:
+        light = illuminant(given.light)
     names, reflectances = chart_reflectances()
     if given.reflectances:
         table = read_curves(given.reflectances)
@@ -136,14 +141,6 @@ def calibrate_target(given: TargetInput) -> Calibration:
         files,
         warnings,
     )
-
-
-def _spectrum(text: str) -> np.ndarray:
-    """Return the spectrum (61,) of a lamp: a CIE illuminant by name, or a table."""
-    if not text.lower().endswith(".csv"):
-        return illuminant(text)
-    curves = read_curves(Path(text))
-    return np.interp(WAVELENGTHS_NM, curves.wavelengths_nm, curves.values[:, 0])
 
 
 def _sections(

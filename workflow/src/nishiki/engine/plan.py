@@ -109,7 +109,12 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
     """
     chain = chain_of(facts.geometry)
     held_out = held_out_of(scene.settings.hold_out, scene, facts)
-    settings = {name: _filled(name, scene, facts, held_out) for name in chain}
+    settings: dict[str, Closed] = {}
+    decided = {"hold_out": held_out, "truth_sha256": facts.truth_sha256}
+    for name in chain:
+        given = getattr(scene.settings, name)
+        update = {key: value for key, value in decided.items() if key in type(given).model_fields}
+        settings[name] = given.model_copy(update=update | CHAIN[name].filled(given, scene.settings))
     left_out: dict[str, str] = {}
     needed: set[str] = set()
     products = scene.products
@@ -210,15 +215,6 @@ def held_out_of(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) 
     if len(series) - len(choice) < 3:
         raise UserError(f"scene {scene.name!r}: hold_out leaves {len(series) - len(choice)} {what}s; 3 are needed")
     return tuple(choice)
-
-
-def _filled(name: str, scene: Scene, facts: SceneFacts, held_out: tuple[str, ...]) -> Closed:
-    """Complete the settings of a stage with the values that the plan decides."""
-    settings = getattr(scene.settings, name)
-    known = {"hold_out": held_out, "truth_sha256": facts.truth_sha256}
-    update = {key: value for key, value in known.items() if key in type(settings).model_fields}
-    update |= CHAIN[name].filled(settings, scene.settings)
-    return settings.model_copy(update=update)
 
 
 def _reach(name: str, facts: SceneFacts, settings: dict, needed: set[str], left_out: dict[str, str]) -> bool:

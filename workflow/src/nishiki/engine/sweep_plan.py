@@ -129,16 +129,12 @@ def _merged(plans: dict[str, Plan], evaluation: str, reference: Plan) -> tuple[P
     names: dict[str, list[str]] = {}
     for name, plan in plans.items():
         names.setdefault(plan.stages[evaluation].key, []).append(name)
-    return tuple(
-        PlannedVariant(tuple(group), plans[group[0]], tuple(_changes(plans[group[0]], reference)))
-        for group in names.values()
-    )
-
-
-def _changes(plan: Plan, reference: Plan) -> list[str]:
-    """List the settings in which a variant differs from the default, as `stage.setting: default -> variant`."""
-    before, after = ({name: stage.settings for name, stage in made.stages.items()} for made in (reference, plan))
-    return differences(before, after)
+    variants = []
+    for group in names.values():
+        plan = plans[group[0]]
+        before, after = ({name: stage.settings for name, stage in made.stages.items()} for made in (reference, plan))
+        variants.append(PlannedVariant(tuple(group), plan, tuple(differences(before, after))))
+    return tuple(variants)
 
 
 def _counted(named: str, sweep: SweepSettings, plans: dict[str, Plan], evaluation: str) -> tuple[str, ...]:

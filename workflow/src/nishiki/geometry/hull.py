@@ -40,7 +40,12 @@ class Field:
     def geometry_of(cameras: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
         """`poses` and `lenses` of cameras."""
         poses = [np.column_stack([camera.rotation, camera.translation]).ravel() for camera in cameras]
-        return np.array(poses), np.array([_lens(camera) for camera in cameras])
+        lenses = []
+        for camera in cameras:
+            k, distortion = camera.intrinsics, [*camera.distortion, *([0.0] * 5)][:5]
+            focal_length = float(np.sqrt(abs(k[0, 0] * k[1, 1])))
+            lenses.append([k[0, 0], k[0, 1], k[0, 2], k[1, 1], k[1, 2], *distortion, focal_length])
+        return np.array(poses), np.array(lenses)
 
 
 @dataclass(frozen=True)
@@ -98,12 +103,6 @@ def field_of(silhouettes: Sequence[np.ndarray | None], cameras: list[Camera], *,
 def _expect_two(count: int) -> None:
     if count < 2:
         raise UserError(f"expected silhouettes in two views at least, found {count}; give masks or a background")
-
-
-def _lens(camera: Camera) -> list[float]:
-    k = camera.intrinsics
-    distortion = [*camera.distortion, *([0.0] * 5)][:5]
-    return [k[0, 0], k[0, 1], k[0, 2], k[1, 1], k[1, 2], *distortion, float(np.sqrt(abs(k[0, 0] * k[1, 1])))]
 
 
 def _area_of(silhouette: np.ndarray, camera: Camera) -> tuple[slice, slice]:

@@ -241,7 +241,12 @@ def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: 
     strengths = texel_fit.strengths(total, sigma[first.texel], ks[first.texel], pull, specular)
     kd[first.texel], ks[first.texel] = strengths.kd, strengths.ks
     unconstrained = gloss.noise > KS_UNCONSTRAINED * gloss.level * np.sqrt(strengths.information)
-    flags = _flags(tile, total.seen, first, unconstrained)
+    flags = np.full(tile.inside.size, TexelFlag.UNSEEN | TexelFlag.NO_HIGHLIGHT | TexelFlag.KS_UNCONSTRAINED, np.uint8)
+    of_seen = np.where(total.seen < 2, TexelFlag.ONCE, 0) | np.where(unconstrained, TexelFlag.KS_UNCONSTRAINED, 0)
+    of_seen |= np.where(first.fit.information > 0, 0, TexelFlag.NO_HIGHLIGHT)
+    flags[first.texel] = np.where(total.seen > 0, of_seen, flags[first.texel])
+    flags[~tile.inside.ravel()] = TexelFlag.OUTSIDE
+    flags = flags.reshape(tile.inside.shape)
     known = (flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN)) == 0
     inside = tile.inside
     joined = np.concatenate([ks.reshape(*shape, channels), sigma.reshape(*shape, 1)], axis=-1)
@@ -249,15 +254,6 @@ def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: 
     if not inside.any():
         joined[..., channels] = np.exp(widths.field.mean[0])
     return Parameters(fill(kd.reshape(*shape, channels), known), joined[..., :channels], joined[..., channels], flags)
-
-
-def _flags(tile: Tile, seen: np.ndarray, first: _First, unconstrained: np.ndarray) -> np.ndarray:
-    flags = np.full(tile.inside.size, TexelFlag.UNSEEN | TexelFlag.NO_HIGHLIGHT | TexelFlag.KS_UNCONSTRAINED, np.uint8)
-    of_seen = np.where(seen < 2, TexelFlag.ONCE, 0) | np.where(unconstrained, TexelFlag.KS_UNCONSTRAINED, 0)
-    of_seen |= np.where(first.fit.information > 0, 0, TexelFlag.NO_HIGHLIGHT)
-    flags[first.texel] = np.where(seen > 0, of_seen, flags[first.texel])
-    flags[~tile.inside.ravel()] = TexelFlag.OUTSIDE
-    return flags.reshape(tile.inside.shape)
 
 
 def _counts(flags: np.ndarray) -> np.ndarray:
