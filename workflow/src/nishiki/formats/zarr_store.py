@@ -214,7 +214,7 @@ class BandedGroup:
         compression: str = "none",
         attributes: dict[str, Any] | None = None,
     ) -> BandedArray:
-        """Create an array whose chunks end with their CRC-32C, some may be there. compression: 'none' | 'zstd'."""
+        """Create an array whose chunks end with their CRC-32C; chunks may exist. compression: 'none' | 'zstd'."""
         kind = np.dtype(dtype)
         packers = [{"name": "zstd", "configuration": {"level": ZSTD_LEVEL, "checksum": False}}]
         node = {

@@ -380,7 +380,7 @@ class YarnWeave:
     @classmethod
     def from_arrays(cls, arrays) -> Self:
         """Restore what `as_arrays` returned."""
-        values = {field.name: arrays[field.name] for field in fields(cls) if field.name in arrays}
+        values = {field.name: arrays[field.name] for field in fields(cls)}
         values = {name: value if np.ndim(value) else float(value) for name, value in values.items()}
         return cls(**values | {"binding": Binding(*map(int, arrays["binding"]))})
 
