@@ -136,6 +136,9 @@ def test_files_that_are_none_are_named(tmp_path):
     np.savez(tmp_path / "kind.npz", kind="velvet")
     with pytest.raises(UserError, match="velvet"):
         load_brdf(tmp_path / "kind.npz")
+    np.savez(tmp_path / "parts.npz", kind="yarns", spacing_ratio=1.0)
+    with pytest.raises(UserError, match=r"parts\.npz"):
+        load_brdf(tmp_path / "parts.npz")
 
 
 def test_prediction_error_known_values():

@@ -9,7 +9,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.formats.merl import UTIA_PHI_DEG, UTIA_THETA_DEG
-from nishiki.formats.stored import load_arrays
+from nishiki.formats.stored import load_arrays, understood
 from nishiki.goniometry.directions import unit
 
 
@@ -132,4 +132,5 @@ def load_brdf(path: Path):
     if kind not in KINDS:
         raise UserError(f"kind of BRDF: expected one of {', '.join(sorted(KINDS))}, found {kind!r}")
     module, name = KINDS[kind].split(":")
-    return getattr(import_module(module), name).from_arrays(arrays)
+    with understood(path):
+        return getattr(import_module(module), name).from_arrays(arrays)
