@@ -101,8 +101,8 @@ def measured_choice(
 ) -> tuple[np.ndarray, Decision | None]:
     """As `static_choice`, with the number found: the fewest lights by which half of the sample's normals stay in place.
 
-    First predicted (`added_deg`), then checked by solving the sample with the lights chosen; a quarter more of them
-    until the check is passed. None decided where there are no more than `fewest` lights, or no pixel to judge by.
+    First predicted, then checked by solving the sample with the lights chosen; a quarter more of them
+    until the check is passed. None decided where there are no more than FEWEST lights, or no pixel to judge by.
     """
     count = len(directions)
     if count <= FEWEST or not samples:

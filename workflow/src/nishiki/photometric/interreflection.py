@@ -21,7 +21,7 @@ from nishiki.photometric.height import integrate_normals
 
 ROUNDS = 3
 BOUNCES = 8  # of predicted light
-TOGETHER = 256  # facets whose factors are computed at a time
+TOGETHER = 64  # facets whose factors are computed at a time
 FAINTEST = 1e-5  # form factor below which a facet throws no light worth counting
 SIGHT = np.linspace(0.1, 0.9, 9)  # places between two facets where the surface may stand between them
 CLEARANCE = 0.5  # facets by which it has to, as the heights are those of their centres
