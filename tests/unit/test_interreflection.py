@@ -106,7 +106,7 @@ def test_nothing_passes_through_a_wall():
 def test_normals_of_a_bowl_are_right_without_the_light_it_throws(white_board, level):
     frames = photographed(96, white_board=white_board, level=level)
     thrown, decision = find_thrown_light(frames, np.arange(17), NormalsSettings())
-    assert decision.decision == "taken off"
+    assert decision.measured > 0.05
     direct = thrown.taken_off(frames.values, slice(0, 96))
     before, after = mean_angle(frames, frames.values), mean_angle(frames, direct)
     assert before > 2
