@@ -18,8 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.threads import in_threads
-
 LIMIT = 0.5  # pixels: smaller displacements, which the light imitates on smooth relief, are left alone
 SIGMAS = 5.0  # times its standard error that a displacement must have
 LIGHT_BIAS = 0.06  # pixels of shift that a change of the lamp imitated on objects that did not move
@@ -156,7 +154,7 @@ def solve_movement(windows: list[Window], pairs: np.ndarray, before: Movement) -
     pairs (pairs, 2) int64: photographs that are compared with each other.
     """
     count, centre, reach = len(windows[0].pictures), before.centre, before.reach
-    compared = list(in_threads(lambda window: _compare(window, pairs, before), windows))
+    compared = [_compare(window, pairs, before) for window in windows]
     measured = np.concatenate([shifts for shifts, _ in compared])
     peaks = np.concatenate([heights for _, heights in compared])
     places = np.concatenate([np.tile((window.centre - centre) / reach, (len(pairs), 1)) for window in windows])
