@@ -66,7 +66,7 @@ def find_thrown_light(
     share = float(np.quantile(received, 0.9)) if received.size else 0.0
     words = "share of the light, exceeded on a tenth of the object, that other places of it throw"
     loss = f"normals of concave places too flat, {share:.2g} of the light" if share >= COUNTS else "nothing"
-    kept = Decision("interreflection", "none", words, share, COUNTS, loss, "normals.interreflection: none")
+    kept = Decision("interreflection", "none", words, share, COUNTS, loss, "no setting forces it")
     if share < COUNTS or len(lights) < FEWEST:
         return None, kept
     without, best, most = left_out_errors(few, None, FOLDS), 0.0, 0.0
@@ -81,7 +81,8 @@ def find_thrown_light(
         return None, kept
     shares = find_interreflection(facets.scaled(best)).shares.astype(np.float32).transpose(1, 2, 0, 3)
     rows, columns = (np.append(np.arange(0, size, step), size) for size in frames.shape)
-    made = Decision("interreflection", "taken off", words, share, COUNTS, "nothing", kept.override)
+    override = "normals.interreflection: none"
+    made = Decision("interreflection", "taken off", words, share, COUNTS, "nothing", override)
     return Thrown(shares.reshape(*shares.shape[:2], -1), (rows, columns)), made
 
 
