@@ -177,7 +177,7 @@ def left_out_blocks(left_out: Mapping[str, str], diagnostics: Mapping[str, Mappi
     ]  # fmt: skip
     if decided:
         head = ("stage", "what", "decision", "criterion", "measured", "limit", "loss", "to decide otherwise")
-        caption = "Decided by the stages themselves, each by what it measured; a setting overrides each."
+        caption = "Decided by the stages themselves, each by what it measured; a setting overrides most of them."
         blocks.append(Table(head, decided, "llwwrrww", caption))
     return blocks
 
