@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,6 +18,7 @@ from nishiki.engine import finished
 from nishiki.engine.plan import PlannedStage
 from nishiki.engine.project import Scene, StageSettings
 from nishiki.engine.running_lock import MARK, RUNS, registered, scenes_to_make
+from nishiki.engine.workflow import Workflow
 
 NAMES = ("first", "second", "third")
 
@@ -35,7 +37,9 @@ def flow(tmp_path, monkeypatch):
         stages = {stage: PlannedStage(stage, keys[stage], {}, {up: keys[up] for up in READS[stage]}) for stage in READS}
         scene = Scene(name, Path("captures/x"), None, ("report",), StageSettings())
         plans[name] = SimpleNamespace(scene=scene, stages=stages)
-    return SimpleNamespace(plans=plans, results=str(tmp_path), code=codes.__getitem__, codes=codes, versions=versions)
+    flow = SimpleNamespace(plans=plans, results=str(tmp_path), code=codes.__getitem__, codes=codes, versions=versions)
+    flow.path, flow.above = partial(Workflow.path, flow), partial(Workflow.above, flow)
+    return flow
 
 
 def folder(flow, stage):

@@ -40,7 +40,8 @@ def scene(tmp_path):
 
 
 def planned(folder):
-    return {"s": [(stage, folder / stage / KEYS[stage], READS[stage]) for stage in KEYS]}
+    places = {stage: folder / stage / KEYS[stage] for stage in KEYS}
+    return [(places[stage], {other: places[other] for other in READS[stage]}) for stage in KEYS]
 
 
 def test_sound_artifacts_stay(scene):

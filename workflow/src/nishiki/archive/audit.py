@@ -12,7 +12,7 @@ from nishiki.archive.crate import METADATA
 from nishiki.archive.survey import CAPTURE, Damage, Survey, read_portion, survey_artifact
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import INDEX, MANIFEST, index_text
-from nishiki.artifacts.provenance import file_digest
+from nishiki.artifacts.provenance import file_digest, place_above
 from nishiki.threads import in_threads
 
 
@@ -59,7 +59,7 @@ class References:
         for stage, (key, digest) in self._upstream[folder].items():
             if stage == CAPTURE:
                 continue
-            upstream = folder.parents[1] / stage / key
+            upstream = folder.parents[2].joinpath(*place_above(folder.parents[1].name, stage), key)
             present = self.digest(upstream)
             if present is None:
                 yield Damage(upstream, "missing", f"{folder} was made from it; run again")

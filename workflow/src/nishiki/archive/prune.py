@@ -17,6 +17,7 @@ from typing import Any
 from nishiki.archive.survey import CAPTURE
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import INDEX, MANIFEST, RUN, parse_manifest
+from nishiki.artifacts.provenance import place_above
 from nishiki.engine.project import SWEEPS
 from nishiki.engine.running_lock import RUNS
 from nishiki.engine.sweep_plan import TIMINGS
@@ -244,7 +245,7 @@ def _kept(finished: list[Finished], planned: set[Place], published: set[Place]) 
     while queue:
         item = queue.pop()
         for stage, (key, digest) in item.upstream.items():
-            place = (item.place[0], stage, key)
+            place = (*place_above(item.place[0], stage), key)
             above = by_digest.get((place, digest)) or by_place.get(place)
             if above is not None and above.folder not in kept:
                 kept[above.folder] = f"{item.place[1]}/{item.folder.name} was made from it"

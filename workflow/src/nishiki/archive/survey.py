@@ -9,7 +9,7 @@ from typing import Any
 
 from nishiki.archive.tree import Listing, Tree
 from nishiki.artifacts.artifact import MANIFEST, RUN, is_digest, parse_manifest, run_problem
-from nishiki.artifacts.provenance import stage_key
+from nishiki.artifacts.provenance import UPSTREAM, stage_key
 
 KINDS = {
     "damaged": "the content is not what was written",
@@ -170,7 +170,7 @@ def _note_upstream(survey: Survey, manifest: dict[str, Any]) -> None:
     """Record the upstream artifacts after a check of their names, which become paths."""
     for stage, entry in manifest["upstream"].items():
         key, digest = entry.get("key", ""), entry.get("digest")
-        named = key == "" if stage == CAPTURE else stage.isidentifier() and KEY.fullmatch(str(key))
+        named = key == "" if stage == CAPTURE else UPSTREAM.fullmatch(stage) and KEY.fullmatch(str(key))
         if named and is_digest(digest):
             survey.upstream[stage] = (key, digest)
         else:

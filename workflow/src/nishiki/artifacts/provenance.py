@@ -26,7 +26,7 @@ import os
 import re
 import sys
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -167,6 +167,28 @@ def _normal(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_normal(item) for item in value]
     raise TypeError(f"a setting must be made of numbers, texts, lists and blocks, found {type(value).__name__}")
+
+
+UPSTREAM = re.compile(r"([A-Za-z0-9_-]+/)?[a-z_0-9]+")
+"""Names of what a stage reads: STAGE of its own scene, or FIELD/STAGE of the scene of a field."""
+
+
+def scene_of_field(scene: str, field: str) -> str:
+    """Return the name of the scene that a field of a mosaic has."""
+    return f"{scene}--{field}"
+
+
+def name_above(scene: str, manifest: Mapping[str, Any]) -> str:
+    """Return the name under which a stage of `scene` reads the artifact of a manifest (see `UPSTREAM`)."""
+    of, stage = manifest["scene"], manifest["stage"]
+    field = of.removeprefix(scene_of_field(scene, ""))
+    return stage if field == of else f"{field}/{stage}"
+
+
+def place_above(scene: str, name: str) -> tuple[str, str]:
+    """Return scene and stage of what a stage of `scene` reads under a name (see `UPSTREAM`)."""
+    field, _, stage = name.rpartition("/")
+    return (scene_of_field(scene, field) if field else scene), stage
 
 
 def stage_key(stage: str, version: int, settings: dict, upstream: dict[str, str]) -> str:

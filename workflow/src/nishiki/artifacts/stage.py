@@ -8,7 +8,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,7 +17,7 @@ from nishiki.artifacts.closed import Guarded, parse
 from nishiki.artifacts.finite import expect_finite
 from nishiki.artifacts.limits import at_bounds, check, limit_warnings
 from nishiki.artifacts.maps import StagePart, TiledStage, in_order
-from nishiki.artifacts.provenance import canonical, stage_key
+from nishiki.artifacts.provenance import canonical, name_above, stage_key
 from nishiki.errors import UserError, of_the_machine
 from nishiki.formats.picture_process import end_children
 from nishiki.packages import load_all, loaded
@@ -88,7 +88,11 @@ NAMELESS = "scene"
 
 @dataclass(frozen=True)
 class Context:
-    """What a stage's function is given."""
+    """What a stage's function is given.
+
+    inputs: artifacts by stage; one that stands for other stages is there under their names, too. fields: artifacts of
+    the scenes of a mosaic's fields, by field and stage.
+    """
 
     inputs: dict[str, Artifact]
     settings: Any
@@ -99,6 +103,7 @@ class Context:
     progress: Progress
     part: StagePart | None = None  # of a divided stage: the share that this job does
     parts: tuple[Artifact, ...] = ()  # of a divided stage: what the one that joins them is given
+    fields: dict[str, dict[str, Artifact]] = field(default_factory=dict)
 
     def share(self, items: Sequence[Item]) -> Sequence[Item]:
         """Those of the bands (or other equal pieces of work) that this job does: all, unless it is a part."""
@@ -112,16 +117,18 @@ def run_stage(
     *,
     arguments: Sequence[str] | None = None,
     digest_of_capture: Callable[[Path], str] | None = None,
+    stands_for: Sequence[str] = (),
 ) -> None:
     """Run one stage from the command line. Exit status 0: done; 2: bad input, told in one line; 1: a bug.
 
     arguments: of the command line, after the stage's name; None: those of this process.
     digest_of_capture: for the first stage, whose key starts from the capture instead of upstream artifacts.
+    stands_for: stages whose artifacts of several fields it joins, and in whose place later stages read its own.
     """
     values = _arguments(settings_model, description, arguments)
     who = settings_model.STAGE if values.scene == NAMELESS else f"{values.scene}/{settings_model.STAGE}"
     try:
-        _run(settings_model, run, values, digest_of_capture)
+        _run(settings_model, run, values, digest_of_capture, stands_for)
     except UserError as error:
         print(f"nishiki {who}: {error}", file=sys.stderr)
         raise SystemExit(2) from None
@@ -172,28 +179,31 @@ def _run(
     run: Callable[[Context], dict[str, Any]],
     arguments: argparse.Namespace,
     digest_of_capture: Callable[[Path], str] | None,
+    stands_for: Sequence[str],
 ) -> None:
     facts = RunFacts()
     if arguments.load_everything:
         load_all()
     settings = parse(model, _json(arguments.settings, "--settings"), f"settings of {model.STAGE}")
     opened = [open_artifact(Path(folder)) for folder in arguments.inputs]
-    inputs = {artifact.stage: artifact for artifact in opened if "part" not in artifact.manifest}
+    named = {name_above(arguments.scene, item.manifest): item for item in opened if "part" not in item.manifest}
+    inputs, fields = _by_stage(named)
     parts = [artifact for artifact in opened if "part" in artifact.manifest]
     if not digest_of_capture:
-        upstream = {name: artifact.key for name, artifact in inputs.items()}
+        upstream = {name: artifact.key for name, artifact in named.items()}
     elif arguments.capture is None:
         raise UserError("--capture is needed: the sealed capture folder")
     else:
         upstream = {"capture": digest_of_capture(arguments.capture)}
     values = settings.model_dump(mode="json")
     key = stage_key(model.STAGE, model.VERSION, values, upstream)
-    read = {name: {"key": item.key, "digest": item.digest} for name, item in inputs.items()}
+    read = {name: {"key": item.key, "digest": item.digest} for name, item in named.items()}
     joined = in_order(parts, key=key, code=arguments.code, upstream=read) if parts else ()
     if arguments.part is not None and not isinstance(run, TiledStage):
         raise UserError(f"--part: {model.STAGE} cannot be divided")
     part = None if arguments.part is None else StagePart.parse(arguments.part)
     target = arguments.output if part else _target(arguments.output, key)
+    joins = [name for name in stands_for if fields and all(name in made for made in fields.values())]
     stamp = {"scene": arguments.scene, "stage": model.STAGE, "key": key, "version": PROJECT_VERSION}
     with ArtifactWriter(target) as output:
         context = Context(
@@ -206,6 +216,7 @@ def _run(
             Progress(f"{arguments.scene}/{model.STAGE}"),
             part,
             tuple(joined),
+            fields,
         )
         diagnostics = run(context)
         if not part:
@@ -219,6 +230,7 @@ def _run(
         manifest = {
             **stamp,
             **({"part": arguments.part} if part else {}),
+            **({"stands_for": joins} if joins else {}),
             "format_version": model.VERSION,
             "settings": json.loads(canonical(values)),
             "upstream": read or {"capture": {"digest": upstream["capture"]}},
@@ -228,6 +240,19 @@ def _run(
         }
         made_from = [Path(name) if name.endswith(MANIFEST) else Path(name, MANIFEST) for name in arguments.inputs]
         output.finish(manifest, facts.finish(arguments.capture), inputs=made_from)
+
+
+def _by_stage(named: dict[str, Artifact]) -> tuple[dict[str, Artifact], dict[str, dict[str, Artifact]]]:
+    """Return the artifacts of the scene by stage, and those of fields by field and stage."""
+    inputs: dict[str, Artifact] = {}
+    fields: dict[str, dict[str, Artifact]] = {}
+    for name, artifact in named.items():
+        field, _, stage = name.rpartition("/")
+        if field:
+            fields.setdefault(field, {})[stage] = artifact
+        else:
+            inputs |= dict.fromkeys((stage, *artifact.manifest.get("stands_for", ())), artifact)
+    return inputs, fields
 
 
 def _json(text: str, where: str) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from nishiki.capture.frames import (
 )
 from nishiki.capture.goniometer import GoniometerCapture, GoniometerFile, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
+from nishiki.capture.mosaic import MosaicCapture, examine_mosaic, is_mosaic
 from nishiki.capture.schema import LOST_BY_FIT, NAMED_ILLUMINANTS, CaptureFile, geometry_named, read_capture_file
 from nishiki.capture.schema_base import Session
 from nishiki.capture.tables import Curves, read_curves
@@ -92,7 +93,10 @@ def payload_of(root: Path) -> Path:
     refuse("capture-missing", str(root), "folder holds no capture.yaml", remedy=remedy)
 
 
-def load_capture(root: Path | str) -> Capture | TurntableCapture | GoniometerCapture:
+AnyCapture = Capture | TurntableCapture | GoniometerCapture | MosaicCapture
+
+
+def load_capture(root: Path | str) -> AnyCapture:
     """Read and check the tables of a capture folder; no photograph is opened.
 
     Parameters
@@ -102,10 +106,11 @@ def load_capture(root: Path | str) -> Capture | TurntableCapture | GoniometerCap
 
     Returns
     -------
-    Capture, TurntableCapture or GoniometerCapture
-        By its geometry, `plane`, `turntable` or `goniometer`. All have `settings` (the checked `capture.yaml`),
-        `frames` (name, role and lamp of each photograph) and `warnings`; a plane also has `lights` and `directions`,
-        a (photographs, 3) float64 ndarray of unit vectors to the lamps, x right, y up, z towards the camera.
+    Capture, TurntableCapture, GoniometerCapture or MosaicCapture
+        By its geometry, `plane`, `turntable`, `goniometer` or `mosaic`. A mosaic has `fields` and their `captures`; the
+        others have `settings` (the checked `capture.yaml`), `frames` (name, role and lamp of each photograph) and
+        `warnings`; a plane also has `lights` and `directions`, a (photographs, 3) float64 ndarray of unit vectors to
+        the lamps, x right, y up, z towards the camera.
 
     Raises
     ------
@@ -134,8 +139,10 @@ def load_capture(root: Path | str) -> Capture | TurntableCapture | GoniometerCap
     return capture
 
 
-def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture | None, list[Problem]]:
+def examine(root: Path) -> tuple[AnyCapture | None, list[Problem]]:
     """Read the capture (None where its tables cannot be read) and list everything wrong in its tables."""
+    if is_mosaic(root):
+        return examine_mosaic(root, examine)
     problems: list[Problem] = []
 
     def attempt(read: Callable[[], T]) -> T | None:

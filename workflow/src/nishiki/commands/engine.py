@@ -11,7 +11,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
 
@@ -121,10 +121,9 @@ def call_engine(
                 _tell(f"{done} of {total} scenes are finished and left as they are")
             held.leave_out_finished(scenes)
         expect_links(Path(flow.results))
-        plans = {scene: flow.plans[scene] for scene in scenes}
-        for swept in flow.sweep.scenes if flow.sweep else ():
-            plans |= {f"{swept.scene} {variant.name}": variant.plan for variant in swept.variants}
-        set_aside_unsound({name: _stages(flow, plan) for name, plan in plans.items()}, _tell, contents=held.unclean)
+        plans = [flow.plans[each.name] for scene in scenes for each in flow.plans[scene].scene.with_fields]
+        plans += [variant.plan for swept in (flow.sweep.scenes if flow.sweep else ()) for variant in swept.variants]
+        set_aside_unsound([stage for plan in plans for stage in _stages(flow, plan)], _tell, contents=held.unclean)
         with tempfile.TemporaryFile() as failed:
             counted = len(scenes) if unfinished_only else None
             shown = QUIET if ITS_OWN_OUTPUT & set(options) else _display(flow, scenes, counted, failed.fileno())
@@ -170,8 +169,9 @@ def _tell(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def _stages(flow: Workflow, plan: Plan) -> list[tuple[str, Path, tuple[str, ...]]]:
-    return [
-        (name, Path(flow.path(plan.scene.name, name, planned.key)).parent, tuple(planned.upstream))
-        for name, planned in plan.stages.items()
-    ]
+def _stages(flow: Workflow, plan: Plan) -> Iterator[tuple[Path, dict[str, Path]]]:
+    """Yield the folder of each stage of a plan, and those of the artifacts that it reads by their names."""
+    scene = plan.scene.name
+    for name, planned in plan.stages.items():
+        above = {other: Path(path).parent for other, path in flow.above(scene, planned).items()}
+        yield Path(flow.path(scene, name, planned.key)).parent, above

@@ -38,12 +38,15 @@ def plan(scene: str | None, configfile: str, as_json: bool) -> None:
 def scene_plan(flow: "Workflow", name: str) -> dict[str, Any]:
     """Everything that the plan of a scene says, as plain values."""
     from nishiki.capture.folder import load_capture
+    from nishiki.capture.mosaic import MosaicCapture
     from nishiki.observations.region import usage_of
 
     made = flow.plans[name]
-    ingest = made.stages["ingest"].settings
-    parts = {key: ingest[key] for key in ("without", "channels", "tile_mib", "white_block")}
-    reading = usage_of(load_capture(made.scene.capture), **parts)
+    capture, reads = load_capture(made.scene.capture), {}
+    if not isinstance(capture, MosaicCapture):
+        ingest = made.stages["ingest"].settings
+        parts = {key: ingest[key] for key in ("without", "channels", "tile_mib", "white_block")}
+        reads = usage_of(capture, **parts).as_dict()
     loaded = tuple(dict.fromkeys(p for names in made.packages.values() for p in names if p in EXTRAS))
     missing = tuple(package for package in loaded if not installed(package))
     return {
@@ -51,7 +54,7 @@ def scene_plan(flow: "Workflow", name: str) -> dict[str, Any]:
         "geometry": made.facts.geometry,
         "what": described(made.facts),
         "stages": [_stage(flow, made, name, stage) for stage in made.stages],
-        "reads": reading.as_dict(),
+        "reads": reads,
         "optional_packages": {
             "loaded": list(loaded),
             "not_loaded": dict(made.idle),
@@ -98,6 +101,8 @@ def described(facts: "SceneFacts") -> str:
         lit = f"{facts.frontal} of them lit along the normal"
         return f"{of} {facts.measurements} pairs of directions, {lit}, {channels}"
     size = f"{facts.pixels / 1e6:.2f} Mpx" if facts.pixels >= 10_000 else f"{facts.pixels} pixels"
+    if facts.fields:
+        return f"mosaic of {len(facts.fields)} fields, {size} with their overlaps, {channels}"
     if facts.geometry != "turntable":
         return f"{size}, {len(facts.lights)} lights, {channels}"
     states = f", {len(facts.states)} polariser states" if len(facts.states) > 1 else ""
@@ -118,7 +123,7 @@ def text_of(summary: dict[str, Any]) -> str:
         lines.append(f"  {count}: at most {memory} MiB and {duration(seconds)} of one core")
     else:
         lines.append("  nothing to run: every stage is done")
-    lines += _read_lines(summary["reads"])
+    lines += _read_lines(summary["reads"]) if summary["reads"] else []
     packages = summary["optional_packages"]
     loaded = [f"{name} ({PURPOSE[name]})" for name in packages["loaded"]]
     lines.append(f"  optional packages loaded: {', '.join(loaded) or 'none'}")
@@ -183,17 +188,14 @@ def stage_state(flow: "Workflow", scene: str, stage: str) -> tuple[str, list[str
 
 def _upstream_reasons(flow: "Workflow", scene: str, stage: str, artifact: "Artifact") -> list[str]:
     from nishiki.artifacts.artifact import open_artifact
-    from nishiki.stages.table import CHAIN
+    from nishiki.artifacts.provenance import place_above
 
-    reasons = []
-    for upstream in flow.plans[scene].stages[stage].upstream:
-        if upstream not in CHAIN:
-            continue
-        path = Path(flow.artifact(scene, upstream))
-        state, _ = stage_state(flow, scene, upstream)
+    reasons, made_from = [], artifact.manifest["upstream"]
+    for upstream, path in flow.above(scene, flow.plans[scene].stages[stage]).items():
+        state, _ = stage_state(flow, *place_above(scene, upstream))
         if state == "run":
             reasons.append(f"{upstream} will run before it")
-        elif open_artifact(path, contents=False).digest != artifact.manifest["upstream"][upstream]["digest"]:
+        elif open_artifact(Path(path).parent, contents=False).digest != made_from[upstream]["digest"]:
             reasons.append(f"{upstream} was made again since, with another result")
     return reasons
 

@@ -9,9 +9,9 @@ cache holds nothing that cannot be read again, and may be deleted at any time.
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from typing import Any
 from nishiki.artifacts.provenance import PACKAGE, truth_digest
 from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.goniometer import NORMAL_DEG, GoniometerCapture
+from nishiki.capture.mosaic import MosaicCapture
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.engine.project import Scene
@@ -42,17 +43,12 @@ def scene_facts(scene: Scene) -> SceneFacts:
         raise UserError(
             f"scene {scene.name!r}: capture {scene.capture} is not sealed. Remedy: ./nishiki seal {scene.capture}"
         )
-    truth = truth_digest(scene.truth) if scene.truth else ""
-    if isinstance(capture, GoniometerCapture):
-        return _of_goniometer(scene, capture, truth)
-    if isinstance(capture, TurntableCapture):
-        return _of_turntable(scene, capture, truth)
-    return _of_plane(scene, capture, truth)
+    return replace(FACTS[capture.geometry](capture), truth_sha256=truth_digest(scene.truth) if scene.truth else "")
 
 
-def _of_plane(scene: Scene, capture: Capture, truth: str) -> SceneFacts:
+def _of_plane(capture: Capture) -> SceneFacts:
     return SceneFacts(
-        **_of_any(scene, capture, truth),
+        **_of_any(capture),
         lights=tuple(frame.light for frame in capture.observed if frame.role == "sample"),
         check_lights=tuple(frame.light for frame in capture.observed if frame.role == "check"),
         channels=len(capture.settings.camera.channels),
@@ -62,7 +58,24 @@ def _of_plane(scene: Scene, capture: Capture, truth: str) -> SceneFacts:
     )
 
 
-def _of_turntable(scene: Scene, capture: TurntableCapture, truth: str) -> SceneFacts:
+def _of_mosaic(capture: MosaicCapture) -> SceneFacts:
+    """Return facts of the joined maps; pixels: of all fields, of which their overlaps are counted more than once."""
+    fields = [_of_plane(each) for each in capture.captures]
+    return replace(
+        fields[0],
+        capture_digest=capture.digest,
+        lights=(),
+        check_lights=(),
+        pixels=sum(each.kept_pixels or each.pixels for each in fields),
+        geometry="mosaic",
+        parts={},
+        suffixes=(),
+        kept_pixels=0,
+        fields=tuple(each.name for each in capture.fields),
+    )
+
+
+def _of_turntable(capture: TurntableCapture) -> SceneFacts:
     boards = {frame.view for frame in capture.frames_of("board")}
     given = {
         "matrices": capture.matrices is not None,
@@ -72,7 +85,7 @@ def _of_turntable(scene: Scene, capture: TurntableCapture, truth: str) -> SceneF
     }
     header = read_header(capture.observed[0].path, name=capture.observed[0].file)
     return SceneFacts(
-        **_of_any(scene, capture, truth),
+        **_of_any(capture),
         lights=capture.light_names,
         check_lights=(),
         channels=len(capture.settings.camera.channels),
@@ -86,7 +99,7 @@ def _of_turntable(scene: Scene, capture: TurntableCapture, truth: str) -> SceneF
     )
 
 
-def _of_goniometer(scene: Scene, capture: GoniometerCapture, truth: str) -> SceneFacts:
+def _of_goniometer(capture: GoniometerCapture) -> SceneFacts:
     angles, pixels, table = capture.angles_deg, 1, capture.table is not None
     if not table:
         header = read_header(capture.observed[0].path, name=capture.observed[0].file)
@@ -94,7 +107,7 @@ def _of_goniometer(scene: Scene, capture: GoniometerCapture, truth: str) -> Scen
         pixels = rows * columns if capture.regions is not None else min(rows, crop) * min(columns, crop)
     along = sum(angle[0] < NORMAL_DEG for angle in angles)
     return SceneFacts(
-        **_of_any(scene, capture, truth),
+        **_of_any(capture),
         lights=(),
         check_lights=(),
         channels=len(capture.channels),
@@ -107,13 +120,21 @@ def _of_goniometer(scene: Scene, capture: GoniometerCapture, truth: str) -> Scen
     )
 
 
-def _of_any(scene: Scene, capture: Capture | TurntableCapture | GoniometerCapture, truth: str) -> dict[str, Any]:
+FACTS: dict[str, Callable[[Any], SceneFacts]] = {
+    "plane": _of_plane,
+    "turntable": _of_turntable,
+    "goniometer": _of_goniometer,
+    "mosaic": _of_mosaic,
+}
+
+
+def _of_any(capture: Capture | TurntableCapture | GoniometerCapture) -> dict[str, Any]:
     """Return the facts that captures of every geometry have."""
     return {
-        "capture_digest": capture_digest(scene.capture),
+        "capture_digest": capture_digest(capture.root),
         "has_sensitivities": capture.sensitivities is not None,
         "has_illuminant": capture.illuminant is not None,
-        "truth_sha256": truth,
+        "truth_sha256": "",
         "suffixes": tuple(sorted({frame.path.suffix.lower() for frame in capture.frames})),
     }
 

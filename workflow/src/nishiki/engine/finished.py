@@ -12,7 +12,7 @@ import contextlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -22,7 +22,6 @@ from nishiki.artifacts.artifact import INDEX, MANIFEST, open_artifact
 from nishiki.artifacts.provenance import file_digest, library_version
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
-from nishiki.stages.table import CHAIN
 
 
 def unfinished_scenes(flow: Workflow, *, contents: bool = False) -> dict[str, str]:
@@ -39,6 +38,9 @@ def reason_to_run(flow: Workflow, scene: str, *, contents: bool = False) -> str:
     plan = flow.plans[scene]
     if plan.scene.settings.leave_out == "nothing":
         return "leave_out: nothing measures its stages, which finished ones may have left out"
+    for field in plan.scene.fields:
+        if reason := reason_to_run(flow, field.name, contents=contents):
+            return f"{field.name}: {reason}"
     folder = f"{flow.results}/{scene}"
     published: dict[str, dict[str, str]] = {}
     for name, planned in plan.stages.items():
@@ -53,8 +55,9 @@ def reason_to_run(flow: Workflow, scene: str, *, contents: bool = False) -> str:
             return f"the code of {name} changed"
         if manifest.get("libraries") != _versions(planned.packages):
             return f"a library of {name} changed"
-        for other in planned.upstream:
-            if other in CHAIN and manifest["upstream"].get(other, {}).get("digest") != published[other]["digest"]:
+        for other, path in flow.above(scene, planned).items():
+            present = published[other]["digest"] if other in published else file_digest(Path(path))
+            if manifest["upstream"].get(other, {}).get("digest") != present:
                 return f"{name} was made from another version of {other} than the present one"
         published[name] = {"key": planned.key, "digest": artifact.sha256}
     code = flow.code("publish")
@@ -85,33 +88,30 @@ class Unsound:
         return f"{self.folder}: {self.why}"
 
 
-def unsound_artifacts(
-    plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]], *, contents: bool = False
-) -> list[Unsound]:
+def unsound_artifacts(plans: Iterable[tuple[Path, Mapping[str, Path]]], *, contents: bool = False) -> list[Unsound]:
     """Torn and stale artifacts of some scenes, in the order of the flow.
 
-    plans: scene -> stages in the order of the flow, each its name, its folder, and the names of its upstream stages.
+    plans: stages in the order of the flow, each its folder, and the folders of what it reads by their names.
     Torn: files missing or of the wrong size, or no readable manifest. Stale: an upstream artifact that stands there is
     not the one that it was made from. Sizes are looked at; contents: what a stage checks of its inputs too, as after a
     power cut; `./nishiki verify` reads everything.
     """
     unsound = []
-    for stages in plans.values():
-        sound: dict[str, str] = {}
-        for name, folder, upstream in stages:
-            if not folder.exists() or not any(folder.iterdir()):  # Snakemake makes the folder before the stage starts
-                continue
-            try:
-                artifact = open_artifact(folder, contents=contents)
-            except UserError as error:
-                unsound.append(Unsound(folder, str(error).removeprefix(f"{folder}: ")))
-                continue
-            made_from = {other: part.get("digest") for other, part in artifact.manifest["upstream"].items()}
-            stale = [other for other in upstream if other in sound and made_from.get(other) != sound[other]]
-            if stale:
-                unsound.append(Unsound(folder, f"made from another version of {stale[0]} than the present one"))
-            else:
-                sound[name] = file_digest(folder / MANIFEST)
+    sound: dict[Path, str] = {}
+    for folder, upstream in plans:
+        if not folder.exists() or not any(folder.iterdir()):  # Snakemake makes the folder before the stage starts
+            continue
+        try:
+            artifact = open_artifact(folder, contents=contents)
+        except UserError as error:
+            unsound.append(Unsound(folder, str(error).removeprefix(f"{folder}: ")))
+            continue
+        made_from = {other: part.get("digest") for other, part in artifact.manifest["upstream"].items()}
+        stale = [name for name, other in upstream.items() if other in sound and made_from.get(name) != sound[other]]
+        if stale:
+            unsound.append(Unsound(folder, f"made from another version of {stale[0]} than the present one"))
+        else:
+            sound[folder] = file_digest(folder / MANIFEST)
     return unsound
 
 
@@ -129,9 +129,9 @@ def set_aside(folder: Path) -> Path:
 
 
 def set_aside_unsound(
-    plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]], tell: Callable[[str], None], *, contents: bool = False
+    plans: Sequence[tuple[Path, Mapping[str, Path]]], tell: Callable[[str], None], *, contents: bool = False
 ) -> list[Unsound]:
-    """Set every torn or stale artifact aside and tell each; what was found."""
+    """Set every torn or stale artifact aside and tell each; what was found. plans: see `unsound_artifacts`."""
     unsound = list({item.folder: item for item in unsound_artifacts(plans, contents=contents)}.values())
     for item in unsound:
         target = set_aside(item.folder)
@@ -140,24 +140,24 @@ def set_aside_unsound(
     return unsound
 
 
-def put_dates_right(plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]]) -> None:
+def put_dates_right(plans: Iterable[tuple[Path, Mapping[str, Path]]]) -> None:
     """Date manifests neither after now nor before those of their upstream artifacts.
 
     Digests have said what is sound. Dates mean nothing then, but Snakemake goes by them: where a clock was set back it
     would make finished artifacts again, and fail every job that has an input from the future.
     """
     now = time.time_ns()
-    for stages in plans.values():
-        dates: dict[str, int] = {}
-        for name, folder, upstream in stages:
-            manifest = folder / MANIFEST
-            if not manifest.is_file():
-                continue
-            modified = manifest.stat().st_mtime_ns
-            dates[name] = max([min(modified, now), *(dates[other] for other in upstream if other in dates)])
-            if dates[name] != modified:
-                with contextlib.suppress(OSError):  # results that cannot be written: the run tells of that itself
-                    os.utime(manifest, ns=(dates[name], dates[name]))
+    dates: dict[Path, int] = {}
+    for folder, upstream in plans:
+        manifest = folder / MANIFEST
+        if not manifest.is_file():
+            continue
+        modified = manifest.stat().st_mtime_ns
+        date = max([min(modified, now), *(dates[other] for other in upstream.values() if other in dates)])
+        dates[folder] = date
+        if date != modified:
+            with contextlib.suppress(OSError):  # results that cannot be written: the run tells of that itself
+                os.utime(manifest, ns=(date, date))
 
 
 Value = str | float | bool | None

@@ -4,8 +4,9 @@ What `PARTS` does not name (the photographs that a fit needs, their white boards
 masks) is always read.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 from nishiki.artifacts.closed import Closed
@@ -102,8 +103,8 @@ class Plan:
         return f"{self.scene.name}/{stage}/{self.stages[stage].key}"
 
 
-def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
-    """Plan a scene: the stages that its products reach and its capture can feed.
+def make_plan(scene: Scene, facts: SceneFacts, fields: Mapping[str, Plan] = MappingProxyType({})) -> Plan:
+    """Plan a scene: the stages that its products reach and its capture can feed; fields: plans of a mosaic's, by name.
 
     Raises UserError where a product that was asked for by name cannot be made, with the reason.
     """
@@ -117,15 +118,21 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
         settings[name] = given.model_copy(update=update | CHAIN[name].filled(given, scene.settings))
     left_out: dict[str, str] = {}
     needed: set[str] = set()
+    joined = {  # stages of the fields, and the stage in which later ones find them
+        each: name
+        for name, stage in chain.items()
+        for each in stage.stands_for
+        if all(each in plan.stages for plan in fields.values())
+    }
     products = scene.products
     if scene.settings.leave_out == "nothing":  # first those that pull in others: reasons to leave out name the cause
         products = tuple(stage.asked_as for name, stage in reversed(chain.items()) if name != "ingest")
     for product in products:
-        stage = next((name for name in chain if product in (name, chain[name].product)), None)
+        stage = next((name for name in chain if product in (name, chain[name].product)), joined.get(product))
         if stage is None:
             left_out[product] = f"captures of a {facts.geometry} have no such stage"
         else:
-            _reach(stage, facts, settings, needed, left_out)
+            _reach(stage, facts, settings, needed, left_out, joined)
     if not needed:
         raise UserError(
             f"scene {scene.name!r}: nothing to make: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}"
@@ -133,8 +140,9 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
     for name in chain:
         if name not in needed and name not in left_out:
             left_out[name] = "no product asked for needs it"
-    settings["ingest"], reasons = _read_by_ingest(scene, facts, settings, needed, held_out)
-    left_out |= reasons
+    if "ingest" in needed:
+        settings["ingest"], reasons = _read_by_ingest(scene, facts, settings, needed, held_out)
+        left_out |= reasons
     packages = {
         name: tuple(each for each in stage.libraries if idle_reason(stage, each, facts, settings) is None)
         for name, stage in chain.items()
@@ -148,9 +156,12 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
             reasons_shown = left_out | {f"package {package}": why for package, why in idle.items()}
             settings[name] = settings[name].model_copy(update={"left_out": reasons_shown})
         values = settings[name].model_dump(mode="json")
-        reads = (*CHAIN[name].requires, *CHAIN[name].wants(settings[name]), *CHAIN[name].uses)
+        named = (*CHAIN[name].requires, *CHAIN[name].wants(settings[name]), *CHAIN[name].uses)
+        reads = {joined.get(other, other) for other in named}
         before = ["capture"] if name == "ingest" else [other for other in CHAIN if other in reads and other in stages]
         upstream = {other: keys[other] for other in before}
+        for part, plan in fields.items():
+            upstream |= {f"{part}/{each}": plan.stages[each].key for each in joined if joined[each] == name}
         keys[name] = key_of_text(name, CHAIN[name].version, canonical(values), upstream)
         stages[name] = PlannedStage(name, keys[name], values, upstream, packages[name])
     return Plan(scene, facts, stages, left_out, held_out, packages, idle)
@@ -201,7 +212,7 @@ def held_out_of(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) 
 
     auto: a tenth of at least 16 lights, a twelfth of at least 16 views, where neither truth nor check lights exist.
     """
-    if choice == "none":
+    if choice == "none" or facts.fields:
         return ()
     series, what = facts.series, "view" if facts.geometry == "turntable" else "light"
     if choice == "auto":
@@ -217,19 +228,23 @@ def held_out_of(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) 
     return tuple(choice)
 
 
-def _reach(name: str, facts: SceneFacts, settings: dict, needed: set[str], left_out: dict[str, str]) -> bool:
+def _reach(
+    name: str, facts: SceneFacts, settings: dict, needed: set[str], left_out: dict[str, str], joined: dict[str, str]
+) -> bool:
     """Add a stage and what it needs to the plan; False, with the reason noted, where the capture cannot feed it."""
+    name = joined.get(name, name)
     if name in needed:
         return True
-    reason = CHAIN[name].lacks(facts, settings[name])
+    known = name in settings
+    reason = CHAIN[name].lacks(facts, settings[name]) if known else f"captures of a {facts.geometry} have no such stage"
     if reason:
         left_out[name] = reason
         return False
     for upstream in CHAIN[name].requires:
-        if not _reach(upstream, facts, settings, needed, left_out):
+        if not _reach(upstream, facts, settings, needed, left_out, joined):
             left_out[name] = f"it needs {upstream}, which is left out: {left_out[upstream]}"
             return False
     for upstream in CHAIN[name].wants(settings[name]):
-        _reach(upstream, facts, settings, needed, left_out)
+        _reach(upstream, facts, settings, needed, left_out, joined)
     needed.add(name)
     return True

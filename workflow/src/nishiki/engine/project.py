@@ -3,6 +3,7 @@
 import csv
 import os
 import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,9 +12,12 @@ import yaml
 from pydantic import Field, create_model
 
 from nishiki.artifacts.closed import FORMER, Closed, merged, parse
+from nishiki.artifacts.provenance import scene_of_field
+from nishiki.capture.mosaic import is_mosaic, read_fields
 from nishiki.errors import UserError
 from nishiki.formats import plain_yaml
 from nishiki.formats.files import is_plain, read_text
+from nishiki.formats.problems import CaptureError
 from nishiki.stages.table import CHAIN, PRODUCTS, chain_of
 from nishiki.sweep.settings import SweepName, SweepSettings
 
@@ -89,6 +93,12 @@ class Scene:
     truth: Path | None
     products: tuple[str, ...]
     settings: StageSettings
+    fields: tuple["Scene", ...] = ()  # of a mosaic: the scenes of its fields
+
+    @property
+    def with_fields(self) -> tuple["Scene", ...]:
+        """The scenes of its fields, and itself, which is made from them."""
+        return (*self.fields, self)
 
 
 @dataclass(frozen=True)
@@ -133,10 +143,11 @@ def load_project(
         values = load_yaml(path)
     configuration = parse(Configuration, values, str(path))
     scenes = {}
-    for scene in _read_scenes(configuration, values, Path(configuration.scenes)):
-        if scene.name in scenes:
-            raise UserError(f"{configuration.scenes}: scene {scene.name!r} stands in the table twice")
-        scenes[scene.name] = scene
+    for row in _read_scenes(configuration, values, Path(configuration.scenes)):
+        for scene in row.with_fields:
+            if scene.name in scenes:
+                raise UserError(f"{configuration.scenes}: scene {scene.name!r} stands in the table twice")
+            scenes[scene.name] = scene
     if not scenes and not may_be_empty:
         raise UserError(f"{configuration.scenes}: no scene in the table. Remedy: ./nishiki run PHOTOGRAPHS/ adds one")
     return Project(configuration, scenes)
@@ -183,7 +194,19 @@ def _scene(row: dict[str, str], configuration: Configuration, values: dict, tabl
     if path := row.get("settings", "").strip():
         shared = {key: value for key, value in values.items() if key in StageSettings.model_fields}
         settings = parse(StageSettings, merged(shared, load_yaml(Path(path))), path)
-    return Scene(name, _place(capture), _place(truth) if truth else None, products, settings)
+    scene = Scene(name, _place(capture), _place(truth) if truth else None, products, settings)
+    return replace(scene, fields=_scenes_of_fields(scene)) if is_mosaic(scene.capture) else scene
+
+
+def _scenes_of_fields(scene: Scene) -> tuple[Scene, ...]:
+    """Return a scene for each field of a mosaic; none where its table is wrong, which its plan tells."""
+    products = next(iter(stage.stands_for[1:] for stage in CHAIN.values() if stage.stands_for), ())
+    with suppress(CaptureError):
+        return tuple(
+            Scene(scene_of_field(scene.name, field.name), field.path, None, products, scene.settings)
+            for field in read_fields(scene.capture)
+        )
+    return ()
 
 
 def _place(text: str) -> Path:

@@ -6,6 +6,7 @@ from functools import cache
 from itertools import islice
 from pathlib import Path
 
+from nishiki.artifacts.provenance import place_above
 from nishiki.engine.plan import Plan, PlannedStage
 from nishiki.formats.files import machine_memory
 from nishiki.stages.table import CHAIN
@@ -108,8 +109,12 @@ class Scheduling:
     @cache  # noqa: B019  one Workflow a process
     def _level(self, scene: str, stage: str, key: str) -> int:
         """Count the long stages on the longest way from the capture to a stage."""
-        upstream = {name: above for name, above in self.stage(scene, stage, key).upstream.items() if name in CHAIN}
-        return max((self._level(scene, *item) + self._is_long(scene, item[0]) for item in upstream.items()), default=0)
+        levels = [0]
+        for name, above in self.stage(scene, stage, key).upstream.items():
+            of, upstream = place_above(scene, name)
+            if upstream in CHAIN:  # the fields of a mosaic are jobs of their own
+                levels.append(self._level(of, upstream, above) + (of != scene or self._is_long(of, upstream)))
+        return max(levels)
 
     def _size(self, scene: str, stage: str) -> tuple[int, int]:
         """Pixels of a photograph that the stage sees, and samples of all photographs: ingest decodes whole ones."""

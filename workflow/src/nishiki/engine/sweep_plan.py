@@ -101,6 +101,9 @@ def _scene_sweep(
     common = shared | nested(rest, sweep.stage, CHAIN, f"{named}: settings")
     below = scene_with(scene, common, f"{named}: settings")
     facts = facts_of(scene)
+    if facts.fields:
+        remedy = f"Remedy: name one of its fields under scenes: {scene.fields[0].name}"
+        raise UserError(f"{named}: scene {scene.name!r} is a mosaic, of which variants cannot be compared. {remedy}")
     plans: dict[str, Plan] = {}
     for variant in variants:
         where = f"{named}: variant {variant.name!r}"

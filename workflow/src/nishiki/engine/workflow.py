@@ -7,7 +7,14 @@ from functools import cache
 from pathlib import Path
 
 from nishiki.artifacts.artifact import MANIFEST
-from nishiki.artifacts.provenance import canonical, code_digest, library_version, program_of
+from nishiki.artifacts.provenance import (
+    canonical,
+    code_digest,
+    library_version,
+    place_above,
+    program_of,
+    scene_of_field,
+)
 from nishiki.engine.facts import remembered_facts
 from nishiki.engine.plan import Plan, PlannedStage, make_plan
 from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project, scene_with_exports
@@ -87,7 +94,9 @@ class Workflow(Scheduling):
         self.sweep: PlannedSweep | None = None
         self._swept: dict[tuple[str, str, str], PlannedStage] = {}
         self._known_facts: dict[tuple[Path, Path | None], SceneFacts] = {}
-        plans = Plans(list(only or self.project.scenes), self._plan)
+        scenes = [self.project.scenes[name] for name in only or self.project.scenes]
+        names = dict.fromkeys(each.name for scene in scenes for each in scene.with_fields)
+        plans = Plans(list(names), self._plan)
         self.plans: Mapping[str, Plan] = plans
         self.refused: dict[str, str] = {}
         if self.project.configuration.sweep:
@@ -110,7 +119,7 @@ class Workflow(Scheduling):
         facts = self._facts(scene)
         if formats := self.project.configuration.exports.get(name):
             scene = scene_with_exports(scene, facts.geometry, formats)
-        return make_plan(scene, facts)
+        return make_plan(scene, facts, {field: self.plans[scene_of_field(name, field)] for field in facts.fields})
 
     def _plan_sweep(self, named: str) -> None:
         """Plans of all variants; a scene's own plan is that of its first variant, the scene as it is configured."""
@@ -169,8 +178,15 @@ class Workflow(Scheduling):
 
     def inputs(self, scene: str, stage: str, key: str) -> list[str]:
         """Manifests of the artifacts that a stage reads."""
-        upstream = self.stage(scene, stage, key).upstream
-        return [self.path(scene, name, above) for name, above in upstream.items() if name in CHAIN]
+        return list(self.above(scene, self.stage(scene, stage, key)).values())
+
+    def above(self, scene: str, planned: PlannedStage) -> dict[str, str]:
+        """Manifests of the artifacts that a stage of a scene reads, by the names under which it reads them."""
+        return {
+            name: self.path(*place_above(scene, name), key)
+            for name, key in planned.upstream.items()
+            if name != "capture"
+        }
 
     def source(self, scene: str, stage: str) -> str:
         """Arguments that name what lies outside the results: the capture, the truth; and that force all packages in."""

@@ -14,6 +14,7 @@ import numpy as np
 from nishiki.capture.folder import MIRROR_BALLS, Capture, examine
 from nishiki.capture.frames import LIT_ROLES, Frame
 from nishiki.capture.goniometer import GoniometerCapture
+from nishiki.capture.mosaic import MosaicCapture, within
 from nishiki.capture.seal import payload_files, verify_seal
 from nishiki.capture.taking import compare_exposures
 from nishiki.capture.turntable import TurntableCapture
@@ -52,6 +53,10 @@ def check_capture(
     """
     root = Path(root)
     capture, problems = examine(root)
+    if isinstance(capture, MosaicCapture):
+        fields = ((field, check_capture(field.path, level=level, progress=progress)) for field in capture.fields)
+        problems += [problem for field, found in fields for problem in within(field, found)]
+        return sorted(dict.fromkeys(problems), key=lambda p: p.severity != "error")
     problems = list(problems)
     if (root / "bagit.txt").is_file():
         problems += attempt(lambda: verify_seal(root, digests=level == "full"))

@@ -38,7 +38,8 @@ class SceneFacts:
     has_sensitivities, has_illuminant : bool
         Whether the spectra of camera and lamp are known.
     geometry : str
-        plane (one view, many lights), turntable (many views) or goniometer (many pairs of directions).
+        plane (one view, many lights), turntable (many views), goniometer (many pairs of directions) or mosaic (fields,
+        each a plane).
     views, states : tuple of str
         Of a turntable: its views, and the states of its polarisers.
     has_poses : bool
@@ -53,6 +54,8 @@ class SceneFacts:
         Of the photographs' names, in small letters.
     table : bool
         Whether the capture holds reflectances instead of photographs.
+    fields : tuple of str
+        Of a mosaic: names of its fields.
     """
 
     capture_digest: str
@@ -74,6 +77,7 @@ class SceneFacts:
     suffixes: tuple[str, ...] = ()
     table: bool = False
     kept_pixels: int = 0
+    fields: tuple[str, ...] = ()
 
     @property
     def observations(self) -> int:
@@ -142,6 +146,10 @@ class Stage:
         What it makes, in a few words.
     geometry : str or None
         Of the captures that it is for; None: all.
+    of_mosaics : bool
+        Whether it also works on the maps into which the fields of a mosaic were joined.
+    stands_for : tuple of str
+        Stages whose artifacts of all fields it reads and joins, and in whose place later stages read its own.
     product : str
         Name under which a scene asks for it, where that is not its own: the `render` of a plane and that of a
         turntable are different stages with one name for the user.
@@ -174,6 +182,8 @@ class Stage:
     settings: type[Guarded]
     does: str
     geometry: str | None = "plane"
+    of_mosaics: bool = False
+    stands_for: tuple[str, ...] = ()
     product: str = ""
     requires: tuple[str, ...] = ()
     wants: Callable[[Any], tuple[str, ...]] = lambda settings: ()
@@ -211,7 +221,7 @@ class Stage:
 
     def serves(self, geometry: str) -> bool:
         """Return whether captures of this geometry have the stage."""
-        return self.geometry in (None, geometry)
+        return self.geometry in (None, geometry) or (geometry == "mosaic" and self.of_mosaics)
 
 
 def declaration_of(name: str) -> Stage:

@@ -45,6 +45,7 @@ def main() -> None:
             module.__doc__ or "",
             arguments=arguments[1:],
             digest_of_capture=getattr(module, "digest_of_capture", None),
+            stands_for=declared.stands_for,
         )
     except Exception as error:
         print(_bug(who, error), file=sys.stderr)

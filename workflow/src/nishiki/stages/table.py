@@ -45,4 +45,6 @@ LIMITS: dict[str, tuple[Limit, ...]] = {name: stage.limits for name, stage in CH
 
 def chain_of(geometry: str) -> dict[str, Stage]:
     """Return stages that captures of this geometry have, in the order of the flow."""
-    return {name: stage for name, stage in CHAIN.items() if stage.serves(geometry)}
+    chain = {name: stage for name, stage in CHAIN.items() if stage.serves(geometry)}
+    replaced = {name for stage in chain.values() for name in stage.stands_for}
+    return {name: stage for name, stage in chain.items() if name not in replaced}

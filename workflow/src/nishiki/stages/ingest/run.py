@@ -7,11 +7,12 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.capture.folder import load_capture
+from nishiki.capture.mosaic import MosaicCapture
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample
-from nishiki.errors import require
+from nishiki.errors import UserError, require
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.goniometer_store import STORE as WINDOWS
 from nishiki.observations.goniometer_store import write_goniometer
@@ -31,6 +32,8 @@ def run(context: Context) -> dict:
     Beside the views of a turntable lie copies of the files of its geometry; of a table of reflectances only the table.
     """
     capture, settings = load_capture(require(context.capture)), context.settings
+    if isinstance(capture, MosaicCapture):
+        raise UserError(f"{context.capture}: a mosaic. Remedy: name one of its fields")
     write = WRITERS[capture.geometry]
     result = write(capture, context.output.folder, settings=settings, progress=context.progress)
     if isinstance(capture, TurntableCapture):
