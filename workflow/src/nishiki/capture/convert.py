@@ -7,8 +7,9 @@ from pathlib import Path
 
 from nishiki.capture.layout_writers import MeasuredTable, write_plane, write_round, write_table_capture
 from nishiki.capture.layouts import Layout
+from nishiki.capture.mosaic import COLUMNS, TABLE, within
 from nishiki.capture.options import ConvertOptions, file_problems, folder_problems
-from nishiki.capture.registry import read_source
+from nishiki.capture.registry import MosaicLayout, read_source
 from nishiki.capture.relightable import Rendering, write_rendered
 from nishiki.capture.turntable_layouts import RoundLayout
 from nishiki.formats.files import whole_folder
@@ -20,11 +21,25 @@ JUDGED = (
 )
 """Kinds of warnings that photographs give against each other, which `convert` passes on."""
 
+
+def write_mosaic(folder: Path, layout: MosaicLayout, source: Path, options: ConvertOptions) -> list[Problem]:
+    """Write the capture of each field below a new folder, and the table of all."""
+    folder.mkdir(parents=True)
+    rows, notes = [",".join(COLUMNS)], []
+    for field, each in zip(layout.fields, layout.layouts, strict=True):
+        place = replace(field, place=f"fields/{field.name}")
+        notes += within(place, [*each.warnings, *write_plane(folder / place.place, each, field.path, layout.options)])
+        rows.append(",".join([field.name, place.place, *(f"{each:.10g}" for each in field.position_mm or ())]))
+    (folder / TABLE).write_text("".join(f"{row}{',,' * (row.count(',') == 1)}\n" for row in rows), encoding="utf-8")
+    return notes
+
+
 WRITERS: dict[type, Callable[..., list[Problem]]] = {
     Layout: write_plane,
     RoundLayout: write_round,
     Rendering: write_rendered,
     MeasuredTable: write_table_capture,
+    MosaicLayout: write_mosaic,
 }
 """What writes each kind of layout that a reader of the registry returns."""
 

@@ -9,10 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from nishiki.capture.seal import capture_digest
-from nishiki.capture.tables import Curves
 from nishiki.formats.files import bound, leads_out, name_fault
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse
 from nishiki.formats.text_tables import expect_rows, number_of, reading, table_rows
@@ -81,6 +78,11 @@ class MosaicCapture:
         if name in ("settings", "sensitivities", "illuminant"):
             return getattr(self.captures[0], name)
         raise AttributeError(name)
+
+
+def is_capture(folder: Path) -> bool:
+    """Return whether a folder holds the description of a capture, sealed or not, or a table of fields."""
+    return any((folder / part).is_file() for part in (TABLE, "capture.yaml", "data/capture.yaml"))
 
 
 def is_mosaic(root: Path) -> bool:
@@ -184,8 +186,8 @@ def _differences(first: str, usual: Any, place: str, other: Any) -> list[Problem
         return [error("fields-differ", place, "geometry", expected="plane", found=other.geometry, remedy=remedy)]
     facts: dict[str, Callable[[Any], Any]] = {
         "camera.channels": lambda capture: capture.settings.camera.channels,
-        "camera.sensitivities": lambda capture: _text_of(capture.sensitivities),
-        "illuminant": lambda capture: _text_of(capture.illuminant),
+        "camera.sensitivities": lambda capture: _values_of(capture.sensitivities),
+        "illuminant": lambda capture: _values_of(capture.illuminant),
         "pixel_pitch_mm": lambda capture: capture.settings.pixel_pitch_mm is not None,
     }
     what = f"differs from the field in {first}"
@@ -196,8 +198,8 @@ def _differences(first: str, usual: Any, place: str, other: Any) -> list[Problem
     ]
 
 
-def _text_of(curves: Curves | str | None) -> Any:
-    """Return curves as values that can be compared."""
-    if not isinstance(curves, Curves):
+def _values_of(curves: Any) -> Any:
+    """Return curves (or the name of an illuminant, or None) as values that can be compared."""
+    if curves is None or isinstance(curves, str):
         return curves
-    return curves.names, curves.wavelengths_nm.tobytes(), np.ascontiguousarray(curves.values).tobytes()
+    return curves.names, curves.wavelengths_nm.tobytes(), curves.values.tobytes()

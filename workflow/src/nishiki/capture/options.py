@@ -72,6 +72,9 @@ class ConvertOptions:
         "what the azimuth of the view in a table is counted from (default: cloth, the weft, as that of the light)",
     )
     link: bool = declared("--link", "make hard links instead of copies; both folders on one disk", False)
+    fields: bool = declared(
+        "--fields", "the folders in this one are overlapping fields of one painting under the same lamps", False
+    )
     turn: Literal["reverse"] | None = declared(
         "--turn reverse", "turntable: the object turned in the direction opposite to the order of the cameras"
     )

@@ -6,12 +6,13 @@ evidence is read, so that lamps come before cameras, and photographs before what
 
 import shlex
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from nishiki.capture.balls import find_photographs, read_with_balls
 from nishiki.capture.colmap import colmap_folder, read_colmap, read_transforms, transforms_file
+from nishiki.capture.frames import SourcePhotographs
 from nishiki.capture.layout_writers import MeasuredTable, read_measurements, recognise_table
 from nishiki.capture.layouts import (
     DIRECTIONS,
@@ -23,6 +24,7 @@ from nishiki.capture.layouts import (
     read_with_lights_file,
     read_with_spheres,
 )
+from nishiki.capture.mosaic import NAME, TABLE, Field, is_capture, is_mosaic, read_fields
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.photogrammetry import (
     bundler_file,
@@ -49,7 +51,27 @@ from nishiki.formats.picture_files import IMAGE_SUFFIXES
 from nishiki.formats.problems import CaptureError, name_some, refuse
 
 UNKNOWN = "no lamps found, nor cameras"
-SourceLayout = Layout | RoundLayout | Rendering | MeasuredTable
+
+
+@dataclass(frozen=True)
+class MosaicLayout(SourcePhotographs):
+    """Fields of a mosaic, each with the layout of its folder."""
+
+    photographs: tuple[Path, ...]  # of all fields
+    fields: tuple[Field, ...]
+    layouts: tuple[Layout, ...]
+    options: ConvertOptions  # for each field
+    name = "fields"
+    geometry = "mosaic"
+    warnings = ()
+
+    @property
+    def parts(self) -> str:
+        """Fields and photographs in words."""
+        return f"{len(self.fields)} fields, {self.count} photographs"
+
+
+SourceLayout = Layout | RoundLayout | Rendering | MeasuredTable | MosaicLayout
 """What readers return: `name`, `count` of the photographs, `parts` in words, `geometry`, `channels` and `warnings`.
 Each has a writer, see `convert.WRITERS`."""
 
@@ -76,7 +98,40 @@ CAMERAS: tuple[tuple[str, Callable, Callable], ...] = (
 )
 """Programs whose cameras are read: name, what finds their file or folder, and what reads it."""
 
+
+def find_fields(source: Path, options: ConvertOptions) -> tuple[Field, ...] | None:
+    """Return the fields of a table, or all folders with photographs where the user says that these are fields."""
+    if is_mosaic(source):
+        return read_fields(source)
+    if not options.fields:
+        return None
+    folders = [each for each in sorted(source.iterdir()) if each.is_dir() and files_with(each, IMAGE_SUFFIXES)]
+    unusable = [each.name for each in folders if not NAME.fullmatch(each.name)]
+    if unusable:
+        expected, remedy = "letters, digits, _ and single -", f"Rename it, or name its field in {TABLE}: field,path"
+        refuse("field-name", unusable[0], "no name for a field", expected=expected, remedy=remedy)
+    if len(folders) < 2:
+        refuse("fields-few", str(source), "too few fields", expected="two folders of photographs or more")
+    return tuple(Field(each.name, each.name, each) for each in folders)
+
+
+def read_mosaic(source: Path, fields: tuple[Field, ...], options: ConvertOptions) -> MosaicLayout:
+    """Read the folder of each field; lamps that lie beside these folders are those of all fields."""
+    options.refuse("Each field has a mask of its own: put it beside the photographs", "mask")
+    lights = options.lights_file or find_lights_file(source, options)
+    options = replace(options, fields=False, lights_file=lights, title=options.title or source.name)
+    layouts = []
+    for field in fields:
+        layout = read_source(field.path, options)
+        if not isinstance(layout, Layout):
+            refuse("fields-differ", field.place, "not photographs of a plane under several lamps", found=layout.name)
+        layouts.append(layout)
+    photographs = tuple(path for layout in layouts for path in layout.photographs)
+    return MosaicLayout(photographs, fields, tuple(layouts), options)
+
+
 LAYOUTS = (
+    FolderLayout("fields", find_fields, read_mosaic),
     FolderLayout("RTIBuilder project", lambda source, options: RtiProject.of(source), read_rtibuilder),
     FolderLayout("lights file", find_lights_file, read_with_lights_file),
     FolderLayout(
@@ -138,6 +193,7 @@ def read_source(source: Path, options: ConvertOptions, *, search: bool = True) -
     inner.sort(key=lambda each: "mask" in each.name.lower())  # the photographs first
     named = shlex.quote(str(inner[0] if inner else source))
     remedy = f"Name one of them: ./nishiki run {named}" if inner else "Name the folder that holds the photographs"
+    remedy += "; or add --fields where they are overlapping fields of one painting" if len(inner) > 1 else ""
     remedy += f"; what each folder holds: ./nishiki convert {shlex.quote(str(source))} --list"
     found = f"some in {name_some(each.name for each in inner)}" if inner else ""
     refuse("layout-unknown", str(source), "no photographs in this folder", found=found, remedy=remedy)
@@ -165,7 +221,7 @@ def list_archive(archive: Path) -> Iterator[ArchiveEntry]:
         place, depth = pending.pop()
         inner = sorted(path for path in place.iterdir() if not path.name.startswith("."))
         folders = [path for path in inner if path.is_dir() and not leads_out(path, archive)]
-        if any((place / part / "capture.yaml").is_file() for part in (".", "data")):
+        if is_capture(place):
             yield ArchiveEntry(str(place.relative_to(archive)), "capture", "", "it is a capture already")
             continue
         entry = _entry_of(place, archive)

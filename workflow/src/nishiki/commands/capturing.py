@@ -18,6 +18,7 @@ TO_COMPLETE = {
     "plane": "camera sensitivities, illuminant, pixel_pitch_mm",
     "turntable": "lights, turntable.mesh, turntable.unit, turntable.background",
     "goniometer": "goniometer.symmetry, goniometer.weave",
+    "mosaic": "camera sensitivities, illuminant, pixel_pitch_mm, alike in each field",
 }
 convert_options = apply(
     *(
@@ -86,15 +87,23 @@ def seal(captures: tuple[str, ...]) -> None:
 
 
 def seal_folder(capture: Path) -> str:
-    """Seal a capture and tell how far it is; its digest."""
+    """Seal a capture, or each unsealed field of a mosaic, and tell how far it is; its digest."""
+    from nishiki.capture.folder import load_capture
+    from nishiki.capture.mosaic import MosaicCapture, is_mosaic
     from nishiki.capture.seal import seal as seal_capture
 
+    if is_mosaic(capture) and isinstance(mosaic := load_capture(capture), MosaicCapture):
+        for each in mosaic.captures:
+            if not each.sealed:
+                seal_folder(each.root)
+        return mosaic.digest
     return seal_capture(capture, progress=Progress(f"seal {capture}").tell)
 
 
 @command(
     "convert my-photographs captures/altarpiece",
     "convert my-photographs captures/altarpiece --lights dome.lp --width-mm 320",
+    "convert my-fields captures/wall --fields",
     "convert reflectances.csv captures/brocade",
     "convert old-photographs --list",
 )

@@ -5,9 +5,11 @@ import sys
 import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
+from nishiki.capture.mosaic import MosaicCapture, is_capture
 from nishiki.commands.capturing import convert_source, examine, seal_folder
 from nishiki.commands.declare import CONFIGURATION, any_scene_argument, command, with_configuration
 from nishiki.errors import UserError, unknown_scene
@@ -39,7 +41,7 @@ def init(folder: str) -> None:
 @with_configuration
 def add(capture: str, name: str | None, configfile: str) -> int:
     """Add a capture to the scene table, after a check of its tables and headers."""
-    if not _is_capture(Path(capture)):
+    if not is_capture(Path(capture)):
         raise UserError(f"{capture}: no capture folder. Remedy: ./nishiki run {capture} or ./nishiki convert makes one")
     if examine(capture, quick=True):
         return 2
@@ -103,7 +105,7 @@ def find_scenes(words: Sequence[str], configfile: str, *, name: str | None, give
             found.append(word)
         elif not path.exists():
             raise UserError(f"no such folder, and {unknown_scene(word, scenes)}")
-        elif _is_capture(path):
+        elif is_capture(path):
             if examine(word):
                 raise UserError(f"{word}: cannot be used, for the errors above. Remedy: mend them and run again")
             found.append(_add_scene(configfile, name or scene_name(path), path))
@@ -156,13 +158,16 @@ def _from_photographs(source: Path, configfile: str, name: str, options: tuple[d
 
 def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
     """List what a conversion assumed: label, value, option of `run` and `convert` that changes it."""
-    from nishiki.capture.folder import payload_of
+    from nishiki.capture.folder import load_capture
     from nishiki.capture.goniometer import GoniometerFile
-    from nishiki.capture.schema import read_capture_file
 
-    described = read_capture_file(payload_of(made.folder) / "capture.yaml")
+    capture = load_capture(made.folder)
+    described: Any = capture.settings
     kinds = {problem.kind for problem in made.warnings}
     rows = [("title", described.title, "--title")]
+    if isinstance(capture, MosaicCapture):
+        stated = sum(field.position_mm is not None for field in capture.fields)
+        rows.append(("fields", f"{len(capture.fields)}, {stated} with a position", "fields.csv"))
     if isinstance(described, GoniometerFile):
         values, azimuths = described.goniometer.values, described.goniometer.azimuths
         return [*rows, ("values", str(values), "--values"), ("azimuths", f"of the view from {azimuths}", "--azimuths")]
@@ -188,10 +193,6 @@ def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
         ("room light", given["ambient"] or "no photograph of it", "--ambient FILE"),
     ]
     return rows
-
-
-def _is_capture(folder: Path) -> bool:
-    return any((folder / part / "capture.yaml").is_file() for part in (".", "data"))
 
 
 def _flags(options: Sequence[str]) -> str:
@@ -230,10 +231,8 @@ def _holds_photographs(capture: Path, source: Path) -> bool:
     """Whether the photographs of a sealed capture are those of a folder, by their digests."""
     from nishiki.artifacts.provenance import file_digest
 
-    try:
-        lines = (capture / "manifest-sha256.txt").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return False
+    manifests = sorted(capture.rglob("manifest-sha256.txt"))
+    lines = [line for path in manifests for line in path.read_text(encoding="utf-8").splitlines()]
     kept = {line.split()[0] for line in lines if "data/frames/" in line}
     files = [path for path in sorted(source.rglob("*")) if path.is_file()] if source.is_dir() else [source]
     return bool(kept) and kept <= {file_digest(path) for path in files}
