@@ -119,12 +119,50 @@ def test_missing_bands_are_refused_by_lamp(tmp_path, gone):
     assert not (tmp_path / "c").exists()
 
 
-def test_colour_files_are_no_bands(tmp_path):
+def test_a_colour_file_among_grey_ones_is_named(tmp_path):
     folder = source(tmp_path / "s")
     cv2.imwrite(str(folder / "L2_530nm.tif"), np.dstack([codes(1, 1)] * 3))
     with pytest.raises(CaptureError) as caught:
         convert(folder, tmp_path / "c")
     assert [(p.kind, p.file) for p in caught.value.problems] == [("band-channels", "L2_530nm.tif")]
+
+
+def test_colour_files_of_two_filters_are_six_channels(tmp_path):
+    rng = np.random.default_rng(1)
+    pixels = {}
+    for lamp in LAMPS:
+        for band in ("filter1", "filter2"):
+            pixels[lamp, band] = rng.integers(500, 9000, (ROWS, COLUMNS, 3)).astype(np.uint16)
+            (tmp_path / "s").mkdir(exist_ok=True)
+            cv2.imwrite(str(tmp_path / f"s/{lamp}_{band}.tif"), pixels[lamp, band][..., ::-1])
+    lights(tmp_path / "s")
+    (tmp_path / "dark").mkdir()
+    cv2.imwrite(str(tmp_path / "dark/dark.tif"), np.full((ROWS, COLUMNS, 3), (3, 2, 1), np.uint16))
+    convert(tmp_path / "s", tmp_path / "c", dark=tmp_path / "dark", examine=check_capture)
+    capture, read = frames_of(tmp_path / "c")
+    names = [f"{colour}_{band}" for band in ("filter1", "filter2") for colour in ("red", "green", "blue")]
+    assert list(capture.settings.camera.channels) == names
+    for values, lamp in zip(read, LAMPS, strict=False):
+        np.testing.assert_array_equal(values, np.concatenate([pixels[lamp, b] for b in ("filter1", "filter2")], axis=2))
+    np.testing.assert_array_equal(read[4][0, 0], [1, 2, 3, 1, 2, 3])
+    reader = FrameReader.of(capture, "green_filter2")
+    np.testing.assert_array_equal(reader.read(capture.frames[1])[..., 0], pixels["L2", "filter2"][..., 1])
+
+
+def test_each_channel_may_have_a_lamp_of_its_own(tmp_path):
+    convert(source(tmp_path / "s"), tmp_path / "c")
+    table = tmp_path / "c/lamps.csv"
+    settings = tmp_path / "c/capture.yaml"
+    settings.write_text(settings.read_text() + "illuminant: lamps.csv\n")
+    rows = [f"{nm},{nm - 390},1,{710 - nm}" for nm in (400, 550, 700)]
+    table.write_text("\n".join([f"wavelength_nm,{','.join(reversed(BANDS))}", *rows]) + "\n")
+    found = load_capture(tmp_path / "c").illuminant
+    assert found.names == BANDS
+    assert found.values[0].tolist() == [310, 1, 10]
+    table.write_text("\n".join(["wavelength_nm,tungsten,daylight,other", *rows]) + "\n")
+    with pytest.raises(CaptureError) as caught:
+        load_capture(tmp_path / "c")
+    assert [(p.kind, p.file) for p in caught.value.problems] == [("spectra-columns", "lamps.csv")]
 
 
 def test_photographs_that_are_numbered_like_wavelengths_stay_photographs(tmp_path):

@@ -23,7 +23,7 @@ from nishiki.colour.local import (
     place_centres,
     response_space,
 )
-from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights, principal_basis
+from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights, principal_basis, under_one_lamp
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 
@@ -49,7 +49,7 @@ def responses_of(spectra, channels=3):
 
 def as_correction(e):
     space = ResponseSpace(e.mean, e.whiten, e.low, e.high)
-    correction = LocalCorrection(e.centres, e.weights, e.radius, e.variance, e.far_variance, e.gamut_distance, 0.0)
+    correction = LocalCorrection(e.centres, e.weights, e.radius, e.variance, e.far_variance, e.gamut_distance, np.zeros(61))
     return correction, space
 
 
@@ -213,7 +213,7 @@ def test_leave_one_out_error_equals_leaving_each_out():
         rows = design(seen[kept])
         solution = np.linalg.solve(rows.T @ rows + penalty, rows.T @ residual[kept])
         squares.append(np.mean((residual[out] - design(seen[out : out + 1]) @ solution) ** 2))
-    assert fitted.left_out_rmse == pytest.approx(np.mean(squares) ** 0.5, rel=1e-3)
+    assert fitted.left_out.mean() == pytest.approx(np.mean(squares), rel=1e-3)
 
 
 def test_table_kernel_equals_slow_interpolation(local):
@@ -287,6 +287,35 @@ def test_expected_error_is_calibrated():
     assert 0.8 < np.sqrt(actual.mean() / np.mean(found.sigma.astype(float) ** 2)) < 1.25
     order = np.argsort(found.sigma)
     assert np.sqrt(actual[order[500:]].mean()) > 1.3 * np.sqrt(actual[order[:500]].mean())  # it tells hard from easy
+
+
+def test_error_of_each_band_is_calibrated():
+    e = fit_estimator(synthetic_reflectances(1000, seed=3), LAMP, camera(3))
+    unseen = synthetic_reflectances(1000, seed=4)
+    found = estimate_spectra(responses_of(unseen), e)
+    error, stated = found.spectra() - unseen, found.sigma[:, None] * e.profile
+    np.testing.assert_allclose(np.sqrt(np.mean(error**2, axis=0) / np.mean(stated**2, axis=0)), 1, atol=0.3)
+    assert e.profile[[0, -1]].min() > 1.5 > 1 > np.median(e.profile)  # the camera hardly sees the ends
+
+
+@pytest.mark.slow
+def test_two_lamps_halve_the_error_and_noise_does_not_take_it_back():
+    both = [(LAMP, camera(3)), (illuminant("D65"), camera(3))]
+    lamps = np.repeat([lamp for lamp, _ in both], 3, axis=0)
+    curves = under_one_lamp(lamps, np.concatenate([camera(3), camera(3)]))
+    weights = np.concatenate([channel_weights(lamp, sensitivities) for lamp, sensitivities in both])
+    np.testing.assert_allclose(channel_weights(**curves), weights, atol=1e-12)
+    training, unseen = synthetic_reflectances(1500, seed=1), synthetic_reflectances(500, seed=2)
+    noise = 0.003 * np.random.default_rng(0).standard_normal((500, 6))
+    one = fit_estimator(training, LAMP, camera(3))
+    two = fit_estimator(training, curves["illuminant"], curves["sensitivities"])
+
+    def error(estimator, responses):
+        return np.sqrt(np.mean((estimate_spectra(responses, estimator).spectra() - unseen) ** 2))
+
+    exact = responses_of(unseen)
+    assert error(two, unseen @ weights.T) < 0.75 * error(one, exact)
+    assert error(two, unseen @ weights.T + noise) < 0.9 * error(one, exact + noise[:, :3])
 
 
 # Outside the training set --------------------------------------------------------------------------------------------

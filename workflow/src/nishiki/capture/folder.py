@@ -28,6 +28,7 @@ from nishiki.capture.schema_base import Session
 from nishiki.capture.tables import Curves, read_curves
 from nishiki.capture.turntable import TurntableCapture, examine_turntable
 from nishiki.capture.turntable_rules import TurntableFile
+from nishiki.errors import require
 from nishiki.formats.files import bound, leads_out
 from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, number_of, reading, table_rows
@@ -201,7 +202,7 @@ def examine(root: Path) -> tuple[AnyCapture | None, list[Problem]]:
 
 
 def _illuminant(settings: Session, named: Callable, attempt: Callable) -> Curves | str | None:
-    """Read the name of a CIE illuminant, or a curve from the file."""
+    """Read the name of a CIE illuminant, or a curve from the file: one, or that of each channel's lamp."""
     value = settings.illuminant
     if value is None or value in NAMED_ILLUMINANTS:
         return value
@@ -209,7 +210,10 @@ def _illuminant(settings: Session, named: Callable, attempt: Callable) -> Curves
         where, expected = "capture.yaml illuminant", f"a CSV file or one of {', '.join(NAMED_ILLUMINANTS)}"
         return attempt(lambda: refuse("illuminant-unknown", where, "unknown", expected=expected, found=value))
     path = named(value, "illuminant")
-    return attempt(lambda: read_curves(path, label=value)) if path else None
+    curves = attempt(lambda: read_curves(path, label=value)) if path else None
+    if curves is None or len(curves.names) == 1:
+        return curves
+    return attempt(lambda: read_curves(require(path), names=settings.camera.channels, label=value))
 
 
 def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> np.ndarray:
@@ -271,7 +275,7 @@ def _band_problems(frames: tuple[Frame, ...], channels: tuple[str, ...]) -> list
     """Whether photographs with a file for each band have one for each of camera.channels."""
     problems = []
     for frame in frames:
-        listed = {part.channel for part in frame.bands}
+        listed = {channel for part in frame.bands for channel in part.channels}
         where = f"frames.csv row {frame.row}"
         of = f"{frame.role} frame" + (f" of light '{frame.light}'" * bool(frame.light))
         if listed and listed < set(channels):

@@ -37,9 +37,9 @@ DIALECTS = {
 
 
 class Band(NamedTuple):
-    """One channel of a photograph that has a file of its own; file: as written, relative to the payload."""
+    """Channels of a photograph that have a file of their own; file: as written, relative to the payload."""
 
-    channel: str
+    channels: tuple[str, ...]
     file: str
     path: Path
 
@@ -60,7 +60,7 @@ class Frame:
     silhouette_path: Path | None = None
     # theta_i, phi_i, theta_r, phi_r of a goniometer, None where not given
     angles_deg: tuple[Any, ...] = (None, None, None, None)
-    # its channels, where each has a file of its own, of which `file` is the first; else empty
+    # its channels by file, where they have several, of which `file` is the first; else empty
     bands: tuple[Band, ...] = ()
     f_number: float | None = None  # focal length over aperture
     iso: float | None = None  # sensitivity; None where not stated
@@ -69,8 +69,8 @@ class Frame:
 
     @property
     def parts(self) -> tuple[Band, ...]:
-        """Every file: of each band, or the photograph's own, whose channel has no name."""
-        return self.bands or (Band("", self.file, self.path),)
+        """Every file: of each band, or the photograph's own, whose channels have no names."""
+        return self.bands or (Band((), self.file, self.path),)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -122,7 +122,7 @@ def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
             problems.append(error("frame-duplicate", where, what, remedy="Keep one row a photograph"))
         seen.setdefault(frame.file, number)
         if cells.get("band"):
-            frame = replace(frame, bands=(Band(cells["band"], frame.file, frame.path),))
+            frame = replace(frame, bands=(Band(tuple(cells["band"].split("+")), frame.file, frame.path),))
         frames.append(frame)
     if not frames and not problems:
         problems.append(error("frames-none", table.name, "no photographs listed"))
@@ -136,21 +136,21 @@ def _join_bands(frames: list[Frame], file: str, problems: list[Problem]) -> list
 
     Several photographs of one role and light (dark frames) are told apart by the order of the rows.
     """
-    present = tuple(dict.fromkeys(part.channel for frame in frames for part in frame.bands))
+    present = tuple(dict.fromkeys(part.channels for frame in frames for part in frame.bands))
     if not present:
         return frames
-    taken: Counter[tuple[str, str, str]] = Counter()
+    taken: Counter[tuple[str, str, tuple[str, ...]]] = Counter()
     joined: dict[tuple[str, str, int], Frame] = {}
     for frame in frames:
         bands = frame.bands
         if not bands and frame.role == "dark":
-            bands = tuple(Band(channel, frame.file, frame.path) for channel in present)
+            bands = tuple(Band(channels, frame.file, frame.path) for channels in present)
         elif not bands:
             what, remedy = "a row without a band among rows with one", "Name the band, as in camera.channels"
             problems.append(error("band-empty", f"{file} row {frame.row}", what, remedy=remedy))
             continue
-        key = (frame.role, frame.light, taken[frame.role, frame.light, bands[0].channel])
-        taken.update((frame.role, frame.light, band.channel) for band in bands)
+        key = (frame.role, frame.light, taken[frame.role, frame.light, bands[0].channels])
+        taken.update((frame.role, frame.light, band.channels) for band in bands)
         first = joined.get(key)
         if first is not None and first.exposure_s != frame.exposure_s:
             what, found = "exposure times of one photograph differ", f"{first.exposure_s:g} and {frame.exposure_s:g}"

@@ -55,12 +55,15 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     link, region = options.link, options.region or layout.region
     folder.mkdir(parents=True)
     header = usual_header(layout.photographs)
-    channels = layout.bands or channel_names(header)
+    of_file = channel_names(header)
+    of_band = {b: (b,) if len(of_file) == 1 else tuple(f"{name}_{b}" for name in of_file) for b in layout.bands}
+    channels = tuple(name for part in of_band.values() for name in part) or of_file
     names, held = layout.lights.names, {layout.lights.find(name) for name in options.checks}
     rows: list[tuple[str, ...]] = []
     notes: list[Problem] = []
     if layout.bands:
-        rows = _take_bands(folder, layout, held, options)
+        taken = _take_bands(folder, layout, held, options)
+        rows = [(*row, "+".join(of_band.get(band, ()))) for *row, band in taken]
     else:
         for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
             name = take(photograph, folder / "frames" / file, link)

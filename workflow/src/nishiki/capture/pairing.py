@@ -171,7 +171,7 @@ def find_bands(
     """Find the bands of each lamp's photograph; None where the folder holds one photograph a lamp.
 
     pictures: function that lists the pictures of a folder in natural order; kind: of the lights' vectors.
-    Raises CaptureError (band-missing, band-channels) where a lamp lacks a band, or a file has several channels.
+    Raises CaptureError (band-missing, band-channels) where a lamp lacks a band, or files differ in their channels.
     """
     for sorted_files in sort_bands(source, pictures):
         lamps = _match_lamps(sorted_files, lights, kind)
@@ -209,13 +209,15 @@ def complete_bands(
         for lamp, names in lacking.items()
         if names
     ]
-    for path in (path for bands in files.values() for path in bands.values()):
-        header = read_header(path)
-        if header.channels - header.alpha != 1:
-            what = "a file of one band has one channel"
-            remedy = "Save it as a grey picture, without changing its values"
-            found = f"{header.channels - header.alpha}"
-            problems.append(error("band-channels", path.name, what, expected="1", found=found, remedy=remedy))
+    headers = {path: read_header(path) for bands in files.values() for path in bands.values()}
+    counts = {path: header.channels - header.alpha for path, header in headers.items()}
+    usual = Counter(counts.values()).most_common(1)[0][0]
+    for path, count in counts.items():
+        if count != usual:
+            what = "number of channels of a file of one band"
+            remedy = "Save all as grey pictures, or all in colour, without changing their values"
+            expected = f"{usual} as most have"
+            problems.append(error("band-channels", path.name, what, expected=expected, found=f"{count}", remedy=remedy))
     raise_errors(problems)
     return tuple(tuple(bands[channel] for channel in channels) for bands in files.values())
 

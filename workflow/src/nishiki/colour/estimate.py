@@ -77,6 +77,7 @@ class SpectralEstimator(ArrayFields):
     condition: float  # cond(H)
     ill_conditioned: bool
     training_rmse: float  # over the training set; local: each sample left out in turn
+    profile: np.ndarray  # (61,) the same of each band, relative to all
 
 
 @dataclass(frozen=True)
@@ -312,7 +313,8 @@ def _assemble(problem: Problem, parts: Parts, method: str, white_width: float) -
         unit_tolerance=UNIT_TOLERANCE,
         condition=parts.condition,
         ill_conditioned=parts.ill_conditioned,
-        training_rmse=parts.training_rmse,
+        training_rmse=float(np.sqrt(parts.left_out.mean())),
+        profile=np.sqrt(parts.left_out / parts.left_out.mean()),
     )
 
 

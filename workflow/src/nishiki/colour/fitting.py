@@ -12,6 +12,8 @@ from nishiki.errors import UserError
 
 CONDITION_LIMIT = 1e6  # of the paper's system matrix: singular values below the largest over it are left out
 RADIUS = 6.0  # of the kernels of the local correction, in whitened standard deviations, for three channels
+NOISE_SEED = 61
+DARK_NOISE = 0.05  # noise of a black response, relative to what the brightness of white adds to it
 
 
 def paper_map(weights: np.ndarray, basis: np.ndarray, *, condition_limit: float) -> tuple[np.ndarray, bool]:
@@ -82,7 +84,7 @@ class Parts:
     far_variance: float
     condition: float
     ill_conditioned: bool
-    training_rmse: float
+    left_out: np.ndarray  # (61,) mean square error over the training set
 
 
 def fit_paper(problem: Problem, bases: int | None, *, white: bool) -> Parts:
@@ -102,9 +104,9 @@ def fit_paper(problem: Problem, bases: int | None, *, white: bool) -> Parts:
         basis = np.vstack([vectors, 1.0 - of_white @ vectors])
         linear = np.vstack([sigma, np.zeros(channels)])
         of_white = np.append(of_white, 1.0)
-    error = float(np.mean(residual**2))
+    left_out = np.mean(residual**2, axis=0)
     condition = condition_number(problem.weights, problem.spectra, len(vectors))
-    return Parts(basis, linear, of_white, None, error, condition, cut, error**0.5)
+    return Parts(basis, linear, of_white, None, float(left_out.mean()), condition, cut, left_out)
 
 
 BasesRule = Callable[[np.ndarray, float], int]
@@ -112,32 +114,39 @@ BasesRule = Callable[[np.ndarray, float], int]
 
 
 def fit_regression(problem: Problem, bases: int | BasesRule | None, centres: int | None) -> Parts:
-    """Fit Wiener's estimator, with a local correction of so many centres unless they are None."""
+    """Fit Wiener's estimator, with a local correction of so many centres unless they are None.
+
+    The correction learns from responses with the noise that those of pixels have. Where channels are nearly alike, as
+    those of one camera under two lamps, it would otherwise read their small differences as colours.
+    """
     channels = problem.weights.shape[0]
     dense = wiener_map(problem.weights, problem.spectra, noise=problem.noise)
     estimates = problem.responses @ dense.T
-    residual = problem.spectra - estimates
-    far, correction = float(np.mean(residual**2)), None
+    left_out, correction = np.mean((problem.spectra - estimates) ** 2, axis=0), None
+    far = float(left_out.mean())
     if centres:
+        noise = np.random.default_rng(NOISE_SEED).standard_normal(problem.responses.shape) * problem.noise
+        noisy = problem.responses + noise * (problem.responses + DARK_NOISE) / (1 + DARK_NOISE)
+        estimates = noisy @ dense.T
         # distances in N whitened dimensions grow like sqrt(N)
         correction = fit_correction(
-            residual,
-            problem.responses,
+            problem.spectra - estimates,
+            noisy,
             problem.space,
             centres=centres,
             radius=RADIUS * (channels / 3.0) ** 0.5,
             ridge=None,
         )
-        estimates = estimates + evaluate_correction(correction, problem.space, problem.responses)[0]
-    squared = correction.left_out_rmse**2 if correction else far
-    count = bases(estimates, squared) if callable(bases) else bases
+        estimates = estimates + evaluate_correction(correction, problem.space, noisy)[0]
+        left_out = correction.left_out
+    count = bases(estimates, float(left_out.mean())) if callable(bases) else bases
     count = count if count is not None else (12 if centres else min(channels + 1, 12))
     basis = output_basis(estimates, count)
     onto = np.linalg.pinv(basis).T  # (K, 61)
-    lost = float(np.mean((estimates - estimates @ onto.T @ basis) ** 2))
+    lost = np.mean((estimates - estimates @ onto.T @ basis) ** 2, axis=0)
     if correction:
         correction = replace(
-            correction, weights=correction.weights @ onto.T, variance=correction.variance + lost, far_variance=far
+            correction, weights=correction.weights @ onto.T, variance=correction.variance + float(lost.mean()), far_variance=far
         )
     return Parts(
         basis=basis,
@@ -147,7 +156,7 @@ def fit_regression(problem: Problem, bases: int | BasesRule | None, centres: int
         far_variance=far,
         condition=condition_number(problem.weights, problem.spectra),
         ill_conditioned=False,
-        training_rmse=(squared + lost) ** 0.5,
+        left_out=left_out + lost,
     )
 
 

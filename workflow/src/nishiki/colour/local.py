@@ -50,7 +50,7 @@ class LocalCorrection:
     variance: np.ndarray  # (M,) mean square error of the estimate near each centre, from leaving samples out
     far_variance: float  # mean square error of the linear map alone
     gamut_distance: float  # z distance to the nearest centre beyond which a response counts as unlike the training set
-    left_out_rmse: float  # root of the mean square error over the training set, each sample left out in turn
+    left_out: np.ndarray  # (61,) mean square error over the training set, each sample left out in turn
 
 
 def response_space(responses: np.ndarray, *, noise: float) -> ResponseSpace:
@@ -104,7 +104,8 @@ def fit_correction(
     smooth = compact_kernel(distances(chosen, chosen) / radius)
     scale = float(np.mean(weight**2))
     ridges = np.array(RIDGES if ridge is None else [ridge]) * scale
-    solution, mean_square = _ridge_regression(residuals, design, smooth, ridges)
+    solution, squared = _ridge_regression(residuals, design, smooth, ridges)
+    mean_square = squared.mean(axis=1)
     nearest = distances(z, chosen).min(axis=1)
     # the mean square error around each centre is that of the nearest training samples
     count = min(8, len(z))
@@ -116,12 +117,12 @@ def fit_correction(
         variance=mean_square[near].mean(axis=1),
         far_variance=float(np.mean(residuals**2)),
         gamut_distance=float(2.0 * np.percentile(nearest, 99.0) + 0.1),
-        left_out_rmse=float(np.sqrt(mean_square.mean())),
+        left_out=squared.mean(axis=0),
     )
 
 
 def _ridge_regression(residuals, design, smooth, ridges):
-    """Solution (centres, 61) and mean square left-out error (M,) of the largest ridge near the least of it.
+    """Solution (centres, 61) and squared left-out errors (M, 61) of the largest ridge near the least of them.
 
     Minimises |residuals - design x|^2 + ridge x' smooth x. One pair of eigendecompositions makes both forms diagonal,
     so that every further ridge costs next to nothing. Leaving sample m out changes its residual by 1 / (1 - h_m), with
@@ -140,8 +141,8 @@ def _ridge_regression(residuals, design, smooth, ridges):
         shrink = 1.0 / (values + ridge)
         leverage = modes**2 @ shrink
         error = (residuals - modes @ (shrink[:, None] * target)) / np.maximum(1.0 - leverage, 0.05)[:, None]
-        candidates.append((root @ (shrink[:, None] * target), np.mean(error**2, axis=1)))
-    limit = (1.0 + RIDGE_TOLERANCE) ** 2 * min(mean_square.mean() for _, mean_square in candidates)
+        candidates.append((root @ (shrink[:, None] * target), error**2))
+    limit = (1.0 + RIDGE_TOLERANCE) ** 2 * min(squared.mean() for _, squared in candidates)
     return next(candidate for candidate in reversed(candidates) if candidate[1].mean() <= limit)
 
 

@@ -119,6 +119,26 @@ def channel_weights(illuminant: np.ndarray, sensitivities: np.ndarray) -> np.nda
     return products / totals[:, None]
 
 
+def under_one_lamp(
+    illuminant: np.ndarray | None = None, sensitivities: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
+    """Express channels that were photographed under lamps of their own as those of one camera under one lamp.
+
+    illuminant : (1, 61), or (N, 61) relative power of each channel's lamp; sensitivities : (N, 61). Only their product
+    decides a response: the one lamp (61,) is the mean of all, and each sensitivity (N, 61) is multiplied by what its
+    own lamp is relative to it. Returns those that are given.
+    """
+    curves = {} if sensitivities is None else {"sensitivities": sensitivities}
+    if illuminant is None:
+        return curves
+    if len(illuminant) == 1:
+        return {"illuminant": illuminant[0], **curves}
+    lamps = normalised(illuminant)
+    mean = lamps.mean(axis=0)
+    relative = np.divide(lamps, mean, out=np.zeros_like(lamps), where=mean > 0)
+    return {"illuminant": mean, **{name: values * relative for name, values in curves.items()}}
+
+
 def normalised(curves: np.ndarray) -> np.ndarray:
     """Curves (..., 61) divided by their largest absolute value; a curve of zeros stays as it is."""
     top = np.abs(curves).max(axis=-1, keepdims=True)

@@ -14,6 +14,9 @@ from nishiki.errors import UserError
 from nishiki.formats.stored import load_arrays
 from nishiki.photometric.flags import NO_ESTIMATE
 
+SMALLEST = 1e-2
+"""Singular values of the channels relative to the largest: what is below them is noise, as between two lamps' channels."""
+
 
 @dataclass(frozen=True)
 class CameraColour:
@@ -46,7 +49,7 @@ def fitted_colour(training: np.ndarray, illuminant: np.ndarray, sensitivities: n
     # rows of the matrix = white / C + B t, B: basis of the vectors of sum 0
     sum_free = np.linalg.svd(np.ones((1, count)))[2][1:]
     rest = xyz - responses.mean(axis=1, keepdims=True) * white
-    parts = np.linalg.lstsq(responses @ sum_free.T, rest, rcond=1e-8)[0] if count > 1 else np.zeros((0, 3))
+    parts = np.linalg.lstsq(responses @ sum_free.T, rest, rcond=SMALLEST)[0] if count > 1 else np.zeros((0, 3))
     matrix = white[:, None] / count + parts.T @ sum_free
     rmse = float(np.sqrt(np.mean((responses @ matrix.T - xyz) ** 2)))
     how = f"linear map from the camera's sensitivities, least squares over {len(training)} reflectances, white exact"

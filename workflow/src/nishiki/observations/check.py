@@ -136,10 +136,10 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
     """
     problems: list[Problem] = []
     headers: dict[str, ImageHeader] = {}
-    for channel, file, path in (part for frame in capture.frames for part in frame.parts):
+    for channels, file, path in (part for frame in capture.frames for part in frame.parts):
         try:
             headers[file] = read_header(path, name=file)
-            expect_channels(headers[file], (channel,) if channel else capture.settings.camera.channels, file)
+            expect_channels(headers[file], channels or capture.settings.camera.channels, file)
         except CaptureError as e:
             problems += e.problems
     if not headers:

@@ -178,8 +178,10 @@ class FrameReader(Generic[AnyCapture]):
         stored, luminance = self.stored, self._luminance
         if frame.bands:
             wanted = stored if self.single is None else (stored[self.single],)
-            parts = {part.channel: part for part in frame.bands}
-            codes = np.concatenate([self._read_file(parts[name], (name,)) for name in wanted], axis=2)
+            parts = [part for part in frame.bands if not set(wanted).isdisjoint(part.channels)]
+            read = [name for part in parts for name in part.channels]
+            codes = np.concatenate([self._read_file(part, part.channels) for part in parts], axis=2)
+            codes = codes[:, :, [read.index(name) for name in wanted]] if read != list(wanted) else codes
         else:
             codes = self._read_file(frame.parts[0], stored, luma=luminance)
             codes = codes if self.single is None else codes[:, :, self.single : self.single + 1]

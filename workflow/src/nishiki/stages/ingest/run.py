@@ -11,7 +11,7 @@ from nishiki.capture.mosaic import MosaicCapture
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.colour.colour import illuminant as cie_illuminant
-from nishiki.colour.sampling import resample
+from nishiki.colour.sampling import resample, under_one_lamp
 from nishiki.errors import UserError, require
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.goniometer_store import STORE as WINDOWS
@@ -42,15 +42,14 @@ def run(context: Context) -> dict:
     if getattr(capture, "table", None) is None:
         store = BandedGroup(context.output.folder / STORES[capture.geometry])
         store.update(stamp=context.stamp)  # inside the store, too, stands where it comes from
-    curves: dict[str, Any] = {}  # (61,) and (channels, 61) on 400-700/5 nm, those that the capture has
+    curves: dict[str, Any] = {}  # (channels, 61) on 400-700/5 nm, those that the capture has
     for name in ("illuminant", "sensitivities"):
         given = getattr(capture, name)
         if isinstance(given, str):
-            curves[name] = cie_illuminant(given)
+            curves[name] = cie_illuminant(given)[None]
         elif given is not None:
-            values = resample(given.wavelengths_nm, given.values.T, name=f"{context.capture}: {name}")
-            curves[name] = values[0] if name == "illuminant" else values
-    np.savez(context.output.path("curves.npz"), **curves)
+            curves[name] = resample(given.wavelengths_nm, given.values.T, name=f"{context.capture}: {name}")
+    np.savez(context.output.path("curves.npz"), **under_one_lamp(**curves))
     read = usage_of(
         capture,
         without=settings.without,

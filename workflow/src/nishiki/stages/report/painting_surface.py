@@ -35,7 +35,7 @@ from nishiki.report.pictures import (
     sea,
     shrink,
 )
-from nishiki.report.svg import INK, PALETTE, Curve, chart
+from nishiki.report.svg import DASHES, INK, PALETTE, SOFT, Curve, chart
 
 # From harmless to grave: later ones win where a block of pixels has several.
 CLASSES = (
@@ -186,7 +186,7 @@ UNDER_D65 = "CIEDE2000 of the diffuse reflectance under D65, not under the lamp 
 EXPECTED_ERROR = "for surfaces like those of the training set; light patches are colours unlike any of them."
 PLACES = (
     "Places that differ most in colour, numbered in the picture above. A camera of few channels fixes the colour, not "
-    "the curve: fine structure comes from the training set."
+    "the curve: fine structure comes from the training set. Dotted: one expected error to either side."
 )
 VARNISH = (
     "The spectra are those of the surface as the camera sees it, that is through the varnish: a yellowed or matt "
@@ -215,6 +215,8 @@ def colour_section(page: PageMaps, *, camera: CameraColour, expected_de00: dict[
         return Section("colour", "Colour", [Figures([figure])])
     basis = np.array(spectra.attributes("coefficients")["basis"])
     xyz = small @ xyz_matrix(illuminant("D65"), basis).T
+    sigma = shrink(lambda rows: masked(spectra, "sigma", rows), shape, block)
+    profile = np.array(spectra.attributes("sigma")["profile"])
     truth = page.evaluation.get("reflectance") or {}
     if truth.get("regions"):
         labels = None
@@ -225,14 +227,13 @@ def colour_section(page: PageMaps, *, camera: CameraColour, expected_de00: dict[
         means = "mean of the estimated spectra, and of the true ones (dashed)"
         about = f"Regions that differ most in colour{numbered}: {means}."
     else:
-        curves, marks = _of_places(small, xyz, basis, block)
+        curves, marks = _of_places(small, xyz, basis, sigma[..., None] * profile, block)
         about = PLACES
     items = [_diffuse(xyz_to_srgb_linear(xyz), "from the spectra of the pixels, under D65", marks, ruler)]
     if evaluated is not None and "reflectance_de00" in evaluated:
         difference = shrink(lambda rows: evaluated.read("reflectance_de00", rows), shape, block)
         picture = scalar_picture(difference, heat(), unit="ΔE00 under D65", low=0.0)
         items.append(Figure("Difference to the true reflectance", UNDER_D65, picture))
-    sigma = shrink(lambda rows: masked(spectra, "sigma", rows), shape, block)
     picture = scalar_picture(sigma, heat(), unit="reflectance, expected rms", low=0.0)
     items.append(Figure("Expected error of the spectra", EXPECTED_ERROR, picture))
     blocks: list[Block] = [Figures(items)]
@@ -317,8 +318,13 @@ def _widest_place(inside: np.ndarray) -> tuple[float, float]:
     return column + 0.5, row + 0.5
 
 
-def _of_places(small: np.ndarray, xyz: np.ndarray, basis: np.ndarray, block: int) -> tuple[list[Figure], tuple]:
-    """Charts of places that differ most in colour: means over blocks of pixels, away from the extremes; their marks."""
+def _of_places(
+    small: np.ndarray, xyz: np.ndarray, basis: np.ndarray, sigma: np.ndarray, block: int
+) -> tuple[list[Figure], tuple]:
+    """Charts of places that differ most in colour: means over blocks of pixels, away from the extremes; their marks.
+
+    sigma : (rows, columns, 61) expected error of each.
+    """
     step = max(1, int(np.sqrt(small.shape[0] * small.shape[1] / 4000)))
     rows, columns = (axis.ravel() for axis in np.mgrid[0 : small.shape[0] : step, 0 : small.shape[1] : step])
     there = np.isfinite(xyz[rows, columns]).all(axis=-1)
@@ -332,18 +338,23 @@ def _of_places(small: np.ndarray, xyz: np.ndarray, basis: np.ndarray, block: int
     for number, k in enumerate(spread_out(lab[usual], CURVES, int(np.argmin(middle[usual]))), 1):
         i, j = int(rows[usual[k]]), int(columns[usual[k]])
         place = f"{number}: row {i * block + block // 2}, column {j * block + block // 2}"
-        charts.append(_spectrum_chart(place, "", [(small[i, j].astype(float) @ basis, False)]))
+        charts.append(_spectrum_chart(place, "", [(small[i, j].astype(float) @ basis, False)], sigma[i, j]))
         marks.append((j + 0.5, i + 0.5, str(number)))
     return charts, tuple(marks)
 
 
-def _spectrum_chart(label: str, note: str, curves: list[tuple[Any, bool]]) -> Figure:
+def _spectrum_chart(
+    label: str, note: str, curves: list[tuple[Any, bool]], sigma: np.ndarray | float = np.nan
+) -> Figure:
+    """Draw spectra, dashed where they are true, and about the first its expected error (61,)."""
     swatch = srgb_encode(xyz_to_srgb_linear(xyz_from_spectra(illuminant("D65"), np.asarray(curves[0][0], float))))
     drawn = [
         Curve("", WAVELENGTHS_NM, np.asarray(values, float), INK if dashed else PALETTE[1], dashed)
         for values, dashed in curves
     ]
     top = max(1.0, *(float(np.max(curve.y)) for curve in drawn))
+    edges = [np.full(WAVELENGTHS_NM.size, drawn[0].y + sign * sigma) for sign in (-1, 1)]
+    drawn += [Curve("", WAVELENGTHS_NM, edge, SOFT, dashed=True, dash=DASHES[1]) for edge in edges]
     svg = chart(
         drawn,
         x_label="wavelength, nm",

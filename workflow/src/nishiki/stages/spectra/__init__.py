@@ -31,7 +31,7 @@ LIMITS = (
 )
 
 
-class SpectraSettings(Guarded, stage="spectra", version=1, limits=LIMITS):
+class SpectraSettings(Guarded, stage="spectra", version=2, limits=LIMITS):
     """Spectral reflectance from the camera's response."""
 
     method: Literal["local", "wiener", "paper"] = Field(
