@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import _project  # noqa: F401
 from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.colour.estimate import estimate_spectra, fit_estimator
-from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights, resample
+from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights, resample, under_one_lamp
 from nishiki.colour.training import synthetic_reflectances
 
 DIFFERENCE_LIGHTS = (("", "D65"), ("_A", "A"), ("_F11", "FL11"))
@@ -281,6 +281,40 @@ def lines_of_makers(makers, camera, lamp, munsell, *, others):
                 yield _summary({"train": train, "method": method, "maker": name, **joined})
 
 
+def lines_of_two_lamps(makers, camera, lamps):
+    """The default on the makers' paints under one lamp and under two, which give six channels, with noise of responses.
+
+    The noise of a response is `noise` at white and a twentieth of it at black. `ends` is the rms at 400 and 700 nm.
+    """
+    training, own = synthetic_reflectances(), {name: lamps[name] for name in ("A", "D6500")}
+    violet, red = (np.exp(-0.5 * ((WAVELENGTHS_NM - peak) / width) ** 2) for peak, width in ((410, 8), (670, 12)))
+    own["violet and red"] = violet + red
+    for names in (("A",), ("D6500",), ("A", "D6500"), ("A", "violet and red"), ("D6500", "violet and red")):
+        curves = under_one_lamp(
+            np.repeat([own[name] for name in names], len(camera), axis=0), np.concatenate([camera] * len(names))
+        )
+        estimator, weights = fit_estimator(training, **curves), channel_weights(**curves)
+        for noise in (0.0, 0.002, 0.005):
+            rng, parts = np.random.default_rng(7), []
+            for spectra in makers.values():
+                exact = spectra @ weights.T
+                seen = exact + noise * (exact + 0.05) / 1.05 * rng.standard_normal(exact.shape)
+                field = estimate_spectra(seen, estimator)
+                error = field.spectra() - spectra
+                stated = field.sigma[:, None] * estimator.profile
+                labs = (xyz_to_lab(xyz_from_spectra(illuminant("D65"), s), white_xyz(illuminant("D65")))
+                        for s in (field.spectra(), spectra))  # fmt: skip
+                within = [np.mean(np.abs(error) < k * stated, axis=0) for k in (1, 2)]
+                rmse = np.sqrt(np.mean(error**2, axis=1)).mean()
+                parts.append([rmse, np.mean(error[:, [0, -1]] ** 2), delta_e_2000(*labs).mean(),
+                              *(share.mean() for share in (*within, *(w[[0, -1]] for w in within)))])  # fmt: skip
+            rmse, ends, de00, *shares = np.mean(parts, axis=0)
+            yield {"lamps": " + ".join(names), "noise": noise, "rmse_mean": round(rmse, 4), "ends": round(ends**0.5, 3),
+                   "de00_D65": round(de00, 2), "within_1_2_sigma": np.round(shares[:2], 2).tolist(),
+                   "within_1_2_sigma_at_the_ends": np.round(shares[2:], 2).tolist(),
+                   "condition": round(estimator.condition, 1)}  # fmt: skip
+
+
 def _summary(line) -> dict:
     return {
         "test": line["maker"],
@@ -332,16 +366,21 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="first illuminant and one split a set only")
     parser.add_argument("--library", action="store_true", help="also colour-science's recovery (slow to import)")
     parser.add_argument("--makers", action="store_true", help="the makers' paints alone")
+    parser.add_argument("--two-lamps", action="store_true", help="the makers' paints under one lamp and under two")
     arguments = parser.parse_args()
     folder = arguments.data / "spectra" if (arguments.data / "spectra").is_dir() else arguments.data
     count = 0
-    if arguments.makers:
+    if arguments.makers or arguments.two_lamps:
         known, lamps, munsell = read_cameras(folder), read_illuminants(folder), read_reflectances(folder)
         makers = read_makers(folder)
         if not (known and lamps and munsell and makers):
             raise SystemExit(
                 f"{folder}: expected cameras, illuminants, chips and paints by maker, found no complete set"
             )
+        if arguments.two_lamps:
+            for line in lines_of_two_lamps(makers, known[(arguments.camera or ["Canon 60D"])[0]], lamps):
+                print(json.dumps(line), flush=True)
+            return
         for number, camera in enumerate(
             arguments.camera or ["Canon 60D", "Nikon D700", "Point Grey Grasshopper2 14S5C"]
         ):

@@ -113,7 +113,7 @@ def others(root: Path, ingest: Artifact) -> dict[str, Artifact]:
         basis = np.stack([np.ones(61), np.linspace(0, 1, 61)])
         values = random.random((rows, columns, 2)).astype(np.float32) * 0.4
         maps.write("coefficients", values, basis=basis.tolist())
-        maps.write("sigma", np.full((rows, columns), 0.02, np.float32))
+        maps.write("sigma", np.full((rows, columns), 0.02, np.float32), profile=[1.0] * 61)
         maps.write("flags", np.zeros((rows, columns), np.uint8))
 
     def brdf(writer):

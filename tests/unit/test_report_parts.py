@@ -266,7 +266,7 @@ def test_marks_stand_at_the_places_whose_spectra_are_drawn():
     rng = np.random.default_rng(4)
     small = rng.uniform(0.1, 0.9, (12, 15, 3)).astype(np.float32)
     basis = np.abs(rng.normal(0.3, 0.1, (3, 61)))
-    charts, marks = _of_places(small, small @ np.eye(3), basis, 4)
+    charts, marks = _of_places(small, small @ np.eye(3), basis, np.full((12, 15, 61), 0.1), 4)
     assert [text for _, _, text in marks] == [str(k + 1) for k in range(len(charts))]
     for chart_, (x, y, number) in zip(charts, marks, strict=True):
         assert chart_.heading == f"{number}: row {int(y) * 4 + 2}, column {int(x) * 4 + 2}"

@@ -49,7 +49,9 @@ def responses_of(spectra, channels=3):
 
 def as_correction(e):
     space = ResponseSpace(e.mean, e.whiten, e.low, e.high)
-    correction = LocalCorrection(e.centres, e.weights, e.radius, e.variance, e.far_variance, e.gamut_distance, np.zeros(61))
+    correction = LocalCorrection(
+        e.centres, e.weights, e.radius, e.variance, e.far_variance, e.gamut_distance, np.zeros(61)
+    )
     return correction, space
 
 

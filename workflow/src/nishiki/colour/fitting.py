@@ -146,7 +146,10 @@ def fit_regression(problem: Problem, bases: int | BasesRule | None, centres: int
     lost = np.mean((estimates - estimates @ onto.T @ basis) ** 2, axis=0)
     if correction:
         correction = replace(
-            correction, weights=correction.weights @ onto.T, variance=correction.variance + float(lost.mean()), far_variance=far
+            correction,
+            weights=correction.weights @ onto.T,
+            variance=correction.variance + float(lost.mean()),
+            far_variance=far,
         )
     return Parts(
         basis=basis,

@@ -3,6 +3,8 @@
 Every spectrum inside the project is an array whose last axis is `WAVELENGTHS_NM`: 400 to 700 nm every 5 nm, 61 bands.
 """
 
+from typing import Any
+
 import numpy as np
 
 from nishiki.errors import UserError
@@ -119,9 +121,7 @@ def channel_weights(illuminant: np.ndarray, sensitivities: np.ndarray) -> np.nda
     return products / totals[:, None]
 
 
-def under_one_lamp(
-    illuminant: np.ndarray | None = None, sensitivities: np.ndarray | None = None
-) -> dict[str, np.ndarray]:
+def under_one_lamp(illuminant: np.ndarray | None = None, sensitivities: np.ndarray | None = None) -> dict[str, Any]:
     """Express channels that were photographed under lamps of their own as those of one camera under one lamp.
 
     illuminant : (1, 61), or (N, 61) relative power of each channel's lamp; sensitivities : (N, 61). Only their product

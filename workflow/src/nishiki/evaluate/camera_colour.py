@@ -15,7 +15,7 @@ from nishiki.formats.stored import load_arrays
 from nishiki.photometric.flags import NO_ESTIMATE
 
 SMALLEST = 1e-2
-"""Singular values of the channels relative to the largest: what is below them is noise, as between two lamps' channels."""
+"""Of the channels' singular values, relative to the largest: what smaller ones tell apart is noise."""
 
 
 @dataclass(frozen=True)

@@ -343,9 +343,7 @@ def _of_places(
     return charts, tuple(marks)
 
 
-def _spectrum_chart(
-    label: str, note: str, curves: list[tuple[Any, bool]], sigma: np.ndarray | float = np.nan
-) -> Figure:
+def _spectrum_chart(label: str, note: str, curves: list[tuple[Any, bool]], sigma: np.ndarray | None = None) -> Figure:
     """Draw spectra, dashed where they are true, and about the first its expected error (61,)."""
     swatch = srgb_encode(xyz_to_srgb_linear(xyz_from_spectra(illuminant("D65"), np.asarray(curves[0][0], float))))
     drawn = [
@@ -353,8 +351,9 @@ def _spectrum_chart(
         for values, dashed in curves
     ]
     top = max(1.0, *(float(np.max(curve.y)) for curve in drawn))
-    edges = [np.full(WAVELENGTHS_NM.size, drawn[0].y + sign * sigma) for sign in (-1, 1)]
-    drawn += [Curve("", WAVELENGTHS_NM, edge, SOFT, dashed=True, dash=DASHES[1]) for edge in edges]
+    if sigma is not None:
+        edges = (drawn[0].y - sigma, drawn[0].y + sigma)
+        drawn += [Curve("", WAVELENGTHS_NM, edge, SOFT, dashed=True, dash=DASHES[1]) for edge in edges]
     svg = chart(
         drawn,
         x_label="wavelength, nm",

@@ -43,7 +43,7 @@ def map_tiles(context: Context) -> dict:
     basis = np.asarray(estimator.basis).tolist()
     coefficients = out.create("coefficients", (len(basis),), basis=basis, first_nm=400, step_nm=5)
     profile = np.round(estimator.profile, 4).tolist()
-    sigma = out.create("sigma", unit="rms over the bands, reflectance; profile: of each band, relative to it", profile=profile)
+    sigma = out.create("sigma", unit="rms over the bands, reflectance; times profile: of each band", profile=profile)
     flags = out.create("flags", dtype="uint8", unit="bits, see docs/stages/spectra.md")
     counts: Counter[str] = Counter()
     sampled = [np.zeros((0, reflectance.shape[2]))]
