@@ -37,9 +37,10 @@ METHOD = {"geometry": "plane", "camera": "Camera of Works, 50 Mpx", "pixel_pitch
 
 
 def packed_stage(name, upstream):
-    manifest = {"stage": name, "key": f"{name}key", "settings": {"method": "äbc"}, "upstream": dict.fromkeys(upstream)}
+    above = {other: {"key": f"{other}key"} for other in upstream}
+    manifest = {"stage": name, "key": f"{name}key", "settings": {"method": "äbc"}, "upstream": above}
     run = {"finished": "2026-02-01T10:00:30+00:00", "seconds": 30.0}
-    return PackedStage(manifest, run, True, f"does {name}", {"artifact.json": (10, "ab" * 32)})
+    return PackedStage(manifest, run, True, f"does {name}", {"artifact.json": (10, "ab" * 32)}, name)
 
 
 STAGES = [packed_stage("ingest", ["capture"]), packed_stage("normals", ["ingest"]), packed_stage("height", ["normals"])]

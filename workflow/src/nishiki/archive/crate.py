@@ -99,6 +99,7 @@ class PackedStage:
     same_code: bool  # whether the packed code made it
     does: str  # purpose of the stage
     files: dict[str, tuple[int, str]]  # bytes and SHA-256 of artifact.json and run.json
+    name: str  # that of the stage, after its field where it is one of a mosaic's: FIELD/STAGE
 
     @property
     def stage(self) -> str:
@@ -108,20 +109,24 @@ class PackedStage:
     @property
     def folder(self) -> str:
         """Folder of the artifact inside the crate, with a slash at its end."""
-        return f"artifacts/{self.stage}/{self.manifest['key']}/"
+        return f"artifacts/{self.name}/{self.manifest['key']}/"
+
+    @property
+    def sources(self) -> list[str]:
+        """Folders of what it was made from, inside the crate."""
+        above, own = self.manifest["upstream"], self.name.removesuffix(self.stage)
+        return ["capture/" if name == "capture" else f"artifacts/{own}{name}/{above[name]['key']}/" for name in above]
 
 
-def stage_entities(stage: PackedStage, number: int, stages: list[PackedStage]) -> list[Entity]:
-    """Everything about one stage. number: its place in the flow; stages: all that are packed, for what it read."""
-    name, manifest = stage.stage, stage.manifest
-    folders = {other.stage: other.folder for other in stages}
-    reads = ["capture/" if above == "capture" else folders[above] for above in manifest["upstream"]]
+def stage_entities(stage: PackedStage, number: int) -> list[Entity]:
+    """Everything about one stage. number: its place in the flow."""
+    name, manifest, program = stage.name, stage.manifest, f"code/{stage_program(stage.stage)}"
     code = "Made by the packed code" if stage.same_code else "Made by other code than the packed"
     return [
         {
-            "@id": f"code/{stage_program(name)}",
+            "@id": program,
             "@type": ["File", "SoftwareSourceCode"],
-            "name": name,
+            "name": stage.stage,
             "description": stage.does,
             "encodingFormat": "text/x-python",
             "version": manifest.get("version", ""),
@@ -133,7 +138,7 @@ def stage_entities(stage: PackedStage, number: int, stages: list[PackedStage]) -
             "@type": "HowToStep",
             "name": name,
             "position": str(number),
-            "workExample": {"@id": f"code/{stage_program(name)}"},
+            "workExample": {"@id": program},
         },
         {
             "@id": f"#settings-{name}",
@@ -146,8 +151,8 @@ def stage_entities(stage: PackedStage, number: int, stages: list[PackedStage]) -
             "@type": "CreateAction",
             "name": f"Run of {name}",
             "description": f"{code}; digest of its code: {manifest.get('code', '')}",
-            "instrument": {"@id": f"code/{stage_program(name)}"},
-            "object": ids([*reads, f"#settings-{name}"]),
+            "instrument": {"@id": program},
+            "object": ids([*stage.sources, f"#settings-{name}"]),
             "result": {"@id": stage.folder},
             "startTime": started(stage),
             "endTime": ended(stage),
@@ -183,10 +188,10 @@ def _artifact(stage: PackedStage) -> list[Entity]:
     folder: Entity = {
         "@id": stage.folder,
         "@type": "Dataset",
-        "name": f"{stage.stage} {stage.manifest['key']}",
+        "name": f"{stage.name} {stage.manifest['key']}",
         "description": stage.does,
         "identifier": f"sha256:{stage.files['artifact.json'][1]}",
-        "exampleOfWork": {"@id": f"#parameter-{stage.stage}"},
+        "exampleOfWork": {"@id": f"#parameter-{stage.name}"},
         "hasPart": ids(stage.folder + quoted(name) for name in sorted([*single, *stores])),
     }
     return [

@@ -18,11 +18,12 @@ from nishiki.archive.survey import CAPTURE, Damage, Survey, survey_artifact
 from nishiki.archive.tree import FolderTree, Listing, Tree, ZipTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import is_inside
+from nishiki.artifacts.provenance import scene_of_field
 from nishiki.formats.files import name_fault
 from nishiki.threads import in_threads
 
-ARTIFACT_FOLDER = re.compile(r"(artifacts/[a-z_0-9]+/([0-9a-f]{12}))/")
-SEAL = "capture/manifest-sha256.txt"
+ARTIFACT_FOLDER = re.compile(r"(artifacts/([A-Za-z0-9_-]+/)??[a-z_0-9]+/([0-9a-f]{12}))/")
+CAPTURE_FOLDER, SEAL = "capture/", "manifest-sha256.txt"
 PORTION = 64  # files of one portion
 
 
@@ -33,7 +34,7 @@ class CrateAudit:
     root: Path
     digest: str = ""
     scene: str = ""
-    capture: str = ""
+    capture: str = ""  # digest; those of a mosaic's fields with commas between them
     photographs: bool = False
     files: int = 0
     bytes: int = 0
@@ -72,7 +73,7 @@ def audit_crate(audit: CrateAudit, *, threads: int, tell: Callable[[int, int, st
     digests_read: dict[str, str] = {}
     yield from _contents(audit, tree, listing, listed, digests_read, threads, tell)
     everything = [*listing.files, *listing.links, *listing.others]
-    folders = sorted({(match[1], match[2]) for name in everything if (match := ARTIFACT_FOLDER.match(name))})
+    folders = sorted({(match[1], match[3]) for name in everything if (match := ARTIFACT_FOLDER.match(name))})
     surveys = [survey_artifact(tree, folder, name=key) for folder, key in folders]
     for survey in surveys:
         yield from _artifact(survey, digests_read)
@@ -144,51 +145,79 @@ def _artifact(survey: Survey, digests_read: dict[str, str]) -> Iterator[Damage]:
 
 def _chain(audit: CrateAudit, surveys: list[Survey]) -> Iterator[Damage]:
     """Every result was made from results in the crate, and the first from one capture; of one scene."""
-    digests = {(survey.stage, survey.key): survey.digest for survey in surveys}
-    captures: set[str] = set()
+    digests = {survey.below: survey.digest for survey in surveys}
+    scenes: set[str] = set()
+    captures = _captures_of(surveys)
+    fields = {_field_of(survey) for survey in surveys}
     for survey in surveys:
-        audit.stages.append(survey.stage)
+        own = _field_of(survey)
+        audit.stages.append(own + survey.stage)
+        scenes |= {survey.scene.removesuffix(scene_of_field("", own[:-1]) if own else "")} - {""}
         for stage, (key, digest) in survey.upstream.items():
             if stage == CAPTURE:
-                captures.add(digest)
-            elif (stage, key) not in digests:
+                continue
+            if (above := f"artifacts/{own}{stage}/{key}") not in digests:
                 yield Damage(survey.folder, "incomplete", f"made from {stage}/{key}, which is not in the crate")
-            elif digests[stage, key] != digest:
+            elif digests[above] != digest:
                 yield Damage(survey.folder, "stale", f"made from another version of {stage}/{key}")
-    scenes = {survey.scene for survey in surveys if survey.scene}
     audit.scene = next(iter(sorted(scenes)), "")
-    audit.capture = next(iter(sorted(captures)), "")
+    audit.capture = ", ".join(sorted(captures))
     if not surveys:
         yield audit.damage("artifacts", "incomplete", "the crate holds no result")
     if len(scenes) > 1:
         yield audit.damage("artifacts", "misplaced", f"results of several scenes: {', '.join(sorted(scenes))}")
-    if len(captures) > 1 or (surveys and not captures):
-        yield audit.damage("artifacts", "incomplete", f"the results go back to {len(captures)} captures, expected one")
+    expected = len(fields - {""}) or 1
+    if surveys and len(captures) != expected:
+        found = f"the results go back to {len(captures)} captures, expected {expected}"
+        yield audit.damage("artifacts", "incomplete", found)
+
+
+def _captures_of(surveys: list[Survey]) -> set[str]:
+    """Return digests of the captures that artifacts were made from."""
+    return {survey.upstream[CAPTURE][1] for survey in surveys if CAPTURE in survey.upstream}
+
+
+def _field_of(survey: Survey) -> str:
+    """Return the field of a mosaic that an artifact is of, with a slash after it; empty where it is of none."""
+    own = survey.below.split("/")[1:-2]
+    return f"{own[0]}/" if own else ""
 
 
 def _capture(
     audit: CrateAudit, tree: Tree, listing: Listing, listed: dict[str, str], surveys: list[Survey]
 ) -> Iterator[Damage]:
     """Check that the results lead back to this seal and that all or none of the capture's files are present."""
-    try:
-        sealed = parse_seal(tree.read(SEAL))
-    except (OSError, ValueError) as error:
-        yield audit.damage(SEAL, "missing" if SEAL not in listing.files else "damaged", str(error))
-        return
     from nishiki.capture.seal import manifest_text
 
-    digest = hashlib.sha256(manifest_text(sealed).encode()).hexdigest()
-    if audit.capture and digest != audit.capture:
-        yield audit.damage(SEAL, "damaged", f"capture {digest[:12]}…, the results were made from {audit.capture[:12]}…")
-    present = {name.removeprefix("capture/") for name in listing.files if name.startswith("capture/data/")}
-    audit.photographs = bool(present)
-    for name in sorted(set(sealed) - present) if present else ():
-        yield audit.damage(f"capture/{name}", "missing", "listed in the seal of the capture")
-    for name in sorted(present):
-        if name not in sealed:
-            yield audit.damage(f"capture/{name}", "foreign", "not in the seal of the capture")
-        elif listed.get(f"capture/{name}") != sealed[name]:
-            yield audit.damage(f"capture/{name}", "damaged", "changed after sealing")
+    bags: list[str] = []  # of a mosaic one for each field
+    for name in sorted(listing.files, key=lambda name: (name.count("/"), name)):
+        if name.startswith(CAPTURE_FOLDER) and name.endswith(f"/{SEAL}"):
+            bag = name.removesuffix(SEAL)
+            bags += [] if any(bag.startswith(f"{other}data/") for other in bags) else [bag]
+    found, captures = set(), _captures_of(surveys)
+    for bag in bags or [CAPTURE_FOLDER]:
+        try:
+            sealed = parse_seal(tree.read(f"{bag}{SEAL}"))
+        except (OSError, ValueError) as error:
+            yield audit.damage(f"{bag}{SEAL}", "damaged" if bags else "missing", str(error))
+            return
+        digest = hashlib.sha256(manifest_text(sealed).encode()).hexdigest()
+        found.add(digest)
+        if captures and digest not in captures:
+            made = ", ".join(f"{each[:12]}…" for each in sorted(captures))
+            yield audit.damage(f"{bag}{SEAL}", "damaged", f"capture {digest[:12]}…, the results were made from {made}")
+        present = {name.removeprefix(bag) for name in listing.files if name.startswith(f"{bag}data/")}
+        audit.photographs |= bool(present)
+        for name in sorted(set(sealed) - present) if present else ():
+            yield audit.damage(f"{bag}{name}", "missing", "listed in the seal of the capture")
+        for name in sorted(present):
+            if name not in sealed:
+                yield audit.damage(f"{bag}{name}", "foreign", "not in the seal of the capture")
+            elif listed.get(f"{bag}{name}") != sealed[name]:
+                yield audit.damage(f"{bag}{name}", "damaged", "changed after sealing")
+    if len(bags) > 1:
+        for digest in sorted(captures - found):
+            yield audit.damage(CAPTURE_FOLDER, "incomplete", f"no seal of the capture {digest[:12]}…")
 
 
 def parse_seal(data: bytes) -> dict[str, str]:
@@ -212,9 +241,10 @@ def _description(audit: CrateAudit, tree: Tree, surveys: list[Survey]) -> Iterat
         for survey in surveys:
             folder = f"{survey.below}/"
             identifier = entities.get(folder, {}).get("identifier")
-            made = {entry["@id"] for entry in entities.get(f"#run-{survey.stage}", {}).get("object", [])}
+            own = _field_of(survey)
+            made = {entry["@id"] for entry in entities.get(f"#run-{own}{survey.stage}", {}).get("object", [])}
             above = {
-                "capture/" if stage == CAPTURE else f"artifacts/{stage}/{key}/"
+                "capture/" if stage == CAPTURE else f"artifacts/{own}{stage}/{key}/"
                 for stage, (key, _) in survey.upstream.items()
             }
             if identifier != f"sha256:{survey.digest}" or not above <= made:

@@ -60,12 +60,12 @@ def metadata(scene: str, version: str, capture: PackedCapture, stages: list[Pack
         *_people_and_rights(capture),
         *_workflow(version, stages, locked=LOCK in others),
         *_capture(capture, stages),
-        *(entity for number, stage in enumerate(stages) for entity in stage_entities(stage, number, stages)),
+        *(entity for number, stage in enumerate(stages) for entity in stage_entities(stage, number)),
         *_workflow_run(scene, stages, locked=LOCK in others),
         *library_entities(stages),
         *(_other(name) for name in others),
     ]
-    return {"@context": CONTEXT, "@graph": graph}
+    return {"@context": CONTEXT, "@graph": list({entity["@id"]: entity for entity in graph}.values())}
 
 
 def _other(name: str) -> Entity:
@@ -96,7 +96,7 @@ def _root(scene: str, capture: PackedCapture, stages: list[PackedStage], others:
         "conformsTo": ids(PROFILES),
         "mainEntity": {"@id": MAIN},
         "hasPart": ids(["capture/", MAIN, "code/", *_scripts(stages), *(stage.folder for stage in stages), *others]),
-        "mentions": ids(["#run", "#engine-run", *(f"#run-{stage.stage}" for stage in stages)]),
+        "mentions": ids(["#run", "#engine-run", *(f"#run-{stage.name}" for stage in stages)]),
     }
     if about.get("creator"):
         root["author"] = {"@id": "#creator"}
@@ -182,9 +182,9 @@ def _workflow(version: str, stages: list[PackedStage], *, locked: bool) -> list[
             "encodingFormat": "text/plain",
             "programmingLanguage": {"@id": "#snakemake"},
             "hasPart": ids(_scripts(stages)),
-            "step": ids(f"#step-{stage.stage}" for stage in stages),
+            "step": ids(f"#step-{stage.name}" for stage in stages),
             "input": {"@id": "#parameter-capture"},
-            "output": ids(f"#parameter-{stage.stage}" for stage in stages),
+            "output": ids(f"#parameter-{stage.name}" for stage in stages),
         },
         {
             "@id": "#snakemake",
@@ -195,7 +195,7 @@ def _workflow(version: str, stages: list[PackedStage], *, locked: bool) -> list[
         },
         {"@id": "code/", "@type": "Dataset", "name": code},
         _parameter("capture", "capture/"),
-        *(_parameter(stage.stage, stage.folder) for stage in stages),
+        *(_parameter(stage.name, stage.folder) for stage in stages),
     ]
 
 
@@ -230,7 +230,7 @@ def _workflow_run(scene: str, stages: list[PackedStage], *, locked: bool) -> lis
             "@type": "OrganizeAction",
             "name": "Run of Snakemake",
             "instrument": {"@id": "https://snakemake.github.io"},
-            "object": ids(f"#control-{stage.stage}" for stage in stages),
+            "object": ids(f"#control-{stage.name}" for stage in stages),
             "result": {"@id": "#run"},
         },
         {
@@ -244,4 +244,4 @@ def _workflow_run(scene: str, stages: list[PackedStage], *, locked: bool) -> lis
 
 
 def _scripts(stages: list[PackedStage]) -> list[str]:
-    return [f"code/{stage_program(stage.stage)}" for stage in stages]
+    return list(dict.fromkeys(f"code/{stage_program(stage.stage)}" for stage in stages))

@@ -189,7 +189,7 @@ def crm_graph(scene: Digitisation) -> Entity:
     crate = _node("./", "dig:D1_Digital_Object", scene.said("title") or scene.scene)
     crate |= {"crm:P106_is_composed_of": ids(folders), "crm:P129_is_about": {"@id": _named("object")}}
     software = _node("code/Snakefile", "dig:D14_Software", f"Nishiki {scene.version}")
-    stages = [entity for stage in scene.stages for entity in _stage(stage, scene.stages)]
+    stages = [entity for stage in scene.stages for entity in _stage(stage)]
     graph = [
         crate,
         *_object(scene),
@@ -276,21 +276,20 @@ def _capture(scene: Digitisation) -> list[Entity]:
     return [capture, _node(place, "crm:E30_Right", rights)]
 
 
-def _stage(stage: PackedStage, stages: list[PackedStage]) -> list[Entity]:
+def _stage(stage: PackedStage) -> list[Entity]:
     """Describe the run of a stage, its settings and its result."""
-    folders = {other.stage: other.folder for other in stages} | {"capture": "capture/"}
-    run = _node(_named(f"run-{stage.stage}"), "dig:D10_Software_Execution", f"{stage.stage}: {stage.does}")
+    run = _node(_named(f"run-{stage.name}"), "dig:D10_Software_Execution", f"{stage.name}: {stage.does}")
     run |= {
         "dig:L23_used_software_or_firmware": {"@id": "code/Snakefile"},
-        "dig:L2_used_as_source": ids(folders[above] for above in stage.manifest["upstream"]),
-        "dig:L13_used_parameters": {"@id": _named(f"settings-{stage.stage}")},
+        "dig:L2_used_as_source": ids(stage.sources),
+        "dig:L13_used_parameters": {"@id": _named(f"settings-{stage.name}")},
         "dig:L11_had_output": {"@id": stage.folder},
         "dig:L31_has_starting_date-time": _moment(started(stage)),
         "dig:L32_has_ending_date-time": _moment(ended(stage)),
     }
-    settings = _node(_named(f"settings-{stage.stage}"), "dig:D1_Digital_Object", f"settings of {stage.stage}")
+    settings = _node(_named(f"settings-{stage.name}"), "dig:D1_Digital_Object", f"settings of {stage.name}")
     settings["crm:P190_has_symbolic_content"] = canonical(stage.manifest["settings"])
-    result = _node(stage.folder, "dig:D1_Digital_Object", f"{stage.stage} {stage.manifest['key']}")
+    result = _node(stage.folder, "dig:D1_Digital_Object", f"{stage.name} {stage.manifest['key']}")
     digest = stage.files["artifact.json"][1]
     result["crm:P1_is_identified_by"] = _appellation_node("crm:E42_Identifier", f"sha256:{digest}")
     return [run, settings, result]

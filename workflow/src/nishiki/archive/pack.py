@@ -133,9 +133,10 @@ def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool,
 
 
 def _copy_artifact(crate: Crate, scene: PackedScene, item: Artifact, project: Path) -> PackedStage:
-    from nishiki.artifacts.provenance import code_digest, program_of, stage_program
+    from nishiki.artifacts.provenance import code_digest, name_above, program_of, stage_program
 
-    folder = f"artifacts/{item.stage}/{item.key}"
+    name_of_stage = name_above(scene.name, item.manifest)
+    folder = f"artifacts/{name_of_stage}/{item.key}"
     for name, entry in sorted(item.manifest["files"].items()):
         crate.copy(item.path(name), f"{folder}/{name}", entry["sha256"])
     for name in (ARTIFACT, RUN):
@@ -147,22 +148,29 @@ def _copy_artifact(crate: Crate, scene: PackedScene, item: Artifact, project: Pa
     script = script if script.is_file() else program_of(item.stage)  # of an installed package
     same = script.is_file() and code_digest(script) == item.manifest.get("code")
     files = {name: crate.files[f"{folder}/{name}"] for name in (ARTIFACT, RUN)}
-    return PackedStage(item.manifest, run, same, scene.does.get(item.stage, item.stage), files)
+    return PackedStage(item.manifest, run, same, scene.does.get(item.stage, item.stage), files, name_of_stage)
 
 
 def _copy_capture(crate: Crate, scene: PackedScene, with_capture: bool, tell: Tell) -> PackedCapture:
+    from nishiki.capture.mosaic import TABLE, is_mosaic, read_fields
     from nishiki.capture.seal import MANIFEST as SEAL
     from nishiki.capture.seal import TAG_MANIFEST, TAGS, read_manifest
 
-    listed = read_manifest(scene.capture / SEAL)
-    for name in (*TAGS, TAG_MANIFEST):
-        if (scene.capture / name).is_file():
-            crate.copy(scene.capture / name, f"capture/{name}")
+    bags = {scene.capture: "capture"}
+    if is_mosaic(scene.capture):
+        crate.copy(scene.capture / TABLE, f"capture/{TABLE}")
+        bags = {field.path: f"capture/{field.place}" for field in read_fields(scene.capture)}
+    listed = {}
+    for bag, place in bags.items():
+        for name in (*TAGS, TAG_MANIFEST):
+            if (bag / name).is_file():
+                crate.copy(bag / name, f"{place}/{name}")
+        listed |= {f"{place}/{name}": (bag / name, sha256) for name, sha256 in read_manifest(bag / SEAL).items()}
     total = 0
-    for number, (name, sha256) in enumerate(sorted(listed.items()) if with_capture else ()):
+    for number, (name, (path, sha256)) in enumerate(sorted(listed.items()) if with_capture else ()):
         tell(number, len(listed), f"copying the capture, {total / 1e9:.2f} GB")
-        crate.copy(scene.capture / name, f"capture/{name}", sha256)
-        total += crate.files[f"capture/{name}"][0]
+        crate.copy(path, name, sha256)
+        total += crate.files[name][0]
     return PackedCapture(scene.capture_digest, scene.about, with_capture, len(listed), total)
 
 

@@ -112,9 +112,11 @@ def _verify_crate(path: Path, threads: int, as_json: bool) -> int:
         return problems
     raw = "with its photographs" if audited.photographs else "without its photographs"
     state = amount(problems, "problem") if problems else "sound"
+    fields = audited.capture.split(", ")
+    capture = f"capture {audited.capture[:12]}" if len(fields) == 1 else f"{len(fields)} captures"
     print(
-        f"{shown(path)}: scene {shown(audited.scene)}, {len(audited.stages)} results from capture "
-        f"{audited.capture[:12]} ({raw}), {audited.files} files, {audited.bytes / 1e9:.3f} GB: {state}; "
+        f"{shown(path)}: scene {shown(audited.scene)}, {len(audited.stages)} results from {capture} "
+        f"({raw}), {audited.files} files, {audited.bytes / 1e9:.3f} GB: {state}; "
         f"digest {audited.digest}"
     )
     return problems
@@ -183,14 +185,14 @@ def expect_outside(target: Path, results: Path) -> None:
 def _scene(flow: "Workflow", name: str, plan: "Plan") -> "PackedScene":
     from nishiki.archive.crate import capture_method
     from nishiki.archive.pack import PackedScene
-    from nishiki.capture.folder import payload_of
-    from nishiki.capture.schema import read_capture_file
+    from nishiki.capture.folder import load_capture
     from nishiki.capture.schema_base import ABOUT
     from nishiki.stages.table import CHAIN
     from nishiki.version import PROJECT_VERSION
 
     capture = plan.scene.capture
-    described = read_capture_file(payload_of(capture) / "capture.yaml")
+    described = load_capture(capture).settings
+    artifacts = _artifacts(flow, plan)
     stages = {
         stage: {"key": planned.key, "settings": planned.settings, "upstream": planned.upstream}
         for stage, planned in plan.stages.items()
@@ -198,7 +200,7 @@ def _scene(flow: "Workflow", name: str, plan: "Plan") -> "PackedScene":
     return PackedScene(
         name=name,
         version=PROJECT_VERSION,
-        artifacts=_artifacts(flow, name, plan),
+        artifacts=artifacts,
         capture=capture,
         capture_digest=plan.facts.capture_digest,
         about={key: getattr(described, key) for key in ABOUT},
@@ -209,24 +211,29 @@ def _scene(flow: "Workflow", name: str, plan: "Plan") -> "PackedScene":
             "held_out": list(plan.held_out),
             "truth_sha256": plan.facts.truth_sha256,
         },
-        does={stage: CHAIN[stage].does for stage in plan.stages},
+        does={each.stage: CHAIN[each.stage].does for each in artifacts},
         method=capture_method(described),
     )
 
 
-def _artifacts(flow: "Workflow", name: str, plan: "Plan") -> "list[Artifact]":
-    """List the artifacts of a scene, each made from the others. Raises UserError where a run has to come first."""
+def _artifacts(flow: "Workflow", plan: "Plan") -> "list[Artifact]":
+    """List the artifacts of a scene and of its fields, each made from those before it.
+
+    Raises UserError where a run has to come first.
+    """
     from nishiki.artifacts.artifact import open_artifact
 
     artifacts: dict[str, Artifact] = {}
-    for stage in plan.stages:
-        try:
-            artifacts[stage] = open_artifact(Path(flow.artifact(name, stage)))
-        except UserError as error:
-            raise UserError(f"{name} is not finished: {error}") from None
-        for above, entry in artifacts[stage].manifest["upstream"].items():
-            if above in artifacts and artifacts[above].digest != entry.get("digest"):
-                raise UserError(f"{artifacts[stage].folder}: made from another {above}. Remedy: ./nishiki run first")
+    for scene in plan.scene.with_fields:
+        for stage, planned in flow.plans[scene.name].stages.items():
+            path = flow.artifact(scene.name, stage)
+            try:
+                artifacts[path] = open_artifact(Path(path))
+            except UserError as error:
+                raise UserError(f"{scene.name} is not finished: {error}") from None
+            for above, other in flow.above(scene.name, planned).items():
+                if artifacts[other].digest != artifacts[path].manifest["upstream"][above].get("digest"):
+                    raise UserError(f"{artifacts[path].folder}: made from another {above}. Remedy: ./nishiki run first")
     return list(artifacts.values())
 
 
