@@ -71,7 +71,7 @@ def _of_mosaic(capture: MosaicCapture) -> SceneFacts:
         parts={},
         suffixes=(),
         kept_pixels=0,
-        fields=tuple(each.name for each in capture.fields),
+        fields={each.name: each.position_mm for each in capture.fields},
     )
 
 
@@ -244,12 +244,16 @@ def _read(path: Path, signature: str) -> SceneFacts | None:
         content = json.loads(path.read_bytes())
         if content.pop("signature") != signature:
             return None
-        values: dict[str, Any] = {
-            name: tuple(each) if isinstance(each, list) else each for name, each in content.items()
-        }
-        return SceneFacts(**values)
+        return SceneFacts(**_frozen(content))
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None  # absent, torn or of another version: read afresh
+
+
+def _frozen(value: Any) -> Any:
+    """Return values read from JSON with tuples in place of lists."""
+    if isinstance(value, dict):
+        return {name: _frozen(each) for name, each in value.items()}
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _write(path: Path, signature: str, facts: SceneFacts) -> None:

@@ -111,7 +111,7 @@ def make_plan(scene: Scene, facts: SceneFacts, fields: Mapping[str, Plan] = Mapp
     chain = chain_of(facts.geometry)
     held_out = held_out_of(scene.settings.hold_out, scene, facts)
     settings: dict[str, Closed] = {}
-    decided = {"hold_out": held_out, "truth_sha256": facts.truth_sha256}
+    decided = {"hold_out": held_out, "truth_sha256": facts.truth_sha256, "positions_mm": dict(facts.fields)}
     for name in chain:
         given = getattr(scene.settings, name)
         update = {key: value for key, value in decided.items() if key in type(given).model_fields}

@@ -29,7 +29,7 @@ from nishiki.report.page import (
 )
 from nishiki.report.pictures import file_jpeg
 
-PLANNED = ("hold_out", "without", "truth_sha256", "training_sha256", "left_out")
+PLANNED = ("hold_out", "positions_mm", "without", "truth_sha256", "training_sha256", "left_out")
 """Settings that the plan fills in; a user does not write them."""
 LONGEST_TEXT = 160  # characters of a line
 THUMBNAIL, THUMBNAIL_COLUMNS = "thumbnail.jpg", 320
@@ -64,14 +64,15 @@ def write_scene_page(
     scenes shows.
     """
     stamp, settings = context.stamp, context.settings
-    closing = closing_sections(context.inputs, stages, stamp, settings.left_out, more_left_out, more_made)
-    viewer = next((name for name in context.inputs if name.endswith("viewer")), None)
+    inputs = {name: each for name, each in context.inputs.items() if each.stage == name}  # none in place of another
+    closing = closing_sections(inputs, stages, stamp, settings.left_out, more_left_out, more_made)
+    viewer = next((name for name in inputs if name.endswith("viewer")), None)
     beyond = [
         f"{name}: {warning}"
         for name in stages
-        if name in context.inputs
+        if name in inputs
         for warning in limit_warnings(
-            name, stages[name].limits, context.inputs[name].diagnostics, context.inputs[name].settings.get("allow", ())
+            name, stages[name].limits, inputs[name].diagnostics, inputs[name].settings.get("allow", ())
         )
     ]
     shown = [section for section in sections if section]
@@ -93,13 +94,13 @@ def write_scene_page(
     )
     html = render_page(page)
     context.output.path("report.html").write_text(html, encoding="utf-8")
-    rendered = (artifact for stage, artifact in context.inputs.items() if stage.endswith("render"))
+    rendered = (artifact for stage, artifact in inputs.items() if stage.endswith("render"))
     pictures = (contents(each, f"{name}.png") for each in rendered for name in each.diagnostics["pictures"])
     if picture := next(filter(None, pictures), None):
         context.output.path(THUMBNAIL).write_bytes(file_jpeg(picture, THUMBNAIL_COLUMNS))
     return {
         "bytes": len(html.encode()),
-        "stages": sorted(context.inputs),
+        "stages": sorted(inputs),
         "title": page.title,
         "about": head.about,
         "figures": [dataclasses.asdict(tile) for tile in head.tiles],

@@ -54,8 +54,8 @@ class SceneFacts:
         Of the photographs' names, in small letters.
     table : bool
         Whether the capture holds reflectances instead of photographs.
-    fields : tuple of str
-        Of a mosaic: names of its fields.
+    fields : mapping of str to tuple of float or None
+        Of a mosaic: x and y of each field on the stage, in mm, None where unknown.
     """
 
     capture_digest: str
@@ -77,7 +77,7 @@ class SceneFacts:
     suffixes: tuple[str, ...] = ()
     table: bool = False
     kept_pixels: int = 0
-    fields: tuple[str, ...] = ()
+    fields: Mapping[str, tuple[float, float] | None] = field(default_factory=dict)
 
     @property
     def observations(self) -> int:

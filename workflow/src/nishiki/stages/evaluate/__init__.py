@@ -23,6 +23,7 @@ class EvaluateSettings(Guarded, stage="evaluate", version=2):
 PAINTING = Stage(
     settings=EvaluateSettings,
     does="errors against truth, or on lights that the fit never saw",
+    of_mosaics=True,
     requires=("ingest", "normals"),
     wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
     lacks=lambda facts, settings: (

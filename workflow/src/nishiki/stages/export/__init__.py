@@ -99,6 +99,7 @@ def _wanted(settings: ExportSettings) -> tuple[str, ...]:
 PAINTING = Stage(
     settings=ExportSettings,
     does="files for other programs",
+    of_mosaics=True,
     requires=("ingest", "normals"),
     wants=_wanted,
     needs_colour=True,

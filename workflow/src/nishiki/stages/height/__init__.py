@@ -46,6 +46,7 @@ class HeightSettings(Guarded, stage="height", version=3, limits=LIMITS):
 STAGE = Stage(
     settings=HeightSettings,
     does="height by integration of the normals",
+    of_mosaics=True,
     requires=("normals",),
     libraries=ARRAYS,
     threads=1,

@@ -83,6 +83,7 @@ def illuminants(settings: RenderSettings) -> set[str]:
 PAINTING = Stage(
     settings=RenderSettings,
     does="pictures under any light and view",
+    of_mosaics=True,
     requires=("normals",),
     wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
     needs_colour=True,

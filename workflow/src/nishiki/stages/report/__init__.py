@@ -22,6 +22,7 @@ class ReportSettings(PageSettings, stage="report", version=2):
 PAINTING = Stage(
     settings=ReportSettings,
     does="HTML report of the scene",
+    of_mosaics=True,
     requires=("ingest", "normals"),
     uses=("separate", "height", "spectra", "brdf", "render", "evaluate", "viewer", "export"),
     libraries=("numpy", "jinja2", "zarr", OPENCV),

@@ -123,8 +123,9 @@ def shape_section(page: PageMaps, *, refined: bool) -> Section:
     if error is not None:
         picture = scalar_picture(error, heat(), unit="degrees", low=0.0, high=end)
         items.append(Figure("Angle to the true normals", "compare with the expected error beside it.", picture))
-    lights = scalar_picture(small("lights_used"), sea(), unit="lights", digits=3)
-    items.append(Figure("Lights used", LIGHTS_OF_REFINED if refined else LIGHTS, lights))
+    if "lights_used" in normals:
+        lights = scalar_picture(small("lights_used"), sea(), unit="lights", digits=3)
+        items.append(Figure("Lights used", LIGHTS_OF_REFINED if refined else LIGHTS, lights))
     key = {k: (colour, text) for k, (_, colour, text) in enumerate(CLASSES)}
     flags = class_picture(_flags(page, shape, block), key)
     items.append(Figure("Weak places", "where an estimate is missing or weak.", flags))

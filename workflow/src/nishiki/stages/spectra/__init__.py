@@ -60,6 +60,7 @@ def _no_spectra(facts: SceneFacts, settings: Closed) -> str | None:
 STAGE = Stage(
     settings=SpectraSettings,
     does="spectral reflectance coefficients",
+    of_mosaics=True,
     requires=("ingest", "normals"),
     lacks=_no_spectra,
     needs_colour=True,

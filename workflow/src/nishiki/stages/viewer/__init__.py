@@ -22,6 +22,7 @@ class ViewerSettings(Guarded, stage="viewer", version=3):
 PAINTING = Stage(
     settings=ViewerSettings,
     does="interactive page: moving lamps, spectra, layers",
+    of_mosaics=True,
     requires=("ingest", "normals"),
     wants=lambda settings: ("height", "spectra", "brdf"),
     uses=("evaluate",),
