@@ -226,10 +226,7 @@ def fit_movements(
 
 def _features(pictures: Sequence[np.ndarray] | np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Laplacians of the logarithms (lights, rows, columns), clipped, 0 at and beyond the rim of the object."""
-    import cv2
-
-    depth = cv2.distanceTransform(np.pad(inside.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
-    taper = np.clip((depth - 4) / 8, 0, 1).astype(np.float32)
+    taper = taper_of(inside)
     features = np.zeros((len(pictures), *inside.shape), np.float32)
     if not (taper > 0).any():
         return features
@@ -238,33 +235,57 @@ def _features(pictures: Sequence[np.ndarray] | np.ndarray, inside: np.ndarray) -
         floor = FLOOR * np.percentile(known[taper > 0], 80)
         if floor <= 0:
             continue
-        logarithm = np.log(np.maximum(known, 0) + floor)
-        curved = cv2.GaussianBlur(logarithm, (0, 0), COARSER) - cv2.GaussianBlur(logarithm, (0, 0), FINE)
-        unit = 1.4826 * np.median(np.abs(curved[taper > 0])) + 1e-12
-        out[...] = np.clip(curved / unit, -CLIP, CLIP) * taper
+        out[...] = laplacian(np.log(np.maximum(known, 0) + floor), taper) * taper
     return features
+
+
+def taper_of(inside: np.ndarray) -> np.ndarray:
+    """Return weights (rows, columns) float32 of an object's pixels, which rise from 0 at its rim to 1."""
+    import cv2
+
+    depth = cv2.distanceTransform(np.pad(inside.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    return np.clip((depth - 4) / 8, 0, 1).astype(np.float32)
+
+
+def laplacian(values: np.ndarray, taper: np.ndarray) -> np.ndarray:
+    """Filter values (rows, columns) by a band; in robust standard deviations where the taper is not 0, and clipped."""
+    import cv2
+
+    curved = cv2.GaussianBlur(values, (0, 0), COARSER) - cv2.GaussianBlur(values, (0, 0), FINE)
+    unit = 1.4826 * np.median(np.abs(curved[taper > 0])) + 1e-12
+    return np.clip(curved / unit, -CLIP, CLIP)
 
 
 def _compare(window: Window, pairs: np.ndarray, movement: Movement) -> tuple[np.ndarray, np.ndarray]:
     """Displacements (pairs, 2) in pixels of the whole picture, after alignment, and the heights of their peaks."""
-    from scipy.fft import fftfreq, irfft2, rfft2, rfftfreq
+    from scipy.fft import rfft2
 
     features = _features(*align_window(window, movement))
     shape = features.shape[1:]
-    spectra, reach = rfft2(features), max(min(*shape) // 4, 3)
-    frequencies = np.square(fftfreq(shape[0]))[:, None] + np.square(rfftfreq(shape[1]))
-    smooth = np.exp(-2 * np.square(np.pi * PEAK_WIDTH) * frequencies).astype(np.float32)
-    rows, columns = (np.arange(-reach, reach + 1) % n for n in shape)
+    spectra = rfft2(features)
     shifts, heights = np.zeros((len(pairs), 2)), np.zeros(len(pairs))
     step = max(1, AT_A_TIME // features[0].size)
     for first in range(0, len(pairs), step):
         part = slice(first, first + step)
-        cross = np.conj(spectra[pairs[part, 0]]) * spectra[pairs[part, 1]]
-        amplitude = np.abs(cross)
-        floor = WHITENING * amplitude.mean(axis=(1, 2), keepdims=True) + 1e-30
-        planes = irfft2(cross * (smooth / (amplitude + floor)), s=shape)[:, rows[:, None], columns]
-        shifts[part], heights[part] = _peaks(planes)
+        shifts[part], heights[part] = find_shifts(np.conj(spectra[pairs[part, 0]]) * spectra[pairs[part, 1]], shape)
     return shifts * window.step, heights
+
+
+def find_shifts(cross: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Find the shifts of pictures of this shape by phase correlation, within a quarter of their shorter side.
+
+    cross: (pairs, rows, columns // 2 + 1), conjugate spectrum of the first times that of the second. Returns (pairs, 2)
+    displacements of the second, columns and rows, and the heights of their peaks in robust standard deviations.
+    """
+    from scipy.fft import fftfreq, irfft2, rfftfreq
+
+    reach = max(min(*shape) // 4, 3)
+    frequencies = np.square(fftfreq(shape[0]))[:, None] + np.square(rfftfreq(shape[1]))
+    smooth = np.exp(-2 * np.square(np.pi * PEAK_WIDTH) * frequencies).astype(np.float32)
+    rows, columns = (np.arange(-reach, reach + 1) % n for n in shape)
+    amplitude = np.abs(cross)
+    floor = WHITENING * amplitude.mean(axis=(1, 2), keepdims=True) + 1e-30
+    return _peaks(irfft2(cross * (smooth / (amplitude + floor)), s=shape)[:, rows[:, None], columns])
 
 
 def align_window(window: Window, movement: Movement, *, replicate: bool = True) -> tuple[list[np.ndarray], np.ndarray]:
