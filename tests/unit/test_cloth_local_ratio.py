@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nishiki.brdf.cloth.interface import gloss_of
 from nishiki.brdf.cloth.store import load_brdf, save_brdf
 from nishiki.brdf.cloth.yarn_facets import (
     CENTRE,
@@ -17,6 +18,8 @@ from nishiki.brdf.cloth.yarn_facets import (
     uncorrected,
 )
 from nishiki.goniometry.directions import unit
+from nishiki.render.cloth.scene import together
+from nishiki.render.display import three_channels
 
 
 def direction(theta, phi):
@@ -78,3 +81,15 @@ def test_model_with_images_is_stored_and_reciprocal(tmp_path):
     np.testing.assert_allclose(brdf.evaluate(i, o), brdf.evaluate(o, i), rtol=1e-9)
     save_brdf(tmp_path / "brdf.npz", brdf)
     np.testing.assert_array_equal(load_brdf(tmp_path / "brdf.npz").evaluate(i, o), brdf.evaluate(i, o))
+
+
+def test_models_that_differ_in_their_images_are_not_taken_for_one():
+    places, (i, o) = places_of(*IMAGES), IMAGES
+    first = replace(uncorrected(shape_of(CENTRE), [0.1], [0.0]), images=places, image_weights=np.zeros(3))
+    others = [
+        replace(first, image_weights=fit_ratio(places, np.array([1.2, 0.8, 1.1]), np.ones(3), quarter=True)),
+        replace(first, quarter=False),
+        gloss_of(first),
+    ]
+    for brdf, values in zip([first, *others], together([first, *others], i, o), strict=True):
+        np.testing.assert_array_equal(values, three_channels(brdf.evaluate(i, o)))

@@ -11,13 +11,13 @@ new change of variables for efficient BRDF representation, 1998). The table has 
 It holds q = sqrt(f i_z o_z), which is finite at the horizon, and is linear between nodes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import product
 from typing import ClassVar, Protocol
 
 import numpy as np
 
-from nishiki.brdf.cloth.interface import Dyed
+from nishiki.brdf.cloth.interface import WITHIN, Dyed
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.visibility import RayTree, make_tree
@@ -57,13 +57,14 @@ class Matte:
 def together(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray) -> list[np.ndarray]:
     """Return (..., 3) values of each BRDF at directions (..., 3); what several have in common is evaluated once.
 
-    Dyes share a gloss, and a model of yarns shares its terms with its own gloss.
+    Dyes share a gloss, and a model of yarns shares its terms with those that differ from it in colour only.
     """
     known: dict[tuple[int, ...], np.ndarray] = {}
 
     def of(brdf) -> np.ndarray:
         terms = getattr(brdf, "terms", None)
-        key = (id(brdf.shape), id(brdf.correction), id(brdf.images)) if terms else (id(brdf),)
+        parts = [getattr(brdf, f.name) for f in fields(brdf) if f.name not in WITHIN] if terms else [brdf]
+        key = tuple(map(id, parts))
         if key not in known:
             known[key] = terms(incident, outgoing) if terms else three_channels(brdf.evaluate(incident, outgoing))
         return three_channels(brdf.coloured(known[key])) if terms else known[key]

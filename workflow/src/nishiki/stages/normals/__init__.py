@@ -90,7 +90,7 @@ STAGE = Stage(
     needs_colour=True,  # normals from luminance alone are others, so that they would depend on the products
     libraries=ARRAYS,
     cost=lambda facts: (  # with few lights the gloss is fitted together with the normals
-        Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=9, us_per_sample=0.02)
+        Cost(mib=560, tiles=2.2, bytes_per_pixel=8, seconds=8, us_per_pixel=9, us_per_sample=0.02)
         if len(facts.lights) <= FEW_LIGHTS
         else Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=1, us_per_sample=0.28)
     ),
