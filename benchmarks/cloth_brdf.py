@@ -26,10 +26,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 from cloth_peers import PRIORS, fit_peer
+from cloth_references import REFERENCES, fit_reference
 
 import _project  # noqa: F401
 from nishiki.brdf.cloth.interface import incidences, prediction_error, solid_angles
-from nishiki.brdf.cloth.models import FACETS, MODELS, REFERENCE, YARNS, Fitted, fit_models
+from nishiki.brdf.cloth.models import FACETS, MODELS, PUBLISHED, YARNS, Fitted, fit_models
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import Reflectances, ReflectanceSet
@@ -99,6 +100,9 @@ def searched(measured: ReflectanceSet, region: int):
     return (best.brdf, {"rms_rel_normal": best.rms_rel}), time.process_time() - start
 
 
+EVERY = (*MODELS, *REFERENCES, *PRIORS)
+
+
 def fit_one(measured: ReflectanceSet, region: int, name: str, oblique: int, chosen=None, yarns=None):
     """(Fitted, seconds): the grid of normal incidence is part of the input, like the reflectances.
 
@@ -112,6 +116,8 @@ def fit_one(measured: ReflectanceSet, region: int, name: str, oblique: int, chos
     if name in PRIORS:
         peer = fit_peer(name, data, np.concatenate([np.flatnonzero(measured.normal_incidence), chosen]))
         fitted = Fitted(peer.brdf, peer.used)
+    elif name in REFERENCES:
+        fitted = fit_reference(name, data, basic)
     else:
         fitted = fit_models(data, basic, [name], oblique=oblique, yarns=yarns)[name]
     return fitted, time.process_time() - start
@@ -157,11 +163,12 @@ def run(name: str, measured: ReflectanceSet, region: int, models, oblique: int, 
         seen = fit_one(measured, region, FACETS, count)[0].used if count else np.empty(0, int)
         chosen = seen[~measured.normal_incidence[seen]]
         for model in models:
-            if count and model in ("bard_linear", "bard_great_circle", "facets", *REFERENCE):
+            if count and model in (*PUBLISHED, *REFERENCES):
                 continue  # they use no oblique images: as above
             fitted, seconds = fit_one(measured, region, model, count, chosen, yarns)
-            used = 0 if model in REFERENCE else len(fitted.used)
-            kept = seen if model in REFERENCE else np.union1d(seen, fitted.used)
+            everything = model == "bard_scaled"  # it has seen what it is judged by
+            used = 0 if everything else len(fitted.used)
+            kept = seen if everything else np.union1d(seen, fitted.used)
             judge(name, model, fitted, seconds, measured, region, kept.astype(int), used or len(measured),
                   model == YARNS and count == oblique)  # fmt: skip
     for count in FEWER[1:] if fewer else ():
@@ -175,9 +182,7 @@ def main() -> None:
     """Parse, read, judge."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="capture, artifact, table, or a folder of them")
-    parser.add_argument(
-        "--models", nargs="*", choices=(*MODELS, *PRIORS), default=[*MODELS, *PRIORS], help="(default: all)"
-    )
+    parser.add_argument("--models", nargs="*", choices=EVERY, default=EVERY, help="(default: all)")
     parser.add_argument("--oblique", type=int, default=20, help="oblique images (default: %(default)s)")
     parser.add_argument("--fewer", action="store_true", help="fewer views of normal incidence as well")
     arguments = parser.parse_args()

@@ -4,12 +4,13 @@ import mpmath
 import numpy as np
 import pytest
 from benchmarks.cloth_peers import AshikhminShirley, Ggx, Ward, fit_peer
+from benchmarks.cloth_references import read_facets
 from exact_dye import exact_dye
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 
 from nishiki.brdf.cloth.interface import LEAST_COSINE
-from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard, great_circle_view, linear_view, read_facets
+from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard, great_circle_view, linear_view
 from nishiki.brdf.cloth.yarn_facets import CENTRE, SPREAD, shape_of, uncorrected
 from nishiki.brdf.cloth.yarn_fit import Measured, fit_yarn_facets
 from nishiki.errors import UserError

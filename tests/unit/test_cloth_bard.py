@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from benchmarks.cloth_references import ScaledBard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.brdf.cloth.normal_incidence import (
     GreatCircleBard,
     LinearBard,
-    ScaledBard,
     amplitude,
     great_circle_view,
     linear_view,

@@ -138,7 +138,7 @@ def evaluation_of(writer):
     none = {"measurements": 0, "rows": [], "by_incidence": {}}
     models = {
         "facets": {"facts": {}, "reference": False, "held_out": kind, "fitted": kind},
-        "bard_scaled": {"facts": {}, "reference": True, "held_out": kind, "fitted": none},
+        "bard_linear": {"facts": {}, "reference": True, "held_out": kind, "fitted": none},
     }
     line = {"theta_i_deg": 30.0, "phi_i_deg": 90.0, "plane": "warp", "theta_r_deg": [-10.0, 0.0, 20.0]}
     line |= {"held_out": [True] * 3, "measured": [0.1, 0.2, 0.1], "predicted": {"facets": [0.1, 0.2, 0.2]}}
@@ -228,7 +228,7 @@ def test_lobes_reach_the_rim_at_the_brightest_value():
 
 
 def test_every_model_of_the_error_chart_has_a_line_of_its_own_within_the_drawing():
-    names = [*MODELS, "weave"]
+    names = [*MODELS, "facets", "ward"]
     models = {name: {"15": {"rms_rel": 0.02 * 2**k}, "75": {"rms_rel": 0.05 * 2**k}} for k, name in enumerate(names)}
     svg = error_chart(models, "yarn_facets")
     lines = re.findall(r'<path d="M([^"]*)" fill="none" stroke="(#[0-9a-f]*)" stroke-width="1.8"([^/]*)/>', svg)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from benchmarks.cloth_peers import Ggx, fit_peer, peer_of
+from benchmarks.cloth_references import TILTS, TURNS, read_facets, smith_masking
 
 from nishiki.brdf.cloth.interface import halves, hemisphere, prediction_error, reciprocity_error
-from nishiki.brdf.cloth.normal_incidence import TILTS, TURNS, read_facets, smith_masking
 from nishiki.brdf.cloth.store import goniometer_rows, utia_planes
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.goniometry.interpolation import evaluate

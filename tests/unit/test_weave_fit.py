@@ -1,18 +1,19 @@
 """The weave fit: recovery of what made the data, intervals, identifiable combinations; readings against quadrature."""
 
+import json
+
 import numpy as np
 import pytest
 from refusals import refused
 from scipy.integrate import quad
 from weave_rays import along, cast, lengths_of, pieces_of
 
-from nishiki.brdf.cloth.store import load_brdf, save_brdf
 from nishiki.errors import UserError
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.weave.fit import WeaveModel, fit_weave, make_plane, planes_of
 from nishiki.weave.model import lobe, lobe_integral, pieces
 from nishiki.weave.section import WarpSection, WeftSection
-from nishiki.weave.store import Weave, brdf_of, describe, write_weave
+from nishiki.weave.store import describe, read_yarns, write_weave
 
 THETA = np.radians(np.arange(0.0, 88.0, 3.0))
 CLOTHS = {
@@ -200,16 +201,17 @@ def directions(plane: int, theta):
 
 def test_planes_are_found_among_other_directions():
     model = of_reading(CLOTHS["satin"], "paper")
-    brdf = brdf_of(model)
     view = np.concatenate([directions(0, THETA), directions(1, -THETA), directions(0, THETA[2:]) @ rotation(30)])
     lamp = np.broadcast_to([0.0, 0.0, 1.0], view.shape)
-    table = ReflectanceSet.of(lamp, view, brdf.evaluate(lamp, view))
+    planes = (("weft", THETA), ("warp", -THETA), ("weft", THETA[2:]))  # what lies outside of both takes no part
+    values = np.concatenate([model.predict(name, 0.0, angles) for name, angles in planes])
+    table = ReflectanceSet.of(lamp, view, values)
     weft, warp = planes_of(table)
     assert weft.measured
     assert THETA.size < weft.theta_r.size < THETA.size + 5  # those at the normal belong to both planes
     np.testing.assert_allclose(weft.mean, model.predict("weft", 0.0, weft.theta_r)[:, 0], rtol=1e-12)
     np.testing.assert_allclose(warp.mean, model.predict("warp", 0.0, warp.theta_r)[:, 0], rtol=1e-12)
-    few = ReflectanceSet.of(lamp[65:], view[65:], brdf.evaluate(lamp, view)[65:])
+    few = ReflectanceSet.of(lamp[65:], view[65:], values[65:])
     with refused(UserError, "0", by="_interpolated"):
         planes_of(few)
 
@@ -219,39 +221,20 @@ def rotation(degrees: float):
     return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
 
 
-@pytest.mark.parametrize("reading", ["paper", "shaded"])
-def test_brdf_is_the_fitted_curve_in_the_planes_reciprocal_and_finite(reading, tmp_path):
-    model = of_reading(CLOTHS["satin"], reading)
-    brdf = brdf_of(model)
-    for plane, name in enumerate(("weft", "warp")):
-        lamp, view = directions(plane, np.full(THETA.size, 0.4)), directions(plane, -THETA)
-        np.testing.assert_allclose(brdf.evaluate(lamp, view), model.predict(name, 0.4, -THETA), rtol=1e-9)
-    rng = np.random.default_rng(0)
-    i, o = rng.normal(size=(2, 500, 3))
-    i, o = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (i, o))
-    values = brdf.evaluate(i, o)
-    below = (i[:, 2] <= 0) | (o[:, 2] <= 0)
-    assert np.all(np.isfinite(values))
-    assert np.all(values >= 0)
-    assert np.all(values[below] == 0)
-    np.testing.assert_allclose(values, brdf.evaluate(o, i), rtol=1e-9, atol=1e-300)
-    save_brdf(tmp_path / "brdf.npz", brdf)
-    np.testing.assert_array_equal(load_brdf(tmp_path / "brdf.npz").evaluate(i, o), values)
-
-
 def test_store_gives_back_the_model(tmp_path):
     truth = of_reading(CLOTHS["twill"], "paper")
     planes = measured(truth)
     fit = fit_weave(*planes, reading="paper", contact=np.pi / 2, confidence=None)
     write_weave(tmp_path, {"cloth": describe(fit, planes, weave="twill", harness=3)})
-    stored = Weave(tmp_path)
-    assert stored.model.weft == fit.model.weft
-    assert stored.model.warp == fit.model.warp
-    assert stored.model.parameters() == pytest.approx(fit.model.parameters())
-    curve = stored.details["curves"]["warp"]
+    stored = json.loads((tmp_path / "weave.json").read_text())["regions"]["cloth"]
+    assert stored["weft"] == fit.model.weft.as_dict()
+    assert stored["warp"] == fit.model.warp.as_dict()
+    assert stored["k_s"] == pytest.approx(fit.model.k_s)
+    curve = stored["curves"]["warp"]
     np.testing.assert_allclose(np.add(curve["gloss"], curve["body"]), curve["measured"], rtol=1e-5)
+    assert read_yarns(tmp_path) is None
     with pytest.raises(UserError, match="region 'other'"):
-        Weave(tmp_path, "other")
+        read_yarns(tmp_path, "other")
 
 
 def test_too_few_views_are_refused():

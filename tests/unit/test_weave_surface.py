@@ -15,7 +15,7 @@ from nishiki.goniometry.table import ReflectanceSet, write_reflectances
 from nishiki.stages.weave.run import cut, draw_section
 from nishiki.weave.fit import WeaveModel
 from nishiki.weave.section import WarpSection, WeftSection, WovenSurface, harness_of, make_surface, shade, weave_pattern
-from nishiki.weave.store import Weave, brdf_of
+from nishiki.weave.store import read_yarns
 
 PROJECT = Path(__file__).resolve().parents[2]
 CLOTHS = {
@@ -111,7 +111,8 @@ def test_stage_from_reflectances_to_model_mesh_and_drawings(tmp_path):
     view[..., 2] = np.cos(theta)
     view = view.reshape(-1, 3)
     lamp = np.broadcast_to([0.0, 0.0, 1.0], view.shape)
-    table = ReflectanceSet.of(lamp, view, brdf_of(truth).evaluate(lamp, view), weave="satin")
+    values = np.concatenate([truth.predict(plane, 0.0, theta) for plane in ("weft", "warp")])
+    table = ReflectanceSet.of(lamp, view, values, weave="satin")
     with ArtifactWriter(tmp_path / "goniometer_samples" / "0") as out:
         write_reflectances(out.folder, table)
         names = ("scene", "stage", "key", "version", "code")
@@ -137,8 +138,9 @@ def test_stage_from_reflectances_to_model_mesh_and_drawings(tmp_path):
         "published_weft.svg",
         "published_warp.svg",
     }
-    found = Weave(artifact.folder)
+    found = artifact.diagnostics["regions"]["cloth"]["parameters"]
     for name, value in truth.parameters().items():
-        assert found.model.parameters()[name] == pytest.approx(value, rel=0.01), name
+        assert found[name] == pytest.approx(value, rel=0.01), name
+    assert read_yarns(artifact.folder)[1]["determined"]
     json.dumps(artifact.diagnostics, allow_nan=False)
     assert artifact.diagnostics["regions"]["cloth"]["harness"] == 5

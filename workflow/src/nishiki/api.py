@@ -484,8 +484,7 @@ def fit_cloth(
 ):
     """Fit a reflection model of a woven cloth to measured reflectances.
 
-    Every model needs measurements that are lit along the normal; `yarns`, `yarn_facets` and
-    `bard_scaled` also use oblique ones.
+    Every model needs measurements that are lit along the normal; `yarns` and `yarn_facets` also use oblique ones.
 
     Parameters
     ----------
@@ -495,8 +494,8 @@ def fit_cloth(
     values : (n, channels) array_like of float
         Bidirectional reflectance, in 1 / sr, zero or more. (n,) is taken as one channel.
     model : str, optional
-        `yarns` (interlaced yarns, whose weave is searched: about half a minute), `yarn_facets`, `facets`,
-        `bard_linear`, `bard_great_circle` or `bard_scaled`.
+        `yarns` (interlaced yarns, whose weave is searched: about half a minute), `yarn_facets`, `bard_linear` or
+        `bard_great_circle`.
     symmetry : {'quarter', 'half', 'none'}, optional
         Symmetry of the reflectance at normal incidence: two mirror planes, a half turn, or none.
     oblique : int, optional
@@ -522,8 +521,7 @@ def fit_cloth(
     References
     ----------
     Y. Takeda, V. H. Q. Huy, S. Takemura, Y. Sakaguchi and H. T. Tanaka, Image-based anisotropic reflectance modeling
-    of woven fabrics for digital archive of Noh costume, eq. 5 to 9 (the models `bard_linear`, `bard_great_circle` and
-    `bard_scaled`).
+    of woven fabrics for digital archive of Noh costume, eq. 5 to 9 (the models `bard_linear` and `bard_great_circle`).
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Evaluate the reflectance of the weave model: gloss and body, each linear in its strength; also as a BRDF.
+"""Evaluate the reflectance of the weave model: gloss and body, each linear in its strength.
 
 A direction in space sees a section as its projection on the section's plane does, so each column is made of a factor of
 the weft plane (x, z) and one of the warp plane (y, z). Two readings of the same sections:
@@ -11,23 +11,13 @@ Light off the normal: G is the share that is lit and seen, the gloss is divided 
 view along the normal both columns are 1 without the Fresnel term, so a strength is its part of rho: k_s F0, k_d d.
 
 The lobe D is the paper's exp(-x^2 / a^2).
-
-A direction in space sees a section as its projection on the section's plane does. Both sections' surfaces are taken as
-crossing each other independently: gloss and body are products of a factor of the weft plane and one of the warp plane,
-which for light along the normal and views in either plane is eq. 15 of Takeda and Tanaka exactly (the other plane's
-factor is 1 there).
 """
 
-from dataclasses import dataclass
 from math import cos, erfc, exp, pi, sin, sqrt
-from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
-from nishiki.brdf.cloth.interface import halves, off_horizon, only_above
-from nishiki.errors import UserError
-from nishiki.formats.fields import ArrayFields
 from nishiki.weave.section import HALF_PI, side_lengths, visible_share
 
 PARAMETERS = ("theta_a", "flank", "humps", "log_width", "contact")  # of one plane; see shape_of
@@ -121,7 +111,7 @@ def _plane_factor(shape, width, reading, above, i, r, half):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fill_columns(weft, warp, across, along, rows, f0, reading, out):
-    """Fill out (n, 2), the gloss and body columns of two sections in the directions of `rows` (see rows_of).
+    """Fill out (n, 2), the gloss and body columns of two sections in the directions of `rows` (see plane_rows).
 
     A section is (theta_a, l, r, m, n, contact); across, along: widths of the lobes in the weft and the warp plane.
     """
@@ -138,21 +128,12 @@ def fill_columns(weft, warp, across, along, rows, f0, reading, out):
         out[k, 0], out[k, 1] = fresnel * x[0] * y[0], x[1] * y[1]
 
 
-def rows_of(incident, outgoing) -> np.ndarray:
-    """Compute angles and cosines (n, 9) of unit vectors (n, 3) above the horizon.
+def plane_rows(plane: int, theta_i, theta_r) -> np.ndarray:
+    """Compute angles and cosines (..., 9) of directions in one plane (0 weft, 1 warp) at signed angles, radians.
 
     Angles of light, view and half vector in the weft plane, the same in the warp plane, cosines of light and view with
     the normal, and of light with the half vector.
     """
-    incident, outgoing = np.broadcast_arrays(np.asarray(incident, float), np.asarray(outgoing, float))
-    middle = incident + outgoing
-    length = np.linalg.norm(middle, axis=-1)
-    angles = [np.arctan2(d[..., axis], d[..., 2]) for axis in (0, 1) for d in (incident, outgoing, middle)]
-    return np.stack([*angles, incident[..., 2], outgoing[..., 2], np.minimum(0.5 * length, 1.0)], axis=-1)
-
-
-def plane_rows(plane: int, theta_i, theta_r) -> np.ndarray:
-    """rows_of directions in one plane (0 weft, 1 warp) at signed angles (n,), radians."""
     theta_i, theta_r = np.broadcast_arrays(np.asarray(theta_i, float), np.asarray(theta_r, float))
     rows = np.zeros((*theta_r.shape, 9))
     rows[..., 3 * plane], rows[..., 3 * plane + 1] = theta_i, theta_r
@@ -168,38 +149,3 @@ def columns(weft, warp, widths, rows: np.ndarray, *, f0: float, reading: int) ->
     shapes = (tuple(map(float, weft)), tuple(map(float, warp)))
     fill_columns(*shapes, float(widths[0]), float(widths[1]), flat, float(f0), reading, out)
     return out.reshape(*rows.shape[:-1], 2)
-
-
-@dataclass(frozen=True)
-class WeaveBrdf(ArrayFields):
-    """Weave model in 4-D, reciprocal; see the fields of `nishiki.weave.fit.WeaveModel`."""
-
-    KIND: ClassVar[str] = "weave"
-    diffuse: np.ndarray  # diffuse, specular (channels,): k_d and k_s F0, sr^-1
-    specular: np.ndarray
-    weft: np.ndarray  # weft, warp (6,): theta_a, l, r, m, n, contact
-    warp: np.ndarray
-    width: np.ndarray  # (2,): of the lobes, weft and warp plane
-    index: float  # refractive index
-    reading: int  # 0 the paper's, 2 the shaded one. UserError for others, which earlier versions had.
-
-    def __post_init__(self) -> None:
-        if self.reading not in (PAPER, SHADED):
-            raise UserError(f"weave model of reading {self.reading}, which is gone. Remedy: run the stage weave again")
-
-    @property
-    def channels(self) -> int:
-        """Number of channels."""
-        return int(np.size(self.specular))
-
-    def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """BRDF, sr^-1: (..., channels) from unit vectors (..., 3) that broadcast; 0 below the horizon."""
-        g = halves(incident, outgoing)
-        incident, outgoing = np.broadcast_arrays(off_horizon(incident), off_horizon(outgoing))
-        straight = (0.0, 0.0, 1.0)
-        rows = rows_of(*(np.where(g.above[..., None], v, straight) for v in (incident, outgoing)))
-        f0 = ((self.index - 1.0) / (self.index + 1.0)) ** 2
-        parts = columns(self.weft, self.warp, self.width, rows, f0=f0, reading=int(self.reading))
-        return only_above(
-            g.above, parts[..., :1] * np.asarray(self.specular) + parts[..., 1:] * np.asarray(self.diffuse)
-        )

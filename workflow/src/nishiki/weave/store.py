@@ -8,9 +8,7 @@ import numpy as np
 
 from nishiki.brdf.cloth.store import load_brdf
 from nishiki.errors import UserError
-from nishiki.weave.fit import READINGS, Plane, WeaveFit, WeaveModel
-from nishiki.weave.model import WeaveBrdf
-from nishiki.weave.section import WarpSection, WeftSection
+from nishiki.weave.fit import Plane, WeaveFit, WeaveModel
 from nishiki.weave.yarn_search import YarnSearch, parameters_of
 from nishiki.weave.yarn_weave import InterlacedYarns
 
@@ -91,60 +89,21 @@ def write_weave(folder: Path, regions: dict[str, dict]) -> None:
     (Path(folder) / NAME).write_text(text + "\n")
 
 
-class Weave:
-    """The weave model of one region of an artifact."""
+def read_yarns(folder: Path | str, region: str | int = 0) -> tuple[InterlacedYarns, dict] | None:
+    """Read the interlaced yarns of a region as an uncorrected BRDF, and facts of their fit; None without.
 
-    def __init__(self, folder: Path | str, region: str | int = 0):
-        """region : name, or number in order. UserError where the file is missing, of another format, or the region."""
-        self.folder = Path(folder)
-        path = self.folder / NAME
-        try:
-            stored = json.loads(path.read_text())
-            names = list(stored["regions"])
-            self.region = names[region] if isinstance(region, int) else region
-            self.details = stored["regions"][self.region]
-        except (OSError, ValueError, KeyError, IndexError, TypeError) as e:
-            raise UserError(f"{path}: expected a weave model of region {region!r} ({e!r}); run weave first") from None
-        if stored.get("format") != FORMAT:
-            raise UserError(f"{path}: expected format {FORMAT}, found {stored.get('format')}; run weave again")
-        self.regions = tuple(names)
-
-    @property
-    def model(self) -> WeaveModel:
-        """Sections, widths, strengths."""
-        d = self.details
-        return WeaveModel(
-            WeftSection(**d["weft"]),
-            WarpSection(**d["warp"]),
-            d["a_weft"],
-            d["a_warp"],
-            d["index"],
-            np.array(d["k_s"]),
-            np.array(d["k_d"]),
-            d["reading"],
-        )
-
-    def yarns(self) -> tuple[InterlacedYarns, dict] | None:
-        """Load the interlaced yarns as an uncorrected BRDF, and facts of their fit; None where none were fitted."""
-        found = self.details["yarns"]
-        if not found:
-            return None
-        facts = {"rms_rel_normal": found["rms_rel"], "binding": found["alike"][0], "determined": found["determined"]}
-        return load_brdf(self.folder / yarns_file(self.region)), facts
-
-    def brdf(self) -> WeaveBrdf:
-        """Return the sections as a BRDF of the whole hemisphere."""
-        return brdf_of(self.model)
-
-
-def brdf_of(model: WeaveModel) -> WeaveBrdf:
-    """Build the BRDF of the whole hemisphere from a model."""
-    return WeaveBrdf(
-        diffuse=np.asarray(model.k_d, float),
-        specular=np.asarray(model.k_s, float) * model.f0,
-        weft=np.array(model.weft.shape),
-        warp=np.array(model.warp.shape),
-        width=np.array([model.a_weft, model.a_warp]),
-        index=model.index,
-        reading=READINGS[model.reading],
-    )
+    region : name, or number in order. UserError where the file is missing, of another format, or the region.
+    """
+    path = Path(folder) / NAME
+    try:
+        stored = json.loads(path.read_text())
+        name = list(stored["regions"])[region] if isinstance(region, int) else region
+        found = stored["regions"][name]["yarns"]
+    except (OSError, ValueError, KeyError, IndexError, TypeError) as e:
+        raise UserError(f"{path}: expected a weave model of region {region!r} ({e!r}); run weave first") from None
+    if stored.get("format") != FORMAT:
+        raise UserError(f"{path}: expected format {FORMAT}, found {stored.get('format')}; run weave again")
+    if not found:
+        return None
+    facts = {"rms_rel_normal": found["rms_rel"], "binding": found["alike"][0], "determined": found["determined"]}
+    return load_brdf(Path(folder) / yarns_file(name)), facts

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.brdf.cloth.interface import incidences, prediction_error, solid_angles
-from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard, ScaledBard, read_facets
+from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard
 from nishiki.brdf.cloth.yarn_facets import NAMES, YarnFacets
 from nishiki.brdf.cloth.yarn_fit import (
     Measured,
@@ -21,9 +21,8 @@ from nishiki.errors import UserError
 
 FACETS, YARNS = "yarn_facets", "yarns"
 BEST = (YARNS, FACETS)  # what `auto` chooses among
-NORMAL_ONLY = ("bard_linear", "bard_great_circle", "facets")  # they read the table of normal incidence
-REFERENCE = ("bard_scaled",)  # uses every oblique measurement
-MODELS = (*BEST, *NORMAL_ONLY, *REFERENCE)
+PUBLISHED = {law.KIND: law for law in (LinearBard, GreatCircleBard)}  # they read the table of normal incidence
+MODELS = (*BEST, *PUBLISHED)
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,6 @@ def fit_models(
     names,
     *,
     oblique: int = 20,
-    index: float = 1.5,
     yarns: tuple[YarnFacets, dict] | None = None,
 ) -> dict[str, Fitted]:
     """Fit the models named to one region.
@@ -79,10 +77,8 @@ def fit_models(
             facts = {**facts, "oblique": len(chosen), "body": brdf.body.tolist(), "lambert": brdf.lambert.tolist()}
             alone = match_measurements(weave, measured.take(normal), basic[0])
             out[name] = Fitted(brdf, np.concatenate([normal, chosen]), facts, alone)
-        elif name in REFERENCE:
-            out[name] = Fitted(_scaled(measured, valid, basic[1]), valid)
         else:
-            out[name] = Fitted(_read(name, basic, index), normal)
+            out[name] = Fitted(PUBLISHED[name].of(basic[1]), normal)
     return out
 
 
@@ -120,19 +116,3 @@ def _facets(measured: Measured, normal: np.ndarray, chosen: np.ndarray, basic, f
         "correction": [float(fit.brdf.correction.min()), float(fit.brdf.correction.max())],
     }
     return Fitted(fit.brdf, fit.used, facts, match_measurements(brdf_of(first), measured.take(normal), basic))
-
-
-def _scaled(measured: Measured, valid: np.ndarray, grid: np.ndarray) -> ScaledBard:
-    selected = measured.take(valid)
-    weights = np.empty(valid.size)
-    groups = []
-    for _, _, rows in incidences(selected.incident):
-        groups.append((selected.incident[rows[0]], rows))
-        weights[rows] = selected.outgoing[rows, 2] * solid_angles(selected.outgoing[rows])
-    return ScaledBard.fit(grid, groups, selected.outgoing, selected.values, weights)
-
-
-def _read(name: str, basic, index: float):
-    if name == "facets":
-        return read_facets(basic[0], index=index)
-    return (LinearBard if name == "bard_linear" else GreatCircleBard).of(basic[1])

@@ -42,11 +42,8 @@ def utia_planes(brdf) -> np.ndarray:
 KINDS = {  # where the class of a kind is
     "bard_linear": "nishiki.brdf.cloth.normal_incidence:LinearBard",
     "bard_great_circle": "nishiki.brdf.cloth.normal_incidence:GreatCircleBard",
-    "bard_scaled": "nishiki.brdf.cloth.normal_incidence:ScaledBard",
-    "facets": "nishiki.brdf.cloth.normal_incidence:FacetBrdf",
     "yarn_facets": "nishiki.brdf.cloth.yarn_facets:YarnFacets",
     "yarns": "nishiki.weave.yarn_weave:InterlacedYarns",
-    "weave": "nishiki.weave.model:WeaveBrdf",
 }
 _KIND = "kind"
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every member: a file's bytes do not depend on when it was written

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, extreme
-from nishiki.stages.base import ARRAYS, Asked, Cost, Measurements, SceneFacts, SceneSettings, Stage
+from nishiki.stages.base import ARRAYS, Cost, Measurements, Stage
 
 PAINTING_LIMITS = (
     Limit("samples", "samples of the gloss, least region", extreme("samples", min)),
@@ -125,10 +125,10 @@ CLOTH_LIMITS = (
 )
 
 
-Model = Literal["yarns", "yarn_facets", "facets", "bard_linear", "bard_great_circle", "bard_scaled", "weave"]
+Model = Literal["yarns", "yarn_facets", "bard_linear", "bard_great_circle"]
 
 
-class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=3, limits=CLOTH_LIMITS):
+class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=4, limits=CLOTH_LIMITS):
     """The BRDF of the whole hemisphere of every region, from normal incidence and a few oblique measurements."""
 
     model: Literal["auto", Model] = Field(
@@ -136,10 +136,7 @@ class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=3, limits=CLOTH_LIM
         description="the model that stands for the cloth; auto: yarns (of the stage weave) or yarn_facets, whichever "
         "predicts the oblique measurements better from normal incidence alone",
     )
-    compare: tuple[Model, ...] = Field(
-        ("facets", "bard_linear", "bard_great_circle", "bard_scaled"),
-        description="models fitted beside it; weave: its sections",
-    )
+    compare: tuple[Model, ...] = Field(("bard_linear", "bard_great_circle"), description="models fitted beside it")
     oblique: int = Field(
         20,
         ge=0,
@@ -151,19 +148,9 @@ class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=3, limits=CLOTH_LIM
         description="views of normal incidence that a fit uses: all; so many, evenly spread; auto: as many as predict "
         "the others within 1 % (docs/notes/economy.md)",
     )
-    index: float = Field(1.5, gt=1, le=3, description="refractive index of the model facets, which takes it as given")
     export: tuple[Literal["csv", "utia"], ...] = Field(
         ("csv",), description="csv: rows of angles and values; utia: .bin of doubles"
     )
-
-
-EVERY_OBLIQUE = {"bard_scaled"}
-"""Models that use every oblique measurement, whatever the setting `oblique` says."""
-
-
-def _looks_at(facts: SceneFacts, settings: SceneSettings, asked: Asked) -> tuple[str, ...]:
-    cloth = settings["cloth_brdf"]
-    return ("oblique",) if cloth.oblique or not EVERY_OBLIQUE.isdisjoint((cloth.model, *cloth.compare)) else ()
 
 
 CLOTH = Stage(
@@ -171,11 +158,9 @@ CLOTH = Stage(
     does="reflectance for every direction of light and view",
     geometry="goniometer",
     requires=("goniometer_samples",),
-    wants=lambda settings: (
-        ("weave",) * (not {"auto", "yarns", "weave"}.isdisjoint((settings.model, *settings.compare)))
-    ),
+    wants=lambda settings: ("weave",) * (not {"auto", "yarns"}.isdisjoint((settings.model, *settings.compare))),
     needs_colour=True,
-    looks_at=_looks_at,
+    looks_at=lambda facts, settings, asked: ("oblique",) * bool(settings["cloth_brdf"].oblique),
     libraries=("numpy", "scipy", "numba"),
     deliverables=("*.npz", "*.csv"),
     # it reads one reflectance of a photograph, whatever the photograph's size

@@ -17,13 +17,12 @@ from nishiki.brdf.cloth.interface import (
 from nishiki.brdf.cloth.models import BEST, YARNS, Fitted, fit_models, left_out_error
 from nishiki.brdf.cloth.store import goniometer_rows, save_brdf, utia_planes
 from nishiki.brdf.cloth.yarn_fit import Measured
-from nishiki.errors import UserError
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import Reflectances, ReflectanceSet
 from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.sufficient import measured_choice, static_choice, with_normal_rows
-from nishiki.weave.store import Weave
+from nishiki.weave.store import read_yarns
 
 FORMAT = 1  # of the file; readers refuse others
 ALBEDO_DEG = (0, 30, 60, 80)
@@ -89,24 +88,15 @@ def used_measurements(context: Context) -> tuple[ReflectanceSet, Decision | None
 
 
 def fits(context: Context, reflectances, measured: Measured, number: int, names) -> dict[str, Fitted]:
-    """Return all models of one region, the weave's from its own stage."""
+    """Return all models of one region."""
     basic = reflectances.basic
     settings = context.settings
     if basic is not None:
         basic = (lambda views: reflectances.basic.evaluate(views, number), basic.values[number])
-    weave, yarns = None, None
-    if "weave" in context.inputs:
-        weave = Weave(context.inputs["weave"].folder, number)
-        yarns = weave.yarns()
+    yarns = read_yarns(context.inputs["weave"].folder, number) if "weave" in context.inputs else None
     if settings.model == "auto" and not (yarns and yarns[1]["determined"]):
         names = tuple(name for name in names if name != YARNS)
-    local_models = [name for name in names if name != "weave"]
-    out = fit_models(measured, basic, local_models, oblique=settings.oblique, index=settings.index, yarns=yarns)
-    if "weave" in names:
-        if weave is None:
-            raise UserError("model weave: expected the artifact of the stage weave among the inputs. Remedy: run weave")
-        out["weave"] = Fitted(weave.brdf(), np.flatnonzero(measured.normal))
-    return {name: out[name] for name in names}
+    return fit_models(measured, basic, names, oblique=settings.oblique, yarns=yarns)
 
 
 def judged(measured: Measured, fit: Fitted) -> dict:

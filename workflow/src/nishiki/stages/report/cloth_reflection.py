@@ -23,11 +23,8 @@ DISC = 168
 MODEL_NAMES = {
     "bard_linear": "BARD, linear",
     "bard_great_circle": "BARD, great circle",
-    "bard_scaled": "BARD, best factor",
     "yarns": "interlaced yarns",
     "yarn_facets": "facets on yarns",
-    "facets": "facet reading",
-    "weave": "sections of the weave",
 }
 
 
@@ -162,7 +159,7 @@ def lobes_plot(parts: list[Lobe], *, width: int = 520, height: int = 330) -> str
     return drawing.finish()
 
 
-CURVES_OF = ("yarns", "yarn_facets", "bard_great_circle", "weave")
+CURVES_OF = ("yarns", "yarn_facets", "bard_great_circle")
 """Models whose curves are drawn beside those of the default one."""
 MOST_CURVES = 4  # told apart by colour
 INTRODUCTION = (
