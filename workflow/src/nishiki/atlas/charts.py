@@ -173,13 +173,9 @@ MANY = 50
 """Charts that are few enough."""
 
 
-@dataclass(frozen=True)
-class Rules:
-    """Say how a mesh is cut."""
-
-    range_of_normals: float = 0.02  # over which normals are averaged before they are judged, of the mesh's extent
-    smallest: float = 0.01  # area below which a piece is merged, of the whole surface
-    steepest_deg: float = 80.0  # largest angle between a triangle and its chart
+RANGE_OF_NORMALS = 0.02  # over which normals are averaged before they are judged, of the mesh's extent
+SMALLEST = 0.01  # area below which a piece is merged, of the whole surface
+STEEPEST_DEG = 80.0  # largest angle between a triangle and its chart
 
 
 @dataclass(frozen=True)
@@ -195,7 +191,7 @@ class Charts:
     overlapped: int  # triangles split off because they overlapped
 
 
-def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float, rules: Rules = Rules()) -> Charts:
+def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float) -> Charts:
     """Cut a mesh into charts.
 
     up, front (3,): the turntable's axis and a direction across it; spacing: distance of the probes that look for
@@ -207,7 +203,7 @@ def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float
     for rounds in SMOOTHING:
         vertices = smoothed_vertices(mesh.vertices, mesh.triangles, rounds=rounds)
         patience = FEW if best is not None or rounds < SMOOTHING[-1] else 1.0
-        charts = cut(mesh, vertices, rounds, up=up, front=front, spacing=spacing, rules=rules, patience=patience)
+        charts = cut(mesh, vertices, rounds, up=up, front=front, spacing=spacing, patience=patience)
         if charts is not None and (best is None or len(charts.frames.direction) < len(best.frames.direction)):
             best = charts
         if best is not None and len(best.frames.direction) <= MANY:
@@ -223,7 +219,6 @@ def cut(
     up: np.ndarray,
     front: np.ndarray,
     spacing: float,
-    rules: Rules,
     patience: float,
 ) -> Charts | None:
     """Cut a mesh into charts; None where more than `patience` of the triangles are turned over.
@@ -232,15 +227,15 @@ def cut(
     """
     neighbours = across_edges(mesh.triangles)
     normals, areas = unit_normals(mesh, vertices)
-    usable, lowest = areas > 0, np.cos(np.radians(rules.steepest_deg))
-    reach = rules.range_of_normals
+    usable, lowest = areas > 0, np.cos(np.radians(STEEPEST_DEG))
+    reach = RANGE_OF_NORMALS
     labels = nearest_direction(vertices, normals, areas, neighbours, up=up, front=front, smoothing=reach)
     labels = components(np.where(usable, labels, -1).astype(np.int32), neighbours)
     corners = vertices[mesh.triangles]
     lengths = np.nan_to_num(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2), posinf=0.0)
     totals = [0, 0]
     for _ in range(2):  # what splits leave behind is merged once more
-        labels = merge_small(labels, normals, areas, neighbours, lengths, smallest=rules.smallest, lowest=lowest)
+        labels = merge_small(labels, normals, areas, neighbours, lengths, smallest=SMALLEST, lowest=lowest)
         for attempt in itertools.count():
             frames = frame_along(directions_of(labels, normals, areas), up=up, front=front)
             plane = flatten(vertices[mesh.triangles], labels, frames)

@@ -19,7 +19,7 @@ class Density:
     along: np.ndarray
 
 
-def sampling_density(mesh: Mesh, plane: np.ndarray, cameras: list[Camera], *, percentile: float) -> Density:
+def sampling_density(mesh: Mesh, plane: np.ndarray, cameras: list[Camera], *, percentile: float = 90) -> Density:
     """Measure each triangle's sampling in the view at the percentile of its areas over all views.
 
     plane (f, 3, 2): as of `flatten`. Occlusion is not asked: whoever faces a triangle counts.

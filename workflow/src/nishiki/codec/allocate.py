@@ -306,8 +306,8 @@ def find_step(
     goal: float,
     *,
     start: float,
-    tolerance: float,
     passes: int,
+    tolerance: float = 0.02,
     share: float = 1.0,
     slope: float = SLOPE,
 ) -> EncodedObject:

@@ -18,6 +18,7 @@ from nishiki.geometry.turn import rotation_vector
 
 _HEADER = struct.Struct("<i3i")  # exponent of the grid's step, lowest corner in steps
 _LEVELS = (7, 10)  # of Draco's effort: the first gives fewer bytes below some thousand triangles, the second above
+GRID_PX = 0.05  # by which a grid may move a vertex
 _LARGEST = 2**29  # steps along an axis; Draco predicts in 32-bit integers
 
 
@@ -88,7 +89,7 @@ def _same_triangles(points, triangles, decoded_points, decoded_triangles) -> np.
     return order
 
 
-def grid_step(mesh: Mesh, cameras: list[Camera], *, shift_px: float = 0.05) -> float:
+def grid_step(mesh: Mesh, cameras: list[Camera], *, shift_px: float = GRID_PX) -> float:
     """Largest power of two (world's unit) whose grid moves no vertex by more than `shift_px` in any view."""
     used = np.unique(mesh.triangles)
     points = np.asarray(mesh.vertices, np.float64)[used]

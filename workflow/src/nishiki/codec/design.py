@@ -41,16 +41,14 @@ def arc_views(start: int, length: int, views: int) -> np.ndarray:
 def view_matrix(kind: str, length: int) -> np.ndarray:
     """(length, length) float64 orthonormal; rows are basis vectors, lowest frequency first.
 
-    kind: "cosine" (DCT-II), "fourier" (the real Fourier basis, for a whole turn), "none", or the name of an orthonormal
-    wavelet: as many levels as `length` allows, an odd coarsest band goes on with a DCT.
+    kind: "cosine" (DCT-II), "none", or the name of an orthonormal wavelet: as many levels as `length` allows, an odd
+    coarsest band goes on with a DCT.
     Raises UserError for a biorthogonal wavelet.
     """
     if kind == "none" or length == 1:
         return np.eye(length)
     if kind == "cosine":
         return cosine_matrix(length)
-    if kind == "fourier":
-        return fourier_matrix(length)
     levels = levels_of(length, 32)
     matrix = analysis_matrix(kind, length, levels)
     if np.abs(matrix @ matrix.T - np.eye(length)).max() > 1e-9:
@@ -59,18 +57,6 @@ def view_matrix(kind: str, length: int) -> np.ndarray:
     if coarse > 1:
         matrix[:coarse] = cosine_matrix(coarse) @ matrix[:coarse]
     return matrix
-
-
-def fourier_matrix(length: int) -> np.ndarray:
-    """(length, length) float64: constant, then cosine and sine of each frequency; orthonormal and shift-invariant."""
-    m = np.arange(length)
-    rows = [np.full(length, np.sqrt(1 / length))]
-    for k in range(1, (length + 1) // 2):
-        rows += [np.sqrt(2 / length) * np.cos(2 * np.pi * k * m / length)]
-        rows += [np.sqrt(2 / length) * np.sin(2 * np.pi * k * m / length)]
-    if length % 2 == 0:
-        rows.append(np.sqrt(1 / length) * (1.0 - 2.0 * (m % 2)))
-    return np.array(rows)
 
 
 SIDES = (8, 16, 32, 48, 64, 96, 128, 192, 256, 320, 384, 448)

@@ -106,7 +106,7 @@ def summary(differences: list[Difference]) -> dict:
     }
 
 
-DECODED, MODEL, INTERPOLATED, SLOT = "decoded", "model_alone", "interpolated", "slot"
+DECODED, MODEL, INTERPOLATED = "decoded", "model_alone", "interpolated"
 COLUMNS = (
     "view", "light", "left_out", "picture", "against", "psnr_db", "covered_psnr_db", "similarity", "pixels",
     "uncovered_pixels", "superfluous_pixels",
@@ -120,9 +120,7 @@ class Row:
     view: str
     light: str
     left_out: bool
-    # DECODED, MODEL, INTERPOLATED (a left-out view from its neighbours' residual) or SLOT (from what the decoder
-    # filled into its own place)
-    picture: str
+    picture: str  # DECODED, MODEL or INTERPOLATED (a left-out view from its neighbours' residual)
     against: str  # photograph | truth
     judged: Difference
     covered: Difference
@@ -166,18 +164,16 @@ def compare(
 
 
 def figures(rows: Iterable[Row]) -> dict:
-    """Summaries by kind of picture: captured views, the model alone, left-out views both ways, and against truth."""
+    """Summaries by kind of picture: captured views, the model alone, left-out views, and against truth."""
     rows = list(rows)
     summaries = {}
     for name, picture, left_out, against in (
         ("captured", DECODED, False, "photograph"),
         ("model_alone", MODEL, False, "photograph"),
         ("left_out_interpolated", INTERPOLATED, True, "photograph"),
-        ("left_out_slot", SLOT, True, "photograph"),
         ("left_out_model_alone", MODEL, True, "photograph"),
         ("captured_truth", DECODED, False, "truth"),
         ("left_out_interpolated_truth", INTERPOLATED, True, "truth"),
-        ("left_out_slot_truth", SLOT, True, "truth"),
         ("photograph_truth", "photograph", False, "truth"),
     ):
         chosen = [r for r in rows if (r.picture, r.left_out, r.against) == (picture, left_out, against)]
@@ -189,16 +185,6 @@ def figures(rows: Iterable[Row]) -> dict:
                 "mean_similarity": float(np.mean(similarities)) if similarities else None,
             }
     return summaries
-
-
-def better_prediction(summaries: dict) -> str | None:
-    """INTERPOLATED or SLOT, whichever predicts the left-out views better on average; None without left-out views."""
-    scores = {
-        name: summaries[key]["mean_psnr_db"]
-        for name, key in ((INTERPOLATED, "left_out_interpolated"), (SLOT, "left_out_slot"))
-        if key in summaries and summaries[key]["mean_psnr_db"] is not None
-    }
-    return max(scores, key=scores.__getitem__) if scores else None
 
 
 CODE_BITS = 12  # of pictures for JPEG 2000

@@ -103,6 +103,7 @@ def _corners(name: str, image: np.ndarray, board, detector) -> BoardCorners | No
 
 
 LEAST_PICTURES = 3  # of a calibration
+OUTLIER = 3.0  # error of a picture over the median from which it is left out
 LEAST_CALIBRATION_CORNERS = 8  # of a picture that takes part
 LEAST_TILT_DEG = 8.0
 MOST_SIGMA = 0.04  # of focal length and centre, relative
@@ -130,12 +131,11 @@ def calibrate(
     rows: int,
     columns: int,
     distortion: str = "tangential",
-    outlier_factor: float = 3.0,
 ) -> Calibration:
     """Fit the lens by least squares over all corners (Zhang, IEEE Trans. PAMI 22, 2000, as in OpenCV).
 
     distortion: terms fitted: none | radial (k1, k2) | tangential (k1, k2, p1, p2) | full (and k3). A picture whose
-    error is above outlier_factor times the median of the pictures (at least 0.1 px) is left out, the worst first, and
+    error is above OUTLIER times the median of the pictures (at least 0.1 px) is left out, the worst first, and
     the rest fitted again.
 
     Raises UserError for fewer than 3 pictures with 8 corners, or where the pictures do not determine the lens, as
@@ -158,7 +158,7 @@ def calibrate(
     while True:
         fit = _fit(used, rows, columns, distortion)
         worst = int(np.argmax(fit.errors))
-        bound = outlier_factor * max(float(np.median(fit.errors)), 0.1)
+        bound = OUTLIER * max(float(np.median(fit.errors)), 0.1)
         if fit.errors[worst] <= bound or len(used) == LEAST_PICTURES:
             break
         outliers.append(used.pop(worst))

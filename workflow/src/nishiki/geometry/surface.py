@@ -222,7 +222,7 @@ def parts_of(triangles: np.ndarray, vertices: int) -> tuple[int, np.ndarray]:
     return len(numbers), mine
 
 
-def without_small_parts(mesh: Mesh, *, smallest: float) -> tuple[Mesh, int]:
+def without_small_parts(mesh: Mesh, *, smallest: float = 0.05) -> tuple[Mesh, int]:
     """Remove parts whose box has a diagonal below `smallest` times that of the largest; count them."""
     count, mine = parts_of(mesh.triangles, len(mesh.vertices))
     if count < 2:

@@ -251,15 +251,14 @@ def read_all(
     *,
     white_reflectance: np.ndarray,
     window_px: int,
-    saturated_share: float = 0.0,
     regions: Regions | None = None,
     tick: Callable[[int], None] = lambda i: None,
 ) -> Readings:
     """Compute reflectances of all samples; each photograph is read once, one is in memory beside a board's.
 
     angles_deg (n, 4) of samples, (m, 4) of boards: theta_i, phi_i, theta_r, phi_r, NaN for a board's view not given;
-    regions None: the central window. A reading is valid where pixels of it are in view, at most saturated_share of
-    them saturated, and the mean is above 0 in every channel. A board of a sample's own directions is averaged over
+    regions None: the central window. A reading is valid where pixels of it are in view, none of them saturated,
+    and the mean is above 0 in every channel. A board of a sample's own directions is averaged over
     the sample's own pixels, any other over its central window.
     """
     boards = assign_boards(*angles_deg)
@@ -281,7 +280,7 @@ def read_all(
             white_noise = np.sqrt((noises**2).sum(axis=0)) / len(noises)
             values[i, k], noise[i, k] = reflectance(reading.mean, reading.noise, white, white_noise, white_reflectance)
             pixels[i, k], saturated[i, k] = reading.pixels, reading.saturated
-            valid[i, k] = reading.pixels > 0 and reading.saturated <= saturated_share and bool((values[i, k] > 0).all())
+            valid[i, k] = reading.pixels > 0 and reading.saturated == 0 and bool((values[i, k] > 0).all())
         tick(i)
     values[~valid], noise[~valid] = 0.0, 0.0
     rules = {rule: sum(b.rule == rule for b in boards) for rule in ("own", "incidence", "cosine")}

@@ -202,7 +202,7 @@ class Beta:
 
 
 def board_ratio(
-    over: np.ndarray, under: np.ndarray, *, block: int, least: float, what: str = "beta", local: bool = True
+    over: np.ndarray, under: np.ndarray, *, block: int = 16, least: float, what: str = "beta", local: bool = True
 ) -> Beta:
     """Ratio of two board images (rows, columns, channels), sums over blocks of `block` pixels, bilinear in between.
 

@@ -21,7 +21,6 @@ class BrdfSettings(Guarded, stage="brdf", version=6, limits=PAINTING_LIMITS):
     refractive_index: float = Field(
         1.45, gt=1, le=3, description="of the varnish or binder (Tominaga and Tanaka: 1.45)"
     )
-    max_slope_deg: float = Field(50, gt=0, le=90, description="steeper pixels are left out of the fit")
     specular: Literal["auto", "keep", "drop"] = Field(
         "auto",
         description="auto: omitted where it does not better the prediction of captured lamps",

@@ -32,6 +32,10 @@ from nishiki.photometric.flags import NO_ESTIMATE
 UNIT_BANDS, UNIT_STEP = 8, 8  # bands, and rows and columns between the pixels, that tell the unit of the observations
 
 
+LOWEST = np.cos(np.radians(50))
+"""Cosine of the steepest slope of pixels that take part in the fit."""
+
+
 def run(context: Context) -> dict:
     """Gather the specular samples of all lights tile by tile, then fit each region once."""
     frames = Observations(context.inputs["ingest"].folder)
@@ -124,10 +128,9 @@ def gather(
     histogram = SpecularHistogram.empty(
         regions=regions, refractive_index=settings.refractive_index, value_unit=unit_of(reflectances(frames, maps))
     )
-    lowest = np.cos(np.radians(settings.max_slope_deg))
     for band in context.progress.over(frames.bands(), "band"):
         normals = shading_normals(maps, band)
-        left_out = ((maps.read("flags", band) & NO_ESTIMATE) != 0) | (normals[..., 2] < lowest)
+        left_out = ((maps.read("flags", band) & NO_ESTIMATE) != 0) | (normals[..., 2] < LOWEST)
         region_index = np.zeros(left_out.shape, int) if labels is None else labels[band].astype(int)
         region = np.where(left_out | ~glossy[region_index], -1, region_index)
         reflectance = maps.read("reflectance", band).mean(axis=-1)

@@ -56,9 +56,6 @@ class CamerasSettings(Guarded, stage="cameras", version=1, limits=LIMITS):
     distortion: Literal["none", "radial", "tangential", "full"] = Field(
         "tangential", description="terms fitted in a calibration: radial k1, k2; tangential: p1, p2 too; full: k3 too"
     )
-    outlier_factor: float = Field(
-        3.0, gt=1, description="calibration pictures with more than this times the median error are left out"
-    )
     outlier_px: float | None = Field(
         None, gt=0, description="correspondences further off are left out, pixels; none: 0.005 of the longer side"
     )

@@ -175,7 +175,6 @@ def lens_of(
         rows=rows,
         columns=columns,
         distortion=settings.distortion,
-        outlier_factor=settings.outlier_factor,
     )
     return calibration.intrinsics, calibration.distortion, calibration
 

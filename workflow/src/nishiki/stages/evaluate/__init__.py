@@ -61,15 +61,9 @@ class ObjectEvaluateSettings(Guarded, stage="object_evaluate", version=3, limits
 
     pictures: int = Field(3, ge=0, le=64, description="captured views shown beside their photographs, evenly spread")
     columns: int = Field(480, ge=64, le=4096, description="largest width of those pictures")
-    left_out: Literal["best", "interpolated", "slot"] = Field(
-        "best",
-        description="prediction of left-out views: from the neighbours' residual, from what the decoder filled into "
-        "their own slot, or whichever predicts them better on average",
-    )
     interpolation: Literal["linear", "cubic", "nearest"] = Field(
         "cubic", description="of the residual between captured views, from four or two of them; linear: as the paper"
     )
-    rim_px: int = Field(2, ge=0, le=8, description="pixels by which values are carried on beyond the surface's edge")
     similarity: bool = Field(True, description="also structural similarity")
     hold_out: tuple[str, ...] = Field((), description="views left out of the fit; filled in by the plan")
     truth_sha256: str = Field("", description="digest of the truth; filled in by the plan")

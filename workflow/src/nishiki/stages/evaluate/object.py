@@ -14,8 +14,6 @@ from nishiki.evaluate.object_quality import (
     DECODED,
     INTERPOLATED,
     MODEL,
-    SLOT,
-    better_prediction,
     compare,
     comparison,
     figures,
@@ -44,7 +42,6 @@ def run(context: Context) -> dict:
     work = Work(context, decoded, cost.mesh.restored(decoded.mesh), photographs, truth, cost.total / max(1, captured))
     rows = [row for light in range(len(decoded.lights)) for row in work.light(light)]
     summaries = figures(rows)
-    used = settings.left_out if settings.left_out != "best" else better_prediction(summaries)
     bits = 8 * cost.total / work.pixels if work.pixels else None
     evaluation = {
         "encoding": decoded.encoding,
@@ -53,7 +50,7 @@ def run(context: Context) -> dict:
         "jpeg2000": dict(zip(("psnr_db", "decoded_psnr_db"), np.mean(work.peers, axis=0).tolist(), strict=True))
         if work.peers
         else None,
-        "left_out": {"views": sorted(settings.hold_out), "used": used},
+        "left_out": sorted(settings.hold_out),
         "bytes": {**cost.parts, "total": cost.total},
         "object_pixels": work.pixels,
         "bits_per_object_pixel": bits,
@@ -72,7 +69,7 @@ class Work:
     def __init__(self, context: Context, decoded: DecodedObject, mesh: Mesh, photographs: Photographs, truth, size):
         self.context, self.decoded, self.settings = context, decoded, context.settings
         self.without = decoded.numbers(self.settings.hold_out)
-        options = {"mesh": mesh, "without": self.without, "rim": self.settings.rim_px}
+        options = {"mesh": mesh, "without": self.without}
         self.renderer = decoded.renderer(method=self.settings.interpolation, **options)
         self.model = decoded.renderer(model_only=True, **options)
         self.photographs, self.truth, self.size, self.peers = photographs, truth, size, []  # bytes a picture
@@ -86,8 +83,8 @@ class Work:
         shots, labels = [], []
         for view in range(len(self.decoded.views)):
             if view in self.without:
-                shots += [self.renderer.predicted(view, light=light), self.renderer.captured(view, light=light)]
-                labels += [(view, INTERPOLATED), (view, SLOT)]
+                shots.append(self.renderer.predicted(view, light=light))
+                labels.append((view, INTERPOLATED))
             else:
                 shots.append(self.renderer.captured(view, light=light))
                 labels.append((view, DECODED))

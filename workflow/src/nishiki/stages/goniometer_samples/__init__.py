@@ -79,9 +79,6 @@ class GoniometerSamplesSettings(Guarded, stage="goniometer_samples", version=2, 
     """Goniometer photographs to reflectances of the cloth, completed at normal incidence."""
 
     window_px: int = Field(16, ge=1, le=4096, description="side of the central window that is averaged, pixels")
-    saturated_share: float = Field(
-        0.0, ge=0, le=0.5, description="share of the window's pixels that may be saturated before it is not used"
-    )
     normal_deg: float = Field(1.0, gt=0, le=15, description="light within this angle of the normal counts as along it")
     grid_deg: float = Field(3.0, ge=1, le=10, description="step of the hemisphere's grid, degrees")
     interpolation: Literal["spline", "none"] = Field(

@@ -83,7 +83,6 @@ def from_photographs(source: Measurements, context: Context) -> tuple[tuple[str,
         (sample_deg, white_deg),
         white_reflectance=source.white_reflectance,
         window_px=settings.window_px,
-        saturated_share=settings.saturated_share,
         regions=regions,
         tick=lambda i: context.progress(i + 1, len(source.samples), source.samples[i].file),
     )

@@ -98,18 +98,11 @@ class MeshSettings(Guarded, stage="mesh", version=7, limits=LIMITS):
         description="silhouettes: sink large regions that show different points of the object in different views "
         "(hollows that no outline shows), as deep as the photographs agree best",
     )
-    merge_cells: int = Field(256, ge=16, le=1024, description="scans: detail of the merged surface, cells along a side")
     overlap: float = Field(0.5, gt=0, le=1, description="scans: part of a scan that the nearest other scans share")
-    smallest_part: float = Field(
-        0.05, ge=0, le=1, description="parts smaller than this are left out, of the largest part's diagonal"
-    )
     deviation_px: float = Field(
         0.5, ge=0, description="as few triangles as keep 99 % of the surface within so many pixels; 0: all triangles"
     )
     most_triangles: int | None = Field(None, ge=16, description="no more triangles than this, whatever the deviation")
-    grid_px: float = Field(
-        0.05, ge=0, le=1, description="vertices are put on a grid that moves them no further; 0: none"
-    )
     hold_out: tuple[str, ...] = Field((), description="views that take no part in carving; filled in by the plan")
 
 

@@ -5,6 +5,7 @@ from dataclasses import asdict
 import numpy as np
 
 from nishiki.artifacts.stage import Context
+from nishiki.codec.compact import grid_step
 from nishiki.errors import UserError
 from nishiki.formats.problems import raise_errors
 from nishiki.geometry.camera import Camera, read_cameras
@@ -51,19 +52,15 @@ def run(context: Context) -> dict:
         read = read_file if source == "file" else merge_scans
         vertices, triangles, diagnostics[source] = read(context, views, cameras, document["mirror"])
         mesh, defects = sound(vertices, triangles, cameras)
-    mesh, small = without_small_parts(mesh, smallest=settings.smallest_part)
+    mesh, small = without_small_parts(mesh)
     if source == "silhouettes" and settings.smooth:
         mesh = smoothed(mesh, cameras, most_px=settings.smooth)
     if source == "silhouettes" and settings.concavities:
         context.progress.tell("hollows")
         mesh, diagnostics["concavities"] = without_hollows(context, views, cameras, mesh, kept(masks, used))
     light = fewest_triangles(mesh, cameras, deviation_px=settings.deviation_px, most=settings.most_triangles)
-    mesh, step = light.mesh, None
-    if settings.grid_px:  # the coarsest grid that moves no vertex further
-        from nishiki.codec.compact import grid_step
-
-        step = grid_step(mesh, cameras, shift_px=settings.grid_px)
-        mesh = snapped(mesh, step)
+    step = grid_step(light.mesh, cameras)  # the coarsest grid that moves no vertex visibly
+    mesh = snapped(light.mesh, step)
     if source == "silhouettes":
         masks = [
             outline | (mask & outline_of(mesh, camera))
@@ -160,7 +157,7 @@ def overrule(
     if not misses or not settings.consistency or sum(used) < misses + 2:
         return out, {}
     hull = carve(kept(masks, used), cameras, cells=COARSE_CELLS, misses=misses)
-    loose, _ = without_small_parts(hull.mesh, smallest=settings.smallest_part)
+    loose, _ = without_small_parts(hull.mesh)
     for place, name in enumerate(views.views):
         if settings.misses is not None or views.silhouette(name) is None:
             more = overruled(loose, cameras[place], masks[place], darks[place], hull.cell)
@@ -176,7 +173,7 @@ def without_hollows(
     used = [place for place, mask in enumerate(masks) if mask is not None]
     hull = carve(masks, cameras, cells=HOLLOW_CELLS)
     coarse, _ = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
-    coarse, _ = without_small_parts(coarse, smallest=context.settings.smallest_part)
+    coarse, _ = without_small_parts(coarse)
     coarse = smoothed(coarse, cameras, most_px=max(1.0, context.settings.smooth))
     pictures = (linear_picture(views, views.views[place]) for place in used)
     photographed = Photographed.of(
@@ -208,7 +205,7 @@ def merge_scans(context: Context, views: Views, cameras: list[Camera], mirror: l
     scans = [read_points(folder.path(name)) for name in views.geometry["scans"]]
     registered = register([points for points, _ in scans], overlap=settings.overlap)
     moved = [motion.apply(points) for motion, (points, _) in zip(registered.motions, scans, strict=True)]
-    vertices, triangles, facts = merge(moved, [faces for _, faces in scans], cells=settings.merge_cells)
+    vertices, triangles, facts = merge(moved, [faces for _, faces in scans])
     return (*mirrored(vertices, triangles, mirror), {**registered.as_dict(), **facts})
 
 

@@ -103,7 +103,6 @@ class PolariseSettings(Guarded, stage="polarise", version=2, limits=LIMITS):
         None, description="circular: what the polarisers let through, one a channel; none: from the white boards"
     )
     beta_least: float = Field(0.02, gt=0, lt=1, description="circular: below this beta a pixel is flagged, not divided")
-    block_px: int = Field(16, ge=1, description="board images are averaged over blocks of this many pixels")
     local: bool = Field(True, description="beta and transmission by place; off: one value a channel")
     phase: Literal["pixel", "common"] = Field(
         "pixel", description="three or more analyser angles: amplitude at each pixel's own angle, or at one for a view"

@@ -173,9 +173,7 @@ def boards_of(views: Views, light: str, sums: StateSums, settings: PolariseSetti
                 "with the "
                 "polarisers off and on (role white), or give polarise.beta"
             )
-        return board_ratio(
-            images["on"], images["off"], block=settings.block_px, least=settings.beta_least, local=settings.local
-        )
+        return board_ratio(images["on"], images["off"], least=settings.beta_least, local=settings.local)
     if missing:
         return None
     everywhere = np.ones(views.shape, bool)
@@ -185,9 +183,7 @@ def boards_of(views: Views, light: str, sums: StateSums, settings: PolariseSetti
     board = components(planes, valid, sums, sense=sense)
     total = board.diffuse + board.specular
     lit = total > 0.1 * np.percentile(total, 99, axis=(0, 1))
-    return board_ratio(
-        total, lit, block=settings.block_px, least=settings.beta_least, what="transmission", local=settings.local
-    )
+    return board_ratio(total, lit, least=settings.beta_least, what="transmission", local=settings.local)
 
 
 def unit_of(views: Views, sums: StateSums, boards: dict[str, Beta | None]) -> str:

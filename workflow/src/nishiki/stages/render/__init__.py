@@ -145,7 +145,6 @@ class ObjectRenderSettings(Guarded, stage="object_render", version=1):
         "cubic", description="of the residual between captured views, from four or two of them; linear: as the paper"
     )
     level: int = Field(0, ge=0, le=6, description="0: everything; 1, 2, ..: previews from the coarse part alone")
-    rim_px: int = Field(2, ge=0, le=8, description="pixels by which values are carried on beyond the surface's edge")
     background: float = Field(
         0.0, ge=0, le=1, description="of PNG and video, sRGB-coded grey; EXR has an alpha channel"
     )

@@ -21,7 +21,6 @@ def run(context: Context) -> dict:
         without=without,
         method=settings.interpolation,
         level=settings.level,
-        rim=settings.rim_px,
         own_lamps=own_lamps(settings),
     )
     lights = decoded.light_weights(settings.lights)

@@ -124,10 +124,8 @@ KINDS = {
     "captured_truth": "captured views, decoded, against noise-free truth",
     "model_alone": "captured views, model alone",
     "left_out_interpolated": "views left out, residual of the neighbours",
-    "left_out_slot": "views left out, as the decoder filled them",
     "left_out_model_alone": "views left out, model alone",
     "left_out_interpolated_truth": "views left out, residual of the neighbours, against noise-free truth",
-    "left_out_slot_truth": "views left out, as the decoder filled them, against noise-free truth",
 }
 """Figures of an evaluation in words."""
 PICTURES = {
@@ -180,7 +178,7 @@ def views_section(evaluation: dict[str, Any] | None) -> Section | None:
         "outline or the rendered surface takes up. Pixels of the outline that the surface does not reach, and pixels "
         "that it covers beyond the outline, count as errors; the second figure is without them."
     )
-    left_out = evaluation["left_out"]["views"]
+    left_out = evaluation["left_out"]
     each = [
         (
             f"{row['view']} (left out)" if row["left_out"] else row["view"],

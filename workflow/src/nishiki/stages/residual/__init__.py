@@ -35,7 +35,6 @@ class ResidualSettings(Guarded, stage="residual", version=7, limits=LIMITS):
     sufficient: Literal["auto", "never"] = Field(
         "auto", description="auto: no residual where the model reaches `psnr` or noise (docs/notes/economy.md)"
     )
-    tolerance: float = Field(0.02, gt=0, lt=1, description="relative error of bytes or kept, in dB / 8.7 of psnr")
     passes: int = Field(6, ge=1, le=20, description="passes over all tiles that the search may take")
     components: Literal["auto", "total"] = Field(
         "total", description="auto: diffuse and specular coded apart where polarisation separated them; total: together"
@@ -43,20 +42,12 @@ class ResidualSettings(Guarded, stage="residual", version=7, limits=LIMITS):
     model: bool = Field(True, description="false: image-based, nothing is subtracted (a baseline)")
     wavelet: str = Field("bior4.4", description="of the tile's planes: haar, db2 (the paper's), sym4, bior4.4, ...")
     levels: int = Field(4, ge=0, le=8, description="halvings of the tile's planes")
-    mirrored: bool = Field(False, description="mirrored ends in place of periodic ones (bior2.2, bior4.4)")
     view_transform: str = Field(
-        "db2", description="along the views: an orthonormal wavelet, cosine, fourier, or none (2-D coding of each view)"
+        "db2", description="along the views: an orthonormal wavelet, cosine, or none (2-D coding of each view)"
     )
-    light_transform: str = Field("cosine", description="along the lights, likewise")
     arcs: bool = Field(True, description="a tile's block spans only the views that see it")
     rounds: int = Field(6, ge=0, le=100, description="of the solver, per tile and pass: choices of the coefficients")
-    inner: int = Field(5, ge=0, le=100, description="conjugate gradient steps of the solver after each choice")
-    price: float = Field(
-        0.05, ge=0, le=4, description="squared error that a bit is worth, in squared quantiser steps at a typical pixel"
-    )
     refinements: int = Field(12, ge=0, le=500, description="of the parameters in the pictures; 0: as fitted to texels")
-    threshold: float = Field(0.6, ge=0, le=4, description="smallest coefficient of the parameters, in their steps")
-    parameter_share: float = Field(1.2, gt=0, description="parameter steps against those of equal effect on pictures")
     hold_out: tuple[str, ...] = Field((), description="views left out of the residual; filled in by the plan")
 
 

@@ -44,6 +44,7 @@ SAMPLE_TILES = 24  # that decide whether the model suffices
 SEARCH_TILES = 16  # on which the step is sought before the first pass over all
 SEARCH_SHARE = 0.25  # of the tiles: with fewer in all, a search on some saves nothing
 FIRST_STEP = 0.08  # of the quantiser, from which the search sets out
+PARAMETER_SHARE = 1.2  # parameter steps against those of equal effect on pictures
 OF_BYTES = ("bits_per_pixel", "bytes", "total_bytes")  # targets
 COARSER = 5
 """Factor on the step of texels beside pictures: left-out views of a jug have 26.5 dB with 10 kB and with 57 kB."""
@@ -64,13 +65,8 @@ def run(context: Context) -> dict:
     source = ArtifactSource(texels, ParameterMaps(reflection), settings)
     fitted = json.loads((reflection / "object_brdf.json").read_text())
     scene = scene_of(texels, fitted["lighting"])
-    effort = Effort(
-        pursuit=Pursuit(rounds=settings.rounds, inner=settings.inner),
-        price=settings.price,
-        refinements=settings.refinements,
-        threshold=settings.threshold,
-        gloss=fitted["specular"],
-    )
+    pursuit = Pursuit(rounds=settings.rounds)
+    effort = Effort(pursuit=pursuit, refinements=settings.refinements, gloss=fitted["specular"])
     design, workers = design_of(texels, source.components, settings), threads()
     piloted = pilot(source, scene, design, effort, threads=workers, progress=context.progress)
     counts = source.counts()
@@ -86,7 +82,7 @@ def run(context: Context) -> dict:
         return one_pass(
             source,
             scene,
-            piloted.at_step(step, parameter_share=settings.parameter_share),
+            piloted.at_step(step, parameter_share=PARAMETER_SHARE),
             effort,
             threads=workers,
             progress=context.progress,
@@ -186,14 +182,13 @@ def carried(
 
     tiles = piloted.sample(SEARCH_VIEWS)
     share = len(tiles) / sum(refined is not None for refined in piloted.refined)
-    arguments = {"tolerance": settings.tolerance, "passes": settings.passes}
     sampled = find_step(
         lambda step, earlier: run_pass(step, earlier, tiles), value, math.log(room), start=start, share=share,
-        **arguments,
+        passes=settings.passes,
     )  # fmt: skip
     if expected is not None and point_of(sampled).psnr_db < expected - UNSURE_DB:
         return None
-    return find_step(run_pass, value, math.log(room), start=sampled.design.step, **arguments)
+    return find_step(run_pass, value, math.log(room), start=sampled.design.step, passes=settings.passes)
 
 
 def left_by_model(source: "ArtifactSource", scene: CodedScene, piloted: Pilot) -> Left:
@@ -274,9 +269,7 @@ def design_of(texels: Texels, components: tuple[str, ...], settings: ResidualSet
         components=components,
         wavelet=settings.wavelet,
         levels=settings.levels,
-        mirrored=settings.mirrored,
         view_transform=settings.view_transform,
-        light_transform=settings.light_transform,
         arcs=settings.arcs,
         model=settings.model,
     )
@@ -327,7 +320,6 @@ def first_step(run_pass, piloted: Pilot, settings: ResidualSettings, goal: float
         lambda point: measured(point, settings.target),
         goal,
         start=FIRST_STEP,
-        tolerance=settings.tolerance,
         passes=settings.passes,
         share=len(tiles) / seen,
     )
@@ -348,7 +340,6 @@ def search(run_pass, settings: ResidualSettings, goal: float, start: float, slop
         lambda point: measured(point, settings.target),
         goal,
         start=start,
-        tolerance=settings.tolerance,
         passes=settings.passes,
         slope=slope,
     )

@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.atlas.atlas import Atlas, build_atlas
-from nishiki.atlas.charts import Charts, Rules, make_charts, probe_spacing, turning
+from nishiki.atlas.charts import Charts, make_charts, probe_spacing, turning
 from nishiki.atlas.quality import (
     atlas_picture,
     sampling_density,
@@ -48,8 +48,6 @@ def run(context: Context) -> dict:
             views.full_turn,
             tuple(settings.hold_out),
         ),
-        tolerance=settings.depth_tolerance,
-        grazing_deg=settings.grazing_deg,
         stamp=context.stamp,
     )
     facts = dict.fromkeys(("visible", "texels", "pixels", "silhouette", "uncovered"), 0)
@@ -98,9 +96,8 @@ def lay_out(mesh: Mesh, cameras: list[Camera], settings: TexelsSettings) -> tupl
         up=up,
         front=front,
         spacing=probe_spacing(mesh, cameras, texels_per_pixel=settings.texels_per_pixel),
-        rules=Rules(settings.normal_range, settings.smallest_chart, settings.steepest_deg),
     )
-    density = sampling_density(mesh, charts.plane, cameras, percentile=settings.density_percentile)
+    density = sampling_density(mesh, charts.plane, cameras)
     scale = texels_per_unit(density, charts.plane, charts.chart, texels_per_pixel=settings.texels_per_pixel)
     return charts, build_atlas(charts.plane, charts.chart, scale, size=settings.tile)
 
