@@ -188,6 +188,11 @@ def write_description(capture: Path, title: str, geometry: str, channels, camera
     (capture / "capture.yaml").write_text(yaml.safe_dump(values, sort_keys=False))
 
 
+def readme(kind: str, **facts: Any) -> str:
+    """Return the README of a truth folder, by the template of a kind of capture."""
+    return (Path(__file__).parent / kind / "truth.md").read_text(encoding="utf-8").format(**facts)
+
+
 class Truth:
     """truth.zarr, filled shot by shot, and a README that says what is in it."""
 

@@ -16,6 +16,7 @@ from nishiki.simulate.capture import (
     camera_from,
     dark_frame,
     expose,
+    readme,
     write_csv,
     write_description,
     write_image,
@@ -182,7 +183,8 @@ def write_all(settings: GoniometerSettings, capture: Path, truth: Path, options,
     for number, cloth in enumerate(cloths, start=1):
         suffix = "" if number == 1 else f"-{number}"
         (truth / f"geometry{suffix}.json").write_text(json.dumps(geometry(cloth)) + "\n")
-    (truth / "README.md").write_text(truth_readme(settings))
+    named = "; ".join(f"{c.harness}-harness {c.weave}, {c.face} on top" for c in settings.cloths)
+    (truth / "README.md").write_text(readme("cloth", settings=settings, cloths=named, photographs=len(angles)))
 
 
 def describe_capture(capture: Path, settings: GoniometerSettings) -> None:
@@ -232,29 +234,3 @@ def geometry(cloth: Cloth) -> dict:
             },
         }
     return {"settings": asdict(cloth.settings), "pattern": cloth.solids.pattern.astype(int).tolist(), "yarns": systems}
-
-
-def truth_readme(settings: GoniometerSettings) -> str:
-    """Text of the README in a truth folder."""
-    cloths = "; ".join(f"{c.harness}-harness {c.weave}, {c.face} on top" for c in settings.cloths)
-    return f"""# Truth of a simulated goniometer capture
-
-{cloths}. Seed {settings.seed}, {len(settings.angles_deg)} photographs of {settings.rows} × {settings.columns} pixels, \
-{settings.pitch_mm:g} mm each. Use it to judge results, never to fit.
-
-`truth.npz`:
-
-| array | shape | meaning |
-|---|---|---|
-| `angles_deg` | measurements, 4 | theta_i, phi_i, theta_r, phi_r, in the order of frames.csv |
-| `reflectance` | measurements, cloths, channels | noise-free BRDF, 1/sr; mean over the whole cell of the cloth |
-
-`geometry.json` (of a second cloth `geometry-2.json`), lengths in mm, x along the weft, y along the warp, z up:
-
-| key | meaning |
-|---|---|
-| `settings` | the cloth's: weave, yarns, roughness of the filaments, albedo of the dye |
-| `pattern` | weft yarns × warp yarns of the cell, 1 where the warp is on top |
-| `yarns` | of warp and weft: spacing; sideways offset, half width and half thickness of every yarn; exponent of the \
-section; the way from side to side of the cloth (two arcs of `angle_deg` and `radius_mm`, `straight_mm` between) |
-"""

@@ -17,6 +17,7 @@ from nishiki.simulate.capture import (
     channel_names,
     dark_frame,
     expose,
+    readme,
     sensitivities,
     write_csv,
     write_description,
@@ -197,7 +198,9 @@ def write_all(settings: SimulationSettings, capture: Path, truth: Path, options,
         frames.append((file, "dark", ""))
     write_csv(capture / "frames.csv", [("file", "role", "light"), *frames])
     write_tables(capture, settings, lamps, directions=options.lights_as != "position")
-    store.finish(truth_attributes(settings, lamps), truth_readme(settings, lamps))
+    attributes = truth_attributes(settings, lamps)
+    facts = {"samples": settings.supersampling**2, "checks": ", ".join(attributes["checks"]) or "none"}
+    store.finish(attributes, readme("painting", settings=settings, off=attributes["direction_error_deg"], **facts))
 
 
 def write_tables(capture: Path, settings: SimulationSettings, lamps: tuple[LampPose, ...], *, directions: bool) -> None:
@@ -277,36 +280,3 @@ def truth_attributes(settings: SimulationSettings, lamps: tuple[LampPose, ...]) 
         "direction_error_deg": {"mean": mean, "max": largest},
         "settings": asdict(settings),
     }
-
-
-def truth_readme(settings: SimulationSettings, lamps: tuple[LampPose, ...]) -> str:
-    """Text of the README in a truth folder."""
-    mean, largest = direction_error_deg(settings)
-    checks = ", ".join(lamp.name for lamp in lamps if lamp.role == "check") or "none"
-    return f"""# Truth of a simulated capture
-
-Scene {settings.scene}, seed {settings.seed}, {settings.rows} × {settings.columns} pixels of {settings.pitch_mm:g} mm,
-relief {settings.relief}, finish {settings.gloss}. Use it to judge results, never to fit.
-
-`truth.zarr` (Zarr v3; rows and columns are camera pixels, row 0 at the top):
-
-| array | shape | meaning |
-|---|---|---|
-| `normals` | rows, columns, 3 | unit normal (x right, y up, z to the camera): normalised mean over the pixel's area |
-| `height_mm` | rows, columns | height, mean over the pixel |
-| `steepest` | rows, columns | steepest slope inside the pixel, radians |
-| `labels` | rows, columns, {settings.supersampling**2} | paint of each sample inside the pixel |
-| `regions` | rows, columns | region of the paint at the pixel's centre; names in the attribute `regions` |
-| `spectra` | paints, 61 | reflectance of each paint at `wavelengths_nm`; a pixel's is the mean over its `labels` |
-| `roughness` | paints | GGX alpha of the varnish over each paint |
-| `lit` | lights, rows, columns | percent of the pixel that the lamp lights (0 = in shadow); all lights |
-| `xyz_lamp`, `xyz_d65` | checks, rows, columns, 3 | noise-free colour under the check light: lamp's spectrum, D65 |
-| `gloss`, `body` | checks, rows, columns | mirror reflection (the same at all wavelengths) and body reflection (as Y) |
-
-Colours are relative to a perfect white diffuser facing the lamp (Y = 1), like white-normalised observations.
-Check lights: {checks}. Other attributes: lights, directions, positions in mm, settings.
-
-Where the capture gives one direction a lamp, it is that from the centre of the object. The lamps stand
-{settings.distance_mm:.0f} mm away, so the true direction at a pixel differs from it by {mean:.2f}° in the mean
-and by {largest:.2f}° at most.
-"""

@@ -13,18 +13,20 @@ from nishiki.simulate.capture import (
     camera_from,
     dark_frame,
     expose,
+    readme,
     write_csv,
     write_description,
     write_image,
 )
 from nishiki.simulate.randomness import subkey
-from nishiki.simulate.turntable import settings as constants
 from nishiki.simulate.turntable.render import Radiance, SimulatedScene, make_scene, see
 from nishiki.simulate.turntable.settings import (
     AIM_MM,
     BETA,
     BLUR_PIXELS,
     CLOTH,
+    LAMP_MM,
+    LAMP_RADIUS_MM,
     LEAK,
     PRESETS,
     STRAY,
@@ -191,7 +193,7 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
     write_csv(capture / "cameras.csv", [header, *rows])
     if lamp:
         # In the camera's frame: x right, y up, z towards the photographer.
-        rows = [("light", "x", "y", "z"), (LAMP, *(f"{value:.3f}" for value in constants.LAMP_MM))]
+        rows = [("light", "x", "y", "z"), (LAMP, *(f"{value:.3f}" for value in LAMP_MM))]
         write_csv(capture / "lights.csv", rows)
     if options.mesh == "scan":
         surface = make_surface(settings.scan_triangles) if settings.scan_triangles else scene.surface
@@ -213,7 +215,10 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
             "background": "dark",
         },
     )
-    store.finish(truth_attributes(settings, views), truth_readme(settings))
+    store.finish(
+        truth_attributes(settings, views),
+        readme("turntable", settings=settings, stray=STRAY, reflectance=BOARD_REFLECTANCE),
+    )
 
 
 def mesh_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
@@ -260,42 +265,10 @@ def truth_attributes(settings: TurntableSettings, views: tuple[Viewpoint, ...]) 
         "views": [view.name for view in views],
         "parts": list(PARTS),
         "cameras": {view.name: view.matrix.tolist() for view in views},
-        "lamp_in_camera_mm": list(constants.LAMP_MM),
-        "lamp_radius_mm": constants.LAMP_RADIUS_MM,
-        "beta": list(constants.BETA),
-        "leak": list(constants.LEAK),
+        "lamp_in_camera_mm": list(LAMP_MM),
+        "lamp_radius_mm": LAMP_RADIUS_MM,
+        "beta": list(BETA),
+        "leak": list(LEAK),
         "board_reflectance": BOARD_REFLECTANCE,
         "settings": asdict(settings),
     }
-
-
-def truth_readme(settings: TurntableSettings) -> str:
-    """Text of the README in a truth folder."""
-    return f"""# Truth of a simulated turntable capture
-
-Seed {settings.seed}, {settings.views} views of {settings.rows} × {settings.columns} pixels, lengths in mm.
-Use it to judge results, never to fit.
-
-`truth.zarr` (Zarr v3; views in the order of the turn; row 0 at the top):
-
-| array | shape | meaning |
-|---|---|---|
-| `diffuse` | views, rows, columns, 3 | light that has lost its polarisation, stray light and cloth included |
-| `specular` | views, rows, columns, 3 | the lamp's mirror reflection |
-| `total` | views, rows, columns, 3 | their sum: what the camera sees without crossed polarisers |
-| `coverage` | views, rows, columns | share of the pixel that the object fills |
-| `depth` | views, rows, columns | along the optical axis; 0 where there is no object |
-| `normals` | views, rows, columns, 3 | unit normal of the smooth surface, in the object's frame |
-| `albedo` | views, rows, columns, 3 | albedo of the body below its surface |
-| `part` | views, rows, columns | part of the object, names in the attribute `parts`; 255 = none |
-| `sensitivity` | rows, columns, 3 | share of full scale that a perfect white at the axis gives |
-| `board` | rows, columns | light from the white board |
-| `beta` | rows, columns, 3 | factor of the second polariser |
-| `vertices`, `triangles`, `vertex_normals` | | the object itself; the mesh in the capture is a noisy scan of it |
-
-Light is relative to a perfect white on the axis that faces the lamp, without noise, behind the lens's blur. The codes
-of a photograph are (full scale − black) × sensitivity × total + black, with crossed polarisers
-(full scale − black) × sensitivity × beta × (diffuse + leak × specular) + black, plus noise; those of the board likewise
-with sensitivity × (board + {constants.STRAY}). Where observations are divided by the board, the truth to compare them
-with is total / (board + {constants.STRAY}) × {BOARD_REFLECTANCE}.
-"""
