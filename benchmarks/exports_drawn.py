@@ -34,13 +34,11 @@ from nishiki.brdf.texels.model import POINT
 from nishiki.colour.colour import decode, encode
 from nishiki.evaluate.object_photographs import Photographs as ObjectPhotographs
 from nishiki.observations.plane import Observations
-from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.scene import ClothScene
-from nishiki.render.cloth.studio import Lighting, framed
+from nishiki.render.cloth.studio import Lighting, RenderVariant, framed, render
 from nishiki.render.display import three_channels
 from nishiki.stages.export import ExportSettings
-from nishiki.stages.export.cloth import LAMPS, VIEWS, ExportedCloth
-from nishiki.stages.export.cloth_material import fitted_cloth
+from nishiki.stages.export.cloth import LAMPS, VIEWS, ExportedCloth, fitted_cloth
 from nishiki.stages.export.look import PaintingSurface
 from nishiki.stages.export.object_look import METRES, object_look, object_mesh
 from nishiki.stages.export.object_surface import SeenPoints, shown_in

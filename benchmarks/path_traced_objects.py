@@ -228,8 +228,7 @@ def solved(samples, lights, valid, how):
 def joint_fit(samples, lights, valid):
     """Normals (1, pixels, 3) as the stage makes them of few lamps: the default, then the joint fit if gloss counts."""
     from nishiki.photometric.body_colour import body_intensity
-    from nishiki.photometric.gloss import refine_normals
-    from nishiki.photometric.gloss_equations import GlossTile
+    from nishiki.photometric.gloss import GlossTile, refine_normals
     from nishiki.photometric.gloss_scene import fit_scene_gloss
     from nishiki.photometric.light_selection import select_diffuse
     from nishiki.photometric.reflectance import diffuse_reflectance

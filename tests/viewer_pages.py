@@ -21,16 +21,15 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import cie_1931_cmfs, decode, delta_e_2000, illuminant, srgb_matrix, xyz_to_lab
 from nishiki.progress import Progress
-from nishiki.render.cloth.frame import RenderVariant
-from nishiki.render.cloth.frame import render as render_cloth
 from nishiki.render.cloth.models import ClothModels, dyed
 from nishiki.render.cloth.scene import Lamp
-from nishiki.render.cloth.studio import linear_colour
+from nishiki.render.cloth.studio import RenderVariant, linear_colour
+from nishiki.render.cloth.studio import render as render_cloth
 from nishiki.render.display import adapted_exposure, developed, display_image
 from nishiki.render.object.shots import FreeLamp, FreeLighting
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
-from nishiki.render.plane.shadow import cast_shadows
+from nishiki.render.plane.shade import cast_shadows
 from nishiki.stages.render import DYES, LightSettings, MeshSettings
 from nishiki.stages.render.painting import direction, load_scene, seen, white_sheet
 from nishiki.stages.viewer import ViewerSettings

@@ -13,7 +13,7 @@ from stability.samples import EXTREME, dome, tilted
 from nishiki.brdf.fit import FitFlag, fit_torrance_sparrow
 from nishiki.brdf.gloss_profile import SpecularHistogram, fit_gloss
 from nishiki.brdf.torrance_sparrow import facet_distribution, fresnel, masking_over_cos_r, specular
-from nishiki.photometric.gloss_equations import GlossTile
+from nishiki.photometric.gloss import GlossTile
 from nishiki.photometric.gloss_scene import fit_scene_gloss
 from nishiki.stages.brdf.painting import fit_regions
 

@@ -14,9 +14,8 @@ from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard, gre
 from nishiki.brdf.cloth.yarn_facets import CENTRE, SPREAD, shape_of, uncorrected
 from nishiki.brdf.cloth.yarn_fit import Measured, fit_yarn_facets
 from nishiki.errors import UserError
-from nishiki.goniometry.coverage import spread
 from nishiki.goniometry.directions import unit
-from nishiki.goniometry.hemisphere import interpolate
+from nishiki.goniometry.hemisphere import interpolate, spread
 from nishiki.goniometry.interpolation import coefficients, evaluate
 from nishiki.goniometry.readings import assign_boards, average_repeats, read_window, reflectance
 

@@ -15,9 +15,8 @@ from nishiki.formats.problems import CaptureError
 from nishiki.observations.block_kernels import block_levels
 from nishiki.observations.blocks import block_edges, cells, positions
 from nishiki.observations.linearise import check_linearity, code_table, saturation_code, straight_scale
-from nishiki.observations.plane_decode import decode
+from nishiki.observations.plane_decode import decode, view_values
 from nishiki.observations.reference import white_field
-from nishiki.observations.views_decode import view_values
 from nishiki.photometric.light_selection import METHODS, select_diffuse
 
 

@@ -12,8 +12,7 @@ from nishiki.render.display import display_image, normals_as_colours
 from nishiki.render.plane.flags import NORMAL_MISSING, TURNED_AWAY, UNUSABLE
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
-from nishiki.render.plane.shade import PlaneMaps, predict_observations
-from nishiki.render.plane.shadow import cast_shadows
+from nishiki.render.plane.shade import PlaneMaps, cast_shadows, predict_observations
 
 
 def maps(rows, columns, seed=0, most=0.6):

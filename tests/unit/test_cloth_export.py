@@ -25,16 +25,24 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.geometry.turn import scaled
 from nishiki.progress import Progress
-from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.scene import BrdfTable, ClothScene, Lamp, Matte
-from nishiki.render.cloth.studio import framed, paper_below
+from nishiki.render.cloth.studio import RenderVariant, framed, paper_below, render
 from nishiki.render.cloth.surfaces import read_drape
 from nishiki.stages.export import ClothExportSettings
 from nishiki.stages.export import ClothFormat as Format
-from nishiki.stages.export.cloth import ExportedCloth, camera_of, errors, run
-from nishiki.stages.export.cloth_material import GltfCloth, coded_error, fitted_cloth, pairs, sheen_albedo
+from nishiki.stages.export.cloth import (
+    ExportedCloth,
+    GltfCloth,
+    camera_of,
+    coded_error,
+    errors,
+    fitted_cloth,
+    pairs,
+    run,
+    sheen_albedo,
+)
 from nishiki.stages.render import ClothRenderSettings
-from nishiki.stages.render.draping import lights_of
+from nishiki.stages.render.cloth import lights_of
 from nishiki.stages.report.capture import export_section
 
 pytestmark = pytest.mark.slow

@@ -18,8 +18,8 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.errors import UserError
 from nishiki.progress import Progress
-from nishiki.render.cloth.frame import ClothPicture
 from nishiki.render.cloth.models import ClothModels
+from nishiki.render.cloth.studio import ClothPicture
 from nishiki.render.cloth.surfaces import read_surface
 from nishiki.render.display import developed, shoulder
 from nishiki.stages.render import ClothRenderSettings

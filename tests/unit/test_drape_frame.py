@@ -10,11 +10,10 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import look_at
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.cloth.around import Surroundings, lookup, openness, shares
-from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.local import disc_point
 from nishiki.render.cloth.models import dyed, share_of
 from nishiki.render.cloth.scene import AmbientLight, ClothScene, Lamp, Matte, Surface, together
-from nishiki.render.cloth.studio import framed, linear_colour
+from nishiki.render.cloth.studio import RenderVariant, framed, linear_colour, render
 from nishiki.render.cloth.surfaces import cylinder, paper, sheet, swatch
 
 WARD = Ward(diffuse=np.array([0.1, 0.2, 0.3]), specular=np.array([0.3, 0.3, 0.3]), alpha_x=0.4, alpha_y=0.15)
@@ -160,8 +159,8 @@ def test_bands_do_not_show(monkeypatch):
     arguments = (scene, [RenderVariant((WARD,), (1.0,))], [lamp], camera(30))
     whole = render(*arguments, supersampling=3)[0]
     assert render(*arguments, supersampling=3)[0].linear.tobytes() == whole.linear.tobytes()
-    monkeypatch.setattr("nishiki.render.cloth.frame.BAND_SAMPLES", 1000)
-    monkeypatch.setattr("nishiki.render.cloth.frame.AT_ONCE", 77)
+    monkeypatch.setattr("nishiki.render.cloth.studio.BAND_SAMPLES", 1000)
+    monkeypatch.setattr("nishiki.render.cloth.studio.AT_ONCE", 77)
     banded = render(*arguments, supersampling=3)[0]
     assert np.array_equal(whole.linear, banded.linear)
     assert whole.samples == banded.samples

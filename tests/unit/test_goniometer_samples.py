@@ -21,8 +21,7 @@ from nishiki.errors import UserError
 from nishiki.goniometry.directions import angles
 from nishiki.goniometry.readings import regions_in_view
 from nishiki.goniometry.table import Reflectances
-from nishiki.observations.goniometer import Measurements
-from nishiki.observations.goniometer_store import write_goniometer
+from nishiki.observations.goniometer_store import Measurements, write_goniometer
 from nishiki.progress import Progress
 from nishiki.stages.goniometer_samples import GoniometerSamplesSettings
 from nishiki.stages.goniometer_samples.run import run

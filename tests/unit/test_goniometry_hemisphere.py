@@ -10,16 +10,17 @@ from scipy.interpolate import BSpline, LinearNDInterpolator
 from scipy.interpolate import NearestNDInterpolator as Nearest
 
 from nishiki.errors import UserError
-from nishiki.goniometry.coverage import coverage, spread
 from nishiki.goniometry.directions import angles, between, departure, disc, images, reduced, unit
 from nishiki.goniometry.hemisphere import (
     choose_symmetry,
     complete,
+    coverage,
     directional_albedo,
     gathered,
     grid_axes,
     interpolate,
     solid_angles,
+    spread,
     within_hull,
 )
 from nishiki.goniometry.interpolation import (

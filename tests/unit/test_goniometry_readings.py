@@ -18,7 +18,7 @@ from nishiki.goniometry.readings import (
     reflectance,
     regions_in_view,
 )
-from nishiki.observations.goniometer import Photograph
+from nishiki.observations.goniometer_store import Photograph
 
 NAN = float("nan")
 

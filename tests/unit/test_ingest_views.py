@@ -19,8 +19,8 @@ from nishiki.errors import UserError
 from nishiki.formats.coding import LINEAR, SRGB
 from nishiki.observations.blocks import grid_of, picture_edges
 from nishiki.observations.linearise import code_table, straight_scale
+from nishiki.observations.plane_decode import view_values
 from nishiki.observations.views import Views, decode, encode
-from nishiki.observations.views_decode import view_values
 from nishiki.observations.views_store import write_views
 from nishiki.stages.ingest import IngestSettings
 

@@ -8,8 +8,8 @@ import pytest
 from nishiki.photometric.interreflection import form_factors
 from nishiki.photometric.solve import estimate_normals
 from nishiki.stages.normals import NormalsSettings
-from nishiki.stages.normals.interreflection import Thrown, find_thrown_light, read_facets
 from nishiki.stages.normals.parcel import mean_of_channels
+from nishiki.stages.normals.run import Thrown, find_thrown_light, read_facets
 
 RIM_DEG = 50.0  # slope of the bowl at its rim
 REFLECTANCE = np.array([0.8, 0.6, 0.7])

@@ -10,8 +10,7 @@ from nishiki.render.plane import camera
 from nishiki.render.plane.flags import BACKGROUND, NORMAL_MISSING
 from nishiki.render.plane.frame import reduce_maps, render
 from nishiki.render.plane.scene import Ambient, Gloss, Light, PlaneScene, View
-from nishiki.render.plane.shade import pixel_to_plane, shade_xyz
-from nishiki.render.plane.shadow import cast_shadows
+from nishiki.render.plane.shade import cast_shadows, pixel_to_plane, shade_xyz
 
 WHITE = np.ones((1, 61))
 

@@ -11,8 +11,7 @@ from nishiki.errors import UserError
 from nishiki.evaluate.prediction import predict_light
 from nishiki.photometric.height import integrate_normals
 from nishiki.render.plane.scene import Light
-from nishiki.render.plane.shade import PlaneMaps
-from nishiki.render.plane.shadow import cast_shadows
+from nishiki.render.plane.shade import PlaneMaps, cast_shadows
 
 
 def relief(rows=40, columns=57, seed=0, amplitude=6.0):

@@ -10,7 +10,7 @@ from viewer_pages import lamp
 
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.render.plane.scene import Light
-from nishiki.render.plane.shadow import cast_shadows
+from nishiki.render.plane.shade import cast_shadows
 from nishiki.report.viewer import pyramid
 from nishiki.report.viewer.pyramid import height_block
 from nishiki.stages.viewer import painting as stage

@@ -316,7 +316,7 @@ def fit_gloss(observations, directions, field: "NormalField", *, valid=None, ref
     True
     """
     from nishiki.brdf import gloss_profile
-    from nishiki.photometric.gloss_equations import LARGEST_SIGMA
+    from nishiki.photometric.gloss import LARGEST_SIGMA
 
     matt = gloss_profile.GlossProfile(np.zeros(1), np.ones(1), refractive_index, transmission=0.0)
     values = np.asarray(observations, np.float64)

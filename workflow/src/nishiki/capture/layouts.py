@@ -13,12 +13,18 @@ import numpy as np
 
 from nishiki.capture.frames import SourcePhotographs, inside
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
-from nishiki.capture.lights_evidence import sample_photographs
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.pairing import find_bands
 from nishiki.capture.rti_projects import CROPPED, RtiProject, find_relight, is_relight, read_relight
 from nishiki.capture.spheres.optics import direction_from_sphere
-from nishiki.capture.stated_lights import StatedLights, decide, decide_strengths, read_lights_file, scale_to_middle
+from nishiki.capture.stated_lights import (
+    StatedLights,
+    decide,
+    decide_strengths,
+    read_lights_file,
+    sample_photographs,
+    scale_to_middle,
+)
 from nishiki.capture.taking import read_grey
 from nishiki.formats.files import NAME_BYTES, bound, files_with, is_plain, leads_out, read_text, same_name
 from nishiki.formats.images import read_header

@@ -10,8 +10,8 @@ from nishiki.errors import require
 from nishiki.formats.images import Region
 from nishiki.formats.masks import label_problems, read_labels
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, refuse, warning
-from nishiki.goniometry.coverage import FEWEST_PAIRS, forward_shine, reciprocity, turned_views, typical_albedo
 from nishiki.goniometry.directions import unit
+from nishiki.goniometry.hemisphere import FEWEST_PAIRS, forward_shine, reciprocity, turned_views, typical_albedo
 from nishiki.observations.blocks import CHECK_BLOCK, picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField, measure_darks

@@ -16,8 +16,7 @@ from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import measure_darks
 from nishiki.observations.store_parts import RepeatedFiles, Tick, as_errors
 from nishiki.observations.turntable_coherence import Pictures, capture_problems
-from nishiki.observations.views_store import read_silhouette, view_problems
-from nishiki.observations.views_white import measure_whites
+from nishiki.observations.views_store import measure_whites, read_silhouette, view_problems
 from nishiki.polarisation.polariser_states import equal_steps, sums_of
 from nishiki.polarisation.series_order import SeriesOrder, find_order, remove_nuisance, series_design
 from nishiki.polarisation.statistics import LIT

@@ -69,7 +69,7 @@ class Views(StoredArrays):
         without polariser, else full scale at the longest exposure time. Valid: finite, no defect, gain known, saturated
         in no channel; code 0 is a valid measurement. A saturated sample keeps its value; what cannot be formed is 0.
         """
-        from nishiki.observations.views_decode import view_values  # who asks for cameras alone needs no compiled code
+        from nishiki.observations.plane_decode import view_values  # who asks for cameras alone needs no compiled code
 
         frame = self.index(view, state=state, light=light)
         codes = self.codes(view, state=state, light=light)

@@ -23,8 +23,7 @@ import numpy as np
 from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, fit_gloss, specular_samples, unit_of
 from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.photometric import flags as bits
-from nishiki.photometric.gloss import RefinedNormals, refine_normals
-from nishiki.photometric.gloss_equations import LARGEST_SIGMA, GlossTile, step
+from nishiki.photometric.gloss import LARGEST_SIGMA, GlossTile, RefinedNormals, refine_normals, step
 
 WIDTHS = np.geomspace(0.01, 0.3, 9)  # radians, half widths: what is wider is light from paint to paint as well
 ROUNDS = 2

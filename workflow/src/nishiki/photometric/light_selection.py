@@ -238,8 +238,7 @@ def distinct_sets(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def refit(stack, known, directions, min_lights, selected):
     """Run `refit_selection` with the project's constants (docs/stages/separate.md gives their reasons)."""
     from nishiki.lanes import repeated
-    from nishiki.photometric.block import BLOCK
-    from nishiki.photometric.refit import refit_selection
+    from nishiki.photometric.refit import BLOCK, refit_selection
 
     if min_lights < 3:
         raise UserError(f"light selection by re-fit: expected min_lights >= 3, found {min_lights}")

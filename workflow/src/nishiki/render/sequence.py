@@ -8,7 +8,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.render.plane.frame import Rendering, render
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
-from nishiki.render.plane.shadow import cast_shadows
+from nishiki.render.plane.shade import cast_shadows
 
 
 def circle_of_directions(count: int, *, elevation: float, start: float = 0.0) -> np.ndarray:

@@ -14,12 +14,12 @@ from nishiki.render.plane.shade import (
     ColourGroups,
     PlaneMaps,
     Shading,
+    cast_shadows,
     colour_groups,
     pixel_to_plane,
     shade_channels,
     shade_xyz,
 )
-from nishiki.render.plane.shadow import cast_shadows
 
 _SAMPLES_AT_ONCE = 1 << 19  # bounds the memory of a band of the screen
 
@@ -54,7 +54,7 @@ def render(
     """Draw `scene` under `lights` from `view` (default: frontal, a screen pixel for a pixel of the maps).
 
     background: Y where the ray misses the painting, a grey under the scene's white. shadows: "sweep", "march" (see
-    `nishiki.render.plane.shadow`) or "none"; without a height there are none. visibility: (lights, rows, columns)
+    `nishiki.render.plane.shade`) or "none"; without a height there are none. visibility: (lights, rows, columns)
     computed before, e.g. for a sequence of views. A pixel of a screen that is not the maps is the mean of shaded
     samples, as many across and down as the pixel is steps long on the maps, so that no pixel of the maps is jumped
     over; at least the first of `samples` along each side. Where that would be more than the second in all, the

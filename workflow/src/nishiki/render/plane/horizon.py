@@ -1,4 +1,4 @@
-"""Compiled loops of `nishiki.render.plane.shadow`: horizons along lines and rays, and what they hide of a lamp.
+"""Compiled loops of `nishiki.render.plane.shade`: horizons along lines and rays, and what they hide of a lamp.
 
 All of them in one file, because the cache of the compiler watches only the file of the function that it has compiled.
 """

@@ -6,12 +6,21 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
-from nishiki.goniometry.coverage import FEWEST_PAIRS, IncidenceCoverage, coverage, reciprocity, typical_albedo
 from nishiki.goniometry.directions import departure, disc, images, unit
-from nishiki.goniometry.hemisphere import Interpolation, choose_symmetry, complete, directional_albedo
+from nishiki.goniometry.hemisphere import (
+    FEWEST_PAIRS,
+    IncidenceCoverage,
+    Interpolation,
+    choose_symmetry,
+    complete,
+    coverage,
+    directional_albedo,
+    reciprocity,
+    typical_albedo,
+)
 from nishiki.goniometry.readings import Averaged, Readings, Regions, average_repeats, read_all
 from nishiki.goniometry.table import ReflectanceSet, write_reflectances
-from nishiki.observations.goniometer import Measurements
+from nishiki.observations.goniometer_store import Measurements
 from nishiki.report.svg import GRID, INK, PALETTE, SOFT, Drawing
 
 LISTED = 60  # directions of light whose coverage is among the diagnostics; all are in the artifact

@@ -22,7 +22,7 @@ from nishiki.stages.normals.parcel import fit_finishes, relit, solve
 if TYPE_CHECKING:
     from nishiki.brdf.gloss_profile import GlossProfile
     from nishiki.model_selection.relighting import Sampled
-    from nishiki.photometric.gloss_equations import GlossTile
+    from nishiki.photometric.gloss import GlossTile
     from nishiki.photometric.gloss_scene import SceneGloss
 
 SAMPLE_PIXELS = 15_000  # of the scene, for its finishes
@@ -367,7 +367,7 @@ def joined(pieces: Sequence[Sampled]) -> Sampled:
 
 def gloss_tiles(pieces: Sequence[Sampled], settings: NormalsSettings) -> list[GlossTile]:
     """Return sampled pixels with their estimates from the selected lights."""
-    from nishiki.photometric.gloss_equations import GlossTile
+    from nishiki.photometric.gloss import GlossTile
 
     tiles = []
     for piece in pieces:

@@ -17,7 +17,7 @@ from nishiki.render.cloth.studio import Studio, Viewpoint, studio, tubes
 from nishiki.render.cloth.surfaces import read_drape, sheet, swatch
 from nishiki.report.viewer.page import Blocks, pack_arrays, write_page
 from nishiki.stages.render import MeshSettings
-from nishiki.stages.render.draping import surface_from_file
+from nishiki.stages.render.cloth import surface_from_file
 
 PAGE = Path(__file__).with_suffix(".js")
 

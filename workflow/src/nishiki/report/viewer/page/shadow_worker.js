@@ -1,5 +1,5 @@
 // The worker that casts shadows: heights of a relief are decoded, and the sweep and the march of
-// nishiki.render.plane.shadow and horizon computed, beside the page.
+// nishiki.render.plane.shade and horizon computed, beside the page.
 
 /** The worker's whole program: nothing from outside is in reach. */
 export function work() {
