@@ -3,10 +3,17 @@
 import numpy as np
 import pytest
 
-from nishiki.photometric.height import block_means, flatten_normals, integrate_normals
+from nishiki.photometric import height
+from nishiki.photometric.height import block_means, integrate_normals
 
 ROWS, COLUMNS = 160, 240
 ALL = np.ones((ROWS, COLUMNS), dtype=bool)
+
+
+def flatten_normals(normals, valid):
+    """Of fields in memory: the turned normals and the angle."""
+    turned = np.full(normals.shape, np.nan, np.float32)
+    return turned, height.flatten_normals(valid.shape, lambda rows: (normals[rows], valid[rows]), turned.__setitem__)
 
 
 def normals_of(height):
@@ -112,7 +119,10 @@ def test_nothing_valid_is_nothing_turned():
 
 
 def test_block_means_are_at_the_middle_of_their_squares():
-    mean, y, x = block_means(np.broadcast_to([0.0, 0.0, 1.0], (256, 256, 3)), np.ones((256, 256), bool))
+    mean, y, x = block_means(
+        (256, 256),
+        lambda rows: (np.broadcast_to([0.0, 0.0, 1.0], (256, 256, 3))[rows], np.ones((256, 256), bool)[rows]),
+    )
     assert mean.shape == (128 * 128, 3)
     assert x.min() == pytest.approx(-1 + 1 / 255)
     assert x.max() == pytest.approx(1 - 1 / 255)

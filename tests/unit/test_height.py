@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from nishiki.errors import UserError
+from nishiki.photometric import height as height_module
+from nishiki.photometric import multigrid
 from nishiki.photometric.height import integrate_normals
 
 
@@ -129,6 +131,62 @@ def test_single_precision_of_large_fields_agrees_with_double(monkeypatch):
     monkeypatch.setattr("nishiki.photometric.height.SINGLE_ABOVE", 1)
     single = integrate_normals(normals, pixel_pitch=pitch, method="weighted").height
     assert np.abs(single - double).max() < 1e-4 * np.ptp(double)
+
+
+def noisy(rows, columns):
+    """Waves with noise that has curl, in a frame with gaps, a bar across and an island."""
+    rng = np.random.default_rng(5)
+    x, y = grid(rows, columns, 1.0)
+    p = 0.4 * np.cos(x / 9) * np.cos(y / 7) + rng.normal(0, 0.3, x.shape)
+    q = -0.4 * np.sin(x / 9) * np.sin(y / 7) + rng.normal(0, 0.3, x.shape)
+    valid = rng.uniform(size=x.shape) > 0.05
+    valid[rows // 3 : rows // 3 + 3, 4:-4] = False  # the bar leaves its two halves joined at both ends
+    valid[: rows // 4, columns // 2] = False
+    valid[rows // 2 - 8 : rows // 2 + 8, columns // 2 - 8 : columns // 2 + 8] = False
+    valid[rows // 2 - 4 : rows // 2 + 4, columns // 2 - 4 : columns // 2 + 4] = True
+    return normals_of(p, q), valid
+
+
+@pytest.mark.parametrize("shape", [(407, 61), (64, 64), (121, 300), (700, 33)])
+@pytest.mark.parametrize("method", ["weighted", "dct"])
+def test_bands_on_the_disk_give_the_heights_of_the_whole_picture(shape, method, monkeypatch, tmp_path):
+    """The same numbers but for roundings, so that no border of a band can be seen, and nothing is left behind."""
+    normals, valid = noisy(*shape)
+    whole = integrate_normals(normals, valid=valid, method=method, tolerance=1e-10)
+    monkeypatch.setattr(multigrid, "BAND_PIXELS", 16 * shape[1])
+    monkeypatch.setattr(multigrid, "WHOLE_PIXELS", 300)
+    monkeypatch.setattr(height_module, "BAND_PIXELS", 16 * shape[1])
+    bands = []
+
+    def write(rows, values, inside):
+        bands.append((rows, values, inside))
+
+    found = height_module.integrate_bands(
+        shape,
+        lambda rows: (normals[rows], valid[rows]),
+        write,
+        pixel_pitch=1.0,
+        method=method,
+        iterations=(1e-10, 1000),
+        folder=tmp_path,
+    )
+    assert len(bands) >= shape[0] // 16
+    assert not list(tmp_path.iterdir())
+    height = np.concatenate([values for _, values, _ in bands])
+    np.testing.assert_array_equal(np.concatenate([inside for *_, inside in bands]), whole.valid)
+    np.testing.assert_allclose(height, whole.height, atol=2e-6 * whole.range)
+    assert found["parts"] == whole.parts > 1
+    assert found["iterations"] == whole.iterations
+    for name in ("integrability_rms", "gradient_rms", "bow", "range", "valid_pixels"):
+        assert found[name] == pytest.approx(getattr(whole, name), rel=1e-6)
+
+
+def test_steps_do_not_grow_with_the_picture():
+    """Multigrid: as many iterations for sixteen times the pixels, on masks and steep noise alike."""
+    fields = [noisy(rows, columns) for rows, columns in ((60, 90), (240, 360))]
+    steps = [integrate_normals(normals, valid=valid).iterations for normals, valid in fields]
+    assert max(steps) <= 25
+    assert steps[1] <= steps[0] + 4
 
 
 def test_one_row_and_one_pixel():

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 WINDOW = 7  # pixels
+REACH = WINDOW  # rows on either side that the error of a pixel depends on: half of two windows, and a square of pixels
 GROUPS = 8  # of neighbouring lamps that are left out in turn
 LEAST_NZ, LARGEST_SIGMA = 0.15, 0.5  # slopes beyond, and radians beyond, count as these
 UNKNOWN = 0.5 * np.pi  # as sigma of pixels without an estimate

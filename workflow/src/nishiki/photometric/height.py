@@ -1,10 +1,9 @@
 """Integrate normals to a height, after a turn that takes away a tilt common to the picture.
 
 The unknown heights h minimise sum over neighbouring pixels a, b of w (h_b - h_a - g)^2, g the mean slope of the two
-times the pitch. On a full rectangle with equal weights this is Poisson's equation with natural boundaries, which the
-discrete cosine transform solves directly (T. Simchony, R. Chellappa and M. Shao, Direct analytical methods for solving
-Poisson equations in computer vision problems, IEEE Trans. PAMI 12 (5), 1990; for the periodic case R. T. Frankot and
-R. Chellappa, IEEE Trans. PAMI 10 (4), 1988). With a mask or weights the same solver preconditions conjugate gradients.
+times the pitch (R. T. Frankot and R. Chellappa, A method for enforcing integrability in shape from shading algorithms,
+IEEE Trans. PAMI 10 (4), 1988; with natural boundaries T. Simchony, R. Chellappa and M. Shao, IEEE Trans. PAMI 12 (5),
+1990), which `nishiki.photometric.multigrid` solves. Everything reads the normals by bands of rows.
 
 Normals of an object that is flat overall are turned so that their smooth part faces the camera. Lamps that stand near
 but count as distant, and lamps whose brightness falls off over the picture without a white board, tilt the normals by
@@ -24,82 +23,9 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from nishiki.errors import UserError
+from nishiki.photometric.multigrid import BAND_PIXELS, Laplace, Scratch, divergence, edges, windows
 from nishiki.summary import Summarised
 from nishiki.threads import strips
-
-
-def divergence(differences, weights):
-    """Right-hand side of the normal equations: the weighted differences that end in a pixel less those that start."""
-    along, down = differences
-    rows, columns = along.shape[0], down.shape[1]
-    out = np.zeros((rows, columns), dtype=along.dtype)
-    flow = along * weights[0]
-    out[:, 1:] += flow
-    out[:, :-1] -= flow
-    flow = down * weights[1]
-    out[1:] += flow
-    out[:-1] -= flow
-    return out
-
-
-def laplacian(height, weights):
-    """Multiply a height field by the normal equations: the weighted graph Laplacian of the grid."""
-    return divergence((np.diff(height, axis=1), np.diff(height, axis=0)), weights)
-
-
-def solve_rectangle(right, symbol):
-    """Solve the unweighted Laplacian on the full rectangle; right is used up. The mean is 0."""
-    from scipy import fft
-
-    spectrum = fft.dctn(right, type=2, norm="ortho", overwrite_x=True)
-    rows, columns = symbol
-    for k in range(0, spectrum.shape[0], 256):  # in bands: the sum of the symbols is never held whole
-        band = rows[k : k + 256] + columns
-        if k == 0:
-            band[0, 0] = 1
-        spectrum[k : k + 256] /= band
-    spectrum[0, 0] = 0
-    return fft.idctn(spectrum, type=2, norm="ortho", overwrite_x=True)
-
-
-def conjugate_gradients(weights, right, symbol, tolerance, max_iterations):
-    """Solve the weighted Laplacian, preconditioned by the unweighted one on the full rectangle.
-
-    Pixels without neighbours of positive weight, and the mean of each part, are left as they come: the right-hand side
-    does not ask for them. Returns heights, iterations and the relative residual.
-    """
-    height = np.zeros_like(right)
-    scale = norm(right)
-    if scale == 0.0:
-        return height, 0, 0.0
-    residual = right
-    direction = solve_rectangle(residual.copy(), symbol)
-    gain = inner(residual, direction)
-    left = 1.0
-    for iteration in range(1, max_iterations + 1):
-        image = laplacian(direction, weights)
-        step = right.dtype.type(gain / inner(direction, image))
-        height += step * direction
-        residual -= step * image
-        left = norm(residual) / scale
-        if left <= tolerance:
-            return height, iteration, left
-        conditioned = solve_rectangle(residual.copy(), symbol)
-        previous, gain = gain, inner(residual, conditioned)
-        direction *= right.dtype.type(gain / previous)
-        direction += conditioned
-    return height, max_iterations, left
-
-
-def inner(a, b):
-    """Scalar product, summed in float64 row by row, so that float32 fields of many megapixels lose nothing."""
-    return float(np.sum(np.einsum("rc,rc->r", a, b, dtype=np.float64)))
-
-
-def norm(a):
-    """Euclidean norm, summed as `inner`."""
-    return float(np.sqrt(inner(a, a)))
-
 
 METHODS = ("auto", "dct", "weighted")
 LEAST_NZ = 0.05  # normals that are steeper (87 degrees) count as this steep: slopes stay finite
@@ -119,26 +45,20 @@ class HeightField(Summarised):
     integrability_rms: root mean square of p_y - q_x, in slope per unit length, over the 2 x 2 squares of valid pixels;
     0 for the normals of a continuous surface. gradient_rms: root mean square of (height difference / pitch - slope)
     over valid neighbours. bow: see `bow`. parts: number of connected parts, whose relative heights the normals do not
-    tell. residual: relative residual of the linear system at the end.
+    tell. residual: relative residual of the linear system at the end. range: of the heights.
     """
 
     height: np.ndarray
     valid: np.ndarray
+    method: str
     integrability_rms: float
     gradient_rms: float
     bow: float
     parts: int
     iterations: int
     residual: float
-    method: str
-
-    @property
-    def diagnostics(self):
-        """The scalars, as plain numbers."""
-        names = ("method", "integrability_rms", "gradient_rms", "bow", "parts", "iterations", "residual")
-        inside = self.height[self.valid]
-        span = float(inside.max() - inside.min()) if inside.size else 0.0
-        return {**{name: getattr(self, name) for name in names}, "valid_pixels": int(inside.size), "range": span}
+    valid_pixels: int
+    range: float
 
 
 def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", tolerance=1e-5, max_iterations=1000):
@@ -153,13 +73,13 @@ def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", to
     pixel_pitch : float, optional
         Distance of neighbouring pixels, whose unit the height takes.
     method : {'auto', 'dct', 'weighted'}, optional
-        `dct`: one direct solution with equal weights, where pixels that are not valid count as flat; for full
-        rectangles. `weighted`: only valid pixels, weighted by nz^4, the inverse variance of a slope for equal angular
-        errors. `auto`: `dct` where every pixel is valid and none is steeper than 80 degrees, else `weighted`.
+        `dct`: equal weights, where pixels that are not valid count as flat; for full rectangles. `weighted`: only valid
+        pixels, weighted by nz^4, the inverse variance of a slope for equal angular errors. `auto`: `dct` where every
+        pixel is valid and none is steeper than 80 degrees, else `weighted`.
     tolerance : float, optional
-        Relative residual at which the iterations of `weighted` end.
+        Relative residual at which the iterations end.
     max_iterations : int, optional
-        Largest number of these iterations.
+        Largest number of iterations.
 
     Returns
     -------
@@ -182,105 +102,207 @@ def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", to
     >>> bool(np.allclose(np.diff(relief.height, axis=1), 0.1, atol=1e-3))
     True
     """
-    normals, valid = checked_normals(normals, valid, pixel_pitch)
-    if method not in METHODS:
-        raise UserError(f"height: expected a method of {', '.join(METHODS)}, found {method!r}")
-    if method == "auto":
-        method = "dct" if valid.all() and normals[..., 2].min() > np.cos(np.radians(80.0)) else "weighted"
-    dtype = np.float32 if valid.size > SINGLE_ABOVE else np.float64
-    p, q, weight = slopes(normals, valid, dtype)
-    half = dtype(0.5 * float(pixel_pitch))
-    gradients = (p[:, :-1] + p[:, 1:]) * half, (q[:-1] + q[1:]) * -half  # rows count downwards: a step down is -q
-    del p, q
-    down, across = (2.0 - 2.0 * np.cos(np.pi * np.arange(side) / side) for side in valid.shape)
-    symbol = down[:, None].astype(dtype), across[None].astype(dtype)  # eigenvalues of the Laplacian, free boundaries
-    if method == "dct":
-        height = solve_rectangle(divergence(gradients, (dtype(1), dtype(1))), symbol)
-        iterations, residual = 0, 0.0
-    else:
-        weights = np.minimum(weight[:, :-1], weight[:, 1:]), np.minimum(weight[:-1], weight[1:])
-        right = divergence(gradients, weights)
-        height, iterations, residual = conjugate_gradients(weights, right, symbol, tolerance, max_iterations)
-    parts = level_parts(height, valid)
-    curl, mismatch = leftovers(height, gradients, valid, float(pixel_pitch))
-    height = height.astype(np.float32)
-    bowed = bow(height, valid, float(pixel_pitch))
-    return HeightField(height, valid, curl, mismatch, bowed, parts, iterations, residual, method)
-
-
-def checked_normals(normals, valid, pixel_pitch):
-    """Check normals and mask: UserError where shapes differ; normals that are not of unit length are not valid."""
     normals = np.asarray(normals)
     if normals.ndim != 3 or normals.shape[2] != 3:
         raise UserError(f"height: expected normals of shape (rows, columns, 3), found {normals.shape}")
-    with np.errstate(over="ignore", invalid="ignore"):
-        unit = np.abs(np.einsum("rci,rci->rc", normals, normals) - 1) < NOT_UNIT  # false for NaN
-    valid = unit if valid is None else np.asarray(valid, dtype=bool)
-    if valid.shape != normals.shape[:2]:
-        raise UserError(f"height: expected a mask of shape {normals.shape[:2]} as the normals, found {valid.shape}")
+    shape = normals.shape[:2]
+    valid = np.ones(shape, bool) if valid is None else np.asarray(valid, dtype=bool)
+    if valid.shape != shape:
+        raise UserError(f"height: expected a mask of shape {shape} as the normals, found {valid.shape}")
+    height, where = np.empty(shape, np.float32), np.empty(shape, bool)
+
+    def write(rows, values, inside):
+        height[rows], where[rows] = values, inside
+
+    found = integrate_bands(
+        shape,
+        lambda rows: (normals[rows], valid[rows]),
+        write,
+        pixel_pitch=pixel_pitch,
+        method=method,
+        iterations=(tolerance, max_iterations),
+    )
+    return HeightField(height, where, **found)
+
+
+def integrate_bands(shape, read, write, *, pixel_pitch, method, iterations=(1e-5, 1000), folder=None):
+    """Integrate unit normals by bands of rows; see `integrate_normals`.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns.
+    read : callable
+        Of a slice of rows: normals (r, columns, 3), valid (r, columns) bool.
+    write : callable
+        Called once for each band, from the top: rows, heights (r, columns) float32, valid (r, columns).
+    pixel_pitch, method
+        As of `integrate_normals`.
+    iterations : (float, int)
+        Relative residual at which they end, and their largest number.
+    folder : Path, optional
+        Where pictures of many pixels are kept on the disk meanwhile, 24 bytes a pixel. Default: that of the system.
+
+    Returns
+    -------
+    dict
+        The numbers of `HeightField`.
+    """
     if not PITCHES[0] <= pixel_pitch <= PITCHES[1]:
         raise UserError(
             f"height: expected a pixel pitch above 0 ({PITCHES[0]:g} to {PITCHES[1]:g}), found {pixel_pitch}; "
             "give the distance of two pixels in a unit that suits it"
         )
-    valid = valid & unit
-    if not valid.any():
-        raise UserError(f"height: expected valid normals, found none among {valid.size} pixels; see the normals' flags")
-    return normals, valid
+    if method not in METHODS:
+        raise UserError(f"height: expected a method of {', '.join(METHODS)}, found {method!r}")
+    rows, columns = shape
+    dtype = np.float32 if rows * columns > SINGLE_ABOVE else np.float64
+    bands = list(windows(rows, band_rows(columns), 1))
+    count, steepest = 0, 1.0
+    for band in bands:
+        normals, valid = unit_normals(read, band.core)
+        count += int(np.count_nonzero(valid))
+        steepest = min(steepest, float(np.min(normals[..., 2], where=valid, initial=1)))
+    if not count:
+        raise UserError(f"height: expected valid normals, found none among {rows * columns} pixels; see their flags")
+    if method == "auto":
+        method = "dct" if count == rows * columns and steepest > np.cos(np.radians(80.0)) else "weighted"
+    with Scratch(shape, folder) as scratch:
+        weight, right = (scratch.array(np.dtype(dtype)) for _ in range(2))
+        for band in bands:
+            gradients, _, weights = slopes(read, band.read, dtype, pixel_pitch)
+            weights = np.ones_like(weights) if method == "dct" else weights
+            right[band.core] = divergence(gradients, edges(weights))[band.inner]
+            weight[band.core] = weights[band.inner]
+        height, steps, residual = Laplace(weight, scratch).solve(right, *iterations)
+        parts, means = level_parts(bands, lambda rows: (height[rows], unit_normals(read, rows)[1]))
+        sums, sample, low, high = np.zeros(4), Sample(count, BOW_PIXELS), np.inf, -np.inf
+        for band, mean in zip(bands, means, strict=True):
+            rows = slice(band.core.start, band.read.stop)  # and the row below
+            gradients, valid, _ = slopes(read, rows, dtype, pixel_pitch)
+            values, stop = height[rows], band.core.stop - band.core.start
+            sums += leftovers(values, gradients, valid, stop)
+            valid = valid[:stop]
+            values = (values[:stop] - mean[parts_of(valid)[0]]).astype(np.float32)
+            low, high = np.nanmin(values, initial=low), np.nanmax(values, initial=high)
+            sample.add(values, valid, band.core.start)
+            write(band.core, values, valid)
+    curl, squares, mismatch, pairs = sums
+    return {
+        "method": method,
+        "integrability_rms": float(np.sqrt(curl / max(1, squares)) / pixel_pitch**2),
+        "gradient_rms": float(np.sqrt(mismatch / max(1, pairs)) / pixel_pitch),
+        "bow": bow(sample, pixel_pitch),
+        "parts": parts,
+        "iterations": steps,
+        "residual": residual,
+        "valid_pixels": count,
+        "range": float(high - low),
+    }
 
 
-def slopes(normals, valid, dtype):
-    """Slopes p = dz/dx and q = dz/dy (y up), and the weight nz^4 of each pixel, 0 where not valid."""
+def band_rows(columns):
+    """Rows of a picture of so many columns that are held at once."""
+    return max(16, min(256, BAND_PIXELS // columns))
+
+
+def unit_normals(read, rows):
+    """Read a band; normals that are not of unit length are not valid."""
+    normals, valid = read(rows)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return normals, valid & (np.abs(np.einsum("rci,rci->rc", normals, normals) - 1) < NOT_UNIT)  # false for NaN
+
+
+def slopes(read, rows, dtype, pitch):
+    """Height differences (along, down) that the normals of a band ask for, valid pixels, and the weight nz^4 of each.
+
+    The weight is 0 where a pixel is not valid.
+    """
+    normals, valid = unit_normals(read, rows)
     nz = np.maximum(np.where(valid, normals[..., 2], 1), LEAST_NZ).astype(dtype)
     p = np.where(valid, -normals[..., 0], 0).astype(dtype) / nz
-    q = np.where(valid, -normals[..., 1], 0).astype(dtype) / nz
-    weight = np.where(valid, np.maximum(nz**4, LEAST_WEIGHT), 0).astype(dtype)
-    return p, q, weight
+    q = np.where(valid, -normals[..., 1], 0).astype(dtype) / nz  # dz / dy, y up
+    half = dtype(0.5 * float(pitch))
+    gradients = (p[:, :-1] + p[:, 1:]) * half, (q[:-1] + q[1:]) * -half  # rows count downwards: a step down is -q
+    return gradients, valid, np.where(valid, np.maximum(nz**4, LEAST_WEIGHT), 0).astype(dtype)
 
 
-def level_parts(height, valid):
-    """Subtract its mean from each connected part, in place; NaN elsewhere. Returns the number of parts."""
+def parts_of(valid):
+    """Return the numbers (rows, columns) of the connected parts of a band, from 1, 0 elsewhere, and how many."""
     from scipy import ndimage
 
-    height[~valid] = 0
-    labels, parts = ndimage.label(valid)
-    if parts == 1:
-        height[valid] -= height[valid].mean(dtype=np.float64)
-        height[~valid] = np.nan
-        return 1
-    counts = np.bincount(labels.ravel())
-    means = np.bincount(labels.ravel(), weights=height.ravel()) / np.maximum(counts, 1)
-    height -= means.astype(height.dtype)[labels]
-    height[~valid] = np.nan
-    return parts
+    return ndimage.label(valid)
 
 
-def leftovers(height, gradients, valid, pitch):
-    """RMS of p_y - q_x over the 2 x 2 squares of valid pixels, and RMS of the slope mismatch over valid neighbours."""
+def level_parts(bands, read):
+    """Find connected parts across bands.
+
+    Returns their number, and for each band the mean height of the part that each of its own parts belongs to, NaN
+    first.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    sums, counts, pairs, above, offset = [], [], [np.zeros((2, 0), int)], 0, 0
+    for band in bands:
+        values, valid = read(band.core)
+        labels, found = parts_of(valid)
+        counts.append(np.bincount(labels.ravel(), minlength=found + 1)[1:])
+        sums.append(np.bincount(labels.ravel(), weights=values.ravel(), minlength=found + 1)[1:])
+        joined = (above > 0) & valid[0]
+        pairs.append(np.unique(np.stack([np.broadcast_to(above, joined.shape), labels[0] + offset])[:, joined], axis=1))
+        above, offset = np.where(valid[-1], labels[-1] + offset, 0), offset + found
+    a, b = np.concatenate(pairs, axis=1) - 1
+    parts, part = connected_components(coo_array((np.ones(len(a), bool), (a, b)), (offset, offset)), directed=False)
+    mean = np.bincount(part, np.concatenate(sums)) / np.bincount(part, np.concatenate(counts))
+    ends = np.cumsum([len(each) for each in counts])[:-1]
+    return parts, [np.append(np.nan, each) for each in np.split(mean[part], ends)]
+
+
+def leftovers(height, gradients, valid, stop):
+    """Return sums over a band and the row below, of pairs and squares that begin above row `stop`.
+
+    They are the sum of the squared circulation around 2 x 2 squares of valid pixels, their number, the sum of the
+    squared difference of height difference and gradient over valid neighbours, and their number.
+    """
     along, down = gradients
     complete = valid[:-1, :-1] & valid[:-1, 1:] & valid[1:, :-1] & valid[1:, 1:]
     around = along[:-1] + down[:, 1:] - along[1:] - down[:, :-1]
-    squares = np.sum(np.square(around[complete], dtype=np.float64))
-    curl = np.sqrt(squares / max(1, np.count_nonzero(complete))) / pitch**2
-    beside, below = valid[:, :-1] & valid[:, 1:], valid[:-1] & valid[1:]
-    total = np.sum(np.square((np.diff(height, axis=1) - along)[beside], dtype=np.float64))
+    curl = np.sum(np.square(around[complete], dtype=np.float64))
+    beside, below = (valid[:, :-1] & valid[:, 1:])[:stop], valid[:-1] & valid[1:]
+    total = np.sum(np.square((np.diff(height, axis=1) - along)[:stop][beside], dtype=np.float64))
     total += np.sum(np.square((np.diff(height, axis=0) - down)[below], dtype=np.float64))
-    edges = np.count_nonzero(beside) + np.count_nonzero(below)
-    return float(curl), float(np.sqrt(total / max(1, edges)) / pitch)
+    return curl, np.count_nonzero(complete), total, np.count_nonzero(beside) + np.count_nonzero(below)
 
 
-def bow(height, valid, pitch):
-    """Range of the second-order part of the heights over the longer side of the valid pixels; 0 of a single pixel.
+class Sample:
+    """Valid pixels of a picture, evenly chosen as its bands come: at most `most` of `count`."""
+
+    def __init__(self, count, most):
+        self.step, self.passed, self.bands = max(1, -(-count // most)), 0, []
+
+    def add(self, values, valid, first):
+        """Choose from a band that begins with row `first`."""
+        rows, columns = np.divmod(np.flatnonzero(valid)[-self.passed % self.step :: self.step], valid.shape[1])
+        self.passed += np.count_nonzero(valid)
+        self.bands.append((rows + first, columns, values[rows, columns]))
+
+    def chosen(self):
+        """Rows, columns and values of the pixels."""
+        return [np.concatenate(each) for each in zip(*self.bands, strict=True)]
+
+
+def bow(sample, pitch):
+    """Range of the second-order part of some heights over the longer side of their places; 0 of a single pixel.
 
     The second-order part is that of the least-squares quadratic surface: a plane has none, a bowl is hardly more.
     """
-    extent = max(np.ptp(np.flatnonzero(valid.any(axis=1))), np.ptp(np.flatnonzero(valid.any(axis=0))))
+    rows, columns, height = sample.chosen()
+    extent = max(np.ptp(rows), np.ptp(columns))
     if extent == 0:
         return 0.0
-    inside = np.flatnonzero(valid)
-    rows, columns = np.divmod(inside[:: -(-inside.size // BOW_PIXELS)], valid.shape[1])
     x, y = 2 * (columns - columns.mean()) / extent, 2 * (rows - rows.mean()) / extent
-    z = height[rows, columns].astype(np.float64) / (pitch * extent)
+    z = height.astype(np.float64) / (pitch * extent)
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     solution = np.linalg.lstsq(terms, z, rcond=None)[0]
     return float(np.ptp(terms[:, 3:] @ solution[3:]))
@@ -292,52 +314,55 @@ FLAT_WITHIN = 0.05  # length of a difference of unit normals (3 degrees) beyond 
 ROUNDS = 8  # of reweighting
 
 
-def flatten_normals(normals, valid):
+def flatten_normals(shape, read, write):
     """Turn the normals of a flat object so that their smooth part faces the camera.
 
     Parameters
     ----------
-    normals : (rows, columns, 3)
-        Unit vectors, x right, y up, z to the camera.
-    valid : (rows, columns) bool
-        Where they are used.
+    shape : (int, int)
+        Rows and columns.
+    read : callable
+        Of a slice of rows: unit normals (r, columns, 3), x right, y up, z to the camera; where they count, (r, columns)
+        bool.
+    write : callable
+        Called once for each band, from the top: rows, turned normals (r, columns, 3) float32, 0 where they do not
+        count.
 
     Returns
     -------
-    normals : (rows, columns, 3) float32
-        Turned; 0 where not valid.
-    angle : float
-        Root mean square angle by which valid normals were turned, radians.
+    float
+        Root mean square angle by which normals were turned, radians.
     """
-    rows, columns = valid.shape
-    out = np.zeros((rows, columns, 3), np.float32)
-    if not valid.any():
-        return out, 0.0
-    smooth = smooth_normals(normals, valid)
-    x = np.linspace(-1, 1, columns)
-    y = np.linspace(-1, 1, rows) if rows > 1 else np.zeros(1)
-    squares = 0.0
-    for band in strips(rows):
-        inside = valid[band]
+    smooth = smooth_normals(shape, read)
+    y, x = (np.linspace(-1, 1, side) for side in shape)
+    squares, count = 0.0, 0
+    for band in strips(shape[0], band_rows(shape[1])):
+        normals, inside = read(band)
+        out = np.zeros((*inside.shape, 3), np.float32)
         s = np.moveaxis(legendre.leggrid2d(y[band], x, smooth), 0, -1)[inside]
         s /= np.linalg.norm(s, axis=-1, keepdims=True)
-        n = normals[band][inside].astype(np.float64)
+        n = normals[inside].astype(np.float64)
         forward = np.einsum("pi,pi->p", s, n)
         squares += float(np.sum(np.square(np.arccos(np.clip(s[:, 2], -1, 1)))))
+        count += len(s)
         s[:, 2] += 1
         n -= s * (np.einsum("pi,pi->p", s, n) / s[:, 2])[:, None]
         n[:, 2] += 2 * forward
-        out[band][inside] = n
-    return out, float(np.sqrt(squares / np.count_nonzero(valid)))
+        out[inside] = n
+        write(band, out)
+    return float(np.sqrt(squares / max(1, count)))
 
 
-def smooth_normals(normals, valid):
+def smooth_normals(shape, read):
     """Coefficients (4, 4, 3) of Legendre polynomials along y and x, each from -1 to 1, of the smooth part of normals.
 
     Least sum over the squares of Huber's function of the length of the difference (P. J. Huber, Robust estimation of a
     location parameter, Annals of Mathematical Statistics 35 (1), 1964), by iteratively reweighted least squares.
     """
-    mean, y, x = block_means(normals, valid)
+    mean, y, x = block_means(shape, read)
+    coefficients = np.zeros((DEGREE + 1, DEGREE + 1, 3))
+    if not len(mean):
+        return coefficients
     powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
     terms = legendre.legvander2d(y, x, [DEGREE, DEGREE])[:, [i * (DEGREE + 1) + j for i, j in powers]]
     weight = np.ones(len(mean))
@@ -345,22 +370,25 @@ def smooth_normals(normals, valid):
         root = np.sqrt(weight)[:, None]
         solution = np.linalg.lstsq(terms * root, mean * root, rcond=None)[0]
         weight = 1 / np.maximum(np.linalg.norm(mean - terms @ solution, axis=1), FLAT_WITHIN)
-    coefficients = np.zeros((DEGREE + 1, DEGREE + 1, 3))
     for (i, j), values in zip(powers, solution, strict=True):
         coefficients[i, j] = values
     return coefficients
 
 
-def block_means(normals, valid):
+def block_means(shape, read):
     """Average normals over squares of pixels: unit means (n, 3) where some are valid, and places y and x, -1 to 1."""
-    side = -(-max(valid.shape) // MOST_BLOCKS)
-    starts = [np.arange(0, length, side) for length in valid.shape]
-    total = np.add.reduceat(np.where(valid[..., None], normals, 0), starts[0], axis=0, dtype=np.float64)
-    total = np.add.reduceat(total, starts[1], axis=1)
+    side = -(-max(shape) // MOST_BLOCKS)
+    columns, bands = np.arange(0, shape[1], side), []
+    for band in strips(shape[0], max(1, band_rows(shape[1]) // side) * side):
+        normals, valid = read(band)
+        rows = np.arange(0, len(valid), side)
+        across = np.add.reduceat(np.where(valid[..., None], normals, 0), rows, axis=0, dtype=np.float64)
+        bands.append(np.add.reduceat(across, columns, axis=1))
+    total = np.concatenate(bands)
     length = np.linalg.norm(total, axis=-1)
     places = [
-        2 * np.minimum(start + 0.5 * (side - 1), extent - 1) / max(extent - 1, 1) - 1
-        for start, extent in zip(starts, valid.shape, strict=True)
+        2 * np.minimum(np.arange(0, extent, side) + 0.5 * (side - 1), extent - 1) / max(extent - 1, 1) - 1
+        for extent in shape
     ]
     filled = length > 0
     row, column = np.nonzero(filled)

@@ -15,7 +15,7 @@ LIMITS = (
         at("residual"),
         most=1e-3,
         doubt=1e-4,
-        remedy="set height.method to another solver, or more iterations; check the normals' maps for islands",
+        remedy="check the normals' maps: parts that hardly hang together are slow to solve",
         why="captures gave 1e-5 and less; a hundredth bends a surface by its own relief, a thousandth by a tenth of it",
     ),
     Limit(
@@ -32,11 +32,11 @@ LIMITS = (
 )
 
 
-class HeightSettings(Guarded, stage="height", version=3, limits=LIMITS):
+class HeightSettings(Guarded, stage="height", version=4, limits=LIMITS):
     """Integration of the normals."""
 
     method: Literal["auto", "dct", "weighted"] = Field(
-        "auto", description="dct: Poisson on the full rectangle; weighted: with mask and weights; auto: as needed"
+        "auto", description="dct: equal weights, full rectangle; weighted: with mask and weights; auto: as needed"
     )
     flatten: bool = Field(
         False, description="the object is flat overall: take the smooth part of the normals off before the integration"
@@ -50,5 +50,7 @@ STAGE = Stage(
     requires=("normals",),
     libraries=ARRAYS,
     threads=1,
-    cost=lambda facts: Cost(mib=200, bytes_per_pixel=96, seconds=1.4, us_per_pixel=36),
+    cost=lambda facts: Cost(
+        mib=120 + 60 * min(facts.pixels / 1e6, 4), bytes_per_pixel=0.4, seconds=1.4, us_per_pixel=12
+    ),
 )

@@ -5,41 +5,61 @@ import numpy as np
 from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.artifacts.stage import Context
 from nishiki.photometric import flags as bits
-from nishiki.photometric.expected_error import UNKNOWN, expected_error
-from nishiki.photometric.height import flatten_normals, integrate_normals
+from nishiki.photometric.expected_error import REACH, UNKNOWN, expected_error
+from nishiki.photometric.height import Sample, band_rows, flatten_normals, integrate_bands
+from nishiki.photometric.multigrid import windows
+
+SAMPLED = 100_000  # pixels of the percentiles
 
 
 def run(context: Context) -> dict:
-    """Integrate the whole field: a global problem, held in memory at once."""
+    """Integrate the whole field by bands of rows."""
     maps = Maps(context.inputs["normals"].folder)
-    normals = maps.read("normals")
-    valid = (maps.read("flags") & bits.NO_ESTIMATE) == 0
-    pitch = maps.group.attrs.get("pixel_pitch_mm")
-    out = MapWriter(
-        context.output.folder, rows=normals.shape[0], columns=normals.shape[1], band_rows=256, stamp=context.stamp
-    )
-    of_relief, turned = normals, 0.0
+    shape, pitch = tuple(maps.group["flags"].shape), maps.group.attrs.get("pixel_pitch_mm")
+    step = band_rows(shape[1])
+    out = MapWriter(context.output.folder, rows=shape[0], columns=shape[1], band_rows=step, stamp=context.stamp)
+
+    def read(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        return maps.read("normals", rows), (maps.read("flags", rows) & bits.NO_ESTIMATE) == 0
+
+    of_relief, turned = read, 0.0
     if context.settings.flatten:
-        of_relief, turned = flatten_normals(normals, valid)
-        out.write("normals", of_relief, unit="unit vector, flattened; 0 where there is no estimate")
-    field = integrate_normals(of_relief, valid=valid, pixel_pitch=pitch or 1.0, method=context.settings.method)
-    del of_relief
-    out.write(
+        flat = out.create("normals", (3,), unit="unit vector, flattened; 0 where there is no estimate")
+        turned = flatten_normals(shape, read, flat.__setitem__)
+
+        def of_relief(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+            return flat[rows], read(rows)[1]
+
+    height = out.create(
         "height",
-        field.height.astype(np.float32),
         unit="mm" if pitch else "pixels",
         nan="not integrated: outside the mask, or no estimate of the normal",
     )
-    diagnostics = {**field.diagnostics, "flattened_deg": float(np.degrees(turned))}
-    del field
-    sigma, correction = maps.read("sigma"), maps.read("correction_sigma") if "correction_sigma" in maps else None
-    if correction is not None:
-        sigma = np.sqrt(np.maximum(sigma**2 - correction**2, 0))
-    error = expected_error(normals, sigma, valid)
-    if correction is not None:
-        error = np.minimum(np.hypot(error, correction), UNKNOWN)
-    out.write("expected_error", error, unit="radians, rms angle of the normal; pi / 2 where there is no estimate")
-    thinned = error[valid][:: max(1, int(valid.sum()) // 100_000)]
-    middle, high = np.degrees(np.percentile(thinned, [50, 95]))
+    diagnostics = integrate_bands(
+        shape,
+        of_relief,
+        lambda rows, values, valid: height.__setitem__(rows, values),
+        pixel_pitch=pitch or 1.0,
+        method=context.settings.method,
+        folder=context.output.folder,
+    )
+    errors = out.create("expected_error", unit="radians, rms angle of the normal; pi / 2 where there is no estimate")
+    sample = Sample(diagnostics["valid_pixels"], SAMPLED)
+    for band in windows(shape[0], step, REACH):
+        (normals, valid), sigma = read(band.read), maps.read("sigma", band.read)
+        if "correction_sigma" in maps:
+            correction = maps.read("correction_sigma", band.read)
+            error = expected_error(normals, np.sqrt(np.maximum(sigma**2 - correction**2, 0)), valid)
+            error = np.minimum(np.hypot(error, correction), UNKNOWN)[band.inner]
+        else:
+            error = expected_error(normals, sigma, valid)[band.inner]
+        errors[band.core] = error
+        sample.add(error, valid[band.inner], band.core.start)
+    middle, high = np.degrees(np.percentile(sample.chosen()[2], [50, 95]))
     expected = {"expected_error_median_deg": float(middle), "expected_error_p95_deg": float(high)}
-    return {"unit": "mm" if pitch else "pixels", **diagnostics, **expected}
+    return {
+        "unit": "mm" if pitch else "pixels",
+        **diagnostics,
+        "flattened_deg": float(np.degrees(turned)),
+        **expected,
+    }
