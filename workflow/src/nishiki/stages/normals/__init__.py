@@ -7,7 +7,7 @@ from pydantic import Field
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, flagged, share
 from nishiki.photometric.flags import FEW_LIGHTS
-from nishiki.stages.base import ARRAYS, Cost, Lights, Stage
+from nishiki.stages.base import ARRAYS, Cost, Lights, Stage, digest_of
 
 LIMITS = (
     Limit(
@@ -78,6 +78,10 @@ class NormalsSettings(Guarded, stage="normals", version=7, limits=LIMITS):
         description="model that predicts lamps, without refine; auto: the one that predicts captured lamps left out "
         "of the fit in turn",
     )
+    given: str = Field(
+        "", description="picture of normals from another program, to be used in place of those of the photographs"
+    )
+    given_sha256: str = Field("", description="digest of that picture; filled in by the plan")
     max_condition: float = Field(1e4, gt=1, description="pixels with a worse conditioned light matrix are flagged")
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
 
@@ -87,6 +91,7 @@ STAGE = Stage(
     does="normals and diffuse reflectance",
     requires=("ingest",),
     wants=lambda settings: ("separate",),
+    filled=lambda block, settings: {"given_sha256": digest_of(block.given, "normals.given")} if block.given else {},
     needs_colour=True,  # normals from luminance alone are others, so that they would depend on the products
     libraries=ARRAYS,
     cost=lambda facts: (  # with few lights the gloss is fitted together with the normals

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,7 @@ from nishiki.photometric.reflectance import mean_of_channels
 from nishiki.photometric.relighting import TERMS
 from nishiki.stages.normals import NormalsSettings
 from nishiki.stages.normals.finishes import choose_finishes, finish_labels, refitted_error
+from nishiki.stages.normals.given import find_given
 from nishiki.stages.normals.parcel import MAPS, fit_finishes, relit, solve
 
 if TYPE_CHECKING:
@@ -64,7 +66,7 @@ def find_thrown_light(
     from nishiki.model_selection.relighting import ERRORS, FEWEST, FOLDS
     from nishiki.photometric.interreflection import find_interreflection, left_out_errors
 
-    step = max(1, -(-max(frames.shape) // SIDE))
+    step = facet_of(frames)
     facets = read_facets(frames, lights, step, settings)
     few = facets.every(2)
     found = find_interreflection(few)
@@ -93,6 +95,11 @@ def find_thrown_light(
     override = "normals.interreflection: none"
     made = Decision("interreflection", "taken off", words, share, COUNTS, "nothing", override)
     return Thrown(shares.reshape(*shares.shape[:2], -1), (rows, columns)), made
+
+
+def facet_of(frames: Observations) -> int:
+    """Side of a facet in pixels."""
+    return max(1, -(-max(frames.shape) // SIDE))
 
 
 def read_facets(frames: Observations, lights: np.ndarray, step: int, settings: NormalsSettings) -> Facets:
@@ -141,10 +148,17 @@ def map_tiles(context: Context) -> dict:
     model, glosses, several = finishes.model, finishes.joint, len(finishes.parts) > 1
     thrown, taken_off = find_thrown_light(frames, lights, context.settings)
     relight = model is not None and (len(lights) <= FEW_LIGHTS or thrown is not None)
+    given, compared = None, None
+    if context.settings.given:
+        step = facet_of(frames)
+        facets = read_facets(frames, lights, step, context.settings)
+        given, compared = find_given(frames, facets, step, Path(context.settings.given))
     for made in (*finishes.decisions, taken_off):
         if made:
             context.progress.tell(str(made))
-    arrays = create_maps(context, frames, terms=TERMS.get(model, 3), relight=relight, several=several)
+    arrays = create_maps(
+        context, frames, terms=TERMS.get(model, 3), relight=relight or given is not None, several=several
+    )
     groups = direction_groups(frames.directions[lights])
     refits = len(lights) > 3 and None in glosses
 
@@ -171,6 +185,8 @@ def map_tiles(context: Context) -> dict:
                     together = np.array([gloss is not None for gloss in glosses])[here]
                     maps.update(relit(observations[area], valid[area], parcel, maps, model, together, always=relight))
                 maps = parcel.at_pixels(maps)
+                if given is not None:
+                    maps.setdefault("shading_normals", maps["normals"])
                 for name in maps.keys() & arrays.keys():
                     tile_maps[name][strip][area[1:]] = maps[name]
                 row = _sparse(strip.start + parcel.rows.start, strip.start + parcel.rows.stop)
@@ -188,6 +204,8 @@ def map_tiles(context: Context) -> dict:
             apart = np.array([gloss is None for gloss in glosses])[labels] & (sigma > 0)
             apart &= (tile_maps["flags"] & (bits.NO_ESTIMATE | bits.NO_REDUNDANCY)) == 0
             tile_maps["sigma"] = np.where(apart, sigma, tile_maps["sigma"])
+        if given is not None:
+            given.into(tile_maps, band)
         if frames.uncertainty:
             add_correction_error(tile_maps, frames, lights)
         for name, array in arrays.items():
@@ -208,6 +226,7 @@ def map_tiles(context: Context) -> dict:
         "lights": [frames.lights[j] for j in lights],
         **finishes.described,
         "relighting": model,
+        "given": compared,
         "economy": economy(decision, *finishes.decisions, taken_off),
     }
     return {"same": same, "counts": dict(counts), "sigma": np.concatenate([np.empty(0, np.float32), *sigmas])}

@@ -57,7 +57,7 @@ def run(context: Context) -> dict:
         [
             appearance_section(inputs.get("render"), widest, settings.video_mb, scale_bar),
             relighting,
-            shape_section(page, refined=diagnostics["normals"].get("refined", False)),
+            shape_section(page, diagnostics["normals"]),
             colour_section(
                 page, camera=camera, expected_de00=diagnostics.get("spectra", {}).get("expected_de00") or {}
             ),

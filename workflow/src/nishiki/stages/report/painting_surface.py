@@ -97,8 +97,8 @@ class PageMaps:
         return self.mask[rows] & ((self.maps["normals"].read("flags", rows) & bits.NO_ESTIMATE) == 0)
 
 
-def shape_section(page: PageMaps, *, refined: bool) -> Section:
-    """Return normals, height and their errors. refined : whether normals and gloss were fitted together."""
+def shape_section(page: PageMaps, diagnostics: dict[str, Any]) -> Section:
+    """Return normals, height and their errors; diagnostics of the stage `normals`."""
     normals, height, evaluated = (page.maps.get(name) for name in ("normals", "height", "evaluate"))
     shape = tuple(normals.group["normals"].shape[:2])
     block = block_of(shape[1], page.widest)
@@ -125,11 +125,29 @@ def shape_section(page: PageMaps, *, refined: bool) -> Section:
         items.append(Figure("Angle to the true normals", "compare with the expected error beside it.", picture))
     if "lights_used" in normals:
         lights = scalar_picture(small("lights_used"), sea(), unit="lights", digits=3)
-        items.append(Figure("Lights used", LIGHTS_OF_REFINED if refined else LIGHTS, lights))
+        items.append(Figure("Lights used", LIGHTS_OF_REFINED if diagnostics.get("refined") else LIGHTS, lights))
     key = {k: (colour, text) for k, (_, colour, text) in enumerate(CLASSES)}
     flags = class_picture(_flags(page, shape, block), key)
     items.append(Figure("Weak places", "where an estimate is missing or weak.", flags))
-    return Section("shape", "Shape", [Figures(items), *_against_truth(page.evaluation)])
+    given = _of_given(diagnostics["given"]) if diagnostics.get("given") else []
+    return Section("shape", "Shape", [Figures(items), *given, *_against_truth(page.evaluation)])
+
+
+def _of_given(given: dict[str, Any]) -> list[Block]:
+    axes, others = given["axes"], given["apart_next_axes_deg"]
+    ours, next_best = (figure(value, 3, "degrees") for value in (given["apart_median_deg"], others))
+    blocks: list[Block] = [
+        f"The normals are those of a picture that was given (normals.given), read with x = {axes['x']} and "
+        f"y = {axes['y']} of the picture. They are {ours} (median) off those of the photographs; with the next best "
+        f"axes {next_best}. Light is still predicted with those of the photographs."
+    ]
+    if given["left_out_own"] is not None:
+        rows = [("given", given["left_out_given"]), ("from the photographs", given["left_out_own"])]
+        note = (
+            "Mean error of lamps left out, relative to white, by Lambert's law: it tells wrong axes, not small errors."
+        )
+        blocks.append(Table(("Normals", "error"), rows, "lr", note))
+    return blocks
 
 
 def _against_truth(evaluation: dict[str, Any]) -> list[Block]:

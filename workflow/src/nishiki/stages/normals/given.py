@@ -1,0 +1,120 @@
+"""Normals of another program: read, turned to the axes of the maps, and compared with those of the stage.
+
+Lamps left out cannot decide between the two: normals that were fitted to photographs predict them better than the true
+ones (docs/notes/stages/normals.md). So the user decides by giving a map; what is measured of it is stated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.formats.images import read_codes, read_header
+from nishiki.observations.plane import Observations
+
+if TYPE_CHECKING:
+    from nishiki.photometric.interreflection import Facets
+
+TELLS = 0.7  # the axes are told where the angle to ours is below this part of that with any others
+UNLIKE_DEG = 30.0  # median angle to our normals: beyond, it is a map of something else
+SHORT = 0.5  # length of a vector below which there is no normal
+AXES = tuple(
+    np.array([[x, 0, 0], [0, y, 0], [0, 0, 1.0]])[[1, 0, 2] if swapped else [0, 1, 2]]
+    for swapped, x, y in product((False, True), (1, -1), (1, -1))
+)
+
+
+@dataclass(frozen=True)
+class GivenNormals:
+    """Codes (rows, columns, 3) of the field, what turns them to vectors (full scale, 0: as they are), and its axes."""
+
+    codes: np.ndarray
+    full: float
+    axes: np.ndarray
+
+    def at(self, rows: slice | np.ndarray, columns: slice | np.ndarray = slice(None)) -> np.ndarray:
+        """Return unit normals (rows, columns, 3) float32 of some places; 0 where the map has none."""
+        values = self.codes[rows][:, columns].astype(np.float32)
+        vectors = (values if not self.full else 2 / self.full * values - 1) @ self.axes.T.astype(np.float32)
+        length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+        known = (length > SHORT) & (vectors[..., 2:] > 0)
+        return np.divide(vectors, length, out=np.zeros_like(vectors), where=known)
+
+    def into(self, maps: dict, rows: slice) -> None:
+        """Replace the normals of some rows of the maps, in place, where the picture has one.
+
+        The error is at least the angle between the two. `shading_normals`, which predict light, stay our own.
+        """
+        given, own = self.at(rows), maps["normals"]
+        known = given[..., 2] > 0
+        maps["normals"] = np.where(known[..., None], given, own)
+        maps["sigma"] = np.where(known, np.maximum(maps["sigma"], angles(given, own)), maps["sigma"])
+
+
+def angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angles (...), radians, between unit vectors (..., 3)."""
+    return np.arccos(np.clip(np.sum(first * second, axis=-1), -1, 1)).astype(np.float32)
+
+
+def find_given(frames: Observations, facets: Facets, step: int, path: Path) -> tuple[GivenNormals, dict[str, Any]]:
+    """Read the map that the settings name, find its axes by our own normals of facets, and compare the two.
+
+    step : side of a facet in pixels. Raises UserError where the size is another, where the map shows something else,
+    and where the axes cannot be told.
+    """
+    codes, full = _read(frames, path)
+    middles = [np.minimum(np.arange(step // 2, size + step // 2, step), size - 1) for size in frames.shape]
+    own, known, _ = facets.fit(facets.observations, facets.valid, facets.directions)
+    candidates = [GivenNormals(codes, full, axes) for axes in AXES]
+    turned = [given.at(*middles) for given in candidates]
+    known = known & (turned[0][..., 2] > 0)
+    if not known.any():
+        raise UserError(f"normals.given: {path}: no normals on the object. Remedy: a map of unit vectors")
+    apart = np.degrees([np.median(angles(normals, own)[known]) for normals in turned])
+    first, second = np.argsort(apart, kind="stable")[:2]
+    if apart[first] > UNLIKE_DEG or apart[first] > TELLS * apart[second]:
+        raise UserError(
+            f"normals.given: {path}: its normals are {apart[first]:.3g} degrees (median) off those of the "
+            f"photographs with the best axes, {apart[second]:.3g} with the next; the best should be at most "
+            f"{UNLIKE_DEG:g} and {TELLS:g} of the next. Remedy: a map of this object, in this place, as unit vectors"
+        )
+    horizontal, vertical = (
+        "".join("+-"[int(v < 0)] + "xyz"[k] for k, v in enumerate(row) if v) for row in AXES[first][:2]
+    )
+    described = {
+        "axes": {"x": horizontal, "y": vertical},
+        "apart_median_deg": float(apart[first]),
+        "apart_next_axes_deg": float(apart[second]),
+        "left_out_given": None,
+        "left_out_own": None,
+    }
+    from nishiki.model_selection.relighting import FOLDS
+    from nishiki.photometric.interreflection import left_out_errors
+
+    if len(facets.directions) > FOLDS + 2:
+        of_given = replace(facets, fit=lambda *samples: (turned[first], known, facets.fit(*samples)[2]))
+        described["left_out_own"] = float(left_out_errors(facets, None, FOLDS).mean())
+        described["left_out_given"] = float(left_out_errors(of_given, None, FOLDS).mean())
+    return candidates[first], described
+
+
+def _read(frames: Observations, path: Path) -> tuple[np.ndarray, float]:
+    """Read the codes (rows, columns, 3) of the field, and their full scale, 0 for vectors as they are."""
+    header = read_header(path)
+    rows, columns = frames.shape
+    whole = tuple(frames.attributes["image_shape"])
+    row, column = frames.attributes["region_of_interest"][:2] if (header.rows, header.columns) == whole else (0, 0)
+    if (header.rows, header.columns) not in (whole, (rows, columns)):
+        raise UserError(
+            f"normals.given: {path}: {header.rows} x {header.columns} pixels, expected {whole[0]} x {whole[1]} as the "
+            f"photographs, or {rows} x {columns} as the maps. Remedy: a map of one of these sizes"
+        )
+    codes = read_codes(path, ("x", "y", "z"), header=header, region=(row, column, rows, columns))
+    if codes.dtype.kind == "u":
+        return codes, float(np.iinfo(codes.dtype).max)
+    return codes, 0.0 if codes.min() < 0 else 1.0
