@@ -98,8 +98,18 @@ def test_levels_of_fields_are_found():
     samples = pairs_of(own - own.mean(axis=0), np.zeros((0, 3)))
     levels, decision = level_fields(samples, 9)
     assert decision.decision != "none"
-    assert np.abs(np.median(levels.apart(samples), axis=0)).max() < 0.002
+    assert np.abs(np.median(np.diff(levels.taken_off(samples), axis=1), axis=0)).max() < 0.002
     assert np.abs(levels.own.mean(axis=0)).max() < 0.01
+
+
+def test_two_fields_are_levelled_by_halves_of_their_overlap():
+    own = np.zeros((9, 1))
+    own[:2, 0] = 0.04, -0.04
+    samples = pairs_of(own, np.zeros((0, 1)))
+    two = samples.only((samples.pair < 2).all(axis=1))
+    levels, decision = level_fields(two, 2)
+    assert decision.decision != "none"
+    assert abs(np.median(np.diff(levels.taken_off(two), axis=1))) < 0.003
 
 
 def test_levels_are_the_least_squares_of_a_dense_solver():

@@ -27,13 +27,15 @@ class Piece:
     """What one field shows of a part of the mosaic.
 
     columns : slice of the part's columns
-    maps : by name (rows, columns, ...); known : (rows, columns) bool
+    maps : by name (rows, columns, ...)
+    inside, known : (rows, columns) bool, in the field, and with an estimate
     place : (rows, columns, 2) float64, in the field, from its centre in units of the reach
     depth : (rows, columns) float32, distance to the field's rim, relative to half its shorter side
     """
 
     columns: slice
     maps: dict[str, np.ndarray]
+    inside: np.ndarray
     known: np.ndarray
     place: np.ndarray
     depth: np.ndarray
@@ -50,14 +52,14 @@ def take_piece(
     import cv2
 
     low, high = placement.box(i)
-    inside = (columns >= low[0]) & (columns < high[0])
-    if not inside.any() or rows[-1] < low[1] or rows[0] >= high[1]:
+    shown = (columns >= low[0]) & (columns < high[0])
+    if not shown.any() or rows[-1] < low[1] or rows[0] >= high[1]:
         return None
-    first, end = np.flatnonzero(inside)[[0, -1]]
+    first, end = np.flatnonzero(shown)[[0, -1]]
     part = slice(int(first), int(end) + 1)
     points = placement.to_field(i, np.stack(np.meshgrid(columns[part].astype(float), rows.astype(float)), axis=-1))
     size = np.array(placement.fields[i].shape[::-1])
-    inside = ((points >= 0) & (points <= size - 1)).all(axis=-1)
+    inside = np.all((points >= 0) & (points <= size - 1), axis=-1)
     if not inside.any():
         return None
     top = max(int(points[inside][:, 1].min()) - 2, 0)
@@ -84,7 +86,7 @@ def take_piece(
         maps[name] = np.stack(layers, axis=-1).reshape(*where.shape[:2], *values.shape[2:])
     depth = np.minimum(points, size - 1 - points).min(axis=-1)
     place = (points - placement.fields[i].centre) / placement.reach
-    return Piece(part, maps, known, place, np.maximum((depth + 1) / (size.min() / 2), 0).astype(np.float32))
+    return Piece(part, maps, inside, known, place, np.maximum((depth + 1) / (size.min() / 2), 0).astype(np.float32))
 
 
 def turn_normals(normals: np.ndarray, turn: float, tilt: np.ndarray | float = 0.0) -> np.ndarray:
@@ -145,14 +147,15 @@ def blend_band(
     Returns
     -------
     dict
-        Maps (rows, columns, ...) by name. Numbers of kinds are those of the field that counts most, flags of all that
-        count are joined; `sigma` is the rms of the fields' own, with the normals' scatter between them.
+        Maps (rows, columns, ...) by name. Numbers of kinds are those of the field that counts most; `flags` and `mask`
+        of all fields are joined, flags of those that have an estimate where one has. `sigma` is the rms of the fields'
+        own, with the scatter of the normals between them.
     """
     width = placement.shape[1]
     size, across = (rows.stop - rows.start, width), np.arange(width)
     total, best = np.zeros(size, np.float32), np.zeros(size, np.float32)
     out: dict[str, np.ndarray] = {}
-    square = np.zeros(size, np.float32)
+    square, without = np.zeros(size, np.float32), np.zeros(size, np.uint8)
     for i, read in enumerate(readers):
         piece = take_piece(placement, i, read, names, np.arange(rows.start, rows.stop), across)
         if piece is None:
@@ -175,6 +178,9 @@ def blend_band(
                 out[name] = np.zeros((*size, *values.shape[2:]), values.dtype if kinds else np.float32)
             if name == "flags":
                 out[name][here] |= np.where(piece.known, values, 0)
+                without[here] |= np.where(piece.inside, values, 0)
+            elif name == "mask":
+                out[name][here] |= np.where(piece.inside, values, 0)
             elif kinds:
                 out[name][here] = np.where(weight > best[here], values, out[name][here])
             else:
@@ -192,5 +198,5 @@ def blend_band(
         if name in out:
             unit = np.linalg.norm(out[name], axis=-1, keepdims=True)
             out[name] = np.where(known[..., None], out[name] / np.maximum(unit, 1e-12), (0, 0, 1)).astype(np.float32)
-    out["flags"] = np.where(known, out["flags"], TOO_FEW_LIGHTS).astype(out["flags"].dtype)
+    out["flags"] = np.where(known, out["flags"], np.where(without > 0, without, TOO_FEW_LIGHTS))
     return out

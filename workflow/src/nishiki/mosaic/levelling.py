@@ -54,10 +54,9 @@ class Levels:
         """Return e (..., quantities) of fields at places (..., 2) in units of the reach."""
         return self.own[fields] + slow_terms(place, len(self.slow)) @ self.slow
 
-    def apart(self, samples: Samples) -> np.ndarray:
-        """Return what is left (n, quantities) between both fields' values."""
-        one, two = (samples.values[:, k] - self.at(samples.pair[:, k], samples.place[:, k]) for k in (0, 1))
-        return one - two
+    def taken_off(self, samples: Samples) -> np.ndarray:
+        """Return the values (n, 2, quantities) of samples without their levels."""
+        return samples.values - self.at(samples.pair, samples.place)
 
 
 def slow_terms(place: np.ndarray, count: int) -> np.ndarray:
@@ -110,7 +109,7 @@ def level_fields(samples: Samples, fields: int) -> tuple[Levels, Decision]:
         1 - best,
         LEAST_GAIN,
         "seams stay as wide as they are measured",
-        "",
+        "no setting",
     )
     return solve_levels(samples, fields, CHOICES[chosen]), decision
 
@@ -118,16 +117,18 @@ def level_fields(samples: Samples, fields: int) -> tuple[Levels, Decision]:
 def left_out_error(samples: Samples, fields: int, terms: int | None) -> float:
     """Return the rms difference that is left in overlaps left out in turn, in units of the median difference.
 
-    Overlaps without which some fields would not be connected are never left out.
+    Of overlaps without which some fields would not be connected, the second half is left out instead.
     """
     number = samples.pair @ (fields, 1)
     unit = np.median(np.abs(samples.values[:, 0] - samples.values[:, 1]), axis=0) + 1e-9 if len(number) else 1.0
     errors = []
     for each in np.unique(number):
-        rest, here = samples.only(number != each), samples.only(number == each)
-        edges = np.unique(rest.pair, axis=0)
-        if np.linalg.matrix_rank(np.eye(fields)[edges[:, 0]] - np.eye(fields)[edges[:, 1]]) == fields - 1:
-            left = solve_levels(rest, fields, terms).apart(here) / unit
-            groups = np.array_split(left, max(1, len(left) // GROUP))
-            errors += [np.square(np.median(group, axis=0)).mean() for group in groups]
+        out = number == each
+        edges = np.unique(samples.pair[~out], axis=0)
+        if np.linalg.matrix_rank(np.eye(fields)[edges[:, 0]] - np.eye(fields)[edges[:, 1]]) < fields - 1:
+            out &= np.cumsum(out) > out.sum() / 2
+        ends = solve_levels(samples.only(~out), fields, terms).taken_off(samples.only(out))
+        left = (ends[:, 0] - ends[:, 1]) / unit
+        groups = np.array_split(left, max(1, len(left) // GROUP))
+        errors += [np.square(np.median(group, axis=0)).mean() for group in groups if len(group)]
     return float(np.sqrt(np.mean(errors))) if errors else 0.0

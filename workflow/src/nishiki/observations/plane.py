@@ -40,7 +40,7 @@ class Observations(StoredArrays):
             self.lights: tuple[str, ...] = tuple(stored["lights"])
             self.files: tuple[str, ...] = tuple(stored["files"])
             self.roles: tuple[str, ...] = tuple(stored["roles"])
-            self.directions = np.array(stored["directions"], np.float64)
+            self.directions = np.array(stored["directions"], np.float64).reshape(-1, 3)
             positions_mm = stored["positions_mm"]
             self.positions_mm = None if positions_mm is None else np.array(positions_mm, np.float64)
             self.channels: tuple[str, ...] = tuple(stored["channels"])
