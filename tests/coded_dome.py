@@ -49,7 +49,7 @@ def cameras(rows: int = 130, columns: int = 150) -> list[Camera]:
     return out
 
 
-def coded_dome(folder: Path, *, encoding: str = "srgb", components: tuple[str, ...] = ("total",)) -> DecodedObject:
+def coded_dome(folder: Path, *, encoding: str = "srgb") -> DecodedObject:
     """The object, its residual written to a folder and opened again."""
     rng, mesh, views = np.random.default_rng(7), bumpy_ball(), cameras()
     atlas = lay_out(mesh, views, TexelsSettings(tile=TILE))[1]
@@ -62,10 +62,9 @@ def coded_dome(folder: Path, *, encoding: str = "srgb", components: tuple[str, .
         3,
         full_turn=True,
         encoding=encoding,
-        components=components,
         step=0.02,
         parameter_steps=(0.02, 0.02, 0.1),
-        colour=(tuple(map(tuple, turned)),) * len(components),
+        colour=tuple(map(tuple, turned)),
         parameter_means=((0.4, 0.35, 0.3), (0.05, 0.04, 0.06), (-1.2,)),
     )
     extents, parameters, residuals = [], [], []
@@ -75,15 +74,15 @@ def coded_dome(folder: Path, *, encoding: str = "srgb", components: tuple[str, .
         extent = extent_of(np.array(facing), inside, full_turn=True, arcs=True)
         extents.append(extent)
         parameters.append(sparse(rng, design.parameter_shape(extent), 0.05, 3))
-        residuals.append([sparse(rng, design.residual_shape(extent), 0.03, 6) for _ in components])
+        residuals.append(sparse(rng, design.residual_shape(extent), 0.03, 6))
     levels = [(design.parameter_plane(e).levels, design.plane(e).levels) for e in extents]
     untrained = Model.untrained()
     first = [encode(p, n[0], untrained) for p, n in zip(parameters, levels, strict=True)]
-    second = [encode(r, n[1], untrained) for parts, n in zip(residuals, levels, strict=True) for r in parts]
+    second = [encode(r, n[1], untrained) for r, n in zip(residuals, levels, strict=True)]
     models = train(first), train(second)
     streams = [
-        (encode(p, n[0], models[0]).data, *(encode(r, n[1], models[1]).data for r in parts))
-        for p, parts, n in zip(parameters, residuals, levels, strict=True)
+        (encode(p, n[0], models[0]).data, encode(r, n[1], models[1]).data)
+        for p, r, n in zip(parameters, residuals, levels, strict=True)
     ]
     coded = EncodedObject(design, models, extents, [None] * atlas.tiles, streams, 1, 0.0, 0.0, 0.0, 0, [])
     write_residual(folder, coded, stamp={}, report={})

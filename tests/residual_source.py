@@ -21,7 +21,7 @@ class SphereSource:
         t = self.held[tile]
         kept = ~np.isin(t.observation, self.without)
         values = encode(t.values[kept], self.encoding)
-        return Pixels(t.observation[kept], t.s[kept], t.t[kept], (values,))
+        return Pixels(t.observation[kept], t.s[kept], t.t[kept], values)
 
     def surface(self, tile):
         t = self.held[tile]

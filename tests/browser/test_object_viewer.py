@@ -22,12 +22,11 @@ pytestmark = [
 ]
 
 
-@pytest.fixture(scope="module", params=[("srgb", ("total",)), ("srgb", ("diffuse", "specular"))], ids=["sum", "parts"])
-def shown(request, tmp_path_factory):
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
     """An object and its page, open in a browser."""
-    encoding, components = request.param
     folder = tmp_path_factory.mktemp("object")
-    decoded = coded_dome(folder, encoding=encoding, components=components)
+    decoded = coded_dome(folder)
     blocks = Blocks(SimpleNamespace(path=lambda name: folder / name), inline_bytes=10**8)
     about = {"title": "Ball", "scene": "ball", "key": "", "version": "", "unit": "mm"}
     write_object(decoded, blocks, about, without=frozenset())
@@ -167,17 +166,14 @@ def test_free_view(shown):
 def test_decoded_numbers_are_those_of_the_decoder(shown):
     residual, scene = shown.decoded.residual, "nishiki.scene.coded"
     shown.page.page.evaluate("nishiki.idle()")
-    parts = len(shown.decoded.renderer().parts)
     for tile in (0, residual.tiles // 2, residual.tiles - 1):
         extent = residual.extents[tile]
         view = (extent.start + extent.length // 2) % residual.design.views
-        for part in range(parts):
-            values = shown.page.page.evaluate(f"Array.from({scene}.residual({tile}, {view}, 0, {part}, {parts}))")
-            values = np.reshape(values, (residual.size, residual.size, 4))[..., :3]
-            component = residual.design.components[part] if parts > 1 else None
-            want = residual.decode(tile, component=component)[view]
-            assert np.abs(want).max() > 0.05
-            np.testing.assert_allclose(values, want, atol=2e-6)
+        values = shown.page.page.evaluate(f"Array.from({scene}.residual({tile}, {view}, 0))")
+        values = np.reshape(values, (residual.size, residual.size, 4))[..., :3]
+        want = residual.decode(tile)[view]
+        assert np.abs(want).max() > 0.05
+        np.testing.assert_allclose(values, want, atol=2e-6)
 
 
 def test_probe_gives_the_parameters(shown):

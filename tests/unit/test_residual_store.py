@@ -49,7 +49,7 @@ def squared_error(residual, source, scene, *, level=0, encoding="linear"):
             texels = texels + predict_texels(kd, ks, sigma, surface, scene.centres, scene.lamps, encoding)
         pixels = source.pixels(tile)
         feet = Footprints.of(pixels.observation, pixels.s, pixels.t, (VIEWS, source.size, source.size))
-        left = feet.look_up(np.ascontiguousarray(texels)) - pixels.values[0].T[:, feet.order]
+        left = feet.look_up(np.ascontiguousarray(texels)) - pixels.values.T[:, feet.order]
         total, count = total + float(np.sum(left.astype(float) ** 2)), count + left.size
     return total, count
 
@@ -238,7 +238,7 @@ def test_coded_texels_are_those_of_the_tile(sphere, tmp_path):
         assert not every[unseen].any()
         np.testing.assert_array_equal(
             every[np.ix_(extent.observations(VIEWS, 1), *(np.arange(residual.size)[part] for part in extent.texels))],
-            np.moveaxis(decode_residual(result.integers[tile][1].full(), 0, result.design, extent), 0, -1),
+            np.moveaxis(decode_residual(result.integers[tile][1].full(), result.design, extent), 0, -1),
         )
 
 
@@ -278,8 +278,8 @@ def test_saturated_pixels_are_coded(sphere):
         def pixels(self, tile):
             pixels = super().pixels(tile)
             white = np.arange(len(pixels.s)) % 40 == 3
-            values = np.where(white[:, None], np.float32(1.5), pixels.values[0])
-            return Pixels(pixels.observation, pixels.s, pixels.t, (values,), white if self.stated else None)
+            values = np.where(white[:, None], np.float32(1.5), pixels.values)
+            return Pixels(pixels.observation, pixels.s, pixels.t, values, white if self.stated else None)
 
     source, scene = Glare(sphere), scene_of(VIEWS)
     stated = pilot(source, scene, design(), EFFORT, threads=1)

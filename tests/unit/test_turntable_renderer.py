@@ -86,10 +86,9 @@ class DomeResidual:
         area = self.cut(tile)
         return self.kd[area], self.ks[area], self.sigma[area]
 
-    def decode_coded(self, tile, *, level=0, component=None):
+    def decode_coded(self, tile, *, level=0):
         self.decoded.append(tile)
-        share = {None: 1.0, "diffuse": 0.75, "specular": 0.25}[component]
-        values = np.float32(share) * self.whole[(slice(None), *self.cut(tile))]
+        values = self.whole[(slice(None), *self.cut(tile))]
         values = values.reshape(len(values), -1, 3)
         return CodedTexels(values, np.arange(values.shape[0]), np.arange(values.shape[1]))
 
@@ -168,7 +167,7 @@ class CodedViews:
     def __init__(self):
         self.extents = [Extent(k, int(k == 1), 0, 0, 512, 512) for k in range(len(ANGLES))]
 
-    def texels(self, tile, index):
+    def texels(self, tile):
         levels = np.array([0.25, 0.5], np.float32)[None, :, None, None]
         return np.broadcast_to(levels, (3, 2, 512, 512)) if tile == 1 else None
 
@@ -219,27 +218,6 @@ def test_model_alone():
     want, covered = slow(made, made.cameras[1], 0, {})
     np.testing.assert_allclose(picture_of(made, 1).linear[covered], want[covered], atol=2e-6)
     assert made.residual.decoded == []
-
-
-def test_components_coded_apart_are_summed_in_linear_light():
-    residual = DomeResidual(2 * len(ANGLES), scale=0.01)
-    residual.design = SimpleNamespace(components=("diffuse", "specular"))
-    made = make(residual=residual)
-    assert made.parts == ("diffuse", "specular")
-    found = picture_of(made, 1)
-    total = np.zeros_like(found.linear)
-    lamp = made.lighting.lamp(made.cameras[1], 0)
-    raster = rasterise(made.mesh, made.cameras[1])
-    tile, s, t = made.atlas.locate(raster.triangle, raster.barycentric)
-    for part, share in ((0, 0.75), (1, 0.25)):
-        for number in range(made.atlas.tiles):
-            positions, normals, _ = made.geometry(number)
-            model = predict(*residual.parameters(number), positions, normals, made.cameras[1].centre, lamp)[part]
-            texture = encode(model, "srgb") + share * residual.whole[(1, *residual.cut(number))]
-            for place in zip(*np.nonzero(tile == number), strict=True):
-                total[place] += decode(bilinear(texture, float(s[place]), float(t[place])), "srgb")
-    np.testing.assert_allclose(found.linear[found.covered], total[found.covered], atol=5e-6)
-    assert make(residual=residual, encoding="linear").parts == ("total",)
 
 
 def test_lights_are_summed_in_linear_light():

@@ -100,8 +100,8 @@ class Point:
 class EncodedObject:
     """Hold a coded object.
 
-    design, models (parameters, residual) and, per tile, extents, integers and their streams (parameters, then one for
-    each component; b"" where nothing is stored); pixels, errors as in `CodedTile`, summed; curve: passes made.
+    design, models (parameters, residual) and, per tile, extents, integers and their streams (parameters, residual;
+    b"" where nothing is stored); pixels, errors as in `CodedTile`, summed; curve: passes made.
     """
 
     design: Design
@@ -173,25 +173,19 @@ def pilot(source: Source, scene: CodedScene, design: Design, effort: Effort, *, 
         if seen is None:
             return None, None, np.zeros(2)
         refined = refine_tile(seen, source.maps(tile), scene, design, effort)
-        moments = []
-        for index, component in enumerate(design.components):
-            left = seen.values[index]
-            if design.model:
-                left = left - seen.feet.look_up(model_of(refined.maps, seen, scene, design, component))
-            left = left[:, seen.usable]
-            moments.append(left.astype(np.float64) @ left.T.astype(np.float64))
+        left = seen.values
+        if design.model:
+            left = left - seen.feet.look_up(model_of(refined.maps, seen, scene, design))
+        left = left[:, seen.usable].astype(np.float64)
         density = seen.feet.density().astype(np.float64)
-        return refined, moments, np.array([np.sum(density**2), np.sum(density)])
+        return refined, left @ left.T, np.array([np.sum(density**2), np.sum(density)])
 
     refined, moments, densities = zip(*over(work, range(source.tiles), threads, progress, "parameters"), strict=True)
-    colour = []
-    for component in range(len(design.components)):
-        total = sum((m[component] for m in moments if m is not None), np.zeros((design.channels,) * 2))
-        colour.append(_tuple(principal_channels(total)))
-    design = replace(design, colour=tuple(colour))
+    total = sum((m for m in moments if m is not None), np.zeros((design.channels,) * 2))
+    design = replace(design, colour=_tuple(principal_channels(total)))
     squares, density_sum = np.sum(densities, axis=0)
     density = float(squares / density_sum) if density_sum else 1.0
-    energy = np.array([0.0 if m is None else sum(np.trace(part) for part in m) for m in moments])
+    energy = np.array([0.0 if m is None else np.trace(m) for m in moments])
     if not design.model:
         return Pilot(list(refined), design, Typical((0.0, 0.0, 0.0), density), energy)
     design, weights = _parameter_statistics([r for r in refined if r is not None], design)
@@ -235,17 +229,16 @@ def one_pass(
     tiles, design = range(source.tiles) if tiles is None else tiles, piloted.design
 
     def work(place: int):
-        tile, starts = tiles[place], None
+        tile, start = tiles[place], None
         if piloted.refined[tile] is None:
             return None
         if earlier is not None:
-            starts = [part.full() * np.float32(earlier.design.step) for part in earlier.integers[place][1:]]
+            start = earlier.integers[place][1].full() * np.float32(earlier.design.step)
         seen = see(source.pixels(tile), source.surface(tile), design)
-        coded = encode_tile(seen, piloted.refined[tile], scene, design, effort, piloted.typical, starts)
-        blocks = (coded.parameters, *coded.residual)
+        coded = encode_tile(seen, piloted.refined[tile], scene, design, effort, piloted.typical, start)
         empty = np.zeros(0, np.int32)
-        light = replace(coded, parameters=empty, residual=())
-        return light, coded.kept, tuple(Sparse.of(block) for block in blocks)
+        light = replace(coded, parameters=empty, residual=empty)
+        return light, coded.kept, (Sparse.of(coded.parameters), Sparse.of(coded.residual))
 
     results = list(over(work, range(len(tiles)), threads, progress, f"tiles at step {design.step:.4g}"))
     coded: list[CodedTile] = [r[0] for r in results if r is not None]
@@ -261,27 +254,24 @@ def code_streams(
     blocks: list[tuple[Sparse, ...] | None], extents: list[Extent], design: Design, *, threads: int
 ) -> tuple[tuple[Model, Model], list[tuple[bytes, ...]]]:
     """Code all tiles after two rounds of training; tiles of zeros become b""."""
-    parts = 1 + len(design.components)
 
-    def levels(part: int, extent: Extent) -> int:
-        return (design.plane if part else design.parameter_plane)(extent).levels
-
-    def code(kind: int, model: Model, part: int):
+    def code(model: Model, part: int):
         def work(tile: int) -> Coded | None:
             held = blocks[tile]
             if held is None or not len(held[part].places):
                 return None
-            return encode(held[part].full(), levels(part, extents[tile]), model)
+            plane = (design.plane if part else design.parameter_plane)(extents[tile])
+            return encode(held[part].full(), plane.levels, model)
 
         return list(over(work, range(len(blocks)), threads))
 
     models, coded = [], []
-    for kind, group in enumerate(([0], list(range(1, parts)))):
+    for part in (0, 1):
         model = Model.untrained()
         for _ in range(2):
-            model = train([c for part in group for c in code(kind, model, part) if c is not None])
+            model = train([c for c in code(model, part) if c is not None])
         models.append(model)
-        coded += [code(kind, model, part) for part in group]
+        coded.append(code(model, part))
     streams = [tuple(b"" if c[tile] is None else c[tile].data for c in coded) for tile in range(len(blocks))]
     return (models[0], models[1]), streams
 

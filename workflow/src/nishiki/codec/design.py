@@ -112,10 +112,10 @@ GROUPS = ("kd", "ks", "sigma")
 class Design(PlainFields):
     """Hold the parameters of the coding.
 
-    tile_size T; views, lights, channels of the capture; full_turn; encoding; components: coded apart ("total",) or
-    ("diffuse", "specular"). wavelet, levels, mirrored: of the planes; view_transform, light_transform: along the
+    tile_size T; views, lights, channels of the capture; full_turn; encoding. wavelet, levels,
+    mirrored: of the planes; view_transform, light_transform: along the
     observations; arcs: whether a tile's block spans only the views that see it; model: False for image-based coding.
-    step: of the residual's quantiser; parameter_steps: of kd, ks, log sigma. colour: one (C, C) matrix per component;
+    step: of the residual's quantiser; parameter_steps: of kd, ks, log sigma. colour: a (C, C) matrix;
     parameter_colour: of kd, ks; parameter_means: of kd (C), ks (C), log sigma (1). parameter_wavelet, parameter_levels,
     parameter_mirrored: of the parameter planes.
     """
@@ -126,7 +126,6 @@ class Design(PlainFields):
     channels: int
     full_turn: bool
     encoding: str
-    components: tuple[str, ...] = ("total",)
     wavelet: str = "bior4.4"
     levels: int = 4
     mirrored: bool = False
@@ -178,9 +177,9 @@ class Design(PlainFields):
         """Of a tile's coded parameters: (channels, 3, rows, columns)."""
         return self.channels, len(GROUPS), extent.rows, extent.columns
 
-    def mix(self, component: int) -> np.ndarray:
-        """(C, C) float64: new channels from old, of one component."""
-        return np.array(self.colour[component]) if self.colour else np.eye(self.channels)
+    def mix(self) -> np.ndarray:
+        """(C, C) float64: new channels from old."""
+        return np.array(self.colour) if self.colour else np.eye(self.channels)
 
     def parameter_mix(self, group: int) -> np.ndarray:
         """(C, C) float64 of kd (0) or ks (1); (1, 1) of log sigma."""

@@ -38,18 +38,15 @@ def predict_texels(
     centres: np.ndarray,
     lamps: Sequence[ViewLamp],
     encoding: str,
-    *,
-    component: str = "total",
 ) -> np.ndarray:
     """(C, observations, T, T) float32: encode(model) of kd, ks (T, T, C), sigma (T, T), for each camera and lamp.
 
-    centres (observations, 3). component: "total", "diffuse" or "specular".
+    centres (observations, 3).
     """
     out = np.empty((kd.shape[-1], len(lamps), *sigma.shape), np.float32)
     for o, (centre, lamp) in enumerate(zip(centres, lamps, strict=True)):
         parts = predict(kd, ks, sigma, surface.positions, surface.normals, centre, lamp)
-        total = {"total": sum(parts), "diffuse": parts[0], "specular": parts[1]}[component]
-        out[:, o] = np.moveaxis(encode(total, encoding), -1, 0)
+        out[:, o] = np.moveaxis(encode(sum(parts), encoding), -1, 0)
     return out
 
 

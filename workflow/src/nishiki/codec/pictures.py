@@ -51,14 +51,14 @@ class PictureSource:
         view, place = divmod(tile, len(areas_of(self.shape)))
         if view not in self.views:
             nothing = np.zeros(0, np.float32)
-            return Pixels(np.zeros(0, np.int32), nothing, nothing, (np.zeros((0, self.channels), np.float32),))
+            return Pixels(np.zeros(0, np.int32), nothing, nothing, np.zeros((0, self.channels), np.float32))
         photographs, coded = self.read(view)
         area = areas_of(self.shape)[place]
         s, t = np.nonzero(coded[area])
         values = photographs[:, *area][:, s, t]
         observation = np.repeat(np.arange(len(values)) * self.count + view, len(s)).astype(np.int32)
         s, t = (np.tile(at, len(values)).astype(np.float32) for at in (s, t))
-        return Pixels(observation, s, t, (values.reshape(-1, self.channels),))
+        return Pixels(observation, s, t, values.reshape(-1, self.channels))
 
     def surface(self, tile: int) -> TileSurface:
         """Return no surface."""
@@ -82,7 +82,7 @@ def pack_strayed(strayed: Sequence[np.ndarray]) -> list[bytes]:
 
 def with_strayed(pictures: EncodedObject, strayed: Sequence[bytes]) -> EncodedObject:
     """Store deflated parts in the place of the parameters, which pictures have not."""
-    return replace(pictures, streams=[(part, *own[1:]) for part, own in zip(strayed, pictures.streams, strict=True)])
+    return replace(pictures, streams=[(part, own[1]) for part, own in zip(strayed, pictures.streams, strict=True)])
 
 
 def decode_picture(
@@ -96,7 +96,7 @@ def decode_picture(
     first = view * len(areas)
     out, strayed = np.zeros((*shape, pictures.channels), np.float32), np.zeros(shape, bool)
     for tile, area in enumerate(areas, first):
-        texels, (rows, columns) = pictures.texels(tile, 0), pictures.extents[tile].texels
+        texels, (rows, columns) = pictures.texels(tile), pictures.extents[tile].texels
         if texels is not None:
             whole = np.zeros((SIDE, SIDE, pictures.channels), np.float32)
             whole[rows, columns] = np.moveaxis(texels[:, light], 0, -1)

@@ -214,19 +214,19 @@ class Coded:
         self.channels = self.design.channels
         self.observations = self.design.views * self.design.lights
 
-    def texels(self, tile: int, index: int, level: int = 0) -> np.ndarray | None:
-        """(C, observations, rows, columns) float32 of one component in a tile's extent; None where nothing is stored.
+    def texels(self, tile: int, level: int = 0) -> np.ndarray | None:
+        """(C, observations, rows, columns) float32 in a tile's extent; None where nothing is stored.
 
         level: so many of the finest bands are left out.
         """
-        design, extent, stream = self.design, self.extents[tile], self.stream(tile, 1 + index)
+        design, extent, stream = self.design, self.extents[tile], self.stream(tile, 1)
         if not stream:
             return None
         shape, levels = design.residual_shape(extent), design.plane(extent).levels
-        return decode_residual(decode(stream, shape, levels, self.models[1], drop=level), index, design, extent)
+        return decode_residual(decode(stream, shape, levels, self.models[1], drop=level), design, extent)
 
     def stored(self, tile: int) -> tuple[int, ...]:
-        """Bytes of each stream of a tile: parameters, then the residual of each component."""
+        """Bytes of each stream of a tile: parameters, residual."""
         return tuple(int(n) for n in self._contents.lengths[tile])
 
     def stream(self, tile: int, stream: int) -> bytes:
@@ -293,26 +293,23 @@ class Residual(Coded):
             kd[extent.texels], ks[extent.texels], sigma[extent.texels] = maps.kd, maps.ks, maps.sigma
         return kd, ks, sigma
 
-    def decode(self, tile: int, *, level: int = 0, component: str | None = None) -> np.ndarray:
+    def decode(self, tile: int, *, level: int = 0) -> np.ndarray:
         """(M, T, T, C) float32: the residual in the capture's encoding, zero in views that do not see the tile.
 
-        level: so many of the finest bands are left out (and not even read): a blurred preview. component: one of
-        `design.components`; their sum by default.
+        level: so many of the finest bands are left out (and not even read): a blurred preview.
         """
-        coded = self.decode_coded(tile, level=level, component=component)
+        coded = self.decode_coded(tile, level=level)
         every = coded.values[coded.observation][:, coded.texel]
         return every.reshape(self.observations, self.size, self.size, self.channels)
 
-    def decode_coded(self, tile: int, *, level: int = 0, component: str | None = None) -> CodedTexels:
+    def decode_coded(self, tile: int, *, level: int = 0) -> CodedTexels:
         """As `decode`, but only the observations and texels that are coded: a third of the memory of all, or less."""
         design, extent = self.design, self.extents[tile]
         places = extent.observations(design.views, design.lights)
         rows, columns = (range(self.size)[part] for part in extent.texels)
         values = np.zeros((len(places) + 1, len(rows) * len(columns) + 1, self.channels), np.float32)
-        for index, name in enumerate(design.components):
-            texels = self.texels(tile, index, level) if component in (None, name) else None
-            if texels is not None:
-                values[:-1, :-1] += np.moveaxis(texels.reshape(*texels.shape[:2], -1), 0, -1)
+        if (texels := self.texels(tile, level)) is not None:
+            values[:-1, :-1] = np.moveaxis(texels.reshape(*texels.shape[:2], -1), 0, -1)
         observation = np.full(self.observations, len(places))
         observation[places] = np.arange(len(places))
         texel = np.full((self.size, self.size), values.shape[1] - 1)

@@ -27,14 +27,14 @@ from nishiki.codec.solve import Footprints, Operator, Pursuit, curvatures, pursu
 class Pixels:
     """Hold the object pixels of one tile.
 
-    observation (n,) int32, s, t (n,) float32, values: per component (n, C) float32 in the capture's encoding; saturated
+    observation (n,) int32, s, t (n,) float32, values (n, C) float32 in the capture's encoding; saturated
     (n,) bool: pixels that the residual reproduces but no parameter is fitted to (None: no pixel).
     """
 
     observation: np.ndarray
     s: np.ndarray
     t: np.ndarray
-    values: tuple[np.ndarray, ...]
+    values: np.ndarray
     saturated: np.ndarray | None = None
 
 
@@ -71,13 +71,13 @@ class Typical:
 class CodedTile:
     """Hold a coded tile.
 
-    parameters (C, 3, rows, columns) int32; residual: per component (C, lights * views, rows, columns) int32; extent;
+    parameters (C, 3, rows, columns) int32; residual (C, lights * views, rows, columns) int32; extent;
     pixels; error, model_error, zero_error: sums of squares over pixels and channels of the decoded tile, of its model
     alone, and of the pictures themselves.
     """
 
     parameters: np.ndarray
-    residual: tuple[np.ndarray, ...]
+    residual: np.ndarray
     extent: Extent
     pixels: int
     error: float
@@ -87,7 +87,7 @@ class CodedTile:
     @property
     def kept(self) -> int:
         """Residual coefficients that are not zero."""
-        return int(sum(np.count_nonzero(part) for part in self.residual))
+        return int(np.count_nonzero(self.residual))
 
 
 @dataclass(frozen=True)
@@ -103,14 +103,14 @@ class Seen:
     """Hold the pixels' view of a tile.
 
     Its extent, the observations of the block, the surface in the extent, footprints in the block, the pixel values (C,
-    n) of each component, and usable (n,) bool: pixels that parameters are fitted to.
+    n), and usable (n,) bool: pixels that parameters are fitted to.
     """
 
     extent: Extent
     observations: np.ndarray
     surface: TileSurface
     feet: Footprints
-    values: tuple[np.ndarray, ...]
+    values: np.ndarray
     usable: np.ndarray
 
 
@@ -130,7 +130,7 @@ def see(pixels: Pixels, surface: TileSurface, design: Design) -> Seen | None:
     place[observations] = np.arange(len(observations))
     shape = (len(observations), extent.rows, extent.columns)
     feet = Footprints.of(place[pixels.observation], pixels.s - extent.row, pixels.t - extent.column, shape)
-    values = tuple(np.ascontiguousarray(v.T[:, feet.order], np.float32) for v in pixels.values)
+    values = np.ascontiguousarray(pixels.values.T[:, feet.order], np.float32)
     cropped = TileSurface(*(a[extent.texels] for a in (surface.positions, surface.normals, surface.inside)))
     usable = np.ones(len(feet.order), bool) if pixels.saturated is None else ~pixels.saturated[feet.order]
     return Seen(extent, observations, cropped, feet, values, usable)
@@ -144,10 +144,16 @@ def refine_tile(seen: Seen, maps: TileMaps, scene: CodedScene, design: Design, e
         return Refined(TileMaps(zero, zero, np.ones_like(maps.sigma)), Weights(zero, zero, zero[..., 0]))
     centres, lamps = scene.centres[seen.observations], [scene.lamps[o] for o in seen.observations]
     factors = model_factors(design.channels, seen.surface, centres, lamps)
-    joined = seen.values[0] if len(seen.values) == 1 else sum(seen.values)
     moved = (True, effort.gloss, False)
     maps = refine(
-        maps, factors, seen.feet, joined, design.encoding, iterations=effort.refinements, move=moved, usable=seen.usable
+        maps,
+        factors,
+        seen.feet,
+        seen.values,
+        design.encoding,
+        iterations=effort.refinements,
+        move=moved,
+        usable=seen.usable,
     )
     return Refined(maps, texel_weights(maps, factors, seen.feet, design.encoding))
 
@@ -159,11 +165,11 @@ def encode_tile(
     design: Design,
     effort: Effort,
     typical: Typical,
-    starts: Sequence[np.ndarray] | None = None,
+    start: np.ndarray | None = None,
 ) -> CodedTile:
     """Integers of a tile at the design's steps: parameters first, then the residual against what they decode to.
 
-    starts: of each component, residual coefficients of an earlier solution at a similar step, to go on from.
+    start: residual coefficients of an earlier solution at a similar step, to go on from.
     """
     parameters = np.zeros(design.parameter_shape(seen.extent), np.int32)
     maps = refined.maps
@@ -175,32 +181,25 @@ def encode_tile(
     operator = Operator.of_pixels(seen.feet)
     curvature, price = curvatures(block, seen.feet.density()), effort.price * design.step**2 * typical.density
     bits = partial(expected_bits, step=design.step, levels=block.plane.levels)
-    residual, errors = [], np.zeros(3)
-    for index, component in enumerate(design.components):
-        values = seen.values[index]
-        left = values
-        if design.model:
-            left = values - seen.feet.look_up(model_of(maps, seen, scene, design, component))
-        data = (design.mix(index) @ left).astype(np.float32)
-        start = None if starts is None else starts[index]
-        solution = pursue(data, operator, block, curvature, price=price, bits=bits, effort=effort.pursuit, start=start)
-        integers = quantise(solution.coefficients, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
-        after = data - operator.look(samples_of(block, (integers * np.float32(design.step)).astype(np.float32)))
-        errors += [float(np.sum(a.astype(np.float64) ** 2)) for a in (after, data, values)]
-        residual.append(integers.reshape(design.residual_shape(seen.extent)))
-    pixels = seen.values[0].shape[1] * len(design.components)
-    return CodedTile(parameters, tuple(residual), seen.extent, pixels, *errors)
+    left = seen.values - seen.feet.look_up(model_of(maps, seen, scene, design)) if design.model else seen.values
+    data = (design.mix() @ left).astype(np.float32)
+    solution = pursue(data, operator, block, curvature, price=price, bits=bits, effort=effort.pursuit, start=start)
+    integers = quantise(solution.coefficients, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
+    after = data - operator.look(samples_of(block, (integers * np.float32(design.step)).astype(np.float32)))
+    errors = [float(np.sum(a.astype(np.float64) ** 2)) for a in (after, data, seen.values)]
+    residual = integers.reshape(design.residual_shape(seen.extent))
+    return CodedTile(parameters, residual, seen.extent, seen.values.shape[1], *errors)
 
 
-def model_of(maps: TileMaps, seen: Seen, scene: CodedScene, design: Design, component: str) -> np.ndarray:
+def model_of(maps: TileMaps, seen: Seen, scene: CodedScene, design: Design) -> np.ndarray:
     """(C, observations, rows, columns) float32: the model's texels in a block, in the capture's encoding."""
     lamps = [scene.lamps[o] for o in seen.observations]
     arguments = (seen.surface, scene.centres[seen.observations], lamps, design.encoding)
-    return predict_texels(maps.kd, maps.ks, maps.sigma, *arguments, component=component)
+    return predict_texels(maps.kd, maps.ks, maps.sigma, *arguments)
 
 
-def decode_residual(integers: np.ndarray, component: int, design: Design, extent: Extent) -> np.ndarray:
+def decode_residual(integers: np.ndarray, design: Design, extent: Extent) -> np.ndarray:
     """(C, lights * views, rows, columns) float32 texels of integers of that shape."""
     coefficients = (integers * np.float32(design.step)).astype(np.float32).reshape(design.shape(extent))
     samples = samples_of(design.block(extent), coefficients)
-    return np.tensordot(design.mix(component).T.astype(np.float32), samples, 1)
+    return np.tensordot(design.mix().T.astype(np.float32), samples, 1)

@@ -18,7 +18,6 @@ import numpy as np
 
 from nishiki.brdf.texels.model import predict
 from nishiki.codec.pictures import decode_picture
-from nishiki.codec.store import CodedTexels
 from nishiki.colour.colour import decode as to_linear
 from nishiki.colour.colour import encode
 from nishiki.geometry.camera import Camera
@@ -87,7 +86,6 @@ class ObjectRenderer:
         self.lit = None if own_lamps is None else LitObject(mesh, own_lamps)
         self.model_only, self.rim = model_only or self.lit is not None, rim
         self.threads = given_threads()
-        self.parts = coded_parts(self.residual, self.encoding)
         self.depths = DepthMaps(mesh)
         self._cache: OrderedDict[int, DecodedTile] = OrderedDict()
         self._held, self._dropped, self._lock = 0, False, threading.Lock()
@@ -144,7 +142,7 @@ class ObjectRenderer:
         else:
             lamps = [self.lighting.lamp(shot.camera, light) for light, _ in shot.lights]
         prepared = Prepared(shot, raster, pixels, s, t, slots, first, order, lamps)
-        prepared.values = np.zeros((len(shot.lights), len(self.parts), len(pixels), self.channels), np.float32)
+        prepared.values = np.zeros((len(shot.lights), len(pixels), self.channels), np.float32)
         return prepared
 
     def _finish(self, batch: list[Prepared]) -> Iterator[ObjectPicture]:
@@ -168,11 +166,11 @@ class ObjectRenderer:
             chosen, place = asked_for(prepared.s, prepared.t, order, self.atlas.size)
             for k, lamp in enumerate(prepared.lamps):
                 base = prepared.shot.lights[k][0] * len(self.cameras)
-                for part, texels in enumerate(self._texels(prepared, lamp, base, flat, chosen)):
-                    look_up(texels, place, self.atlas.size, prepared.s, prepared.t, order, prepared.values[k, part])
+                texels = self._texels(prepared, lamp, base, flat, chosen)
+                look_up(texels, place, self.atlas.size, prepared.s, prepared.t, order, prepared.values[k])
 
-    def _texels(self, prepared: Prepared, lamp, base: int, flat: DecodedTile, chosen: np.ndarray) -> list[np.ndarray]:
-        """(m, channels) float32 of each part: chosen texels of a tile as this camera sees them under one lamp, encoded.
+    def _texels(self, prepared: Prepared, lamp, base: int, flat: DecodedTile, chosen: np.ndarray) -> np.ndarray:
+        """(m, channels) float32: chosen texels of a tile as this camera sees them under one lamp, encoded.
 
         base: number of the light's first observation.
         """
@@ -182,20 +180,16 @@ class ObjectRenderer:
             modelled = lamp.predict(kd, ks, sigma, positions, normals)
         else:
             modelled = predict(kd, ks, sigma, positions, normals, prepared.shot.camera.centre, lamp)
-        if len(self.parts) == 1:
-            modelled = [modelled[0] + modelled[1]]
-        coded = [encode(values, self.encoding) for values in modelled]
-        if flat.residual is None:
+        coded, residual = encode(modelled[0] + modelled[1], self.encoding), flat.residual
+        if residual is None:
             return coded
         views, weights, fallback = prepared.mixture
         if len(views) == 1:
-            for values, residual in zip(coded, flat.residual, strict=True):
-                values += residual.values[residual.observation[base + views[0]], residual.texel[chosen]]
+            coded += residual.values[residual.observation[base + views[0]], residual.texel[chosen]]
             return coded
         seen = np.stack([self.depths.visible(positions, normals, self.cameras[v]) for v in views])
-        for values, residual in zip(coded, flat.residual, strict=True):
-            places = residual.observation[base + views], residual.texel[chosen]
-            values += mix(residual.values, *places, seen, weights, fallback)
+        places = residual.observation[base + views], residual.texel[chosen]
+        coded += mix(residual.values, *places, seen, weights, fallback)
         return coded
 
     def _tile(self, tile: int) -> DecodedTile:
@@ -208,7 +202,7 @@ class ObjectRenderer:
         positions, normals, _ = self.geometry(tile)
         residual = None
         if not self.model_only and not self.residual.empty(tile):
-            residual = tuple(self._decoded(tile, part) for part in self.parts)
+            residual = self.residual.decode_coded(tile, level=self.level)
         flat = DecodedTile(
             (kd.reshape(-1, self.channels), ks.reshape(-1, self.channels), sigma.reshape(-1)),
             positions.reshape(-1, 3),
@@ -224,18 +218,13 @@ class ObjectRenderer:
                 self._dropped = True
         return flat
 
-    def _decoded(self, tile: int, part: str) -> CodedTexels:
-        """Return the residual of one part of a tile."""
-        named = {} if part == "total" else {"component": part}
-        return self.residual.decode_coded(tile, level=self.level, **named)
-
     def _picture(self, prepared: Prepared) -> ObjectPicture:
         raster, shot = prepared.raster, prepared.shot
         linear = np.zeros((raster.triangle.size, self.channels), np.float32)
         highest = np.inf if self.lit or self.ceiling is None else self.ceiling
         for values, (_, weight) in zip(prepared.values, shot.lights, strict=True):
-            light = np.sum([to_linear(part, self.encoding) for part in values], axis=0)
-            linear[prepared.pixels] += np.float32(weight) * np.clip(light, 0, highest, dtype=np.float32)
+            seen = to_linear(values, self.encoding)
+            linear[prepared.pixels] += np.float32(weight) * np.clip(seen, 0, highest, dtype=np.float32)
         linear = linear.reshape(*raster.triangle.shape, self.channels)
         covered = raster.triangle >= 0
         reached = extend(linear, covered, rings=self.rim)
@@ -259,12 +248,6 @@ class ObjectRenderer:
         interpolated = interpolate(turned, self.mesh.triangles, picture.triangle, picture.barycentric)
         length = np.linalg.norm(interpolated, axis=2, keepdims=True)
         return np.where(length > 1e-6, interpolated / np.where(length > 1e-6, length, 1), 0).astype(np.float32)
-
-
-def coded_parts(residual, encoding: str) -> tuple[str, ...]:
-    """Return what has to be decoded to linear light by itself: the total, or diffuse and specular coded apart."""
-    components = getattr(getattr(residual, "design", None), "components", ("total",))
-    return tuple(components) if encoding != "linear" and len(components) > 1 else ("total",)
 
 
 BAND_PIXELS = 1 << 22

@@ -137,7 +137,7 @@ class Prepared:
     first: np.ndarray
     order: np.ndarray
     lamps: list  # of the shot's lights, as this camera has them
-    values: np.ndarray = field(init=False)  # (lights, parts, pixels, channels): in the capture's encoding
+    values: np.ndarray = field(init=False)  # (lights, pixels, channels): in the capture's encoding
 
     @cached_property
     def mixture(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -157,13 +157,13 @@ class DecodedTile:
     parameters: tuple[np.ndarray, np.ndarray, np.ndarray]
     positions: np.ndarray
     normals: np.ndarray
-    residual: tuple[CodedTexels, ...] | None
+    residual: CodedTexels | None
 
     @property
     def nbytes(self) -> int:
         """Size of the arrays."""
         arrays = (*self.parameters, self.positions, self.normals)
-        return sum(values.nbytes for values in arrays) + sum(part.nbytes for part in self.residual or ())
+        return sum(values.nbytes for values in arrays) + (self.residual.nbytes if self.residual else 0)
 
 
 LIFT = 0.25

@@ -32,7 +32,7 @@ PAINTING = Stage(
 )
 
 
-class ObjectReportSettings(PageSettings, stage="object_report", version=1):
+class ObjectReportSettings(PageSettings, stage="object_report", version=2):
     """One HTML file on a turntable scene that opens offline."""
 
 
@@ -61,7 +61,7 @@ OBJECT = Stage(
 )
 
 
-class ClothReportSettings(PageSettings, stage="cloth_report", version=1):
+class ClothReportSettings(PageSettings, stage="cloth_report", version=2):
     """One HTML file on a cloth that opens offline."""
 
     region: str = Field("", description="region whose lobes and curves are drawn; empty: the first")

@@ -10,7 +10,7 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.goniometry.table import Reflectances
 from nishiki.render.cloth.models import ClothModels
 from nishiki.report.numbers import figure
-from nishiki.report.page import Block, Cell, Figure, Figures, Fold, Heading, Note, Section, Table
+from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
 from nishiki.report.pictures import PagePicture, Scale, coloured, encoded, heat, hexadecimal
 from nishiki.report.svg import DASHES, GRID, INK, PALETTE, SOFT, Curve, Drawing, chart, outline
 
@@ -170,7 +170,7 @@ INTRODUCTION = (
 
 
 def errors_section(evaluation: dict[str, Any] | None) -> Section | None:
-    """For each region: error against incidence as table and chart, and every row. evaluation : evaluation.json."""
+    """For each region: error against incidence as table and chart. evaluation : evaluation.json."""
     if evaluation is None:
         return None
     blocks: list[Block] = [INTRODUCTION]
@@ -195,14 +195,12 @@ def _errors_of(region: dict[str, Any], default: str) -> list[Block]:
     angles = sorted({angle for part in held.values() for angle in part}, key=float)
     errors: list[list[Cell]] = []
     peaks: list[list[Cell]] = []
-    every: list[list[Cell]] = []
     for model, entry in models.items():
         name, parts = model_name(model), [held[model].get(angle) for angle in angles]
         seen = f"{name} (has seen these)" if entry["reference"] else name
         values = [None if part is None else part["rms_rel"] for part in parts]
         errors.append([seen, entry["fitted"]["measurements"], *values, mean_error(entry["fitted"]["by_incidence"])])
         peaks.append([name, *(peak_error(part) for part in parts)])
-        every += [[name, *row_of(row)] for row in entry["held_out"]["rows"]]
     columns, marked = [f"{angle}°" for angle in angles], {0} if default in models else set()
     caption = (
         f"Relative RMS error by incidence, on {figure(region['held_out'])} of {figure(region['valid'])} measurements. "
@@ -218,31 +216,8 @@ def _errors_of(region: dict[str, Any], default: str) -> list[Block]:
     blocks.append(Table(("model", *columns), peaks, align[:-2], caption, marked=marked))
     if drawing := error_chart(held, default):
         blocks.append(Figures([Figure("Relative error", "against the incidence of the light.", svg=drawing)], 1))
-    head = (
-        "model",
-        "θi",
-        "φi",
-        "plane",
-        "views",
-        "rel. RMS",
-        "mean error",
-        "peak value",
-        "peak direction",
-        "noise alone",
-    )
-    blocks.append(Fold("Each incidence", f"{len(every)} rows", [Table(head, every, "lrrlrrrrrr")]))
+    blocks.append("Each incidence of every model is a row of `evaluation.csv`.")
     return blocks
-
-
-def row_of(row: dict[str, Any]) -> list[Cell]:
-    """Return one plane of incidence of one model."""
-    direction = row["peak_direction_deg"]
-    return [
-        *(f"{figure(row[name])}°" for name in ("theta_i_deg", "phi_i_deg")),
-        *(row[name] for name in ("plane", "views", "rms_rel", "bias_rel", "peak_value_rel")),
-        None if direction is None else f"{figure(direction)}°",
-        row["noise_rel"],
-    ]
 
 
 def peak_error(part: dict[str, Any] | None) -> str | None:

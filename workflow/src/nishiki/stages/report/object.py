@@ -16,7 +16,6 @@ from nishiki.report.page import (
     Facts,
     Figure,
     Figures,
-    Fold,
     Heading,
     Metric,
     Note,
@@ -179,21 +178,12 @@ def views_section(evaluation: dict[str, Any] | None) -> Section | None:
         "that it covers beyond the outline, count as errors; the second figure is without them."
     )
     left_out = evaluation["left_out"]
-    each = [
-        (
-            f"{row['view']} (left out)" if row["left_out"] else row["view"],
-            *(row[key] for key in ("light", "picture", "against", "psnr_db", "covered_psnr_db", "similarity")),
-            *(row[key] for key in ("pixels", "uncovered_pixels", "superfluous_pixels")),
-        )
-        for row in evaluation["rows"]
-    ]
-    head = ("View", "light", "picture", "against", "dB", "covered dB", "similarity", "pixels", "not covered", "beyond")
     return Section("views", "All views", [
         Table(("Pictures", *columns), kinds, "lrrrrrrrr", caption),
         f"Left out of carving, fits and residual, and predicted: {', '.join(left_out)}."
         if left_out
         else "No view was left out, so nothing is said here of views that were not captured.",
-        Fold("Each view", f"{len(each)} rows", [Table(head, each, "llllrrrrrr")]),
+        "Each picture of every view is a row of `evaluation.csv`.",
     ])  # fmt: skip
 
 

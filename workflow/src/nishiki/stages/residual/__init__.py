@@ -22,7 +22,7 @@ LIMITS = (
 )
 
 
-class ResidualSettings(Guarded, stage="residual", version=7, limits=LIMITS):
+class ResidualSettings(Guarded, stage="residual", version=8, limits=LIMITS):
     """What the reflection model does not explain, as wavelet coefficients."""
 
     target: Literal["bits_per_pixel", "bytes", "total_bytes", "psnr", "kept", "kept_of_all", "step"] = Field(
@@ -36,9 +36,6 @@ class ResidualSettings(Guarded, stage="residual", version=7, limits=LIMITS):
         "auto", description="auto: no residual where the model reaches `psnr` or noise (docs/notes/economy.md)"
     )
     passes: int = Field(6, ge=1, le=20, description="passes over all tiles that the search may take")
-    components: Literal["auto", "total"] = Field(
-        "total", description="auto: diffuse and specular coded apart where polarisation separated them; total: together"
-    )
     model: bool = Field(True, description="false: image-based, nothing is subtracted (a baseline)")
     wavelet: str = Field("bior4.4", description="of the tile's planes: haar, db2 (the paper's), sym4, bior4.4, ...")
     levels: int = Field(4, ge=0, le=8, description="halvings of the tile's planes")

@@ -67,7 +67,7 @@ def run(context: Context) -> dict:
     scene = scene_of(texels, fitted["lighting"])
     pursuit = Pursuit(rounds=settings.rounds)
     effort = Effort(pursuit=pursuit, refinements=settings.refinements, gloss=fitted["specular"])
-    design, workers = design_of(texels, source.components, settings), threads()
+    design, workers = design_of(texels, settings), threads()
     piloted = pilot(source, scene, design, effort, threads=workers, progress=context.progress)
     counts = source.counts()
 
@@ -170,7 +170,7 @@ def carried(
     (photographed, scene, design, effort), room = coder, room - FRAME
     if room <= 0:
         return None
-    plain = replace(design, tile_size=SIDE, components=("total",), model=False)
+    plain = replace(design, tile_size=SIDE, model=False)
     piloted = pilot(photographed, scene, plain, effort, threads=threads())
 
     def run_pass(step: float, earlier: EncodedObject | None, tiles: list[int] | None = None) -> EncodedObject:
@@ -200,11 +200,9 @@ def left_by_model(source: "ArtifactSource", scene: CodedScene, piloted: Pilot) -
     for tile in there[:: max(1, len(there) // SAMPLE_TILES)]:
         pixels = source.pixels(tile)
         seen = see(pixels, source.surface(tile), design)
-        maps, order = piloted.refined[tile].maps, seen.feet.order
-        for index, component in enumerate(design.components):
-            left = seen.values[index] - seen.feet.look_up(model_of(maps, seen, scene, design, component))
-            order, left = order[seen.usable], left[:, seen.usable]
-            tiles.append((left, pixels.observation[order], pixels.s[order], pixels.t[order]))
+        left = seen.values - seen.feet.look_up(model_of(piloted.refined[tile].maps, seen, scene, design))
+        order = seen.feet.order[seen.usable]
+        tiles.append((left[:, seen.usable], pixels.observation[order], pixels.s[order], pixels.t[order]))
     return what_is_left(tiles)
 
 
@@ -214,19 +212,16 @@ class ArtifactSource:
     def __init__(self, texels: Texels, parameters: ParameterMaps, settings: ResidualSettings):
         self.texels, self.parameters = texels, parameters
         self.tiles = texels.tiles
-        apart = settings.components == "auto" and {"diffuse", "specular"} <= set(texels.components)
-        self.components = ("diffuse", "specular") if apart else ("total",)
         without = set(settings.hold_out) | set(texels.hold_out)
         self.kept = np.array([view not in without for _ in texels.lights for view in texels.views])
 
     def pixels(self, tile: int) -> Pixels:
         """Return object pixels of a tile, in the capture's encoding."""
         # states of a polariser saturate one by one: what their sum would have been is not known
-        saturated = tuple(self.texels.components) == ("total",)
-        parts = [self.texels.samples(component, tile, saturated=saturated) for component in self.components]
-        kept = self.kept[parts[0].observation]
-        values = tuple(encode(part.values[kept], self.texels.encoding).astype(np.float32) for part in parts)
-        return Pixels(parts[0].observation[kept], parts[0].s[kept], parts[0].t[kept], values, ~parts[0].valid[kept])
+        found = self.texels.samples("total", tile, saturated=tuple(self.texels.components) == ("total",))
+        kept = self.kept[found.observation]
+        values = encode(found.values[kept], self.texels.encoding).astype(np.float32)
+        return Pixels(found.observation[kept], found.s[kept], found.t[kept], values, ~found.valid[kept])
 
     def surface(self, tile: int) -> TileSurface:
         """Return geometry of a tile."""
@@ -243,8 +238,7 @@ class ArtifactSource:
         for tile in range(self.tiles):
             pixels += len(self.pixels(tile).s)
             visible += int(np.count_nonzero(self.texels.visible(tile)[self.kept]))
-        channels = self.texels.channels * len(self.components)
-        every = self.tiles * self.texels.size**2 * len(self.kept)
+        channels, every = self.texels.channels, self.tiles * self.texels.size**2 * len(self.kept)
         return {"pixels": pixels, "visible": visible * channels, "samples": every * channels}
 
 
@@ -257,7 +251,7 @@ def scene_of(texels: Texels, lighting: dict) -> CodedScene:
     )
 
 
-def design_of(texels: Texels, components: tuple[str, ...], settings: ResidualSettings) -> Design:
+def design_of(texels: Texels, settings: ResidualSettings) -> Design:
     """Return what the settings and the capture determine before anything is measured."""
     return Design(
         tile_size=texels.size,
@@ -266,7 +260,6 @@ def design_of(texels: Texels, components: tuple[str, ...], settings: ResidualSet
         channels=texels.channels,
         full_turn=bool(texels.full_turn),
         encoding=texels.encoding,
-        components=components,
         wavelet=settings.wavelet,
         levels=settings.levels,
         view_transform=settings.view_transform,

@@ -17,7 +17,6 @@ from nishiki.codec.transform import Plane
 from nishiki.geometry.turn import fit_turn
 from nishiki.observations.views import Views
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.render.object.renderer import coded_parts
 from nishiki.render.object.shots import ball_around, shadow_lift
 from nishiki.report.viewer.page import Blocks, pack_arrays, write_page
 
@@ -86,7 +85,6 @@ def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
         },
         "lighting": decoded.lighting.as_dict(),
         "ceiling": decoded.ceiling,
-        "parts": list(coded_parts(decoded.residual, decoded.encoding)),
         "centre": centre.tolist(),
         "radius": radius,
         "lift": shadow_lift(decoded.mesh),

@@ -29,7 +29,7 @@ export class CodedObject {
     this.parameterPlane = synthesisOf("parameter_plane", arrays, this.design.parameter_levels);
     this.alongLights = values("along/lights");
     this.alongViews = (length) => values(`along/views/${length}`);
-    this.coefficients = new Array(this.tiles); // of the residual, one entry a component
+    this.coefficients = new Array(this.tiles); // of the residual
   }
 
   /** The streams `first` .. `stop - 1` of one tile among the bytes of a part that begins with tile `start`. */
@@ -96,9 +96,8 @@ export class CodedObject {
     const extent = this.extents[tile];
     const { rows, columns } = extent, levels = this.plane.levelsOf(rows, columns);
     const shape = [this.channels, this.design.lights * extent.length, rows, columns];
-    this.coefficients[tile] = streams.map((data) => {
-      return data.length && extent.length ? decodeBlock(data, shape, levels, this.models[1]) : null;
-    });
+    const [data] = streams;
+    this.coefficients[tile] = data.length && extent.length ? decodeBlock(data, shape, levels, this.models[1]) : null;
   }
 
   /** Place of a view in a tile's arc; -1 where the tile is coded for other views only. */
@@ -108,36 +107,33 @@ export class CodedObject {
     return place < length ? place : -1;
   }
 
-  /** Residual of one part of a tile in a view under a light, four numbers a texel; null where all of it is zero. */
-  residual(tile, view, light, part, parts) {
+  /** Residual of a tile in a view under a light, four numbers a texel; null where all of it is zero. */
+  residual(tile, view, light) {
     const place = this.placeOf(tile, view), coded = this.coefficients[tile];
-    if (place < 0 || !coded || !coded.some((component) => component)) return null;
+    if (place < 0 || !coded) return null;
     const { design, size, channels } = this, extent = this.extents[tile];
     const { rows, columns, length } = extent, area = rows * columns;
     const out = new Float32Array(4 * size * size);
-    coded.forEach((component, index) => {
-      if (!component || (parts > 1 && index !== part)) return;
-      const planes = [];
-      for (let c = 0; c < channels; c++) {
-        const plane = new Float32Array(area);
-        for (let k = 0; k < design.lights * length; k++) {
-          const weight = this.alongLights[Math.floor(k / length) * design.lights + light] *
-            this.alongViews(length)[(k % length) * length + place];
-          if (weight !== 0) addPlane(plane, component, c * design.lights * length + k, design.step * weight);
-        }
-        this.synthesise(this.plane, plane, rows, columns);
-        planes.push(plane);
+    const planes = [];
+    for (let c = 0; c < channels; c++) {
+      const plane = new Float32Array(area);
+      for (let k = 0; k < design.lights * length; k++) {
+        const weight = this.alongLights[Math.floor(k / length) * design.lights + light] *
+          this.alongViews(length)[(k % length) * length + place];
+        if (weight !== 0) addPlane(plane, coded, c * design.lights * length + k, design.step * weight);
       }
-      const mix = design.colour.length ? design.colour[index] : IDENTITY(channels);
-      for (let c = 0; c < 3; c++) {
-        const own = this.channelOf(mix, channels, c);
-        for (let i = 0; i < area; i++) {
-          let value = 0;
-          for (let d = 0; d < channels; d++) value += own[d] * planes[d][i];
-          out[4 * ((extent.row + Math.floor(i / columns)) * size + extent.column + (i % columns)) + c] += value;
-        }
+      this.synthesise(this.plane, plane, rows, columns);
+      planes.push(plane);
+    }
+    const mix = design.colour.length ? design.colour : IDENTITY(channels);
+    for (let c = 0; c < 3; c++) {
+      const own = this.channelOf(mix, channels, c);
+      for (let i = 0; i < area; i++) {
+        let value = 0;
+        for (let d = 0; d < channels; d++) value += own[d] * planes[d][i];
+        out[4 * ((extent.row + Math.floor(i / columns)) * size + extent.column + (i % columns)) + c] = value;
       }
-    });
+    }
     return out;
   }
 

@@ -120,7 +120,7 @@ export class ObjectScene extends RoundScene {
     const { gl } = this;
     this.programs = {
       coverage: new Shader(gl, MESH_VERTEX, COVERAGE_FRAGMENT),
-      mesh: new Shader(gl, MESH_VERTEX, meshFragment(this.manifest.parts.length, this.coded.design.encoding === "srgb")),
+      mesh: new Shader(gl, MESH_VERTEX, meshFragment(this.coded.design.encoding === "srgb")),
       lines: new Shader(gl, LINES_VERTEX, LINES_FRAGMENT),
       display: new Shader(gl, SCREEN_VERTEX, DISPLAY_FRAGMENT),
     };
@@ -212,17 +212,17 @@ export class ObjectScene extends RoundScene {
     mesh.draw();
   }
 
-  /** Textures, kind and channel of what a layer shows. */
+  /** Texture, kind and channel of what a layer shows. */
   shown(name, lenders, light) {
-    const { texels } = this, one = (source) => new Array(texels.parts).fill(source);
-    if (name === "diffuse") return [one(texels.diffuse), LAYER.colours, [0, 0, 0, 0]];
-    if (name === "specular") return [one(texels.specular), LAYER.colours, [0, 0, 0, 0]];
-    if (name === "roughness") return [one(texels.diffuse), LAYER.greys, [0, 0, 0, 1]];
-    if (name === "normals") return [one(texels.normals), LAYER.normals, [0, 0, 0, 0]];
+    const { texels } = this;
+    if (name === "diffuse") return [texels.diffuse, LAYER.colours, [0, 0, 0, 0]];
+    if (name === "specular") return [texels.specular, LAYER.colours, [0, 0, 0, 0]];
+    if (name === "roughness") return [texels.diffuse, LAYER.greys, [0, 0, 0, 1]];
+    if (name === "normals") return [texels.normals, LAYER.normals, [0, 0, 0, 0]];
     if (name === "residual") {
       const nearest = lenders.reduce((best, lender) => (lender.weight > (best?.weight ?? -1) ? lender : best), null);
-      const source = nearest ? texels.residualOf(nearest.view, light).parts[0] : texels.zero;
-      return [one(source), LAYER.colours, [0, 0, 0, 0]];
+      const source = nearest ? texels.residualOf(nearest.view, light).texture : texels.zero;
+      return [source, LAYER.colours, [0, 0, 0, 0]];
     }
     return [texels.seen, LAYER.appearance, [0, 0, 0, 0]];
   }
@@ -326,7 +326,7 @@ export class ObjectScene extends RoundScene {
 
   cost() {
     // a texel: position, normal, parameters, residual and visibility of two views; a pixel: four texels, grid, cell
-    const { parts, atlas } = this.texels;
-    return { texture_reads: 4 * parts + 2, operations: 60 * parts, texels: atlas ** 2, texel_reads: 6 + 2 * parts, texel_operations: 150 };
+    const { atlas } = this.texels;
+    return { texture_reads: 6, operations: 60, texels: atlas ** 2, texel_reads: 8, texel_operations: 150 };
   }
 }

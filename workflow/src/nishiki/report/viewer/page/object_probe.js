@@ -86,24 +86,17 @@ export class ObjectProbe {
 
   /** Linear values between the four texels of `texels.seen`: with the view's residual, and without it. */
   #values(texel, tile, view, light) {
-    const { coded, texels } = this.scene, { parts } = texels;
+    const { coded, texels } = this.scene;
     const linear = coded.design.encoding === "srgb" ? decode : (v) => v;
-    const values = [0, 0, 0], predicted = [0, 0, 0];
-    for (let part = 0; part < parts; part++) {
-      const model = texels.read(texels.seen[part], texel), residual = coded.residual(tile, view, light, part, parts);
-      const upper = 4 * ((texel.y % coded.size) * coded.size + (texel.x % coded.size)), lower = upper + 4 * coded.size;
-      const added = new Float32Array(16);
-      if (residual) {
-        added.set(residual.subarray(upper, upper + 8));
-        added.set(residual.subarray(lower, lower + 8), 8);
-      }
-      const [plain, coding] = [bilinear(model, texel), bilinear(model.map((v, n) => v + added[n]), texel)];
-      for (let c = 0; c < 3; c++) {
-        predicted[c] += linear(plain[c]);
-        values[c] += linear(coding[c]);
-      }
+    const model = texels.read(texels.seen, texel), residual = coded.residual(tile, view, light);
+    const upper = 4 * ((texel.y % coded.size) * coded.size + (texel.x % coded.size)), lower = upper + 4 * coded.size;
+    const added = new Float32Array(16);
+    if (residual) {
+      added.set(residual.subarray(upper, upper + 8));
+      added.set(residual.subarray(lower, lower + 8), 8);
     }
-    return { values, predicted };
+    const linearOf = (values) => bilinear(values, texel).slice(0, 3).map(linear);
+    return { values: linearOf(model.map((v, n) => v + added[n])), predicted: linearOf(model) };
   }
 }
 

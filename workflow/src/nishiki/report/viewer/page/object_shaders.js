@@ -91,9 +91,8 @@ void main() { result = vec4(1); }`;
 export const PLACE_LAYER = 4;
 
 /** Pixels of the mesh: linear light and coverage of the appearance, or the colour of a layer. */
-export const meshFragment = (parts, srgb) => `${ENCODING}${PIXEL}
-#define PARTS ${parts}
-uniform sampler2D texels[PARTS];
+export const meshFragment = (srgb) => `${ENCODING}${PIXEL}
+uniform sampler2D texels;
 uniform isampler2D grids, cells; // first cell, rows and columns of each chart; tile of each cell
 uniform int size, tilesAcross, layer; // layer: 0 appearance, 1 values as they are, 2 greys, 3 normals, 4 tile and texel
 uniform float ceiling;
@@ -125,18 +124,12 @@ void main() {
   vec2 inside = clamp(texel - vec2(cell) * stride, vec2(0), vec2(stride));
   ivec2 corner = min(ivec2(inside), ivec2(size - 2));
   ivec2 at = ivec2(tile % tilesAcross, tile / tilesAcross) * size + corner.yx;
-  vec4 value = lookUp(texels[0], at, inside - vec2(corner));
+  vec4 value = lookUp(texels, at, inside - vec2(corner));
   if (layer == ${PLACE_LAYER}) result = vec4(at, inside - vec2(corner));
   else if (layer == 3) result = vec4(normalize(value.xyz) * 0.5 + 0.5, 1);
   else if (layer == 2) result = vec4(vec3((dot(value, channel) - range.x) / (range.y - range.x)), 1);
   else if (layer == 1) result = vec4((value.rgb - range.x) / (range.y - range.x), 1);
-  else {
-    vec3 light = linear(value);
-#if PARTS > 1
-    light += linear(lookUp(texels[1], at, inside - vec2(corner)));
-#endif
-    result = vec4(clamp(light, 0.0, ceiling), 1);
-  }
+  else result = vec4(clamp(linear(value), 0.0, ceiling), 1);
 }`;
 
 /** Lines of the cameras' positions. */

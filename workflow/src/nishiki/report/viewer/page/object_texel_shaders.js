@@ -149,12 +149,11 @@ void main() {
 }`;
 
 /** Texels as a camera sees them under the lamps: the encoded model plus the residual of the captured views around. */
-export const texelFragment = (parts, srgb) => `${ENCODING}${ENHANCE}
-#define PARTS ${parts}
+export const texelFragment = (srgb) => `${ENCODING}${ENHANCE}
 #define LAMPS ${MOST_LAMPS + 1} // one more, for the even light beside the state's own
 uniform sampler2D positions, normals, diffuse, specular;
 uniform sampler2D plainNormals; // normals of the surface without its relief
-uniform sampler2D residual0[PARTS], residual1[PARTS], visible0, visible1;
+uniform sampler2D residual0, residual1, visible0, visible1;
 uniform int views;              // that lend their residual: 0, 1 or 2
 uniform vec2 weights;
 uniform vec3 eye;
@@ -165,10 +164,7 @@ uniform sampler2D lit0, lit1;   // sums of LIT_FRAGMENT
 uniform float samples;          // that they are of; 0: no lamp is shaded
 uniform mat3 lampFrame;
 uniform vec3 harmonics[9];
-layout(location = 0) out vec4 result0;
-#if PARTS > 1
-layout(location = 1) out vec4 result1;
-#endif
+out vec4 result;
 float alphaSquared(float y) {   // 4 asin(sqrt y)^2
   float y2 = y * y;
   float low = (3.9999998616316295 + y * 1.333368353707692) + y2 * (0.7096755135127832 + y * 0.47921577031967355);
@@ -226,14 +222,7 @@ void main() {
     vec2 part = weights * seen;
     share = min(seen.x, seen.y) >= 1.0 || part.x + part.y <= 1e-6 ? weights : part / (part.x + part.y);
   }
-#if PARTS > 1
-  result0 = vec4(code(body), 1);
-  result1 = vec4(code(gloss), 1);
-  if (views > 0) result1.rgb += share.x * texelFetch(residual0[1], at, 0).rgb;
-  if (views > 1) result1.rgb += share.y * texelFetch(residual1[1], at, 0).rgb;
-#else
-  result0 = vec4(code(body + gloss), 1);
-#endif
-  if (views > 0) result0.rgb += share.x * texelFetch(residual0[0], at, 0).rgb;
-  if (views > 1) result0.rgb += share.y * texelFetch(residual1[0], at, 0).rgb;
+  result = vec4(code(body + gloss), 1);
+  if (views > 0) result.rgb += share.x * texelFetch(residual0, at, 0).rgb;
+  if (views > 1) result.rgb += share.y * texelFetch(residual1, at, 0).rgb;
 }`;

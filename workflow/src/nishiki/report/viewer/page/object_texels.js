@@ -25,7 +25,6 @@ export class ObjectTexels {
     this.manifest = manifest;
     this.coded = coded;
     this.mesh = mesh;
-    this.parts = manifest.parts.length;
     this.residuals = new Map(); // `view/light` -> textures
     this.version = 0; // of what is decoded
     this.working = 0;
@@ -35,7 +34,7 @@ export class ObjectTexels {
       surface: new Shader(gl, SURFACE_VERTEX, SURFACE_FRAGMENT),
       depth: new Shader(gl, MESH_VERTEX, DEPTH_FRAGMENT),
       visibility: new Shader(gl, SCREEN_VERTEX, VISIBILITY_FRAGMENT),
-      texels: new Shader(gl, SCREEN_VERTEX, texelFragment(this.parts, coded.design.encoding === "srgb")),
+      texels: new Shader(gl, SCREEN_VERTEX, texelFragment(coded.design.encoding === "srgb")),
     };
     const pairs = trianglesOfTiles(mesh.surface, arrays, coded.size);
     this.instances = gl.createVertexArray();
@@ -48,8 +47,8 @@ export class ObjectTexels {
     this.diffuse = image(gl, "RGBA16F", atlas, atlas);
     this.specular = image(gl, "RGBA16F", atlas, atlas);
     this.zero = image(gl, "RGBA16F", 1, 1);
-    this.seen = Array.from({ length: this.parts }, () => image(gl, "RGBA16F", atlas, atlas));
-    this.seenTarget = framebuffer(gl, this.seen);
+    this.seen = image(gl, "RGBA16F", atlas, atlas);
+    this.seenTarget = framebuffer(gl, [this.seen]);
     this.#upload(this.diffuse, null, new Float32Array(4 * atlas * atlas).fill(0.3));
     this.#decodeAll();
   }
@@ -128,19 +127,16 @@ export class ObjectTexels {
   }
 
   #uploadResidual(kept, tile) {
-    kept.parts.forEach((target, part) => {
-      const values = this.coded.residual(tile, kept.view, kept.light, part, this.parts);
-      if (values) this.#upload(target, tile, values);
-    });
+    const values = this.coded.residual(tile, kept.view, kept.light);
+    if (values) this.#upload(kept.texture, tile, values);
   }
 
-  /** Textures of a captured view's residual and of how well it sees each texel; filled while frames go on. */
+  /** Texture of a captured view's residual, and one of how well it sees each texel; filled while frames go on. */
   residualOf(view, light) {
     const key = `${view}/${light}`;
     if (!this.residuals.has(key)) {
       const { gl, atlas } = this;
-      const parts = Array.from({ length: this.parts }, () => image(gl, "RGBA16F", atlas, atlas));
-      const kept = { view, light, parts, visible: this.#visibility(view) };
+      const kept = { view, light, texture: image(gl, "RGBA16F", atlas, atlas), visible: this.#visibility(view) };
       this.residuals.set(key, kept);
       this.#work(async (pause) => {
         for (let tile = 0; tile < this.coded.tiles; tile++) {
@@ -158,7 +154,7 @@ export class ObjectTexels {
     if (this.residuals.size > KEPT_VIEWS) {
       const [oldest, dropped] = this.residuals.entries().next().value;
       this.residuals.delete(oldest);
-      [...dropped.parts, dropped.visible].forEach((old) => this.gl.deleteTexture(old));
+      [dropped.texture, dropped.visible].forEach((old) => this.gl.deleteTexture(old));
     }
     return kept;
   }
@@ -204,11 +200,11 @@ export class ObjectTexels {
       gl.enable(gl.SCISSOR_TEST);
       gl.scissor(within.x, within.y, within.width, within.height);
     }
-    const none = { parts: new Array(this.parts).fill(this.zero), visible: this.zero };
+    const none = { texture: this.zero, visible: this.zero };
     const [first, second] = [lent[0] ?? none, lent[1] ?? none];
     this.programs.texels.use({
       positions: this.positions, normals: this.normals, plainNormals, diffuse: this.diffuse, specular: this.specular,
-      residual0: first.parts, residual1: second.parts, visible0: first.visible, visible1: second.visible,
+      residual0: first.texture, residual1: second.texture, visible0: first.visible, visible1: second.visible,
       lit0: this.zero, lit1: this.zero, samples: 0, views: lent.length, weights: [lenders[0]?.weight ?? 0, lenders[1]?.weight ?? 0], eye, ...lamps, ...shadows,
     });
     this.scene.drawScreen();
