@@ -16,6 +16,7 @@ STEEPEST = 1e-3  # z of a normal at least
 Reader = Callable[[str, slice], np.ndarray]
 """From the name of a map and a slice of its rows to values."""
 CELL, SQUARE = 32, 8  # pixels: distance between the areas at which fields are compared, and the areas' side
+NODES = 16  # pixels between places that are computed
 CELLS = 8  # rows of these areas that are compared at a time
 LEAST_SIGMA = 1e-3  # radians: a field that claims less counts no more
 NORMALS = ("normals", "shading_normals")
@@ -57,14 +58,13 @@ def take_piece(
         return None
     first, end = np.flatnonzero(shown)[[0, -1]]
     part = slice(int(first), int(end) + 1)
-    points = placement.to_field(i, np.stack(np.meshgrid(columns[part].astype(float), rows.astype(float)), axis=-1))
-    size = np.array(placement.fields[i].shape[::-1])
-    inside = np.all((points >= 0) & (points <= size - 1), axis=-1)
+    points = _field_places(placement, i, rows, columns[part])
+    x, y, size = points[..., 0], points[..., 1], np.array(placement.fields[i].shape[::-1])
+    inside = (x >= 0) & (y >= 0) & (x <= size[0] - 1) & (y <= size[1] - 1)
     if not inside.any():
         return None
-    top = max(int(points[inside][:, 1].min()) - 2, 0)
-    strip = slice(top, min(int(points[inside][:, 1].max()) + 4, int(size[1])))
-    where = (points - (0, top)).astype(np.float32)
+    strip = slice(max(int(y[inside].min()) - 2, 0), min(int(y[inside].max()) + 4, int(size[1])))
+    where = (points - (0, strip.start)).astype(np.float32)
 
     def warp(values: np.ndarray, method: int) -> np.ndarray:
         return cv2.remap(values, where, None, method, borderMode=cv2.BORDER_REPLICATE)
@@ -84,9 +84,20 @@ def take_piece(
                 nearest if kinds else np.where(solid, warp(layer.astype(np.float32), cv2.INTER_CUBIC), nearest)
             )
         maps[name] = np.stack(layers, axis=-1).reshape(*where.shape[:2], *values.shape[2:])
-    depth = np.minimum(points, size - 1 - points).min(axis=-1)
+    depth = np.minimum(np.minimum(x, size[0] - 1 - x), np.minimum(y, size[1] - 1 - y))
     place = (points - placement.fields[i].centre) / placement.reach
     return Piece(part, maps, inside, known, place, np.maximum((depth + 1) / (size.min() / 2), 0).astype(np.float32))
+
+
+def _field_places(placement: Placement, i: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return places in field i (rows, columns, 2), linear between nodes: a lens bends by 1e-3 pixels between them."""
+    nodes = [np.arange(each[0], each[-1] + NODES, NODES, dtype=float) for each in (columns, rows)]
+    lattice = placement.to_field(i, np.stack(np.meshgrid(*nodes), axis=-1))
+    across, down = (
+        np.maximum(0, 1 - np.abs(each[:, None] - node) / NODES)
+        for each, node in zip((columns, rows), nodes, strict=True)
+    )
+    return np.stack([down @ lattice[..., k] @ across.T for k in (0, 1)], axis=-1)
 
 
 def turn_normals(normals: np.ndarray, turn: float, tilt: np.ndarray | float = 0.0) -> np.ndarray:
