@@ -64,8 +64,8 @@ def test_fields_are_placed_to_hundredths_of_a_pixel_with_the_lens_that_matches_n
     placement, found = adjusted
     assert aligned_error(placement, truth).max() < 0.1
     assert "k1" in found["lens"]["terms"]
-    assert found["residual_rms_px"] < 0.05
-    assert not found["unused"]
+    assert found["rms_px"] < 0.05
+    assert all(each["used"] for each in found["overlaps"])
     assert placement.sigma.max() < 0.1
 
 
@@ -110,7 +110,7 @@ def test_wrong_overlap_in_a_net_is_left_out(truth):
     wrong = next(k for k, o in enumerate(overlaps) if (o.first, o.second) == (4, 5))
     overlaps[wrong] = replace(overlaps[wrong], points=overlaps[wrong].points + np.array([[[0, 0]], [[90, 5]]]))
     placement, found = adjust(fields_of(truth), overlaps)
-    assert [each["fields"] for each in found["unused"]] == [["b2", "b3"]]
+    assert [each["fields"] for each in found["overlaps"] if each["why"]] == [["b2", "b3"]]
     assert aligned_error(placement, truth).max() < 0.1
 
 
@@ -132,4 +132,4 @@ def test_gap_is_refused_with_the_names_of_the_fields(truth):
 def test_one_field_is_a_mosaic():
     placement, found = adjust(fields_of(place_fields((300, 400), (1, 1), 0.2, 1)), [])
     assert placement.shape == tuple(placement.fields[0].shape)
-    assert found["residual_rms_px"] == 0
+    assert found["rms_px"] == 0

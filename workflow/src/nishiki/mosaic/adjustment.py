@@ -101,8 +101,8 @@ def _turned(angle: float) -> np.ndarray:
 def adjust(fields: Sequence[Field], overlaps: Sequence[Overlap]) -> tuple[Placement, dict]:
     """Place the fields by their overlaps.
 
-    Returns the placement, and plain numbers: lens with the error of matches left out of each choice, residuals by
-    field and overlap in pixels, and the overlaps that were not used.
+    Returns the placement, and plain numbers: `lens` with the error of matches left out of each choice, `rms_px` of all
+    residuals, and `overlaps` with their fields, number of windows, residual, and why they are not used, else None.
 
     Raises
     ------
@@ -113,9 +113,8 @@ def adjust(fields: Sequence[Field], overlaps: Sequence[Overlap]) -> tuple[Placem
     expect_connected(fields, used, overlaps)
     for _ in range(len(used)):
         residuals = solve(fields, used, LENSES["k1, k2, tilt"])[1]
-        excess = [
-            np.median(each) - max(WRONG[0], WRONG[1] * own_residual(o)) for each, o in zip(residuals, used, strict=True)
-        ]
+        limits = [max(WRONG[0], WRONG[1] * own_residual(overlap)) for overlap in used]
+        excess = np.array([np.median(each) for each in residuals]) - limits
         worst = int(np.argmax(excess))
         if excess[worst] <= 0:
             break
@@ -131,21 +130,20 @@ def adjust(fields: Sequence[Field], overlaps: Sequence[Overlap]) -> tuple[Placem
     placement, residuals = solve(fields, used, LENSES[chosen])
     first = np.min([placement.box(i)[0] for i in range(len(fields))], axis=0)
     placement = replace(placement, position=placement.position - first)
-    by_field = [
-        np.concatenate([r for o, r in zip(used, residuals, strict=True) if i in (o.first, o.second)] or [np.zeros(1)])
-        for i in range(len(fields))
-    ]
-    names = [field.name for field in fields]
+    rms = {id(o): float(np.sqrt(np.mean(np.square(each)))) for o, each in zip(used, residuals, strict=True)}
     return placement, {
         "lens": {"terms": chosen, "values": placement.lens.tolist(), "left_out_px": errors},
-        "residual_rms_px": _rms(np.concatenate([*residuals, np.zeros(0)])) if residuals else 0.0,
-        "residual_px": {name: _rms(each) for name, each in zip(names, by_field, strict=True)},
-        "position_sigma_px": dict(zip(names, placement.sigma.tolist(), strict=True)),
+        "rms_px": float(np.sqrt(np.mean(np.square(np.concatenate(residuals))))) if residuals else 0.0,
         "overlaps": [
-            {"fields": [names[o.first], names[o.second]], "matches": len(r), "residual_px": _rms(r)}
-            for o, r in zip(used, residuals, strict=True)
+            {
+                "fields": [fields[o.first].name, fields[o.second].name],
+                "windows": o.points.shape[1],
+                "used": not o.problem,
+                "rms_px": rms.get(id(o)),
+                "why": o.problem or None,
+            }
+            for o in overlaps
         ],
-        "unused": [{"fields": [names[o.first], names[o.second]], "why": o.problem} for o in overlaps if o.problem],
     }
 
 
@@ -154,10 +152,6 @@ def own_residual(overlap: Overlap) -> float:
     matrix, _ = fit_similarity(overlap.points, overlap.covariance)
     there = overlap.points[0] @ matrix[:, :2].T + matrix[:, 2]
     return float(np.median(np.linalg.norm(overlap.points[1] - there, axis=1)))
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def solve(fields: Sequence[Field], overlaps: Sequence[Overlap], lens: Sequence[int]) -> tuple[Placement, list]:

@@ -84,7 +84,7 @@ def run(context: Context) -> dict:
     levels, decision = level_fields(samples.only(used), len(fields))
     context.progress.tell(str(decision))
     lab = read_camera_colour(first.path("curves.npz"), len(fields[0].frames.channels), fields[0].frames.to_srgb).lab
-    seams = measure_seams(samples.only(~used), levels, lab)
+    seams = measure_seams(samples.only(~used), [each.name for each in fields], levels, lab)
     counts, notes = write_maps(context, fields, placement, levels, several=len(parameters) > 1)
     text = json.dumps({"regions": parameters}, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("parameters.json").write_text(text + "\n")
@@ -92,18 +92,17 @@ def run(context: Context) -> dict:
     described = describe(placement, adjusted, levels, seams) | {"notes": notes}
     text = json.dumps(described, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("mosaic.json").write_text(text + "\n")
-    every = [seam for seam in seams.values() if seam["samples"]]
-    weights = [seam["samples"] for seam in every]
+    weights = [seam["samples"] for seam in seams.values()]
     means = {
-        name: float(np.average([seam[key][1] for seam in every], weights=weights)) if every else 0.0
+        name: float(np.average([seam[key][1] for seam in seams.values()], weights=weights)) if seams else 0.0
         for name, key in (("seam_delta_e", "delta_e"), ("seam_deg", "angle_deg"))
     }
     return {
         "capture": first.diagnostics["capture"],
         "fields": len(fields),
-        "overlaps": len(adjusted["overlaps"]),
-        "registration_rms_px": adjusted["residual_rms_px"],
-        "position_sigma_px": max(adjusted["position_sigma_px"].values()),
+        "overlaps": sum(each["used"] for each in adjusted["overlaps"]),
+        "registration_rms_px": adjusted["rms_px"],
+        "position_sigma_px": float(placement.sigma.max()),
         **means,
         **counts,
         "regions": len(parameters),
@@ -162,8 +161,10 @@ def _digest(curves: dict[str, np.ndarray]) -> str:
     return " ".join(f"{name} {np.asarray(values, float).sum():.9g}" for name, values in sorted(curves.items()))
 
 
-def measure_seams(samples: Samples, levels: Levels, lab: Callable[[np.ndarray], np.ndarray]) -> dict:
-    """Measure how far two fields differ where they overlap, before and after levelling, by the numbers of the fields.
+def measure_seams(
+    samples: Samples, names: list[str], levels: Levels, lab: Callable[[np.ndarray], np.ndarray]
+) -> dict[tuple[str, ...], dict]:
+    """Measure how far two fields differ where they overlap, before and after levelling, by their names.
 
     delta_e : mean CIEDE2000; angle_deg : mean angle between normals, of areas that the levels were not solved from.
     """
@@ -173,7 +174,7 @@ def measure_seams(samples: Samples, levels: Levels, lab: Callable[[np.ndarray], 
         both = [here.values, levels.taken_off(here)]
         colours = [lab(np.exp(ends[..., :-2])) for ends in both]
         angles = [np.hypot(*np.moveaxis(ends[:, 0, -2:] - ends[:, 1, -2:], -1, 0)) for ends in both]
-        seams[tuple(pair.tolist())] = {
+        seams[tuple(names[i] for i in pair)] = {
             "samples": len(here.pair),
             "delta_e": [float(delta_e_2000(each[:, 0], each[:, 1]).mean()) for each in colours],
             "angle_deg": [float(np.degrees(each.mean())) for each in angles],
@@ -234,31 +235,26 @@ def write_maps(
 
 def describe(placement: Placement, adjusted: dict, levels: Levels, seams: dict) -> dict:
     """Return what the page shows of the mosaic, places in pixels (column, row)."""
-    names = [field.name for field in placement.fields]
     fields = {}
     for i, field in enumerate(placement.fields):
         rows, columns = field.shape
         corners = np.array([(0, 0), (columns - 1, 0), (columns - 1, rows - 1), (0, rows - 1)], float)
+        used = [each for each in adjusted["overlaps"] if each["used"] and field.name in each["fields"]]
+        squares = sum(each["windows"] * each["rms_px"] ** 2 for each in used)
         fields[field.name] = {
             "corners": placement.to_mosaic(i, corners).tolist(),
             "rotation_deg": float(np.degrees(placement.turn[i])),
             "scale": float(placement.scale[i]),
             "gain": np.exp(-levels.own[i, :-2]).tolist(),
             "tilt_deg": np.degrees(levels.own[i, -2:]).tolist(),
-            "residual_px": adjusted["residual_px"][field.name],
-            "position_sigma_px": adjusted["position_sigma_px"][field.name],
+            "residual_px": float(np.sqrt(squares / max(sum(each["windows"] for each in used), 1))),
+            "position_sigma_px": float(placement.sigma[i]),
         }
-    nothing = {"samples": 0, "delta_e": None, "angle_deg": None}
-    measured = {(names[i], names[j]): seam for (i, j), seam in seams.items()}
-    overlaps = [
-        {
-            "fields": each["fields"],
-            "windows": each.get("matches", 0),
-            "used": "matches" in each,
-            "rms_px": each.get("residual_px"),
-            "why": each.get("why"),
-            **measured.get(tuple(each["fields"]), nothing),
-        }
-        for each in [*adjusted["overlaps"], *adjusted["unused"]]
-    ]
-    return {"shape": list(placement.shape), "fields": fields, "overlaps": overlaps, "lens": adjusted["lens"]}
+    for each in adjusted["overlaps"]:
+        each |= seams.get(tuple(each["fields"]), {"samples": 0, "delta_e": None, "angle_deg": None})
+    return {
+        "shape": list(placement.shape),
+        "fields": fields,
+        "overlaps": adjusted["overlaps"],
+        "lens": adjusted["lens"],
+    }
