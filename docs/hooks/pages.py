@@ -39,7 +39,7 @@ def _extend(nav: list[Any], after: dict[str, list[str]]) -> None:
             nav[number + 1 : number + 1] = after.get(item, [])
             continue
         for name, inside in item.items():
-            if isinstance(inside, list) and inside[0] in ("plane", "turntable", "goniometer"):
+            if isinstance(inside, list) and inside[0] in ("plane", "mosaic", "turntable", "goniometer"):
                 shared = [] if inside[0] == "plane" else list(chain_of("plane"))
                 item[name] = [{stage: f"stages/{stage}.md"} for stage in chain_of(inside[0]) if stage not in shared]
             elif isinstance(inside, list):

@@ -27,10 +27,23 @@ LINE = re.compile(
     r"^Declared in \[([^]]*)\]\((?:\.\./)((?:\.\./)*)workflow/src/nishiki/[a-z_/]+\.py\)\.$", re.MULTILINE
 )
 PAGE = re.compile(r"\bdocs/((?:\w+/)*([\w-]+)\.md)")
-GEOMETRIES = {"plane": "flat scenes", "turntable": "objects on a turntable", "goniometer": "cloths on a goniometer"}
-INDEX = {"plane": "A flat scene", "turntable": "An object on a turntable", "goniometer": "A cloth on a goniometer"}
+GEOMETRIES = {
+    "plane": "flat scenes",
+    "mosaic": "fields of flat scenes",
+    "turntable": "objects on a turntable",
+    "goniometer": "cloths on a goniometer",
+}
+INDEX = {
+    "plane": "A flat scene",
+    "mosaic": "A mosaic of fields, each a flat scene",
+    "turntable": "An object on a turntable",
+    "goniometer": "A cloth on a goniometer",
+}
 EXAMPLES = {
     "plane": SceneFacts("", tuple("abcdefghi"), (), 3, 4_000_000, True, True, "0", parts={"check": 1}),
+    "mosaic": SceneFacts(
+        "", (), (), 3, 40_000_000, True, True, "0", geometry="mosaic", fields=dict.fromkeys("abcdefghij")
+    ),
     "turntable": SceneFacts(
         "", ("lamp",), (), 3, 400_000, False, False, "", geometry="turntable", views=tuple(map(str, range(36)))
     ),
@@ -41,6 +54,7 @@ EXAMPLES = {
 """A scene of each kind, for which the memory and the time of a stage are given."""
 EXAMPLE_WORDS = {
     "plane": "4 million pixels under 9 lights",
+    "mosaic": "10 fields of 4 million pixels",
     "turntable": "36 views of 400,000 object pixels",
     "goniometer": "1,000 directions, 256 pixels each",
 }

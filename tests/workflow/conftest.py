@@ -110,8 +110,14 @@ class Site:
         }
 
 
-def finished(folder: Path, geometry: str, preset: str) -> Site:
-    """A copy of the project in `folder`, with a scene simulated and run once."""
+@pytest.fixture(scope="session")
+def new_site():
+    """Make a copy of the project in a folder, without results."""
+    return copied
+
+
+def copied(folder: Path, geometry: str) -> Site:
+    """A copy of the project in `folder`."""
     for name in COPIED:
         source = PROJECT / name
         ignore = shutil.ignore_patterns("*.pyc")
@@ -120,6 +126,12 @@ def finished(folder: Path, geometry: str, preset: str) -> Site:
         )
     site = Site(folder, geometry)
     site.restore_configuration()
+    return site
+
+
+def finished(folder: Path, geometry: str, preset: str) -> Site:
+    """A copy of the project in `folder`, with a scene simulated and run once."""
+    site = copied(folder, geometry)
     site.nishiki("simulate", "--output", "captures/tiny", "--truth", "captures/tiny-truth", "--preset", preset)
     site.nishiki("run")
     return site

@@ -7,6 +7,7 @@ NAMES = (
     "ingest",
     "separate",
     "normals",
+    "mosaic",
     "height",
     "spectra",
     "brdf",

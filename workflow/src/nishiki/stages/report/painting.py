@@ -16,6 +16,7 @@ from nishiki.report.scene_page import Head, text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart
 from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting, kind_of
 from nishiki.stages.report.headline import headline
+from nishiki.stages.report.mosaic import LAMPS_OF_FIELDS, mosaic_head, mosaic_section
 from nishiki.stages.report.painting_prediction import part_name, relighting_section, worst_level, worst_part
 from nishiki.stages.report.painting_surface import PageMaps, colour_section, shape_section
 from nishiki.stages.table import CHAIN
@@ -36,20 +37,27 @@ def run(context: Context) -> dict:
     maps = {name: Maps(artifact.folder) for name, artifact in inputs.items() if artifact.path("maps.zarr").is_dir()}
     evaluation = read_json(inputs.get("evaluate"), "evaluation.json")
     scale_bar = ruler(frames.shape[1], frames.pixel_pitch_mm)
-    held_out = inputs["normals"].settings["hold_out"]
+    held_out = inputs["normals"].settings.get("hold_out", [])
     kinds = [kind_of(name, role, held_out) for name, role in zip(frames.lights, frames.roles, strict=True)]
     names = finish_names(diagnostics["normals"].get("finishes") or [])
     relighting = relighting_section(inputs.get("evaluate"), maps.get("evaluate"), evaluation, widest, names)
     truth = evaluation or {}
     camera = read_camera_colour(inputs["ingest"].path("curves.npz"), len(frames.channels), frames.to_srgb)
     page = PageMaps(maps, frames.mask, frames.pixel_pitch_mm, truth, widest, scale_bar)
-    head = Head(
-        title=diagnostics["ingest"]["capture"]["title"],
-        about=f"digitised from {len(frames.lights)} photographs, each under another light",
-        facts=facts_of_painting(diagnostics["ingest"], list(frames.channels), frames.pixel_pitch_mm, kinds),
-        tiles=at_a_glance(diagnostics["normals"], evaluation, diagnostics.get("height"), diagnostics.get("spectra")),
-        verdict=verdict(diagnostics, evaluation, frames, guessed=camera.rmse is None),
-    )
+    title, tiles = diagnostics["ingest"]["capture"]["title"], at_a_glance(diagnostics, evaluation)
+    if mosaic := inputs.get("mosaic"):
+        head, captured = mosaic_head(title, mosaic.diagnostics, page, tiles), mosaic_section(mosaic, page, camera)
+    else:
+        head = Head(
+            title=title,
+            about=f"digitised from {len(frames.lights)} photographs, each under another light",
+            facts=facts_of_painting(diagnostics["ingest"], list(frames.channels), frames.pixel_pitch_mm, kinds),
+            tiles=tiles,
+            verdict=verdict(diagnostics, evaluation, frames, guessed=camera.rmse is None),
+        )
+        captured = capture_section(
+            diagnostics["ingest"], lights=list(frames.lights), kinds=kinds, directions=frames.directions
+        )
     return write_scene_page(
         context,
         CHAIN,
@@ -67,14 +75,17 @@ def run(context: Context) -> dict:
                 finishes=finishes_of(page, diagnostics["normals"].get("finishes") or []),
                 names=names,
             ),
-            capture_section(
-                diagnostics["ingest"], lights=list(frames.lights), kinds=kinds, directions=frames.directions
-            ),
+            captured,
             export_section(inputs.get("export")),
         ],
-        more_left_out=[]
-        if any(truth.get(name) for name in ("normals", "height", "reflectance"))
-        else [NO_TRUTH.format("" if relighting else "; none were")],
+        more_left_out=[
+            *([LAMPS_OF_FIELDS] if mosaic else []),
+            *(
+                []
+                if any(truth.get(name) for name in ("normals", "height", "reflectance"))
+                else [NO_TRUTH.format("" if relighting else "; none were")]
+            ),
+        ],
         more_made=[choices({name: artifact.settings for name, artifact in inputs.items()})],
     )
 
@@ -319,18 +330,10 @@ def expected_angle(normals: dict[str, Any], height: dict[str, Any] | None) -> fl
     return (height or {}).get("expected_error_median_deg", normals.get("sigma_median_deg"))
 
 
-def at_a_glance(
-    normals: dict[str, Any],
-    evaluation: dict[str, Any] | None,
-    height: dict[str, Any] | None = None,
-    spectra: dict[str, Any] | None = None,
-) -> list[Metric]:
-    """List the figures that matter most.
-
-    normals, height, spectra : diagnostics of those stages, None where one is left out; evaluation : evaluation.json or
-    None.
-    """
-    expected = expected_angle(normals, height)
+def at_a_glance(diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, Any] | None) -> list[Metric]:
+    """List the figures that matter most; diagnostics : of the stages; evaluation : evaluation.json or None."""
+    normals, spectra = diagnostics["normals"], diagnostics.get("spectra")
+    expected = expected_angle(normals, diagnostics.get("height"))
     evaluation = evaluation or {}
     tiles = []
     if evaluation.get("lights"):

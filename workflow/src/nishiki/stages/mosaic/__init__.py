@@ -1,0 +1,48 @@
+"""Declaration of the stage `mosaic`: settings, inputs, limits of its result, cost."""
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Guarded
+from nishiki.artifacts.limits import Limit, at, share
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage
+
+LIMITS = (
+    Limit(
+        "registration",
+        "rms residual of the registration of fields, pixels",
+        at("registration_rms_px"),
+        most=1.0,
+        doubt=0.5,
+        remedy="photograph fields with more overlap, or keep the painting flat and the camera at one distance",
+        why="simulated fields gave 0.04 to 0.13; beyond a pixel, details are doubled or lost",
+    ),
+    Limit("seam_colour", "mean colour difference of two fields where they overlap, CIEDE2000", at("seam_delta_e")),
+    Limit("seam_angle", "mean angle between the normals of two fields where they overlap, degrees", at("seam_deg")),
+    Limit(
+        "estimated_share",
+        "share of the painting's pixels that have a normal",
+        share("valid_pixels", "object_pixels"),
+        least=0.8,
+        doubt=0.95,
+        remedy="find the field that lacks normals on the page, and give its capture more lights or other exposures",
+        why="as of a single field",
+    ),
+)
+
+
+class MosaicSettings(Guarded, stage="mosaic", version=1, limits=LIMITS):
+    """Fields of a painting to one set of maps."""
+
+    positions_mm: dict[str, tuple[float, float] | None] = Field(
+        {}, description="x and y of each field on the stage, null where unknown; filled in by the plan"
+    )
+
+
+STAGE = Stage(
+    settings=MosaicSettings,
+    does="fields registered, levelled and joined",
+    geometry="mosaic",
+    stands_for=("ingest", "normals", "brdf"),
+    libraries=(*ARRAYS, OPENCV),
+    cost=lambda facts: Cost(mib=600, seconds=5, us_per_pixel=30),
+)

@@ -1,0 +1,123 @@
+"""The section of a page on a mosaic: where its fields lie, how well they fit each other, and what made them alike."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.colour.colour import xyz_to_srgb_linear
+from nishiki.evaluate.camera_colour import CameraColour
+from nishiki.report.page import Block, Figure, Figures, Fold, Metric, Note, Section, Table, read_json
+from nishiki.report.pictures import block_of, brightened, brightening, colour_picture, shrink
+from nishiki.report.scene_page import Head
+from nishiki.stages.report.capture import about_capture
+from nishiki.stages.report.headline import headline
+from nishiki.stages.report.painting_surface import PageMaps
+
+LONGEST_TABLE = 20
+"""Rows from which a table is folded."""
+FIT_PX, SEAM_DE, SEAM_DEG = 0.5, 2.0, 2.0
+"""Residual, colour difference and angle between fields from which a headline warns."""
+FIELDS = "Outlines of the fields over the joined reflectance; each pixel is a mean of the fields that show it."
+PLACED = (
+    "Each field as it was placed: turn and scale against the mosaic, angles by which its normals were tilted, and "
+    "factors of its reflectance by channel."
+)
+OVERLAPS = (
+    "Fields that overlap, the worst first: places that were compared, residual of the registration, mean colour "
+    "difference (CIEDE2000) and mean angle of the normals before and after the fields were made alike, on pixels that "
+    "the solution did not use."
+)
+LAMPS_OF_FIELDS = (
+    "Lamps and photographs belong to the fields: with a row of its own in the scene table, a field has a page that "
+    "shows them."
+)
+
+
+def mosaic_section(mosaic: Artifact, page: PageMaps, camera: CameraColour) -> Section:
+    """Return the section; camera : map of the channels to XYZ."""
+    import cv2
+
+    described: dict[str, Any] = read_json(mosaic, "mosaic.json") or {}
+    maps = page.maps["normals"]
+    block = block_of(page.mask.shape[1], page.widest)
+
+    def known(rows: slice) -> np.ndarray:
+        return np.where(page.known(rows)[..., None], maps.read("reflectance", rows), np.nan)
+
+    linear = shrink(known, (page.mask.shape[0], page.mask.shape[1]), block)
+    linear = np.ascontiguousarray(xyz_to_srgb_linear(camera.xyz(linear), white=camera.white), np.float32)
+    factor = brightening(linear)
+    linear *= factor
+    marks = []
+    for name, field in described["fields"].items():
+        corners = (np.array(field["corners"]) + 0.5) / block
+        cv2.polylines(linear, [np.round(corners).astype(np.int32)], isClosed=True, color=(1.0, 0.3, 0.0), thickness=1)
+        marks.append((*map(float, corners.mean(axis=0)), name))
+    picture = replace(colour_picture(linear), marks=tuple(marks))
+    figure = Figure("Fields", FIELDS + brightened(factor), picture, ruler=page.ruler)
+    overlaps = sorted(described["overlaps"], key=lambda each: -(each.get("rms_px") or np.inf))
+    nothing = [None, None]
+    rows: list[list[Any]] = [
+        [
+            " – ".join(each["fields"]),
+            each["windows"],
+            each["rms_px"],
+            *(each["delta_e"] or nothing),
+            *(each["angle_deg"] or nothing),
+            "" if each["used"] else f"not used: {each['why']}",
+        ]
+        for each in overlaps
+    ]
+    groups = (("", 3), ("ΔE00", 2), ("angle, degrees", 2), ("", 1))
+    head: tuple[str, ...] = ("Fields", "places", "residual, px", "before", "after", "before", "after", "")
+    blocks: list[Block] = [Figures([figure], 1), _folded("Overlaps", Table(head, rows, "lrrrrrrl", OVERLAPS, groups))]
+    rows = [
+        [name, each["residual_px"], each["rotation_deg"], each["scale"], *each["tilt_deg"], *each["gain"]]
+        for name, each in described["fields"].items()
+    ]
+    head = ("Field", "residual, px", "turn, degrees", "scale", "tilt about x, degrees", "about y")
+    factors = [f"factor {number}" for number in range(1, len(rows[0]) - len(head) + 1)]
+    blocks.append(_folded("Fields", Table([*head, *factors], rows, "l" + "r" * (len(rows[0]) - 1), PLACED)))
+    if described.get("notes"):
+        blocks.append(Note(described["notes"], listed=True))
+    return Section("mosaic", "Mosaic", blocks)
+
+
+def _folded(title: str, table: Table) -> Block:
+    """Return the table, folded where it is long."""
+    return Fold(title, f"all {len(table.rows)}", [table]) if len(table.rows) > LONGEST_TABLE else table
+
+
+def mosaic_head(title: str | None, diagnostics: dict[str, Any], page: PageMaps, tiles: list[Metric]) -> Head:
+    """Return the head of the page: what is good of a mosaic, what is doubtful, and what would improve it most.
+
+    diagnostics : of the stage mosaic; tiles : figures of the later stages.
+    """
+    fit, colour, angle = (diagnostics[name] for name in ("registration_rms_px", "seam_delta_e", "seam_deg"))
+    overlap = "photograph fields with more overlap, and calibrate the lens"
+    boards = "photograph a white board with the camera and the lamps of the fields"
+    good = [f"the fields fit each other to {fit:.2f} pixels"] if fit < FIT_PX else []
+    good += ["no seam is visible in colour"] if colour < SEAM_DE else []
+    advice = [
+        (fit >= FIT_PX, f"the fields fit each other to {fit:.1f} pixels only", overlap),
+        (colour >= SEAM_DE, f"colours of fields differ by ΔE00 {colour:.1f} where they overlap", boards),
+        (angle >= SEAM_DEG, f"normals of fields differ by {angle:.1f}° where they overlap", boards),
+    ]
+    rows, columns = page.mask.shape
+    size = f"{columns} × {rows} pixels"
+    if page.pitch:
+        size += f" of {page.pitch:g} mm, {columns * page.pitch:.0f} × {rows * page.pitch:.0f} mm"
+    return Head(
+        title=title,
+        about=f"joined from {diagnostics['fields']} overlapping fields, each photographed under several lights",
+        facts=[*about_capture(diagnostics), ("Picture", size)],
+        tiles=[
+            Metric(fit, "px", "residual of the registration of the fields"),
+            Metric(colour, "ΔE00", "mean colour difference of two fields where they overlap"),
+            Metric(angle, "°", "mean angle between the normals of two fields where they overlap"),
+            *tiles,
+        ],
+        verdict=headline(good, [], advice),
+    )
