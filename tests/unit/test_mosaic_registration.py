@@ -86,7 +86,7 @@ def test_window_on_a_line_is_uncertain_along_it():
     line = np.exp(-((x - 48) ** 2) / 8) + 0.001 * y
     noisy = [np.repeat((line + 0.01 * rng.standard_normal(line.shape))[..., None], 3, 2) for _ in range(2)]
     known = np.ones((96, 96), bool)
-    match = match_window(*(part.astype(np.float32) for part in noisy), known, known)
+    match = match_window(*(part.astype(np.float32) for part in noisy), known)
     if match is not None:  # refused, or stated as uncertain
         assert match[1][1, 1] > 25 * match[1][0, 0]
 

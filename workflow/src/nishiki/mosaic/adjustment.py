@@ -75,27 +75,28 @@ class Placement:
         places = self.to_mosaic(i, np.concatenate(rim))
         return np.floor(places.min(axis=0) + 1e-3).astype(int), np.floor(places.max(axis=0) + 1e-3).astype(int) + 1
 
-    def to_mosaic(self, i: int, points: np.ndarray) -> np.ndarray:
-        """Return the places (..., 2) in the mosaic of places in field i."""
-        q = (points - self.fields[i].centre) / self.reach
-        return self.position[i] + self.reach * self.scale[i] * (q * _bend(q, self.lens)) @ _turned(self.turn[i]).T
+    def to_mosaic(self, i: int | np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return the places (..., 2) in the mosaic of places in field i, or in fields i (...)."""
+        q = self.scaled(i, points)
+        turned = (q * _bend(q, self.lens)) @ (1, 1j) * (self.reach * self.scale[i] * np.exp(1j * self.turn[i]))
+        return self.position[i] + np.stack([turned.real, turned.imag], axis=-1)
 
     def to_field(self, i: int, places: np.ndarray) -> np.ndarray:
         """Return the points (..., 2) of field i at places in the mosaic."""
-        straight = (places - self.position[i]) @ _turned(self.turn[i]) / (self.reach * self.scale[i])
-        q = straight
+        turned = (places - self.position[i]) @ (1, 1j) * np.exp(-1j * self.turn[i]) / (self.reach * self.scale[i])
+        q = straight = np.stack([turned.real, turned.imag], axis=-1)
         for _ in range(8 if self.lens.any() else 0):  # a contraction, as the lens bends little
             q = straight / _bend(q, self.lens)
         return self.fields[i].centre + self.reach * q
+
+    def scaled(self, i: int | np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Return q (..., 2) of places in field i, or in fields i (...)."""
+        return (points - np.array([field.centre for field in self.fields])[i]) / self.reach
 
 
 def _bend(q: np.ndarray, lens: np.ndarray) -> np.ndarray:
     square = np.square(q).sum(axis=-1, keepdims=True)
     return 1 + square * (lens[0] + lens[1] * square) + (q @ lens[2:])[..., None]
-
-
-def _turned(angle: float) -> np.ndarray:
-    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 def adjust(fields: Sequence[Field], overlaps: Sequence[Overlap]) -> tuple[Placement, dict]:
@@ -165,16 +166,22 @@ def solve(fields: Sequence[Field], overlaps: Sequence[Overlap], lens: Sequence[i
 
     count, start = len(fields), np.zeros(len(fields))
     placement = Placement(tuple(fields), np.zeros((count, 2)), start, start + 1, np.zeros(4), start)
+    if not overlaps:
+        return placement, []
     sizes, size = [o.points.shape[1] for o in overlaps], 4 * count + 4
-    owner = np.repeat(np.array([(o.first, o.second) for o in overlaps], int).reshape(-1, 2), sizes, axis=0)
-    whiten = [np.linalg.inv(np.linalg.cholesky(o.covariance)) for o in overlaps]
-    whiten = np.concatenate(whiten) if whiten else np.zeros((0, 2, 2))
+    owner = np.repeat(np.array([(o.first, o.second) for o in overlaps]).T, sizes, axis=1)
+    points = np.concatenate([o.points for o in overlaps], axis=1)
+    whiten = np.linalg.inv(np.linalg.cholesky(np.concatenate([o.covariance for o in overlaps])))
     prior = np.r_[np.full((count, 4), (0, 0, SCALE_PRIOR**-2, SCALE_PRIOR**-2)).ravel(), np.square(PRIOR) ** -1.0]
     prior[[0, 1] + [4 * count + k for k in range(4) if k not in lens]] = 1e12  # what is held
-    spread, residual = 1.0, np.zeros((0, 2))
-    for step in range(ROUNDS if overlaps else 0):
-        ends = [_parts(placement, overlaps, end) for end in (0, 1)]
-        residual = ends[0][0] - ends[1][0]
+    sums = np.arange(2 * count)  # of turns and of scales
+    row = np.r_[np.repeat(np.arange(owner.size), 8), np.repeat(np.arange(owner.size), 8), owner.size + sums % 2]
+    common = np.tile(4 * count + np.arange(4), (owner.shape[1], 1))
+    column = [np.concatenate([4 * each[:, None] + np.arange(4), common], axis=1).repeat(2, axis=0) for each in owner]
+    place = row, np.r_[column[0].ravel(), column[1].ravel(), 4 * (sums // 2) + 2 + sums % 2]
+    spread = 1.0
+    for step in range(ROUNDS):
+        residual = placement.to_mosaic(owner[0], points[0]) - placement.to_mosaic(owner[1], points[1])
         white = np.einsum("nij,nj->ni", whiten, residual)
         length = np.linalg.norm(white, axis=1)
         if step < ROUNDS // 2:
@@ -182,24 +189,15 @@ def solve(fields: Sequence[Field], overlaps: Sequence[Overlap], lens: Sequence[i
         else:
             spread = max(1.0, float(np.median(length)) / 1.18)  # of a Rayleigh distribution
             weight = 1 / (1 + np.square(length / (2.5 * spread)))
-        jacobian = [np.einsum("nij,njk->nik", whiten, part[1]) * np.sqrt(weight)[:, None, None] for part in ends]
-        white = white * np.sqrt(weight)[:, None]
-        columns = [
-            np.concatenate([4 * owner[:, [end]] + np.arange(4), np.tile(4 * count + np.arange(4), (len(owner), 1))], 1)
-            for end in (0, 1)
-        ]
-        place = np.repeat(np.arange(2 * len(owner)), 8)
-        values = [(sign * part).reshape(-1) for sign, part in zip((1, -1), jacobian, strict=True)]
-        index = [np.repeat(each, 2, axis=0).reshape(-1) for each in columns]
-        shared = np.arange(2 * count)  # the sums of turns and of scales
-        where = np.r_[np.tile(place, 2), 2 * len(owner) + shared % 2], np.r_[*index, 4 * (shared // 2) + 2 + shared % 2]
-        entries = np.r_[*values, np.full(2 * count, GAUGE)]
-        design = csc_matrix((entries, where), (2 * len(owner) + 2, size))
+        root = np.sqrt(weight)[:, None]
+        slopes = [whiten @ _slopes(placement, *each) * root[..., None] for each in zip(owner, points, strict=True)]
+        entries = np.r_[slopes[0].ravel(), -slopes[1].ravel(), np.full(2 * count, GAUGE)]
+        design = csc_matrix((entries, place), (owner.size + 2, size))
         factors = splu((design.T @ design + csc_matrix((prior, (range(size), range(size))))).tocsc())
         own = np.stack([*np.zeros((2, count)), placement.turn, np.log(placement.scale)], 1)
         state = np.r_[own.ravel(), placement.lens]
         means = GAUGE * own[:, 2:].sum(axis=0)
-        change = -factors.solve(design.T @ np.r_[white.ravel(), means] + prior * state)
+        change = -factors.solve(design.T @ np.r_[(white * root).ravel(), means] + prior * state)
         own = change[: 4 * count].reshape(count, 4)
         placement = replace(
             placement,
@@ -211,29 +209,16 @@ def solve(fields: Sequence[Field], overlaps: Sequence[Overlap], lens: Sequence[i
         if step == ROUNDS - 1:
             variance = factors.solve(np.eye(size)[:, : 4 * count])[: 4 * count].diagonal().reshape(count, 4)
             placement = replace(placement, sigma=spread * np.sqrt(np.maximum(variance[:, :2].mean(axis=1), 0)))
-    lengths = np.linalg.norm(residual, axis=1)
-    return placement, np.split(lengths, np.cumsum(sizes)[:-1]) if sizes else []
+    return placement, np.split(np.linalg.norm(residual, axis=1), np.cumsum(sizes)[:-1])
 
 
-def _parts(placement: Placement, overlaps: Sequence[Overlap], end: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return places in the mosaic (n, 2) of one end of all matches; derivatives (n, 2, 8) by T, r, log s and lens."""
-    places, slopes = [], []
-    for overlap in overlaps:
-        i = (overlap.first, overlap.second)[end]
-        points = overlap.points[end]
-        place = placement.to_mosaic(i, points)
-        q = (points - placement.fields[i].centre) / placement.reach
-        around = place - placement.position[i]
-        square = np.square(q).sum(axis=1, keepdims=True)
-        by_lens = (
-            np.concatenate([square, np.square(square), q], axis=1)[:, None, :]
-            * (placement.reach * placement.scale[i] * q @ _turned(placement.turn[i]).T)[:, :, None]
-        )
-        one = np.broadcast_to(np.eye(2), (len(q), 2, 2))
-        own = np.stack([np.stack([-around[:, 1], around[:, 0]], 1), around], axis=2)
-        places.append(place)
-        slopes.append(np.concatenate([one, own, by_lens], axis=2))
-    return np.concatenate(places), np.concatenate(slopes)
+def _slopes(placement: Placement, i: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the derivatives (n, 2, 8) of places in the mosaic by T, r and log s of their field and by the lens."""
+    q, around = placement.scaled(i, points), placement.to_mosaic(i, points) - placement.position[i]
+    square = np.square(q).sum(axis=1, keepdims=True)
+    lens = (around / _bend(q, placement.lens))[:, :, None] * np.concatenate([square, square**2, q], axis=1)[:, None]
+    own = np.stack([around[:, ::-1] * (-1, 1), around], axis=2)
+    return np.concatenate([np.broadcast_to(np.eye(2), (len(q), 2, 2)), own, lens], axis=2)
 
 
 def left_out_error(fields: Sequence[Field], overlaps: Sequence[Overlap], lens: Sequence[int]) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 from nishiki.observations.registration import LEAST_PEAK, find_shifts, laplacian, taper_of
 
 FLOOR = 0.02  # reflectance that is added before the logarithm
-REDUCED_PIXELS, THUMBNAIL_PIXELS = 1 << 19, 1 << 16  # of a field
+REDUCED_PIXELS, THUMBNAIL_PIXELS = 1 << 18, 1 << 15  # of a field
 WINDOW = 48, 128  # least and largest side in pixels
 TRIED, MEASURED = 24, 64  # windows at most in an overlap, of reduced maps and of the maps themselves
 LEAST_WINDOWS = 5  # that agree in an overlap that is used
@@ -107,7 +107,8 @@ def register_fields(fields: Sequence[Field]) -> list[Overlap]:
     """Find the overlaps of all fields and measure them; one that cannot be relied on is returned with its problem."""
     reduced = [reduce_field(field, REDUCED_PIXELS) for field in fields]
     thumbnails = [reduce_field(field, THUMBNAIL_PIXELS) for field, _ in reduced]
-    spectra = list(zip(*thumbnail_spectra([field for field, _ in thumbnails]), strict=True))
+    size = 2 * max(field.shape[0] for field, _ in thumbnails), 2 * max(field.shape[1] for field, _ in thumbnails)
+    spectra = [thumbnail_spectra(field, size) for field, _ in thumbnails]
     overlaps = []
     for i, j in combinations(range(len(fields)), 2):
         stated, beside = stated_shift(fields[i], fields[j])
@@ -116,7 +117,7 @@ def register_fields(fields: Sequence[Field]) -> list[Overlap]:
         found = []
         steps = thumbnails[i][1] * reduced[i][1]
         place = None if stated is None else (stated / steps, TOLERANCE * np.hypot(*fields[i].shape) / steps)
-        for shift in find_candidates(spectra[i], spectra[j], place):
+        for shift in find_candidates(spectra[i], spectra[j], size, place):
             guess = enlarge(np.column_stack([np.eye(2), shift]), thumbnails[i][1], thumbnails[j][1])
             measured = measure_overlap(reduced[i][0], reduced[j][0], guess, TRIED)
             if measured is not None:
@@ -157,62 +158,43 @@ def enlarge(matrix: np.ndarray, first: int, second: int) -> np.ndarray:
     return np.column_stack([turned, second * matrix[:, 2] + (second - 1) / 2 - turned @ np.full(2, (first - 1) / 2)])
 
 
-def thumbnail_spectra(thumbnails: Sequence[Field]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return spectra of the features (fields, 3, rows, columns), of their squares and of the masks (fields, ...)."""
-    from scipy.fft import next_fast_len, rfft2
+def thumbnail_spectra(field: Field, size: tuple[int, int]) -> np.ndarray:
+    """Return spectra (5, rows, columns // 2 + 1) of the three features, the sum of their squares, and the mask."""
+    from scipy.fft import rfft2
 
-    size = tuple(next_fast_len(2 * max(field.shape[axis] for field in thumbnails)) for axis in (0, 1))
-    features, squares, masks = [], [], []
-    for field in thumbnails:
-        values, known = field.read(*(slice(0, n) for n in field.shape))
-        taper = taper_of(known)
-        found = np.stack([laplacian(values[..., k], taper) * taper for k in range(values.shape[-1])])
-        features.append(rfft2(found, s=size))
-        squares.append(rfft2(np.square(found).sum(axis=0), s=size))
-        masks.append(rfft2(taper, s=size))
-    return np.stack(features), np.stack(squares), np.stack(masks)
+    values, known = field.read(*(slice(0, n) for n in field.shape))
+    taper = taper_of(known)
+    features = [laplacian(values[..., k], taper) * taper for k in range(3)]
+    return rfft2(np.stack([*features, np.square(features).sum(axis=0), taper]), s=size)
 
 
 def find_candidates(
-    first: tuple[np.ndarray, ...], second: tuple[np.ndarray, ...], place: tuple[np.ndarray, float] | None = None
+    first: np.ndarray, second: np.ndarray, size: tuple[int, int], place: tuple[np.ndarray, float] | None = None
 ) -> list[np.ndarray]:
-    """Find likely shifts (2,) (columns, rows) from places of one thumbnail to those of another.
+    """Find likely shifts (2,) (columns, rows) from places of one thumbnail to those of another, from their spectra.
 
-    first, second : spectra of features, squares and mask; place : stated shift and its tolerance, in which as many are
-    looked for as elsewhere.
+    place : stated shift and its tolerance, in which as many are looked for as elsewhere.
     """
     from scipy.fft import irfft2
 
-    count = first[1].shape[0]
-    size = (count, 2 * (first[1].shape[1] - 1))
-
-    def correlation(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return irfft2(np.conj(one) * other, s=size)
-
-    area = correlation(first[2], second[2])
-    energy = np.maximum(correlation(first[1], second[2]), 0) * np.maximum(correlation(first[2], second[1]), 0)
-    score = (
-        irfft2((np.conj(first[0]) * second[0]).sum(axis=0), s=size)
-        / np.sqrt(energy + 1e-6)
-        * np.sqrt(np.maximum(area, 0))
-    )
+    pairs = ((first[:3], second[:3]), (first[3:4], second[4:]), (first[4:], second[3:4]), (first[4:], second[4:]))
+    likeness, *energy, area = (irfft2((np.conj(one) * two).sum(axis=0), s=size) for one, two in pairs)
+    score = likeness * np.sqrt(np.maximum(area, 0) / (np.maximum(energy[0], 0) * np.maximum(energy[1], 0) + 1e-6))
     allowed = area > LEAST_OVERLAP * area.max()
-    score[~allowed] = 0
-    score /= 1.4826 * np.median(np.abs(score[allowed])) + 1e-12
-    axes = [(np.arange(n) + n // 2) % n - n // 2 for n in size]
+    score = np.where(allowed, score / (1.4826 * np.median(np.abs(score[allowed])) + 1e-12), 0)
+    down, across = ((np.arange(n) + n // 2) % n - n // 2 for n in size)
     shifts: list[np.ndarray] = []
-    for part in (None,) if place is None else (place, None):
-        where = (
-            score if part is None else score * (np.hypot(axes[1] - part[0][0], axes[0][:, None] - part[0][1]) < part[1])
-        )
-        least = max(CANDIDATE_SCORE * float(where.max()), LEAST_SCORE)
+    for near in (None,) if place is None else (place, None):
+        within = True if near is None else np.hypot(across - near[0][0], down[:, None] - near[0][1]) < near[1]
+        least = max(CANDIDATE_SCORE * float((score * within).max()), LEAST_SCORE)
         for _ in range(CANDIDATES):
-            row, column = np.unravel_index(int(where.argmax()), size)
-            if where[row, column] < least:
+            row, column = np.unravel_index(int((score * within).argmax()), size)
+            if score[row, column] * np.broadcast_to(within, size)[row, column] < least:
                 break
-            shifts.append(np.array([axes[1][column], axes[0][row]], float))
-            around = np.ix_(*((np.arange(-APART, APART + 1) + n) % m for n, m in zip((row, column), size, strict=True)))
-            where[around] = score[around] = 0
+            shifts.append(np.array([across[column], down[row]], float))
+            score[
+                np.ix_(*((np.arange(-APART, APART + 1) + n) % m for n, m in zip((row, column), size, strict=True)))
+            ] = 0
     return shifts
 
 
@@ -224,7 +206,7 @@ def measure_overlap(first: Field, second: Field, guess: np.ndarray, windows: int
     """
     import cv2
 
-    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    found: list[tuple[list[np.ndarray], np.ndarray]] = []
     side, places = window_places(first.shape, second.shape, guess, windows)
     for tops in places:
         strip = slice(int(tops[0, 1]), int(tops[0, 1]) + side)
@@ -242,16 +224,13 @@ def measure_overlap(first: Field, second: Field, guess: np.ndarray, windows: int
             warp = (local, (side, side))
             moved = cv2.warpAffine(there[0], *warp, flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP)
             shown = cv2.warpAffine(there[1].astype(np.uint8), *warp, flags=cv2.WARP_INVERSE_MAP)
-            match = match_window(here[0][:, columns], moved, here[1][:, columns], shown > 0)
+            match = match_window(here[0][:, columns], moved, here[1][:, columns] & (shown > 0))
             if match is not None:
                 middle = corner + (side - 1) / 2
-                found.append((middle, guess[:, :2] @ (middle + match[0]) + guess[:, 2], match[1]))
+                found.append(([middle, guess[:, :2] @ (middle + match[0]) + guess[:, 2]], match[1]))
     if len(found) < LEAST_WINDOWS:
         return None
-    points, covariance = (
-        np.array([[each[0], each[1]] for each in found]).transpose(1, 0, 2),
-        np.array([each[2] for each in found]),
-    )
+    points, covariance = np.array([each[0] for each in found]).swapaxes(0, 1), np.array([each[1] for each in found])
     matrix, agrees = fit_similarity(points, covariance)
     return (matrix, points[:, agrees], covariance[agrees]) if agrees.sum() >= LEAST_WINDOWS else None
 
@@ -283,9 +262,7 @@ def window_places(
     return side, places
 
 
-def match_window(
-    first: np.ndarray, second: np.ndarray, known_first: np.ndarray, known_second: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
+def match_window(first: np.ndarray, second: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Measure the displacement of a window's signals (rows, columns, 3) float32 in the second, where both are known.
 
     Returns it (columns, rows) and its covariance (2, 2), or None where it cannot be told.
@@ -293,7 +270,7 @@ def match_window(
     import cv2
     from scipy.fft import rfft2
 
-    taper = taper_of(known_first & known_second)
+    taper = taper_of(known)
     if taper.mean() < 0.3:
         return None
     one, two = (np.stack([laplacian(part[..., k], taper) for k in range(3)], axis=-1) for part in (first, second))
@@ -312,8 +289,7 @@ def match_window(
         likeness = np.maximum(power[0], 0) / np.sqrt(power[1] * power[2] + 1e-12)
         share = weight[..., None] * (likeness / (1.02 - np.square(likeness))).astype(np.float32)
         slopes = [np.stack(np.gradient(part, axis=(1, 0)), axis=-1) for part in (one, moved)]
-        mean = 0.5 * (slopes[0] + slopes[1])
-        scores = (share * (one - moved))[..., None] * mean  # (rows, columns, 3, 2)
+        scores = (share * (one - moved))[..., None] * (0.5 * (slopes[0] + slopes[1]))  # (rows, columns, 3, 2)
         cross = np.einsum("rck,rcki,rckj->ij", share, *slopes)
         matrix = 0.5 * (cross + cross.T)
         if np.linalg.eigvalsh(matrix)[0] <= 1e-3 * weight.sum():
@@ -325,10 +301,9 @@ def match_window(
             return None
     if np.hypot(*step) > 0.1:
         return None
-    blocks = [n // BLOCK * BLOCK for n in taper.shape]
-    sums = (
-        scores.sum(axis=2)[: blocks[0], : blocks[1]].reshape(blocks[0] // BLOCK, BLOCK, -1, BLOCK, 2).sum(axis=(1, 3))
-    )
+    rows, columns = (n // BLOCK for n in taper.shape)
+    blocks = scores.sum(axis=2)[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK, 2)
+    sums = blocks.sum(axis=(1, 3))
     inverse = np.linalg.inv(matrix)
     covariance = inverse @ np.einsum("abi,abj->ij", sums, sums) @ inverse + LEAST_ERROR**2 * np.eye(2)
     return (shift, covariance) if np.sqrt(covariance.trace() / 2) < MOST_ERROR else None
