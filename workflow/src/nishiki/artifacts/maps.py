@@ -78,6 +78,12 @@ class Maps:
         return self.group[name].attrs
 
 
+def maps_with(artifact: Artifact | None, name: str) -> Maps | None:
+    """Return the maps of an artifact that hold the map `name`; None where there is no artifact or no such map."""
+    maps = Maps(artifact.folder) if artifact and artifact.path("maps.zarr").is_dir() else None
+    return maps if maps and name in maps else None
+
+
 def directional_shading(maps: Maps) -> bool:
     """Whether the body shading of normals holds the shadows that surroundings throw: none are cast on top of it."""
     return "shading" in maps and maps.group["shading"].shape[-1] > 3

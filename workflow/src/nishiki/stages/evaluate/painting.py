@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from nishiki.artifacts.maps import Maps, MapWriter, directional_shading, shading_normals
+from nishiki.artifacts.maps import Maps, MapWriter, directional_shading, maps_with, shading_normals
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import slope_covariance
@@ -57,8 +57,8 @@ class EvaluatedScene:
         gloss, labels = Gloss.none(), None  # a matte surface where the brdf stage is left out
         if brdf := inputs.get("brdf"):
             gloss = Gloss(*gloss_table(json.loads(brdf.path("parameters.json").read_text())))
-            if brdf.path("maps.zarr").is_dir() and "labels" in Maps(brdf.folder):
-                labels = Maps(brdf.folder).read("labels")
+            if found := maps_with(brdf, "labels"):
+                labels = found.read("labels")
         shading = maps.read("shading") if "shading" in maps else None
         self.normals = maps.read("normals")
         normals = shading_normals(maps)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
+from nishiki.artifacts.maps import Maps, directional_shading, maps_with, shading_normals
 from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
@@ -43,8 +43,7 @@ class ExportedScene:
         self._maps = Maps(inputs["normals"].folder)
         self._height = Maps(inputs["height"].folder) if "height" in inputs else None
         self._spectra = Maps(inputs["spectra"].folder) if "spectra" in inputs else None
-        several = "brdf" in inputs and inputs["brdf"].path("maps.zarr").is_dir()
-        self._labels = Maps(inputs["brdf"].folder) if several else None
+        self._labels = maps_with(inputs.get("brdf"), "labels")
         self.shape: tuple[int, int] = self._maps.group["normals"].shape[:2]
         self.band_rows: int = self._maps.group["normals"].chunks[0]
         self.pitch_mm: float | None = self._maps.group.attrs.get("pixel_pitch_mm")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
+from nishiki.artifacts.maps import Maps, directional_shading, maps_with, shading_normals
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import slope_covariance
@@ -84,8 +84,8 @@ def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool) -> PlaneScene
         parameters = json.loads(inputs["brdf"].path("parameters.json").read_text())
         fields["gloss"] = Gloss(*gloss_table(parameters))
         fields["slopes"] = slope_covariance(normals)
-        if inputs["brdf"].path("maps.zarr").is_dir():
-            fields["labels"] = Maps(inputs["brdf"].folder).read("labels").astype(np.uint8)
+        if labels := maps_with(inputs["brdf"], "labels"):
+            fields["labels"] = labels.read("labels").astype(np.uint8)
     return PlaneScene(**fields)
 
 

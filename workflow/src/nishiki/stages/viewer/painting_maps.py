@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
+from nishiki.artifacts.maps import Maps, directional_shading, maps_with, shading_normals
 from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.brdf.torrance_sparrow import transmittance
@@ -59,7 +59,7 @@ class PaintingMaps:
         return cls(
             Maps(inputs["normals"].folder),
             Maps(inputs["spectra"].folder) if "spectra" in inputs else None,
-            Maps(brdf.folder) if brdf and brdf.path("maps.zarr").is_dir() else None,
+            maps_with(brdf, "labels"),
             json.loads(brdf.path("parameters.json").read_text()) if brdf else None,
         )
 
