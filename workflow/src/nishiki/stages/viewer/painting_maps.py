@@ -202,14 +202,18 @@ TOP, NOTHING = 254, 255
 """Largest code, and that of a photograph that cannot be used there."""
 
 
-def photographs_of(maps: PaintingMaps, frames: Observations, blocks: Blocks, progress: Progress) -> dict[str, Any]:
-    """Write photographs and predictions at every `step`-th pixel; what the page has to know of them.
+def photographs_of(
+    maps: PaintingMaps, frames: Observations, blocks: Blocks, progress: Progress
+) -> dict[str, Any] | None:
+    """Write photographs and predictions at every `step`-th pixel; what the page has to know of them, None without any.
 
     Values are means over the channels, relative to a white that faces the lamp. The block holds uint8 (2, lights,
     rows, columns), photographs first: values relative to `white` are (code / 254)^2. Predictions are those of the stage
     evaluate without cast shadows: Tominaga and Tanaka (2004), eq. 10, with the terms of the body shading.
     """
     count, (rows, columns) = len(frames.lights), frames.shape
+    if not count:  # the maps of a mosaic
+        return None
     step = int(np.ceil(np.sqrt(2 * count * rows * columns / MOST_CODES)))
     first = [(size - 1) % step // 2 for size in frames.shape]  # the samples lie around the middle, as the lamps' origin
     observed = []

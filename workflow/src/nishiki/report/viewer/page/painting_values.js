@@ -77,8 +77,9 @@ export class Values {
     };
   }
 
-  /** What every photograph shows, and what the model predicts, at the sample nearest to a pixel of the map. */
+  /** What every photograph shows, and what the model predicts, at the sample nearest to a pixel; null without any. */
   async #photographs(column, row) {
+    if (!this.manifest.photographs) return { photographs: null };
     const { block, rows, columns, first, step, lights, white, top, nothing } = this.manifest.photographs;
     this.codes ??= inflate(await this.loader.load(block));
     const codes = await this.codes;
