@@ -13,6 +13,7 @@ from captures import RING, edit_text, edit_yaml, make_capture, write_frame
 from conftest import PROJECT
 from refusals import refused
 
+from nishiki.artifacts.finite import expect_finite
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
@@ -181,6 +182,21 @@ def test_what_may_not_be_used_is_marked(tmp_path):
     assert diagnostics["saturated"][2] == 1 / mask.sum()
     assert diagnostics["dark"][2] == 1 / mask.sum()
     assert diagnostics["mask_pixels"] == mask.sum()
+
+
+def test_where_the_board_is_saturated_no_sample_counts_and_the_store_is_sound(tmp_path):
+    folder = make_capture(tmp_path / "c")
+    board = cv2.imread(str(folder / "white/L02.png"), cv2.IMREAD_UNCHANGED)
+    board[:8, :8] = 4095
+    cv2.imwrite(str(folder / "white/L02.png"), board)
+    observations, diagnostics = ingest(folder, tmp_path / "o", white_block=4)
+    values, valid = read_whole(observations)
+    assert not valid[1, :8, :8].any()
+    assert valid[1].mean() > 0.85
+    assert valid[np.arange(len(valid)) != 1].all()
+    assert np.isfinite(values[valid]).all()
+    assert any("white/L02.png" in text for text in diagnostics["warnings"])
+    expect_finite(tmp_path / "o", "ingest")
 
 
 @pytest.mark.slow

@@ -127,4 +127,5 @@ def write_small_arrays(
     if defect.any():
         arrays = {**arrays, "defect": defect.astype(np.uint8)}
     for name, values in arrays.items():
-        group.create_array(name, values.shape, values.shape, values.dtype)[...] = values
+        unknown = {"nan": "the white board cannot be used there: no sample counts"} if name == "gain" else None
+        group.create_array(name, values.shape, values.shape, values.dtype, attributes=unknown)[...] = values
