@@ -56,6 +56,7 @@ class Painting:
     others: tuple[tuple[float, str, float], ...] = ()  # (alpha, distribution, index) of further finishes; index 0: gold
     share: float = 1.0  # of the picture's width that the first finish takes
     darkness: float = 1.0  # factor on the reflectance of the paints
+    distance: float = 0.0  # of the lamps from the middle, in widths of the picture; 0: they are far away
 
 
 PAINTINGS = {
@@ -111,6 +112,21 @@ PAINTINGS = {
         "many-3": Painting(
             43, "canvas", 1.8, 0.1, "ggx", 1.5, "okumura", "Nikon D90", "D65", ((12, 25), (36, 52)), (BARE,), 0.5
         ),
+        "near-1": Painting(
+            44,
+            "impasto",
+            1.5,
+            0.18,
+            "ggx",
+            1.5,
+            "okumura",
+            "Canon 60D",
+            "D65",
+            ((8, 46), (4, 25)),
+            (BARE,),
+            0.6,
+            distance=1.6,
+        ),
         "dark-1": Painting(
             18, "impasto", 1.3, 0.0, "none", 1.0, "okumura", "Pentax K-5", "D65", ((8, 48), (4, 28)), darkness=0.25
         ),
@@ -118,6 +134,21 @@ PAINTINGS = {
     "unseen": {
         "none-2": Painting(
             21, "canvas", 2.0, 0.38, "beckmann", 1.46, "Schmincke_Mussini", "Nikon D90", "A", ((8, 45), (4, 24))
+        ),
+        "near-2": Painting(
+            45,
+            "canvas",
+            1.7,
+            0.22,
+            "beckmann",
+            1.5,
+            "Golden_HB",
+            "Nikon D700",
+            "A",
+            ((9, 48), (4, 27)),
+            (BARE,),
+            0.5,
+            distance=1.3,
         ),
         "satin-2": Painting(
             22, "impasto", 1.5, 0.18, "ggx", 1.5, "Maimeri_Classico", "Canon 40D", "D65", ((8, 48), (1, 5))
@@ -267,7 +298,7 @@ def direction(incidence_deg: float, azimuth: float) -> np.ndarray:
 
 
 class Studio:
-    """The painting as Mitsuba's scene under one distant lamp of irradiance 1, seen along -z."""
+    """The painting as Mitsuba's scene under one lamp of irradiance 1 in its middle, seen along -z."""
 
     def __init__(self, painting: Painting, height, label, reflectances, shape, samples):
         import drjit
@@ -278,6 +309,8 @@ class Studio:
         self.bsdfs = [self.material(spectrum, *finish) for finish in finishes for spectrum in reflectances]
         dark = np.zeros(len(WAVELENGTHS))
         self.black = [self.material(dark, *finish) for finish in finishes for _ in reflectances]
+        self.middle = np.array([shape[1], -shape[0], 0]) * PITCH_MM / 2
+        self.distance = painting.distance * shape[1] * PITCH_MM
         self.parts = split(height, label, shape)
         self.scenes = {"paint": self.scene(self.bsdfs), "gloss": self.scene(self.black)}
         self.integrator = mitsuba.load_dict({"type": "path", "max_depth": 4})
@@ -326,6 +359,9 @@ class Studio:
             found[f"paint{number}"] = mesh
         flat = {"type": "irregular", "wavelengths": "300, 900", "values": "1, 1"}
         found["lamp"] = {"type": "directional", "direction": [0, 0, -1], "irradiance": flat}
+        if self.distance:
+            values = {**flat, "values": f"{self.distance**2}, {self.distance**2}"}
+            found["lamp"] = {"type": "point", "position": [0, 0, self.distance], "intensity": values}
         return mi.load_dict(found)
 
     def rays(self, wavelengths):
@@ -341,7 +377,10 @@ class Studio:
         turned = self.mi.ScalarTransform4f().look_at(origin=[0, 0, 0], target=(-towards).tolist(), up=[0.3, 0.9, 0.1])
         for scene in self.scenes.values():
             values = self.mi.traverse(scene)
-            values["lamp.to_world"] = self.mi.Transform4f(turned.matrix)
+            if self.distance:
+                values["lamp.position"] = self.mi.Point3f(*(self.middle + self.distance * towards).tolist())
+            else:
+                values["lamp.to_world"] = self.mi.Transform4f(turned.matrix)
             values.update()
 
     def trace(self, which, wavelengths) -> np.ndarray:
@@ -367,10 +406,26 @@ class Studio:
         """Share of each pixel that sees the lamp."""
         mi = self.mi
         point = self.scenes["paint"].ray_intersect(self.rays(WAVELENGTHS[:4]))
-        towards = mi.Vector3f(*[float(v) for v in towards])
-        hidden = self.scenes["paint"].ray_test(point.spawn_ray(towards))
+        if self.distance:
+            place = mi.Point3f(*(self.middle + self.distance * towards).tolist())
+            hidden = self.scenes["paint"].ray_test(point.spawn_ray_to(place))
+            towards = self.dr.normalize(place - point.p)
+        else:
+            towards = mi.Vector3f(*[float(v) for v in towards])
+            hidden = self.scenes["paint"].ray_test(point.spawn_ray(towards))
         facing = self.dr.dot(point.sh_frame.n, towards) > 0
         return self.pixels(np.array(facing & ~hidden).astype(np.float32))
+
+    def white(self, towards) -> tuple[np.ndarray, np.ndarray]:
+        """(rows, columns, 1) of a perfect white in the object's place: facing the lamp, and lying flat."""
+        if not self.distance:
+            return np.ones((*self.shape, 1)), np.full((*self.shape, 1), towards[2])
+        x, y = ((np.arange(n) + 0.5) * PITCH_MM for n in self.shape[::-1])
+        flat = np.dstack([*np.meshgrid(x, -y), np.zeros(self.shape)])
+        apart = self.middle + self.distance * towards - flat
+        square = np.sum(apart**2, axis=-1, keepdims=True)
+        facing = self.distance**2 / square
+        return facing, facing * apart[..., 2:] / np.sqrt(square)
 
     def frontal(self) -> np.ndarray:
         """(paints, 16) what each paint's body returns of light along the normal, seen along it, gloss left out."""
@@ -409,17 +464,18 @@ def make(folder: Path, painting: Painting, options) -> None:
     for name, role, towards in rig:
         studio.set_lamp(towards)
         light = studio.spectral()
+        facing, flat = studio.white(towards)
         truth["lit"].append(np.rint(100 * studio.lit(towards)).astype(np.uint8))
         if role == "check":
-            gloss = studio.trace("gloss", WAVELENGTHS[:4]).mean(axis=-1)
-            lamp = view.xyz(light, view.power)
+            gloss = studio.trace("gloss", WAVELENGTHS[:4]).mean(axis=-1) / facing[..., 0]
+            lamp = view.xyz(light / facing, view.power)
             for key, value in zip(
                 ("xyz_lamp", "xyz_d65", "gloss", "body"),
-                (lamp, view.xyz(light, view.daylight), gloss, lamp[..., 1] - gloss),
+                (lamp, view.xyz(light / facing, view.daylight), gloss, lamp[..., 1] - gloss),
                 strict=True,
             ):
                 truth[key].append(value.astype(np.float32))
-        board = np.full((*shape, 3), BOARD * towards[2])
+        board = np.repeat(BOARD * flat, 3, axis=-1)
         for kind, values in ((role, view.channels(light)), ("white", board)):
             file = f"{'white' if kind == 'white' else 'frames'}/{name}.png"
             write_image(draft / file, view.codes(values))
@@ -493,11 +549,13 @@ def write_description(draft: Path, name: str, painting: Painting, view: Observer
         f"format: 1\ntitle: Path-traced painting {name}\n"
         f"camera: {{model: {painting.camera}, channels: [red, green, blue], bits: {BITS}, saturation: 0.98, "
         f"sensitivities: spectra/camera.csv}}\n"
-        f"illuminant: spectra/illuminant.csv\nlights: {{file: lights.lp}}\n"
+        f"illuminant: spectra/illuminant.csv\nlights: {{file: lights.lp"
+        f"{', kind: position_mm' * bool(painting.distance)}}}\n"
         f"white: {{reflectance: {BOARD}}}\npixel_pitch_mm: {PITCH_MM}\n"
     )
     write_csv(draft / "frames.csv", [("file", "role", "light"), *frames])
-    lines = [f"{lamp} " + " ".join(f"{v:.6f}" for v in towards) for lamp, _, towards in rig]
+    scale = painting.distance * view.vignette.shape[1] * PITCH_MM or 1.0
+    lines = [f"{lamp} " + " ".join(f"{v:.6f}" for v in scale * towards) for lamp, _, towards in rig]
     (draft / "lights.lp").write_text("\n".join([str(len(rig)), *lines]) + "\n")
     (draft / "spectra").mkdir()
     curves = [(f"{w:g}", *(f"{v:.8f}" for v in row)) for w, row in zip(FINE, view.curves.T, strict=True)]
