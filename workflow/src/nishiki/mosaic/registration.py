@@ -17,7 +17,7 @@ import numpy as np
 from nishiki.observations.registration import LEAST_PEAK, find_shifts, laplacian, taper_of
 
 FLOOR = 0.02  # reflectance that is added before the logarithm
-REDUCED_PIXELS, THUMBNAIL_PIXELS = 1 << 18, 1 << 15  # of a field
+REDUCED_PIXELS, THUMBNAIL_PIXELS = 1 << 19, 1 << 15  # of a field
 WINDOW = 48, 128  # least and largest side in pixels
 TRIED, MEASURED = 24, 64  # windows at most in an overlap, of reduced maps and of the maps themselves
 LEAST_WINDOWS = 5  # that agree in an overlap that is used

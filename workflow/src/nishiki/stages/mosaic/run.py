@@ -215,7 +215,7 @@ def write_maps(
         known = inside & ((maps["flags"] & bits.NO_ESTIMATE) == 0)
         counts["object_pixels"] += int(inside.sum())
         counts["valid_pixels"] += int(known.sum())
-        sigmas.append(maps["sigma"][known][::17])
+        sigmas.append(maps["sigma"][known][::199])
     shape = (0, rows, columns, len(one.channels))
     group.create_array("codes", shape, (1, step, *shape[2:]), one.dtype)
     nothing = {name: [] for name in ("lights", "files", "roles", "directions")}
