@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from refusals import expect_facts
+from small_painting import small_painting
 
 from nishiki.artifacts.limits import at_bounds
 from nishiki.artifacts.maps import Maps, MapWriter
@@ -11,9 +12,10 @@ from nishiki.brdf.scene import parameters_at_bounds
 from nishiki.evaluate.camera_colour import display_map
 from nishiki.render.display import adapted_exposure, display_image
 from nishiki.render.plane.camera import screen_to_plane
-from nishiki.render.plane.scene import PlaneScene
+from nishiki.render.plane.frame import render
+from nishiki.render.plane.scene import Light, PlaneScene
 from nishiki.stages.render import LightSettings, SequenceSettings, ViewSettings
-from nishiki.stages.render.painting import film_view, outline, view_of, white_sheet
+from nishiki.stages.render.painting import direction, film_view, load_scene, outline, view_of, white_sheet
 
 FRAMES = {
     "fills the maps": ((300, 400), (0, 0, 300, 400)),
@@ -135,3 +137,23 @@ def test_without_a_white_board_the_light_parts_of_linear_photographs_are_grey(tm
         shown = colours @ np.array(matrix).T
         assert np.allclose(shown, shown[..., :1], rtol=1e-5)
         assert np.array(matrix) @ np.ones(3) @ [0.2126, 0.7152, 0.0722] == pytest.approx(1, abs=1e-3)
+
+
+@pytest.mark.parametrize(("block", "elevation"), [(2, 70), (3, 70), (3, 20)])
+def test_maps_that_are_averaged_as_they_are_read_give_the_mean_of_the_picture(tmp_path, block, elevation):
+    """Of the pixels away from the corner without an estimate; under the steeper lamp gloss counts."""
+    painting = small_painting(tmp_path)
+    whole, small = (load_scene(painting.inputs, cast_shadows=True, block=b) for b in (1, block))
+    assert small.pitch == block * whole.pitch
+    lamp = [Light(direction=tuple(direction(elevation, 0)), angular_radius=0.01)]
+    pictures = [render(scene, lamp).xyz[..., 1] for scene in (whole, small)]
+    rows, columns = (side // block for side in painting.known.shape)
+
+    def squares(values):
+        return values[: rows * block, : columns * block].reshape(rows, block, columns, block)
+
+    known = squares(painting.known).all(axis=(1, 3))
+    expected = squares(pictures[0]).mean(axis=(1, 3))
+    difference = (pictures[1][:rows, :columns] - expected)[known]
+    assert np.sqrt(np.mean(difference**2)) < 0.015 * expected[known].mean()
+    assert abs(difference.mean()) < 0.005 * expected[known].mean()

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import expect_facts
 
+from nishiki.artifacts.maps import shrink
 from nishiki.colour.colour import decode, srgb_matrix, xyz_to_lab
 from nishiki.report.numbers import degrees, figure, percent, plain, signed
 from nishiki.report.page import Figures, Table
@@ -27,7 +28,6 @@ from nishiki.report.pictures import (
     ruler,
     scalar_picture,
     sea,
-    shrink,
 )
 from nishiki.report.scene_page import conditions, flat, settings_rows, text
 from nishiki.report.svg import Axis, Curve, bars, chart, legend_places, lights_plot, ticks
@@ -76,7 +76,7 @@ def test_shrink_against_the_obvious_loop(rows, columns, block, worst, seed):
     random = np.random.default_rng(seed)
     values = random.random((rows, columns)).astype(np.float32)
     values[random.random((rows, columns)) < 0.2] = np.nan
-    found = shrink(lambda band: values[band], (rows, columns), block, worst=worst)
+    found = shrink(lambda band: values[band], (rows, columns), block, how="largest" if worst else "mean")
     assert found.shape == (-(-rows // block), -(-columns // block))
     for i in range(found.shape[0]):
         for j in range(found.shape[1]):
@@ -88,7 +88,15 @@ def test_shrink_against_the_obvious_loop(rows, columns, block, worst, seed):
                 assert found[i, j] == pytest.approx(part.max() if worst else part.mean(), rel=1e-6)
 
 
-def test_shrink_bands_do_not_change_the_result():
+def test_shrink_takes_the_pixel_in_the_middle_of_a_block_that_may_be_cut():
+    values = np.arange(7 * 8, dtype=np.uint8).reshape(7, 8)
+    found = shrink(lambda band: values[band], values.shape, 3, "middle")
+    np.testing.assert_array_equal(found, values[np.ix_([1, 4, 6], [1, 4, 7])])
+    assert found.dtype == np.uint8
+
+
+def test_shrink_bands_do_not_change_the_result(monkeypatch):
+    monkeypatch.setattr("nishiki.artifacts.maps.BAND_VALUES", 100)
     values = np.random.default_rng(1).random((700, 9, 3)).astype(np.float32)
     found = shrink(lambda band: values[band], (700, 9), 3)
     whole = values[:699].reshape(233, 3, 3, 3, 3).mean(axis=(1, 3))

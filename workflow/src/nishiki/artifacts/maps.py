@@ -16,7 +16,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -92,6 +92,55 @@ def directional_shading(maps: Maps) -> bool:
 def shading_normals(maps: Maps, rows: slice = slice(None)) -> np.ndarray:
     """Read the normals of the body shading for some rows: the stage's own maps of them, else its normals."""
     return maps.read("shading_normals" if "shading_normals" in maps else "normals", rows)
+
+
+BAND_VALUES = 1 << 20  # pixels that are read together, about
+
+
+def shrink(
+    read: Callable[[slice], np.ndarray],
+    shape: tuple[int, ...],
+    block: int,
+    how: Literal["mean", "largest", "middle"] = "mean",
+) -> np.ndarray:
+    """Reduce a map to one value for each square block of pixels, by bands of rows.
+
+    Parameters
+    ----------
+    read : callable
+        Of a slice of rows: values (r, columns, ...).
+    shape : (int, int)
+        Rows and columns of the map. The last row and column of blocks may be cut.
+    block : int
+        Pixels along a side of a block.
+    how : {'mean', 'largest', 'middle'}, optional
+        Mean or largest of the values that are no NaN, as float32, NaN where there is none; or the pixel in the middle.
+    """
+
+    def reduced(values: np.ndarray) -> np.ndarray:
+        if how == "middle":
+            places = (np.minimum(np.arange(0, side, block) + block // 2, side - 1) for side in values.shape[:2])
+            return values[np.ix_(*places)]
+        values = values.astype(np.float32, copy=False)
+        if block == 1:
+            return values
+        pad = [(0, -values.shape[0] % block), (0, -values.shape[1] % block)] + [(0, 0)] * (values.ndim - 2)
+        values = np.pad(values, pad, constant_values=np.nan)
+        tiles = values.reshape(values.shape[0] // block, block, values.shape[1] // block, block, *values.shape[2:])
+        known = np.isfinite(tiles)
+        if how == "largest":
+            return np.where(known, tiles, -np.inf).max(axis=(1, 3))
+        count = known.sum(axis=(1, 3))
+        total = np.where(known, tiles, 0).sum(axis=(1, 3), dtype=np.float64)
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+
+    step = max(1, BAND_VALUES // (shape[1] * block)) * block
+    out = np.empty(0)
+    for start in range(0, shape[0], step):
+        part = reduced(np.asarray(read(slice(start, min(start + step, shape[0])))))
+        out = out if start else np.empty((-(-shape[0] // block), *part.shape[1:]), part.dtype)
+        out[start // block : start // block + len(part)] = part
+    return out
 
 
 TALLY, TALLY_ARRAYS = "tally.json", "tally.npz"

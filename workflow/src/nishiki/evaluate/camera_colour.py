@@ -1,11 +1,12 @@
 """From camera channels to XYZ and Lab: one linear map for prediction and photograph alike, so that both err alike."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from nishiki.artifacts.maps import Maps
+from nishiki.artifacts.maps import Maps, shrink
 from nishiki.colour.colour import illuminant as named_illuminant
 from nishiki.colour.colour import srgb_matrix, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.colour.sampling import channel_weights
@@ -74,6 +75,7 @@ def displayed_colours(channels: np.ndarray, to_srgb: list[list[float]] | None) -
 LIGHT_PERCENTILE = 95
 """Percentile of a channel's reflectances at which the object's light parts are taken as grey."""
 LARGEST_FACTOR = 3.0  # of a channel
+MOST_SAMPLES = 16_000_000  # pixels that are looked at, evenly spread
 
 
 def display_map(maps: Maps) -> list[list[float]] | None:
@@ -85,8 +87,11 @@ def display_map(maps: Maps) -> list[list[float]] | None:
     to_srgb = maps.group.attrs.get("to_srgb")
     if not maps.group.attrs.get("unbalanced") or maps.group["reflectance"].shape[-1] != 3:
         return to_srgb
-    known = (maps.read("flags") & NO_ESTIMATE) == 0
-    colours = displayed_colours(maps.read("reflectance"), to_srgb)[known]
+    shape = maps.group["reflectance"].shape[:2]
+    step = math.ceil(math.sqrt(shape[0] * shape[1] / MOST_SAMPLES))
+    flags = shrink(lambda rows: maps.read("flags", rows), shape, step, "middle")
+    colours = shrink(lambda rows: maps.read("reflectance", rows), shape, step, "middle")
+    colours = displayed_colours(colours, to_srgb)[(flags & NO_ESTIMATE) == 0]
     if not len(colours):
         return to_srgb
     light = np.percentile(colours, LIGHT_PERCENTILE, axis=0)

@@ -1,11 +1,11 @@
 """Pictures inside a page: maps and photographs reduced, coloured by perceptually even scales, and encoded."""
 
 import base64
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.artifacts.maps import shrink
 from nishiki.colour.colour import decode, srgb_encode, srgb_matrix
 from nishiki.report.numbers import plain
 
@@ -124,35 +124,6 @@ def ruler(columns: int, pitch_mm: float | None) -> Ruler | None:
 def block_of(columns: int, widest: int) -> int:
     """Return side of the square blocks whose means make a picture at most `widest` pixels wide."""
     return max(1, -(-columns // widest))
-
-
-def shrink(
-    read: Callable[[slice], np.ndarray], shape: tuple[int, int], block: int, *, worst: bool = False
-) -> np.ndarray:
-    """Return means over square blocks of a map that `read` gives by bands of rows; NaN does not count; float32.
-
-    shape : (rows, columns) of the map. worst : largest value instead of the mean, for maps of classes. The last row and
-    column of blocks may be cut. A block without any value is NaN.
-    """
-    rows, columns = shape
-    height = max(1, 256 // block)
-    parts = []
-    for start in range(0, rows, height * block):
-        values = np.asarray(read(slice(start, min(start + height * block, rows))), np.float32)
-        if block == 1:
-            parts.append(values)
-            continue
-        pad = [(0, -values.shape[0] % block), (0, -columns % block)] + [(0, 0)] * (values.ndim - 2)
-        values = np.pad(values, pad, constant_values=np.nan)
-        tiles = values.reshape(values.shape[0] // block, block, values.shape[1] // block, block, *values.shape[2:])
-        known = np.isfinite(tiles)
-        if worst:
-            parts.append(np.where(known, tiles, -np.inf).max(axis=(1, 3)))
-            continue
-        count = known.sum(axis=(1, 3))
-        total = np.where(known, tiles, 0).sum(axis=(1, 3), dtype=np.float64)
-        parts.append(np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32))
-    return np.concatenate(parts)
 
 
 def colour_picture(linear: np.ndarray, *, inside: np.ndarray | None = None) -> PagePicture:

@@ -32,11 +32,11 @@ class Pyramid:
 
     def __init__(self, rows: int, columns: int, fields: int, emit: Emit, *, level: int = 0):
         self.shape, self.level, self.emit = (rows, columns), level, emit
-        self.held = np.empty((0, columns, fields), np.float32)
-        self.first = 0  # row of the map of the first row held
+        self.held: list[np.ndarray] = []  # the last rows that were pushed, from row `first` of the map up to `end`
+        self.first = self.end = 0
         self.coming = 0  # row of tiles that comes next
         self.above: Pyramid | None = None
-        self.left_over = self.held
+        self.left_over = np.empty((0, columns, fields), np.float32)
         if max(rows, columns) > TILE:
             self.above = Pyramid(-(-rows // FACTOR), -(-columns // FACTOR), fields, emit, level=level + 1)
 
@@ -46,31 +46,30 @@ class Pyramid:
 
     def push(self, rows: np.ndarray) -> None:
         """Add the next rows (n, columns, fields) of the map; after the last of them every tile is written."""
+        self.held.append(rows)
+        self.end += len(rows)
         if self.above:
-            pending = np.concatenate([self.left_over, rows])
-            complete = self.first + len(self.held) + len(rows) == self.shape[0]
-            ready = len(pending) if complete else len(pending) // FACTOR * FACTOR
+            pending = np.concatenate([self.left_over, rows]) if len(self.left_over) else rows
+            ready = len(pending) if self.end == self.shape[0] else len(pending) // FACTOR * FACTOR
             self.left_over = pending[ready:]
             if ready:
                 self.above.push(halved(halved(pending[:ready])))
-        self.held = np.concatenate([self.held, rows])
-        end = self.first + len(self.held)
         while self.coming * TILE < self.shape[0]:
             last = min((self.coming + 1) * TILE + BORDER, self.shape[0])
-            if end < last:
+            if self.end < last:
                 break
             self._write(last)
             self.coming += 1
-            keep = max(self.coming * TILE - BORDER - self.first, 0)
-            self.held, self.first = self.held[keep:], self.first + keep
+            while self.held and self.first + len(self.held[0]) <= self.coming * TILE - BORDER:
+                self.first += len(self.held.pop(0))
 
     def _write(self, last: int) -> None:
         columns = self.shape[1]
         along = np.arange(self.coming * TILE - BORDER, (self.coming + 1) * TILE + BORDER)
-        band = self.held[np.clip(along, 0, last - 1) - self.first]
         for k in range(-(-columns // TILE)):
             across = np.clip(np.arange(k * TILE - BORDER, (k + 1) * TILE + BORDER), 0, columns - 1)
-            self.emit(self.level, self.coming, k, band[:, across])
+            values = np.concatenate([rows[:, across] for rows in self.held])
+            self.emit(self.level, self.coming, k, values[np.clip(along, 0, last - 1) - self.first])
 
 
 def halved(values: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ class LightSettings(Closed):
 class ViewSettings(Closed):
     """From where the picture is seen."""
 
-    kind: Literal["frontal", "pinhole"] = Field("frontal", description="frontal: orthographic, one pixel a pixel")
+    kind: Literal["frontal", "pinhole"] = Field("frontal", description="frontal: orthographic, the pixels of the maps")
     elevation_deg: float = Field(90, gt=0, le=90, description="pinhole: of the eye above the plane")
     azimuth_deg: float = Field(-90, ge=-360, le=360, description="pinhole: of the eye, from x towards y")
     distance: float = Field(3, gt=0, description="pinhole: in lengths of the object's longer side")
@@ -52,7 +52,7 @@ class SequenceSettings(Closed):
     columns: int = Field(640, ge=16, le=4096, description="width of the video")
 
 
-class RenderSettings(Guarded, stage="render", version=2):
+class RenderSettings(Guarded, stage="render", version=3):
     """Pictures and sequences to make."""
 
     pictures: Annotated[tuple[PictureSettings, ...], Field(description="pictures to make")] = (
@@ -69,6 +69,9 @@ class RenderSettings(Guarded, stage="render", version=2):
         (SequenceSettings(name="moving-light"),), description="videos to make"
     )
     cast_shadows: bool = Field(True, description="shadows thrown by the integrated height")
+    most_megapixels: float = Field(
+        12, gt=0, description="of the maps that pictures are made from; larger ones are averaged over squares of pixels"
+    )
     export_normals: bool = Field(True, description="also write the normals as 16-bit PNG (y up) and EXR")
     curves_sha256: dict[str, str] = Field({}, description="digests of the illuminant tables; filled in by the plan")
     supersampling: int = Field(2, ge=1, le=8, description="pinhole: rays along each side of a pixel")
@@ -96,7 +99,12 @@ PAINTING = Stage(
     libraries=(*ARRAYS, "OpenEXR", OPENCV, "av"),
     idle={"av": no_film("render", "sequences")},
     deliverables=("*.png", "*.exr", "*.mp4", "*.webp"),
-    cost=lambda facts: Cost(mib=380, bytes_per_pixel=160, seconds=4, us_per_pixel=30),
+    cost=lambda facts: Cost(
+        mib=380 + 153 * min(facts.pixels / 1e6, 12),  # the pixels that pictures are made from
+        bytes_per_pixel=0.5,
+        seconds=4 + 30 * min(facts.pixels / 1e6, 12),
+        us_per_pixel=2,
+    ),
 )
 
 

@@ -2,7 +2,8 @@
 
 import dataclasses
 import json
-from collections.abc import Iterable
+import math
+from collections.abc import Callable, Iterable
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, directional_shading, maps_with, shading_normals
+from nishiki.artifacts.maps import Maps, directional_shading, maps_with, shading_normals, shrink
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.scene import gloss_table
-from nishiki.brdf.slopes import slope_covariance
+from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.capture.tables import read_curves
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample
@@ -34,7 +35,10 @@ AMBIENT = 0.05  # of films
 def run(context: Context) -> dict:
     """Make every picture and sequence that the settings name."""
     settings = context.settings
-    scene = load_scene(context.inputs, cast_shadows=settings.cast_shadows)
+    maps = Maps(context.inputs["normals"].folder)
+    shape = maps.group["normals"].shape[:2]
+    block = math.ceil(math.sqrt(shape[0] * shape[1] / (1e6 * settings.most_megapixels)))
+    scene = load_scene(context.inputs, cast_shadows=settings.cast_shadows, block=block)
     lights = [light for picture in settings.pictures for light in picture.lights]
     spectra = {}
     for name in {item.illuminant for item in (*lights, *settings.sequences)}:
@@ -52,50 +56,87 @@ def run(context: Context) -> dict:
         pictures[sequence.name] = {"frames": written.frames, "file": written.path.name, "exposure": exposure}
         notes += [written.note] if written.note else []
     if settings.export_normals:
-        maps = Maps(context.inputs["normals"].folder)
-        known = (maps.read("flags") & NO_ESTIMATE) == 0
-        normals = np.where(known[..., None], maps.read("normals"), np.float32(0))
+        normals = mean_normals(maps, lambda rows: maps.read("normals", rows), block)
         write_normals_png(context.output.path("normals.png"), normals, stamp=context.stamp)
         write_normals_exr(context.output.path("normals.exr"), normals, stamp=context.stamp)
     return {
         "pictures": pictures,
         "notes": notes,
+        "pixels_averaged": block * block,
         "spectral": scene.basis is not None,
         "cast_shadows": scene.height is not None,
         "balanced_by_object": scene.basis is None and not is_bounded(context),
     }
 
 
-def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool) -> PlaneScene:
-    """Return the maps of the upstream artifacts; spectra where there are some, camera channels otherwise."""
+def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool, block: int = 1) -> PlaneScene:
+    """Return the maps of the upstream artifacts; spectra where there are some, camera channels otherwise.
+
+    block: side of the squares of pixels over which the maps are averaged as they are read. Slopes that differ inside a
+    square widen its gloss.
+    """
     maps = Maps(inputs["normals"].folder)
-    known = (maps.read("flags") & NO_ESTIMATE) == 0
-    normals = np.where(known[..., None], shading_normals(maps), np.float32(0))
+    shape = maps.group["normals"].shape[:2]
+    normals = mean_normals(maps, lambda rows: shading_normals(maps, rows), block)
     fields: dict[str, Any] = {
         "normals": normals,
-        "pitch": maps.group.attrs.get("pixel_pitch_mm") or 1.0,
-        **colours(inputs, maps),
+        "pitch": (maps.group.attrs.get("pixel_pitch_mm") or 1.0) * block,
+        **colours(inputs, maps, block),
     }
     if "shading" in maps:
-        fields["shading"] = maps.read("shading")
+        fields["shading"] = shrink(lambda rows: maps.read("shading", rows), shape, block)
     if "height" in inputs and cast_shadows and not directional_shading(maps):
-        fields["height"] = Maps(inputs["height"].folder).read("height")
+        height = Maps(inputs["height"].folder)
+        fields["height"] = shrink(lambda rows: height.read("height", rows), shape, block)
     if "brdf" in inputs:
         parameters = json.loads(inputs["brdf"].path("parameters.json").read_text())
         fields["gloss"] = Gloss(*gloss_table(parameters))
-        fields["slopes"] = slope_covariance(normals)
-        if labels := maps_with(inputs["brdf"], "labels"):
-            fields["labels"] = labels.read("labels").astype(np.uint8)
+        fields["slopes"] = slope_covariance(normals) if block == 1 else block_slopes(maps, block)
+        if brdf := maps_with(inputs["brdf"], "labels"):
+            fields["labels"] = shrink(lambda rows: brdf.read("labels", rows), shape, block, "middle").astype(np.uint8)
     return PlaneScene(**fields)
 
 
-def colours(inputs: dict[str, Artifact], maps: Maps) -> dict[str, np.ndarray]:
+def known_normals(maps: Maps, normals: np.ndarray, rows: slice, unknown: float) -> np.ndarray:
+    """Return normals of some rows, and a number where there is no estimate."""
+    known = (maps.read("flags", rows) & NO_ESTIMATE) == 0
+    return np.where(known[..., None], normals, np.float32(unknown))
+
+
+def mean_normals(maps: Maps, read: Callable[[slice], np.ndarray], block: int) -> np.ndarray:
+    """Return unit normals of squares of pixels, 0 where there is no estimate; read: normals of some rows."""
+    shape = maps.group["normals"].shape[:2]
+    if block == 1:
+        return known_normals(maps, read(slice(None)), slice(None), 0)
+    mean = shrink(lambda rows: known_normals(maps, read(rows), rows, np.nan), shape, block)
+    length = np.linalg.norm(mean, axis=-1, keepdims=True)
+    return np.divide(mean, length, out=np.zeros_like(mean), where=length > 0)
+
+
+def block_slopes(maps: Maps, block: int) -> np.ndarray:
+    """Return the covariance of the slopes inside squares of pixels, of their pixels and between these."""
+
+    def read(rows: slice) -> np.ndarray:
+        normals = known_normals(maps, shading_normals(maps, rows), rows, 0)
+        slopes, known = slopes_of(normals)
+        moments = np.concatenate([slopes, products(slopes) + slope_covariance(normals)], axis=-1)
+        return np.where(known[..., None], moments, np.float32(np.nan))
+
+    moments = np.nan_to_num(shrink(read, maps.group["normals"].shape[:2], block))
+    return moments[..., 2:] - products(moments[..., :2])
+
+
+def colours(inputs: dict[str, Artifact], maps: Maps, block: int) -> dict[str, np.ndarray]:
     """Diffuse colour: spectral coefficients and their basis, else camera channels as linear sRGB, or grey."""
+    shape = maps.group["normals"].shape[:2]
     if "spectra" in inputs:
         spectra = Maps(inputs["spectra"].folder)
         basis = np.array(spectra.attributes("coefficients")["basis"])
-        return {"coefficients": spectra.read("coefficients"), "basis": basis}
-    return {"coefficients": displayed_colours(maps.read("reflectance"), display_map(maps))}
+        return {"coefficients": shrink(lambda rows: spectra.read("coefficients", rows), shape, block), "basis": basis}
+    to_srgb = display_map(maps)
+    return {
+        "coefficients": shrink(lambda rows: displayed_colours(maps.read("reflectance", rows), to_srgb), shape, block)
+    }
 
 
 def paint(

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import shrink
 from nishiki.colour.colour import xyz_to_srgb_linear
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.report.page import Block, Figure, Figures, Fold, Metric, Note, Section, Table, read_json
-from nishiki.report.pictures import block_of, brightened, brightening, colour_picture, shrink
+from nishiki.report.pictures import block_of, brightened, brightening, colour_picture
 from nishiki.report.scene_page import Head
 from nishiki.stages.report.capture import about_capture
 from nishiki.stages.report.headline import headline

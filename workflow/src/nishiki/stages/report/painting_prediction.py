@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps
+from nishiki.artifacts.maps import Maps, shrink
 from nishiki.evaluate.classes import DIFFUSE, FADGI, HIGHLIGHT, ISO_19264, SHADOW
 from nishiki.formats.stored import load_arrays
 from nishiki.report.numbers import signed
@@ -20,7 +20,6 @@ from nishiki.report.pictures import (
     colour_picture,
     heat,
     scalar_picture,
-    shrink,
 )
 
 MOST_LIGHTS = 4  # on the page, the worst among them
@@ -108,7 +107,7 @@ def _pictures(light, preview, maps: Maps, difference: np.ndarray, end: float, wi
         values = maps.read(classes, rows)
         return np.where(values > 0, values, np.nan).astype(np.float32)
 
-    in_view = shrink(ranked, shape, block, worst=True)
+    in_view = shrink(ranked, shape, block, "largest")
     small = shrink(lambda rows: maps.read(de00, rows), shape, block)
     pictures = {
         "Photograph": colour_picture(factor * observed, inside=inside),

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.maps import Maps
+from nishiki.artifacts.maps import Maps, shrink
 from nishiki.colour.colour import (
     illuminant,
     srgb_encode,
@@ -33,7 +33,6 @@ from nishiki.report.pictures import (
     normal_picture,
     scalar_picture,
     sea,
-    shrink,
 )
 from nishiki.report.svg import DASHES, INK, PALETTE, SOFT, Curve, chart
 
@@ -171,7 +170,7 @@ def _against_truth(evaluation: dict[str, Any]) -> list[Block]:
 
 def _flags(page: PageMaps, shape: tuple[int, int], block: int) -> np.ndarray:
     """Return the gravest class of each block of pixels; NaN outside the mask."""
-    classes = shrink(lambda rows: _classes(page.maps["normals"].read("flags", rows)), shape, block, worst=True)
+    classes = shrink(lambda rows: _classes(page.maps["normals"].read("flags", rows)), shape, block, "largest")
     inside = shrink(lambda rows: page.mask[rows].astype(np.float32), shape, block) > 0
     return np.where(inside, classes, np.nan)
 

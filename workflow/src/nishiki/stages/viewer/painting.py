@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps
+from nishiki.artifacts.maps import Maps, shrink
 from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import cie_1931_cmfs
 from nishiki.colour.colour import illuminant as cie_illuminant
@@ -20,7 +20,7 @@ from nishiki.stages.viewer.painting_maps import UNKNOWN_REGION, PaintingCode, Pa
 
 PAGE = Path(__file__).with_suffix(".js")
 ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5")
-BAND_ROWS = 256  # in memory
+BAND_PIXELS = 1 << 20  # in memory
 FINE, COARSE, FINE_PIXELS = Steps(0.35, 0.00116, 0.0046), Steps(0.95, 0.011, 0.019), 2_000_000
 """Steps of the codes, and the size of a map up to which the finer are taken. With the coarse ones each kind of code
 costs about the same difference of the picture for a bit; the steps of tilts are below the noise of the normals of
@@ -37,7 +37,8 @@ def run(context: Context) -> dict:
     rows, columns = maps.shape
     blocks = Blocks(context.output, inline_bytes=int(context.settings.inline_mb * 1e6))
     steps, step = FINE if rows * columns <= FINE_PIXELS else COARSE, context.settings.step
-    code = PaintingCode.of(maps, BAND_ROWS, steps if step == "auto" else steps.scaled(step))
+    band_rows = max(4, min(256, BAND_PIXELS // columns // 4 * 4))
+    code = PaintingCode.of(maps, band_rows, steps if step == "auto" else steps.scaled(step))
 
     regions: set[bool] = set()
 
@@ -47,8 +48,8 @@ def run(context: Context) -> dict:
         blocks.add(f"tile-{level}-{row}-{column}", webp_stack(planes))
 
     pyramid = Pyramid(rows, columns, maps.read(slice(0, 1)).shape[-1], write)
-    for first in context.progress.over(range(0, rows, BAND_ROWS), "band"):
-        pyramid.push(maps.read(slice(first, min(first + BAND_ROWS, rows))))
+    for first in context.progress.over(range(0, rows, band_rows), "band"):
+        pyramid.push(maps.read(slice(first, min(first + band_rows, rows))))
     height = Maps(context.inputs["height"].folder) if "height" in context.inputs else None
     pitch = maps.normals.group.attrs.get("pixel_pitch_mm")
     shadows = []
@@ -121,7 +122,7 @@ def layers_of(inputs: dict[str, Artifact], blocks: Blocks) -> list[dict[str, Any
     if "spectra" in inputs:
         sources.append(("sigma_spectrum", "", "grey", Maps(inputs["spectra"].folder), "sigma", 1.0))
     for name, unit, colours, maps, key, factor in sources:
-        layers.append(_measured(name, unit, colours, _reduced(maps, key, factor), blocks))
+        layers.append(_measured(name, unit, colours, factor * _reduced(maps, key), blocks))
     if "evaluate" in inputs and inputs["evaluate"].path("maps.zarr").is_dir():
         difference = _mean_difference(Maps(inputs["evaluate"].folder), len(inputs["ingest"].diagnostics["lights"]))
         if difference is not None:
@@ -136,21 +137,10 @@ def _block_side(shape: tuple[int, ...]) -> int:
     return int(np.ceil(np.sqrt(shape[0] * shape[1] / MOST_PIXELS)))
 
 
-def _reduced(maps: Maps, key: str, factor: float = 1.0) -> np.ndarray:
-    """Return a map averaged over blocks to at most `MOST_PIXELS`, NaN where nothing is known; read by bands."""
-    shape = maps.group[key].shape
-    step = _block_side(shape)
-    bands = []
-    for first in range(0, shape[0], step * 64):
-        values = maps.read(key, slice(first, min(first + step * 64, shape[0]))).astype(np.float32) * factor
-        pad = ((0, -values.shape[0] % step), (0, -values.shape[1] % step))
-        blocks = np.pad(values, pad, constant_values=np.nan)
-        blocks = blocks.reshape(blocks.shape[0] // step, step, blocks.shape[1] // step, step)
-        known = np.isfinite(blocks)
-        count = known.sum(axis=(1, 3))
-        total = np.where(known, blocks, 0).sum(axis=(1, 3))
-        bands.append(np.divide(total, count, out=np.full(total.shape, np.nan, np.float32), where=count > 0))
-    return np.concatenate(bands)
+def _reduced(maps: Maps, key: str) -> np.ndarray:
+    """Return a map averaged over blocks to at most `MOST_PIXELS`, NaN where nothing is known."""
+    shape = maps.group[key].shape[:2]
+    return shrink(lambda rows: maps.read(key, rows), shape, _block_side(shape))
 
 
 def _mean_difference(maps: Maps, lights: int) -> np.ndarray | None:
@@ -177,14 +167,9 @@ def _measured(name: str, unit: str, colours: str, values: np.ndarray, blocks: Bl
 
 def _counted(name: str, unit: str, colours: str, maps: Maps, blocks: Blocks) -> dict[str, Any]:
     """Return whole numbers, the pixel in the middle of every block."""
-    step = _block_side(maps.group[name].shape)
-    rows = maps.group[name].shape[0]
-    band = step * 64
-    parts = [
-        maps.read(name, slice(first, min(first + band, rows)))[step // 2 :: step, step // 2 :: step]
-        for first in range(0, rows, band)
-    ]
-    values = np.minimum(np.concatenate(parts), LARGEST).astype(np.uint8)
+    shape = maps.group[name].shape[:2]
+    values = shrink(lambda rows: maps.read(name, rows), shape, _block_side(shape), "middle")
+    values = np.minimum(values, LARGEST).astype(np.uint8)
     high = LARGEST if colours == "flags" else max(int(values.max()), 1)
     return {**_written(name, unit, colours, values, 0, LARGEST, blocks), "range": [0, high]}
 
