@@ -14,7 +14,6 @@ from nishiki.colour.colour import delta_e_2000
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.formats.files import read_json
-from nishiki.formats.stored import load_arrays
 from nishiki.formats.zarr_store import BandedArray, BandedGroup
 from nishiki.model_selection.decision import economy
 from nishiki.mosaic.adjustment import Placement, adjust
@@ -116,28 +115,14 @@ def open_fields(artifacts: dict[str, dict[str, Artifact]]) -> tuple[list[dict], 
     Raises UserError where fields differ in what one painting under the same lamps and camera has in common.
     """
     names = sorted(artifacts)
-    frames = {name: Observations(artifacts[name]["ingest"].folder) for name in names}
-    curves = {name: load_arrays(artifacts[name]["ingest"].path("curves.npz")) for name in names}
-    first = names[0]
-    for name in names[1:]:
-        one, other = frames[first], frames[name]
-        pitches = [each.pixel_pitch_mm or 0.0 for each in (one, other)]
-        facts = {
-            "channels": (one.channels, other.channels),
-            "primaries (to_srgb)": (one.to_srgb, other.to_srgb),
-            "white board": (one.white_board, other.white_board),
-            "pixel_pitch_mm": (
-                pitches[0],
-                pitches[1] if abs(np.subtract(*pitches)) > PITCHES * max(pitches) else pitches[0],
-            ),
-            "spectra of camera and lamp": tuple(_digest(curves[each]) for each in (first, name)),
-        }
-        for what, (expected, found) in facts.items():
-            if expected != found:
+    frames = [Observations(artifacts[name]["ingest"].folder) for name in names]
+    for name, other in zip(names, frames, strict=True):
+        for what in ("channels", "to_srgb", "white_board", "pixel_pitch_mm"):
+            expected, found = getattr(frames[0], what), getattr(other, what)
+            if expected != found and not (what == "pixel_pitch_mm" and np.isclose(expected, found, rtol=PITCHES)):
                 raise UserError(
-                    f"{artifacts[name]['ingest'].folder}: field {name} differs from {first} in its {what}: expected "
-                    f"{expected}, found {found}. Remedy: correct capture.yaml of one of them, or photograph it again "
-                    "with the camera and the lamps of the others."
+                    f"{other.path}: field {name} differs from {names[0]} in {what}: expected {expected}, found {found}"
+                    ". Remedy: correct its capture, or photograph it again with the camera of the others."
                 )
     regions = [
         read_json(artifacts[name]["brdf"].path("parameters.json"))["regions"] if "brdf" in artifacts[name] else []
@@ -148,17 +133,12 @@ def open_fields(artifacts: dict[str, dict[str, Artifact]]) -> tuple[list[dict], 
         raise UserError(f"mosaic: expected at most 255 different finishes in all fields, found {len(joined)}")
     maps = [Maps(artifacts[name]["normals"].folder) for name in names]
     terms = {each.group["shading"].shape[2] for each in maps if "shading" in each} or {0}
+    common = 5 if terms == {5} else min(terms | {3})
     fields = []
-    for name, each, number in zip(names, maps, numbers, strict=True):
-        gloss = artifacts[name].get("brdf")
-        labels = Maps(gloss.folder) if gloss and len(number) > 1 else None
-        table = np.array(number or [0], np.uint8)
-        fields.append(FieldMaps(name, frames[name], each, labels, table, 5 if terms == {5} else min(3, max(terms))))
+    for name, seen, each, number in zip(names, frames, maps, numbers, strict=True):
+        labels = Maps(artifacts[name]["brdf"].folder) if len(number) > 1 else None
+        fields.append(FieldMaps(name, seen, each, labels, np.array(number or [0], np.uint8), common))
     return joined, fields
-
-
-def _digest(curves: dict[str, np.ndarray]) -> str:
-    return " ".join(f"{name} {np.asarray(values, float).sum():.9g}" for name, values in sorted(curves.items()))
 
 
 def measure_seams(
@@ -222,14 +202,9 @@ def write_maps(
     middle = [(rows - 1) / 2, (columns - 1) / 2]
     group.update(**one.attributes | nothing | {"positions_mm": None, "image_centre": middle, "band_rows": step})
     sigma = np.concatenate(sigmas)
-    lost = [
-        each.name
-        for each in fields
-        if "shading" in each.normals and each.normals.group["shading"].shape[2] > each.terms
-    ]
-    notes = [
-        f"Shadows that the surroundings throw are left out, as only these fields have them: {', '.join(lost)}."
-    ] * bool(lost)
+    own = {each.name: each.normals.group["shading"].shape[2] for each in fields if "shading" in each.normals}
+    lost = ", ".join(each.name for each in fields if own.get(each.name, 0) > each.terms)
+    notes = [f"Shadows that the surroundings throw are left out; only these fields have them: {lost}."] if lost else []
     return {**counts, "sigma_median_deg": float(np.degrees(np.median(sigma))) if sigma.size else None}, notes
 
 
@@ -252,9 +227,4 @@ def describe(placement: Placement, adjusted: dict, levels: Levels, seams: dict) 
         }
     for each in adjusted["overlaps"]:
         each |= seams.get(tuple(each["fields"]), {"samples": 0, "delta_e": None, "angle_deg": None})
-    return {
-        "shape": list(placement.shape),
-        "fields": fields,
-        "overlaps": adjusted["overlaps"],
-        "lens": adjusted["lens"],
-    }
+    return {"shape": list(placement.shape), "fields": fields, **adjusted}
