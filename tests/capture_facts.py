@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from nishiki.capture.goniometer import NORMAL_DEG, GoniometerCapture
-from nishiki.capture.polariser import kind_of
+from nishiki.capture.polariser import parse_state
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.images import read_header
 
@@ -56,7 +56,7 @@ def turntable_facts(capture: TurntableCapture) -> TurntableFacts:
         views=capture.views,
         lights=capture.light_names,
         states=capture.states,
-        polarisation=kind_of(capture.states),
+        polarisation=parse_state(capture.states[0]).kind if capture.states else "none",
         white_states=whites,
         white_board="" in whites,
         lamp=capture.settings.lights.kind if capture.settings.lights else "unknown",

@@ -1,7 +1,9 @@
-"""Visibility of a weave section by casting rays over its explicit profile: slow, and independent of the package."""
+"""Visibility of a weave section in closed form, and by casting rays over its profile: slow, and independent of it."""
 
 import numpy as np
 from numba import njit
+
+from nishiki.weave.section import visible_share
 
 LINE, ARC = 0.0, 1.0
 
@@ -126,3 +128,17 @@ def brute_force(section, *angles):
     """Share of the section's length that is seen from every one of the angles."""
     cloth, period, radius = pieces_of(section)
     return share(cloth, lengths_of(cloth, radius), period, radius, np.array(angles, float), START)
+
+
+@njit
+def shares(shape, angles):
+    out = angles.copy()
+    for k in range(angles.size):
+        out[k] = visible_share(shape, 0.0, angles[k])
+    return out
+
+
+def masking(section, theta):
+    """G: share of a section's length that is seen from theta (radians, any shape, sign of no effect)."""
+    angles = np.atleast_1d(np.asarray(theta, np.float64))
+    return shares(section.shape, np.ascontiguousarray(angles).ravel()).reshape(np.shape(theta))

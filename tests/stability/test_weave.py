@@ -4,6 +4,7 @@ import mpmath
 import numpy as np
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, worst_over
+from weave_rays import masking
 
 from nishiki.errors import UserError
 from nishiki.weave.fit import make_plane
@@ -58,10 +59,10 @@ def _section_error(theta_a, length, radius, flat, yarns, contact):
     angles = np.concatenate([np.linspace(0, HALF_PI, 200), HALF_PI - np.logspace(-15, -1, 60)])
     angles.sort()
     for section in (WarpSection(theta_a, length, radius, flat), WeftSection(theta_a, length, radius, yarns, contact)):
-        g = section.masking(angles)
+        g = masking(section, angles)
         if not np.isfinite(g).all() or (g < 0).any() or (g > 1).any():
             return np.inf
-        worst = max(worst, abs(g[0] - 1), np.diff(g).max(), abs(section.masking(HALF_PI + 1e-9)))
+        worst = max(worst, abs(g[0] - 1), np.diff(g).max(), abs(masking(section, HALF_PI + 1e-9)))
     return worst
 
 

@@ -118,7 +118,8 @@ def test_masking_over_cos_r_equals_the_quotient_and_stays_finite_at_grazing_view
     rng = np.random.default_rng(0)
     n, light, view = UP, at(0.3), np.stack([at(t, 1.0) for t in rng.uniform(0, 1.5, 50)])
     g = ts.half_vector_geometry(n, light, view)
-    quotient = ts.masking(g.cos_phi, g.cos_i, g.cos_r, g.cos_q) / g.cos_r
+    masking = np.clip(2 * g.cos_phi * np.minimum(g.cos_i, g.cos_r) / g.cos_q, 0, 1)  # eq. 13
+    quotient = masking / g.cos_r
     np.testing.assert_allclose(ts.masking_over_cos_r(g.cos_phi, g.cos_i, g.cos_r, g.cos_q), quotient, rtol=1e-14)
     limit = ts.half_vector_geometry(n, light, np.array([1.0, 0.0, 1e-300]))
     assert float(ts.attenuation(limit, 1.45)) == pytest.approx(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from refusals import refused
 from scipy.integrate import quad
-from weave_rays import along, cast, lengths_of, pieces_of
+from weave_rays import along, cast, lengths_of, masking, pieces_of
 
 from nishiki.errors import UserError
 from nishiki.goniometry.table import ReflectanceSet
@@ -72,7 +72,7 @@ def test_paper_reading_is_equation_15():
     for name, section, width in (("weft", model.weft, model.a_weft), ("warp", model.warp, model.a_warp)):
         d = np.exp(-((THETA / 2) ** 2) / width**2)
         fresnel = f0 + (1 - f0) * (1 - np.cos(THETA / 2)) ** 5
-        g = section.masking(THETA)
+        g = masking(section, THETA)
         expected = model.k_s * (d * fresnel * g / np.cos(THETA))[:, None] + model.k_d * g[:, None]
         np.testing.assert_allclose(model.predict(name, 0.0, THETA), expected, rtol=1e-12)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from weave_rays import brute_force
+from weave_rays import brute_force, masking
 
 from nishiki.weave.section import WarpSection, WeftSection
 
@@ -36,7 +36,7 @@ def test_masking_is_brute_force_visibility_at_1000_random_geometries_and_angles(
     for _ in range(1000):
         section = random_section(rng)
         theta = random_angle(rng, section)
-        found, expected = float(section.masking(theta)), brute_force(section, theta)
+        found, expected = float(masking(section, theta)), brute_force(section, theta)
         worst = max(worst, abs(found - expected))
         assert abs(found - expected) < 1e-6, (section, theta, found, expected)
     assert worst < 1e-8
@@ -77,12 +77,12 @@ ANGLES = np.concatenate([np.linspace(0, np.pi / 2, 400), np.pi / 2 - np.geomspac
 @given(sections)
 def test_masking_is_one_from_above_and_never_rises(section):
     theta = np.sort(ANGLES)
-    g = section.masking(theta)
+    g = masking(section, theta)
     assert g[0] == pytest.approx(1, abs=1e-12)
     assert np.all((g >= 0) & (g <= 1))
     assert np.max(np.diff(g)) < 1e-9
-    assert np.array_equal(g, section.masking(-theta))
-    assert section.masking(np.pi / 2 + 0.01) == 0
+    assert np.array_equal(g, masking(section, -theta))
+    assert masking(section, np.pi / 2 + 0.01) == 0
 
 
 @settings(max_examples=100, deadline=None)
@@ -97,10 +97,10 @@ def test_masking_is_continuous_except_where_a_flank_turns_away(section):
     edge = np.pi / 2 - section.theta_a
     for _ in range(50):
         middle = 0.5 * (low + high)
-        g = section.masking(np.stack([low, middle, high]))
+        g = masking(section, np.stack([low, middle, high]))
         left = g[0] - g[1] > g[1] - g[2]
         low, high = np.where(left, low, middle), np.where(left, middle, high)
-    step = section.masking(low) - section.masking(high)
+    step = masking(section, low) - masking(section, high)
     there = (low - 1e-12 <= edge) & (edge <= high + 1e-12)
     expected = np.where(there, 2 * section.l / section.length, 0.0)
     assert np.max(np.abs(step - expected)) < 1e-4, (section, low[np.argmax(np.abs(step - expected))])
@@ -115,11 +115,11 @@ def test_known_values():
     assert section.height == pytest.approx(1.0)
     t = np.deg2rad(20)
     shade = (np.sin(arc - t) + 1 - np.cos(arc - t)) / np.sin(arc + t)
-    assert section.masking(np.pi / 2 - t) == pytest.approx((2 * (1 - shade) + 2 * arc + 2 * t + 2) / section.length)
-    assert section.masking(np.pi / 2) == pytest.approx(2 / section.length)
+    assert masking(section, np.pi / 2 - t) == pytest.approx((2 * (1 - shade) + 2 * arc + 2 * t + 2) / section.length)
+    assert masking(section, np.pi / 2) == pytest.approx(2 / section.length)
     theta = np.linspace(0, 1.5, 7)
     row, single = WeftSection(0.5, 1.0, 1.0, 4), WeftSection(0.5, 1.0, 1.0, 1)
-    contacts = row.masking(theta) * row.length - single.masking(theta) * single.length
+    contacts = masking(row, theta) * row.length - masking(single, theta) * single.length
     expected = 3 * ((np.pi / 2 - theta) + theta + np.arcsin(2 * np.cos(theta) - 1))
     np.testing.assert_allclose(contacts, expected, atol=1e-12)
 
@@ -129,13 +129,13 @@ def test_the_printed_length_of_a_contact_would_not_give_one_from_above():
     section = WeftSection(0.9, 0.4, 1.0, 4)
     printed = 4 * (section.l + section.r * section.theta_a) * 1.0 + 3 * 2 * section.r * section.theta_a
     assert section.length / printed > 1.1
-    assert section.masking(0.0) == 1
+    assert masking(section, 0.0) == 1
 
 
 @settings(max_examples=50, deadline=None)
 @given(sections, st.floats(1e-3, 1e3))
 def test_lengths_matter_only_by_their_ratios(section, factor):
-    np.testing.assert_allclose(section.scaled(factor).masking(ANGLES), section.masking(ANGLES), atol=1e-9)
+    np.testing.assert_allclose(masking(section.scaled(factor), ANGLES), masking(section, ANGLES), atol=1e-9)
 
 
 # --- profile ---

@@ -141,13 +141,6 @@ def fresnel(cos_theta, refractive_index) -> np.ndarray:
     return np.where(s > 0, (d / s_safe) ** 2 * (1 + parallel * parallel) / 2, 0)
 
 
-def masking(cos_phi, cos_i, cos_r, cos_q) -> np.ndarray:
-    """Compute G = min(1, 2 cos phi cos_r / cos_q, 2 cos phi cos_i / cos_q) >= 0 (Tominaga and Tanaka 2004, eq. 13)."""
-    lit = (np.asarray(cos_i) > 0) & (np.asarray(cos_r) > 0) & (np.asarray(cos_q) > 0)
-    groove = 2 * np.asarray(cos_phi) * np.minimum(cos_i, cos_r) / np.where(lit, cos_q, 1)
-    return np.where(lit, np.clip(groove, 0, 1), 0)
-
-
 def masking_over_cos_r(cos_phi, cos_i, cos_r, cos_q) -> np.ndarray:
     """G / cos_r without its 1 / cos_r singularity: min(1 / cos_r, 2 cos phi min(1, cos_i / cos_r) / cos_q).
 

@@ -52,11 +52,6 @@ def parse_state(text: str, where: str = "polariser") -> State:
     refuse("polariser-unknown", where, "polariser state", expected=expected, found=repr(text), remedy=remedy)
 
 
-def kind_of(states: tuple[str, ...]) -> Kind:
-    """Kind of a capture's states, which are all of one kind."""
-    return parse_state(states[0]).kind if states else "none"
-
-
 def state_problems(states: tuple[str, ...], file: str) -> list[Problem]:
     """Whether these states belong together: all of one kind, circular ones both off and on, enough angles."""
     kinds = {parse_state(name).kind for name in states}

@@ -130,16 +130,6 @@ class Section:
         theta_a, length, radius = self.shape[:3]
         return float(length * np.sin(theta_a) + 2.0 * radius * np.sin(0.5 * theta_a) ** 2)
 
-    def masking(self, theta_r) -> np.ndarray:
-        """G: share of the surface's length that is seen from theta_r (radians, any shape, sign of no effect).
-
-        1 at theta_r = 0, never rising with |theta_r|, 0 beyond pi/2. Equations 5-13 of the paper, with the
-        arcs worked out.
-        """
-        theta = np.atleast_1d(np.asarray(theta_r, np.float64))
-        out = _masking(self.shape, np.ascontiguousarray(theta).ravel())
-        return out.reshape(np.shape(theta_r))
-
     def elements(self) -> np.ndarray:
         """List the pieces of one period from valley to valley, (pieces, 3): length, slope angle at start and end.
 
@@ -224,14 +214,6 @@ class WeftSection(Section):
     def shape(self) -> tuple[float, float, float, float, float, float]:
         """(theta_a, l, r, m, n, contact)."""
         return (float(self.theta_a), float(self.l), float(self.r), 0.0, float(self.n), float(self.contact))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _masking(shape, theta):
-    out = theta.copy()
-    for k in range(theta.size):
-        out[k] = visible_share(shape, 0.0, theta[k])
-    return out
 
 
 USUAL = {"plain": (2,), "twill": (3, 4), "satin": (5, 8), "unknown": None}  # yarns of a repeat

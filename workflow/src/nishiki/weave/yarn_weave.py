@@ -35,7 +35,6 @@ from nishiki.brdf.torrance_sparrow import fresnel_scalar
 from nishiki.lanes import LANES, load, splat
 from nishiki.weave.section import WovenSurface
 
-HALF_PI = 0.5 * math.pi
 HOLE = -9.0  # height where no yarn lies
 HORIZON = 10  # column of a point after those of `yarn_facets.NORMAL`: angle of the horizon in the first of AZIMUTHS
 AZIMUTHS = 24

@@ -20,7 +20,6 @@ from nishiki.brdf.texels.parameters import Parameters, TexelFlag
 from nishiki.brdf.texels.texel_fit import Capture, Tile
 from nishiki.threads import in_threads
 
-WIDTHS = ("smooth", "texel", "object")
 CELL = 8  # edge of the finest lattice's cells, in texels
 FAR = 1 << 16  # cells from the world's origin: half of it is near
 SCATTER_SIGMA = 0.2  # of log sigma between neighbours: first guess

@@ -37,8 +37,6 @@ from nishiki.simulate.turntable.settings import (
 )
 from nishiki.simulate.turntable.shape import PARTS, make_surface, scanned
 
-STATES = ("off", "on")
-
 
 @dataclass(frozen=True)
 class Optics:
