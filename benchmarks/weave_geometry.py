@@ -46,7 +46,7 @@ def read(folder: Path, name: str) -> tuple[ReflectanceSet, dict]:
 
 def of_sections(measured: ReflectanceSet, reading: str) -> dict:
     """Harness and slopes of the fitted sections; intervals are not known of slopes."""
-    fit = fit_weave(*planes_of(measured, oblique=False), reading=reading, confidence=None)
+    fit = fit_weave(*planes_of(measured), reading=reading, confidence=None)
     values = {}
     for plane, section in (("weft", fit.model.weft), ("warp", fit.model.warp)):
         points, _ = section.profile(4000)

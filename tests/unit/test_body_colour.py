@@ -157,7 +157,7 @@ def test_coloured_pixels_have_the_shading_of_the_mean_and_grey_ones_keep_theirs(
     usable = select_diffuse(mean, lights, valid=valid).usable
     intensity = body_intensity(samples, valid)
     field = estimate_normals(intensity, lights, usable=usable, valid=valid)
-    place, settings = SimpleNamespace(directions=lights), SimpleNamespace(solver="default")
+    place, settings = SimpleNamespace(directions=lights), SimpleNamespace(solver="lobe")
     found = with_shading_of_mean(field, intensity, samples, place, usable, valid, settings)
     for p in range(75):
         expected = dense_terms(mean[:, 0, p], usable[:, 0, p], lights, field.normals[0, p].astype(np.float64))

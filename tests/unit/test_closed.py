@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 from refusals import refused
 
-from nishiki.artifacts.closed import FORMER, faults, parse
+from nishiki.artifacts.closed import faults, parse
 from nishiki.engine.project import Configuration
 from nishiki.errors import UserError
 
@@ -26,7 +26,7 @@ FAULTS = {
         [("wrong-value", "render.pictures.0.view.kind", "x")],
     ),
     "one of a few words": ({"normals": {"solver": "x"}}, [("wrong-value", "normals.solver", "x")]),
-    "a product by its former name": ({"products": ["weave", "fabric"]}, [("wrong-value", "products.1", "fabric")]),
+    "an unknown product": ({"products": ["weave", "fabric"]}, [("wrong-value", "products.1", "fabric")]),
     "a key that is near": ({"heigth": {}}, [("unknown-key", "heigth", None)]),
 }
 
@@ -39,26 +39,6 @@ def test_what_is_reported(name):
     found = faults(Configuration, values, caught.value)
     assert [(fault.kind, fault.key, fault.value) for fault in found] == expected
     with refused(UserError, *(fault.key for fault in found)):
-        parse(Configuration, values, "c.yaml")
-
-
-@pytest.mark.parametrize(
-    ("values", "former"),
-    [
-        ({"fabric": {"oblique": 0}}, "fabric"),
-        ({"products": ["weave", "reflection"]}, "reflection"),
-        ({"brdf": {"lobes": "ladder"}}, "brdf.lobes"),
-        ({"brdf": {"method": "paper"}}, "brdf.method"),
-        ({"cloth_render": {"cloth": {}}}, "cloth_render.cloth"),
-        ({"normals": {"solver": "lobes"}}, "normals.solver: lobes"),
-        ({"cloth_brdf": {"export": ["csv", "table"]}}, "cloth_brdf.export: table"),
-        ({"weave": {"reading": "yarns"}}, "weave.reading: yarns"),
-        ({"cloth_brdf": {"model": "ward"}}, "ward"),
-        ({"cloth_brdf": {"compare": ["bard_linear", "ggx"]}}, "ggx"),
-    ],
-)
-def test_what_earlier_versions_took_is_refused_with_its_remedy(values, former):
-    with refused(UserError, FORMER[former]):
         parse(Configuration, values, "c.yaml")
 
 

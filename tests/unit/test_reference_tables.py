@@ -49,7 +49,7 @@ def test_no_page_lists_settings_by_hand(name):
 
 def test_a_row_says_choices_bounds_default_and_meaning():
     rows = cells(page("normals"))
-    assert rows["solver"][0] == "`default`, `lobe`, `least_squares`"
+    assert rows["solver"][0] == "`lobe`, `least_squares`"
     expect_facts(rows["lights"][0], "all", "auto", 4, "4,096")
     expect_facts(rows["refractive_index"][0], 1, 3)
     assert (rows["lights"][1], rows["refractive_index"][1]) == ("`auto`", "`1.45`")

@@ -348,8 +348,8 @@ def test_chosen_lights_hold_the_best_and_the_worst():
 
 
 def test_choices_name_the_published_method():
-    rows = choices({"separate": {"method": "threshold"}, "normals": {"solver": "default"}}).rows
-    assert [row[1].split()[0] for row in rows] == ["threshold", "default"]
+    rows = choices({"separate": {"method": "threshold"}, "normals": {"solver": "lobe"}}).rows
+    assert [row[1].split()[0] for row in rows] == ["threshold", "lobe"]
     assert len(rows[0][1]) > len("threshold")
 
 

@@ -92,10 +92,10 @@ def test_lights_are_left_out_where_nothing_else_checks(project):
 
 
 def test_the_default_variant_is_the_scene_s_own_plan(project):
-    swept = planned(project, scenes=["a"], stage="normals", vary={"solver": ["default", "least_squares"]}).scenes[0]
+    swept = planned(project, scenes=["a"], stage="normals", vary={"solver": ["lobe", "least_squares"]}).scenes[0]
     own = make_plan(project.scenes["a"], PLANE)
     assert swept.variants[0].plan.stages["normals"].key == own.stages["normals"].key
-    assert swept.variants[0].names == (AS_CONFIGURED, "solver=default")
+    assert swept.variants[0].names == (AS_CONFIGURED, "solver=lobe")
 
 
 def test_a_block_of_the_configuration_is_found_by_its_name(project):
@@ -113,7 +113,7 @@ def test_the_file_may_name_its_configuration(project):
     ("block", "message"),
     [
         ({"stage": "normal", "vary": {"solver": ["lobe"]}}, "'normal'"),
-        ({"stage": "reflection", "vary": {"width": ["texel"]}}, "'object_brdf'"),
+        ({"stage": "reflection", "vary": {"width": ["texel"]}}, "'reflection'"),
         ({"vary": {"solver": ["lobe"]}}, "'stage'"),
         ({"stage": "normals", "vary": {"solvr": ["lobe"]}}, "'solver'"),
         ({"stage": "normals", "vary": {"solver": ["magic"]}}, "normals.solver"),

@@ -10,32 +10,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from nishiki.artifacts.limits import Limit
 from nishiki.errors import UserError
 
-_PEER = "choose another model: a benchmark compares this one with them"
-FORMER = {
-    "reflection": "it is now called 'object_brdf'",
-    "reflectance": "it is now called 'goniometer_samples'",
-    "fabric": "it is now called 'cloth_brdf'",
-    "fabric_render": "it is now called 'cloth_render'",
-    "fabric_evaluate": "it is now called 'cloth_evaluate'",
-    "fabric_report": "it is now called 'cloth_report'",
-    "brdf.lobes": "delete it: the ladder of widths is the only mixture of lobes",
-    "goniometer_samples.interpolation: thin_plate": "delete it: the spline, the default, is nearer to measured views",
-    "goniometer_samples.interpolation: linear": "delete it: the spline, the default, is nearer to measured views",
-    "object_brdf.method": "delete it: the width of a texel's lobe is searched, from no start value",
-    "mesh.narrow_gap": "delete it: the other views decide on dark gaps of any width (mesh.misses)",
-    "weave.lobe": "delete it: the lobe is the paper's exp(-x²/a²)",
-    "weave.reading: yarns": "delete it: the stage fits yarns to the whole hemisphere (weave.yarns)",
-    "cloth_brdf.export: table": "choose csv: it holds the same model as rows that read back",
-    "brdf.method": "delete it: the published fit of the brightest light stands with the benchmarks now",
-    "brdf.smoothing_px": "delete it: it belonged to the published fit, which stands with the benchmarks now",
-    "cloth_render.cloth": "delete it: the cloth is draped as it was by default",
-    "normals.solver: lobes": "delete it: 'lobe' is the default and was not worse on any measured object",
-    "ward": _PEER,
-    "ashikhmin_shirley": _PEER,
-    "ggx": _PEER,
-}
-"""Remedies for what earlier versions took: a key with its dots, a value of a key after a colon, or a value anywhere."""
-
 
 class Closed(BaseModel):
     """Base of every settings model: frozen, no unknown keys, no silent conversion of strings to numbers."""
@@ -91,7 +65,7 @@ class Fault:
             return f"key {self.key!r} is missing"
         if self.kind == "unknown-key":
             return f"unknown key {self.key!r}; {self.hint}"
-        return f"{self.key}: {self.text}, found {self.value!r}" + (f"; {self.hint}" if self.hint else "")
+        return f"{self.key}: {self.text}, found {self.value!r}"
 
 
 def merged(below: dict, above: dict) -> dict:
@@ -140,7 +114,7 @@ def faults(model: type[Closed], values: dict, error: ValidationError) -> list[Fa
         else:
             kinds = dict.fromkeys(_plain(problem["msg"]).removeprefix("input should be ") for _, problem in nearest)
             text = f"input should be {' or '.join(kinds)}"
-            result.append(_wrong_value(_joined(chosen), text, nearest[0][1]["input"]))
+            result.append(Fault("wrong-value", _joined(chosen), text, value=nearest[0][1]["input"]))
     return result
 
 
@@ -188,14 +162,8 @@ def _fault(model: type[Closed], path: tuple, problem: Any) -> Fault:
         known = sorted(block.model_fields)
         near = difflib.get_close_matches(last, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
-        return Fault("unknown-key", key, hint=FORMER.get(key, hint))
-    return _wrong_value(key, _plain(problem["msg"]), value)
-
-
-def _wrong_value(key: str, text: str, value: Any) -> Fault:
-    """Return the fault of a value, with the remedy where earlier versions took it."""
-    place = re.sub(r"\.\d+", "", key)
-    return Fault("wrong-value", key, text, FORMER.get(f"{place}: {value}", FORMER.get(str(value), "")), value)
+        return Fault("unknown-key", key, hint=hint)
+    return Fault("wrong-value", key, _plain(problem["msg"]), value=value)
 
 
 def _joined(path: tuple) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import yaml
 from pydantic import Field, create_model
 
-from nishiki.artifacts.closed import FORMER, Closed, merged, parse
+from nishiki.artifacts.closed import Closed, merged, parse
 from nishiki.artifacts.provenance import scene_of_field
 from nishiki.capture.mosaic import is_mosaic, read_fields
 from nishiki.errors import UserError
@@ -187,8 +187,7 @@ def _scene(row: dict[str, str], configuration: Configuration, values: dict, tabl
     products = tuple(row.get("products", "").replace(",", " ").split()) or configuration.products
     unknown = [product for product in products if product not in PRODUCTS]
     if unknown:
-        hint = FORMER.get(unknown[0], f"known: {', '.join(PRODUCTS)}")
-        raise UserError(f"{table}: scene {name!r}: unknown product {unknown[0]!r}; {hint}")
+        raise UserError(f"{table}: scene {name!r}: unknown product {unknown[0]!r}; known: {', '.join(PRODUCTS)}")
     truth = row.get("truth", "").strip()
     settings: StageSettings = configuration
     if path := row.get("settings", "").strip():

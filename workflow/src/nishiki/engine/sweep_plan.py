@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from nishiki.artifacts.closed import FORMER, parse
+from nishiki.artifacts.closed import parse
 from nishiki.artifacts.provenance import differences
 from nishiki.engine.plan import Plan, make_plan
 from nishiki.engine.project import Project, Scene, Shared, load_yaml, scene_with
@@ -86,8 +86,7 @@ def plan_sweep(named: str, project: Project, facts_of: Callable[[Scene], SceneFa
     if unknown:
         raise UserError(f"{named}: no scene {unknown[0]!r} in the scene table; scenes: {', '.join(project.scenes)}")
     if sweep.stage not in CHAIN:
-        hint = FORMER.get(sweep.stage, f"stages: {', '.join(CHAIN)}")
-        raise UserError(f"{named}: stage: unknown stage {sweep.stage!r}; {hint}")
+        raise UserError(f"{named}: stage: unknown stage {sweep.stage!r}; stages: {', '.join(CHAIN)}")
     variants = expand(sweep, stages=CHAIN, where=named)
     scenes = [project.scenes[scene] for scene in sweep.scenes or project.scenes]
     return PlannedSweep(name, sweep, tuple(_scene_sweep(named, sweep, variants, scene, facts_of) for scene in scenes))

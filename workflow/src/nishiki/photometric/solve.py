@@ -12,7 +12,7 @@ from nishiki.photometric.light_selection import all_finite, checked_stack, direc
 from nishiki.summary import Summarised
 from nishiki.threads import over_rows
 
-SOLVERS = ("default", "lobe", "least_squares")
+SOLVERS = ("lobe", "least_squares")
 PRIOR = 1e-4  # least weight of b^2 and d^2, times a third of the number of samples (about their sum of c^2)
 RESELECTIONS = 1  # of samples after the first fit
 NEAR_DEG = 0.2  # largest difference between a pixel's direction to a near light and that of its block
@@ -94,7 +94,7 @@ def estimate_normals(
     usable=None,
     weights=None,
     valid=None,
-    solver="default",
+    solver="lobe",
     max_condition=1e4,
     noise=0.003,
 ):
@@ -116,7 +116,7 @@ def estimate_normals(
         Weights of the samples, zero or more; only for the solver `least_squares`.
     valid : (lights, rows, columns) array_like of bool, optional
         What is not valid enters no fit, chosen or not. Default: all.
-    solver : {'default', 'lobe', 'least_squares'}, optional
+    solver : {'lobe', 'least_squares'}, optional
         `least_squares`: ordinary (weighted) least squares on the usable samples. `lobe`, the default: from there, a
         reflectance with a diffuse fall-off and a gloss lobe (`nishiki.photometric.lobe`), which chooses the samples
         again among the valid ones; it starts from all valid ones where the selection is not to be followed
@@ -174,8 +174,6 @@ def estimate_normals(
         options = {"solver": solver, "max_condition": max_condition, "noise": noise}
         samples = {"usable": usable, "weights": weights, "valid": valid}
         return _near_field(np.asarray(observations), np.asarray(directions), samples, options)
-    if solver == "default":
-        solver = "lobe"
     stack, directions = checked_stack(observations, directions)
     shape = np.shape(observations)
     factors = sample_weights(stack, both(usable, valid), weights, shape)
@@ -183,9 +181,7 @@ def estimate_normals(
     shading = None
     if solver == "lobe":
         if weights is not None:
-            raise UserError(
-                f"normals: the solver {solver!r} takes no weights; use 'least_squares', or leave samples out"
-            )
+            raise UserError("normals: the solver 'lobe' takes no weights; use 'least_squares', or leave samples out")
         known = factors if valid is None else sample_weights(stack, valid, None, shape)
         if factors is not None and valid is not None:
             factors = without_distrusted(stack, directions, factors, known, outputs, max_condition)

@@ -66,34 +66,28 @@ def make_plane(
     return Plane(theta_i[order], theta_r[order], values[order], sigma[order], measured)
 
 
-def planes_of(reflectances, *, region: int = 0, relative_error: float = 0.02, oblique: bool = True):
-    """Weft and warp plane of a set of reflectances (see goniometry.table.ReflectanceSet).
+def planes_of(reflectances, *, region: int = 0, relative_error: float = 0.02) -> tuple[Plane, Plane]:
+    """Weft and warp plane of a set of reflectances (see goniometry.table.ReflectanceSet), lit along the normal.
 
-    Lamps and views within PLANE_DEG of a plane; oblique: False leaves out lamps off the normal. Where there are too few
-    of them lit along the normal, those are read from the interpolated hemisphere every STEP_DEG degrees, up to the
-    outermost view that was measured.
+    Views within PLANE_DEG of a plane. Where there are too few of them, values are read from the interpolated hemisphere
+    every STEP_DEG degrees, up to the outermost view that was measured.
     """
-    return tuple(_plane(reflectances, axis, region, relative_error, oblique) for axis in (0, 1))
+    weft, warp = (_plane(reflectances, axis, region, relative_error) for axis in (0, 1))
+    return weft, warp
 
 
-def _plane(reflectances, axis: int, region: int, relative_error: float, oblique: bool) -> Plane:
-    known = reflectances.valid[:, region]
+def _plane(reflectances, axis: int, region: int, relative_error: float) -> Plane:
+    known = reflectances.valid[:, region] & reflectances.normal_incidence
     lamp, view = reflectances.incident[known], reflectances.outgoing[known]
-    normal = reflectances.normal_incidence[known]
-    inside = _in_plane(lamp, axis) & _in_plane(view, axis) & (oblique | normal)
-    rows = {
-        "theta_i": np.where(normal, 0.0, np.arctan2(lamp[:, axis], lamp[:, 2]))[inside],
-        "theta_r": np.arctan2(view[:, axis], view[:, 2])[inside],
-        "values": reflectances.values[known][inside, region],
-        "noise": reflectances.noise[known][inside, region],
-    }
-    measured = (inside & normal).sum() >= LEAST
-    if not measured:
-        at, read = _interpolated(reflectances, axis, region, view[normal], int((inside & normal).sum()))
-        more = {"theta_i": np.zeros(at.size), "theta_r": at, "values": read, "noise": np.zeros_like(read)}
-        kept = ~normal[inside]
-        rows = {name: np.concatenate([values[kept], more[name]]) for name, values in rows.items()}
-    return make_plane(**rows, relative_error=relative_error, measured=bool(measured))
+    inside = _in_plane(lamp, axis) & _in_plane(view, axis)
+    measured = bool(inside.sum() >= LEAST)
+    if measured:
+        angles = np.arctan2(view[:, axis], view[:, 2])[inside]
+        values, noise = (each[known][inside, region] for each in (reflectances.values, reflectances.noise))
+    else:
+        angles, values = _interpolated(reflectances, axis, region, view, int(inside.sum()))
+        noise = None
+    return make_plane(angles, values, noise=noise, relative_error=relative_error, measured=measured)
 
 
 def _in_plane(directions: np.ndarray, axis: int) -> np.ndarray:

@@ -87,9 +87,6 @@ class MeshSettings(Guarded, stage="mesh", version=7, limits=LIMITS):
         description="silhouettes: views that may wrongly see background where all others see the object; by default "
         "one in 30 (rounded) of silhouettes that are found, none of given ones",
     )
-    consistency: bool = Field(
-        True, description="silhouettes: let the other views decide where few see background (see misses)"
-    )
     smooth: float = Field(
         0.5, ge=0, le=10, description="silhouettes: pixels by which smoothing may move the hull's surface; 0: none"
     )

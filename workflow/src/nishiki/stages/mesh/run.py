@@ -154,7 +154,7 @@ def overrule(
     """
     settings, out, shares = context.settings, list(masks), {}
     misses = usual_misses(sum(used)) if settings.misses is None else settings.misses
-    if not misses or not settings.consistency or sum(used) < misses + 2:
+    if not misses or sum(used) < misses + 2:
         return out, {}
     hull = carve(kept(masks, used), cameras, cells=COARSE_CELLS, misses=misses)
     loose, _ = without_small_parts(hull.mesh)

@@ -46,9 +46,9 @@ LIMITS = (
 class NormalsSettings(Guarded, stage="normals", version=7, limits=LIMITS):
     """Settings of photometric stereo (Tominaga and Tanaka 2004, section 3.3) and of the reflectance of each channel."""
 
-    solver: Literal["default", "lobe", "least_squares"] = Field(
-        "default",
-        description="least_squares: Lambert's law on the selected samples (Woodham 1980); lobe, the default: from "
+    solver: Literal["lobe", "least_squares"] = Field(
+        "lobe",
+        description="least_squares: Lambert's law on the selected samples (Woodham 1980); lobe: from "
         "there, a diffuse fall-off and a gloss lobe, with the samples chosen again by their residuals",
     )
     lights: Lights = Field(

@@ -47,7 +47,6 @@ class WeaveSettings(Guarded, stage="weave", version=6, limits=LIMITS):
     refractive_index: float | None = Field(
         1.5, gt=1.2, lt=2.2, description="of the fibres; null: fitted (strongly correlated with k_s)"
     )
-    oblique: bool = Field(False, description="use lamps off the normal as well, where they lie in the planes")
     relative_error: float = Field(
         0.02, gt=0.0, le=1.0, description="error of the data and of the model, relative to the value, beside the noise"
     )

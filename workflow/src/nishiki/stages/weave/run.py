@@ -23,9 +23,7 @@ def run(context: Context) -> dict:
     regions, diagnostics = {}, {}
     for number, name in enumerate(reflectances.regions):
         context.progress.tell(f"region {name}")
-        planes = planes_of(
-            reflectances, region=number, relative_error=settings.relative_error, oblique=settings.oblique
-        )
+        planes = planes_of(reflectances, region=number, relative_error=settings.relative_error)
         contact = None if settings.contact_deg is None else float(np.radians(settings.contact_deg))
         search = search_of(context, reflectances, number)
         known = search.best.binding.harness if search else settings.harness
