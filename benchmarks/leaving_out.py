@@ -1,11 +1,10 @@
-"""What leaving out saves: each chain as a scene needs it against the same scene with everything forced on.
+"""What leaving out saves: each chain as a scene needs it against the same scene with every product asked for.
 
     python benchmarks/leaving_out.py                       three simulated scenes, tiny
     python benchmarks/leaving_out.py --data captures/x     the parts and channels of a sealed capture of one's own
     python benchmarks/leaving_out.py --page                write the stored lines into docs/notes/leaving-out.md
 
-Forced on (`leave_out: nothing`) means all products, all photographs and channels, and all heavy packages imported by
-every stage. Seconds are of processor time, so that other programs on the machine do not count; bytes are those that the
+Seconds are of processor time, so that other programs on the machine do not count; bytes are those that the
 processes asked the operating system for, of files in its cache as well; memory is the peak of the largest stage. All
 come from the stages' own `run.json`. Every run is made twice and the second is counted: the first compiles kernels.
 """
@@ -27,6 +26,7 @@ sys.path[:0] = [str(PROJECT / "workflow/src"), str(PROJECT / "scripts")]
 from nishiki.capture.folder import load_capture  # noqa: E402
 from nishiki.observations.region import usage_of  # noqa: E402
 from nishiki.packages import EXTRAS, MODULES, installed  # noqa: E402
+from nishiki.stages.table import PRODUCTS  # noqa: E402
 
 SCENES = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
 ASKED = {"plane": ["normals"], "turntable": ["cameras", "mesh"], "goniometer": ["weave"]}
@@ -68,11 +68,11 @@ def nishiki(folder: Path, *arguments: str) -> str:
     return done.stdout
 
 
-def run_chain(folder: Path, capture: str, truth: str, products: list[str], leave_out: str) -> dict[str, dict]:
+def run_chain(folder: Path, capture: str, truth: str, products: list[str]) -> dict[str, dict]:
     """run.json of every stage of a fresh run; empty results, kernels as they are."""
     with tempfile.TemporaryDirectory(dir=folder) as name:
         place = Path(name)
-        settings = {**SMALL, "scenes": "scenes.tsv", "products": products, "leave_out": leave_out}
+        settings = {**SMALL, "scenes": "scenes.tsv", "products": products}
         (place / "config.yaml").write_text(yaml.safe_dump(settings))
         (place / "scenes.tsv").write_text(f"scene\tcapture\ttruth\none\t{capture}\t{truth}\n")
         nishiki(place, "run", "--configfile", "config.yaml", "--cores", "1")
@@ -93,19 +93,18 @@ def totals(facts: dict[str, dict]) -> dict:
 
 
 def chains(folder: Path, capture: str, truth: str, geometry: str) -> None:
-    """The whole chain forced on, the default products, and a scene that asks for little; then each stage left out."""
-    every = ["render", "evaluate", "report"]
-    run_chain(folder, capture, truth, every, "nothing")
-    forced = run_chain(folder, capture, truth, every, "nothing")
-    default = run_chain(folder, capture, truth, every, "auto")
-    little = run_chain(folder, capture, truth, ASKED[geometry], "auto")
+    """Every product, the default ones, and a scene that asks for little; then each stage left out."""
+    run_chain(folder, capture, truth, list(PRODUCTS))
+    every = run_chain(folder, capture, truth, list(PRODUCTS))
+    default = run_chain(folder, capture, truth, ["render", "evaluate", "report"])
+    little = run_chain(folder, capture, truth, ASKED[geometry])
     for case, facts in (
-        ("everything forced on", forced),
+        ("every product", every),
         ("default products", default),
         (", ".join(ASKED[geometry]), little),
     ):
         print(json.dumps({"chain": geometry, "case": case, **totals(facts), "default": facts is default}))
-    for stage, facts in forced.items():
+    for stage, facts in every.items():
         if stage in little:
             continue
         print(

@@ -137,11 +137,6 @@ def torn_index(flow):
     os.truncate(Path(flow.results, "second/current/index.json"), 50)
 
 
-def measured_without_leaving_out(flow):
-    scene = flow.plans["second"].scene
-    flow.plans["second"].scene = replace(scene, settings=StageSettings(leave_out="nothing"))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "reason"),
@@ -162,7 +157,6 @@ def measured_without_leaving_out(flow):
         (not_published, "publish"),
         (published_by_other_code, "publish"),
         (torn_index, "publish"),
-        (measured_without_leaving_out, "leave_out"),
     ],
 )
 def test_a_changed_scene_is_not_finished_and_the_others_are(flow, change, reason):

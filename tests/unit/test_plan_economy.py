@@ -113,15 +113,6 @@ def test_one_channel_where_the_settings_say_so():
     assert plan.stages["ingest"].settings["channels"] == "luminance"
 
 
-def test_everything_can_be_forced_on():
-    for facts in (PLANE, OBJECT, CLOTH):
-        found = planned(facts, "normals", "cameras", "weave", leave_out="nothing", hold_out="none")
-        assert without(found) == ()
-        assert found.stages["ingest"].settings["channels"] == "all"
-        assert len(found.stages) > 6
-    assert "evaluate" in planned(PLANE, "normals", leave_out="nothing").stages
-
-
 def test_the_report_is_told_of_parts_and_packages():
     told = planned(PLANE, "normals", "report").stages["report"].settings["left_out"]
     (check,) = (why for part, why in told.items() if part.startswith("2 "))

@@ -72,5 +72,5 @@ def test_the_list_of_stages_has_all_of_them():
 
 def test_settings_beside_the_stages_are_listed_apart():
     rows = cells(HOOK.on_page_markdown((DOCS / "settings.md").read_text(encoding="utf-8"), None, None, None))
-    assert {"hold_out", "leave_out", "scatter", "products", "results"} <= set(rows)
+    assert {"hold_out", "scatter", "products", "results"} <= set(rows)
     assert not set(CHAIN) & set(rows)

@@ -71,13 +71,6 @@ def loaded() -> tuple[str, ...]:
     return tuple(sorted(name for name, there in present.items() if there))
 
 
-def load_all() -> None:
-    """Import every heavy package that is installed, whether it is needed or not (to measure what that costs)."""
-    for name in [*MODULES.values(), *(f"scipy.{part}" for part in PARTS_OF_SCIPY)]:
-        if installed(name):
-            importlib.import_module(name)
-
-
 def installed(package: str) -> bool:
     """Whether a package can be imported; nothing of it is loaded."""
     return find_spec(MODULES.get(package, package).partition(".")[0]) is not None

@@ -20,7 +20,7 @@ from nishiki.artifacts.maps import StagePart, TiledStage, in_order
 from nishiki.artifacts.provenance import canonical, name_above, stage_key
 from nishiki.errors import UserError, of_the_machine
 from nishiki.formats.picture_process import end_children
-from nishiki.packages import load_all, loaded
+from nishiki.packages import loaded
 from nishiki.progress import Progress
 from nishiki.threads import threads
 from nishiki.version import PROJECT_VERSION
@@ -163,9 +163,6 @@ def _arguments(model: type[Guarded], description: str, words: Sequence[str] | No
     parser.add_argument("--code", default="", help="digest of the code, recorded in the artifact")
     parser.add_argument("--libraries", default="{}", metavar="JSON", help="library versions, recorded in the artifact")
     parser.add_argument(
-        "--load-everything", action="store_true", help="import every heavy package, to measure the cost"
-    )
-    parser.add_argument(
         "--output",
         type=Path,
         required=True,
@@ -182,8 +179,6 @@ def _run(
     stands_for: Sequence[str],
 ) -> None:
     facts = RunFacts()
-    if arguments.load_everything:
-        load_all()
     settings = parse(model, _json(arguments.settings, "--settings"), f"settings of {model.STAGE}")
     opened = [open_artifact(Path(folder)) for folder in arguments.inputs]
     named = {name_above(arguments.scene, item.manifest): item for item in opened if "part" not in item.manifest}

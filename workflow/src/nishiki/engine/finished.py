@@ -36,8 +36,6 @@ def unfinished_scenes(flow: Workflow, *, contents: bool = False) -> dict[str, st
 def reason_to_run(flow: Workflow, scene: str, *, contents: bool = False) -> str:
     """Return the first reason why a scene is not finished; empty where it is."""
     plan = flow.plans[scene]
-    if plan.scene.settings.leave_out == "nothing":
-        return "leave_out: nothing measures its stages, which finished ones may have left out"
     for field in plan.scene.fields:
         if reason := reason_to_run(flow, field.name, contents=contents):
             return f"{field.name}: {reason}"

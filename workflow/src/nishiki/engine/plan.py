@@ -124,10 +124,7 @@ def make_plan(scene: Scene, facts: SceneFacts, fields: Mapping[str, Plan] = Mapp
         for each in stage.stands_for
         if all(each in plan.stages for plan in fields.values())
     }
-    products = scene.products
-    if scene.settings.leave_out == "nothing":  # first those that pull in others: reasons to leave out name the cause
-        products = tuple(stage.asked_as for name, stage in reversed(chain.items()) if name != "ingest")
-    for product in products:
+    for product in scene.products:
         stage = next((name for name in chain if product in (name, chain[name].product)), joined.get(product))
         if stage is None:
             left_out[product] = f"captures of a {facts.geometry} have no such stage"
@@ -173,14 +170,11 @@ def _read_by_ingest(
     """Set the channels and the parts of the capture that ingest reads by the needs of the stages."""
     ingest: Any = settings["ingest"]
     reasons: dict[str, str] = {}
-    everything = scene.settings.leave_out == "nothing"
     if ingest.channels == "auto":
-        colour = (everything or any(CHAIN[name].needs_colour for name in needed)) and facts.channels > 1
+        colour = any(CHAIN[name].needs_colour for name in needed) and facts.channels > 1
         ingest = ingest.model_copy(update={"channels": "all" if colour else "luminance"})
         if not colour and facts.channels > 1:
             reasons["colour"] = "no product asked for needs more than luminance: one channel is decoded and kept"
-    if everything:
-        return ingest, reasons
     looked = {part for stage in needed for part in CHAIN[stage].looks_at(facts, settings, scene.products)}
     without = tuple(part for part in PARTS if facts.parts.get(part) and part not in looked)
     why = {

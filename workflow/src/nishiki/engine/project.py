@@ -41,11 +41,6 @@ class Shared(Closed):
         description="lights (views of a turntable) left out of every fit and predicted instead; auto: some, where "
         "nothing else checks",
     )
-    leave_out: Literal["auto", "nothing"] = Field(
-        "auto",
-        description="nothing: every product, photograph and channel, asked for or not, and every package loaded; "
-        "for measuring what leaving out saves (docs/leaving-out.md)",
-    )
     scatter: Literal["none", "auto"] | dict[DividedStage, Annotated[int, Field(ge=1, le=256)]] = Field(
         "none",
         description="parts that a stage is divided into, each a job: {normals: 4}; auto: of about a quarter of an "

@@ -189,14 +189,13 @@ class Workflow(Scheduling):
         }
 
     def source(self, scene: str, stage: str) -> str:
-        """Arguments that name what lies outside the results: the capture, the truth; and that force all packages in."""
+        """Arguments that name what lies outside the results: the capture, the truth."""
         of = self.plans[scene].scene
-        everything = ["--load-everything"] if of.settings.leave_out == "nothing" else []
         if stage == "ingest":
-            return shlex.join(["--capture", _no_option(of.capture), *everything])
+            return shlex.join(["--capture", _no_option(of.capture)])
         if CHAIN[stage].asked_as == "evaluate" and of.truth:
-            return shlex.join(["--truth", _no_option(of.truth), *everything])
-        return shlex.join(everything)
+            return shlex.join(["--truth", _no_option(of.truth)])
+        return ""
 
     @cache  # noqa: B019  one Workflow a process
     def code(self, stage: str) -> str:
