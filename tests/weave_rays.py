@@ -134,7 +134,7 @@ def brute_force(section, *angles):
 def shares(shape, angles):
     out = angles.copy()
     for k in range(angles.size):
-        out[k] = visible_share(shape, 0.0, angles[k])
+        out[k] = visible_share(shape, angles[k])
     return out
 
 

@@ -186,7 +186,7 @@ def test_weave_scale():
     values = 0.1 + np.exp(-((angles / 0.3) ** 2))
     low, high = bounds()
     points = np.random.default_rng(0).uniform(low, high, (60, low.size))
-    rows = np.concatenate([plane_rows(k, 0.0, angles) for k in (0, 1)])
+    rows = np.concatenate([plane_rows(k, angles) for k in (0, 1)])
     differ, plain = 0, None
     for exponent in (0, -40, -10, 10, 40):
         scale = 2.0**exponent

@@ -111,7 +111,7 @@ def test_stage_from_reflectances_to_model_mesh_and_drawings(tmp_path):
     view[..., 2] = np.cos(theta)
     view = view.reshape(-1, 3)
     lamp = np.broadcast_to([0.0, 0.0, 1.0], view.shape)
-    values = np.concatenate([truth.predict(plane, 0.0, theta) for plane in ("weft", "warp")])
+    values = np.concatenate([truth.predict(plane, theta) for plane in ("weft", "warp")])
     table = ReflectanceSet.of(lamp, view, values, weave="satin")
     with ArtifactWriter(tmp_path / "goniometer_samples" / "0") as out:
         write_reflectances(out.folder, table)

@@ -22,10 +22,9 @@ LEAST = 8  # finite reflectances of a plane
 
 @dataclass(frozen=True)
 class Plane:
-    """Hold reflectances with lamps and views in one plane."""
+    """Hold reflectances with views in one plane, lit along the normal."""
 
-    theta_i: np.ndarray  # theta_i, theta_r (n,) signed radians from the normal, below pi/2
-    theta_r: np.ndarray
+    theta_r: np.ndarray  # (n,) signed radians from the normal, below pi/2
     values: np.ndarray  # (n, channels) sr^-1
     sigma: np.ndarray  # (n,) standard deviation of the mean over channels
     measured: bool = True  # False where taken from the interpolated hemisphere
@@ -36,19 +35,16 @@ class Plane:
         return self.values.mean(axis=1)
 
 
-def make_plane(
-    theta_r, values, *, theta_i=0.0, relative_error: float = 0.02, noise=None, measured: bool = True
-) -> Plane:
-    """Build a plane from signed angles (n,) and values (n,) or (n, channels); theta_i is broadcast.
+def make_plane(theta_r, values, *, relative_error: float = 0.02, noise=None, measured: bool = True) -> Plane:
+    """Build a plane from signed angles (n,) and values (n,) or (n, channels).
 
     noise : standard deviation of the values, same shape, or None. Weights follow from it and from relative_error of the
     value, which stands for everything that the model leaves out.
     """
     theta_r, values = np.asarray(theta_r, np.float64), np.asarray(values, np.float64)
-    theta_i = np.broadcast_to(np.asarray(theta_i, np.float64), theta_r.shape)
     values = values[:, None] if values.ndim == 1 else values
     noise = np.zeros_like(values) if noise is None else np.asarray(noise, np.float64).reshape(values.shape)
-    inside = (np.abs(theta_i) < np.pi / 2) & (np.abs(theta_r) < np.pi / 2)
+    inside = np.abs(theta_r) < np.pi / 2
     if theta_r.size < LEAST or not np.all(np.isfinite(values)) or not np.all(inside):
         raise UserError(
             f"weave: expected at least {LEAST} finite reflectances below 90 degrees in each plane, found "
@@ -62,8 +58,8 @@ def make_plane(
         )
     floor = 1e-4 * max(float(np.abs(mean).max()), 1e-300)
     sigma = np.sqrt(np.sum(noise**2, axis=1) / values.shape[1] ** 2 + (relative_error * mean) ** 2 + floor**2)
-    order = np.lexsort((theta_r, theta_i))
-    return Plane(theta_i[order], theta_r[order], values[order], sigma[order], measured)
+    order = np.argsort(theta_r, kind="stable")
+    return Plane(theta_r[order], values[order], sigma[order], measured)
 
 
 def planes_of(reflectances, *, region: int = 0, relative_error: float = 0.02) -> tuple[Plane, Plane]:
@@ -136,16 +132,16 @@ class WeaveModel:
         """Reflectance at normal incidence, ((n - 1) / (n + 1))^2."""
         return ((self.index - 1.0) / (self.index + 1.0)) ** 2
 
-    def parts(self, plane: str, theta_i, theta_r) -> tuple[np.ndarray, np.ndarray]:
+    def parts(self, plane: str, theta_r) -> tuple[np.ndarray, np.ndarray]:
         """Gloss and body (..., channels) sr^-1 in one plane ("weft", "warp") at signed angles (...,), radians."""
-        rows = plane_rows(0 if plane == "weft" else 1, theta_i, theta_r)
+        rows = plane_rows(0 if plane == "weft" else 1, theta_r)
         widths, reading = (self.a_weft, self.a_warp), READINGS[self.reading]
         both = columns(self.weft.shape, self.warp.shape, widths, rows, f0=self.f0, reading=reading)
         return both[..., :1] * (self.k_s * self.f0), both[..., 1:] * self.k_d
 
-    def predict(self, plane: str, theta_i, theta_r) -> np.ndarray:
+    def predict(self, plane: str, theta_r) -> np.ndarray:
         """Reflectance (..., channels) sr^-1: Takeda and Tanaka, eq. 15 (reading "paper"), or its shaded form."""
-        gloss, body = self.parts(plane, theta_i, theta_r)
+        gloss, body = self.parts(plane, theta_r)
         return gloss + body
 
     def parameters(self) -> dict[str, float]:
@@ -201,7 +197,7 @@ def fit_weave(
     ranges = profile_intervals(problem, p, cost, confidence=confidence, variance=variance) if confidence else {}
     rms_rel = {}
     for name, plane in (("weft", weft), ("warp", warp)):
-        missed = model.predict(name, plane.theta_i, plane.theta_r).mean(axis=-1) - plane.mean
+        missed = model.predict(name, plane.theta_r).mean(axis=-1) - plane.mean
         rms_rel[name] = float(np.sqrt(np.sum(missed**2) / max(np.sum(plane.mean**2), 1e-300)))
     return WeaveFit(
         model=model,
@@ -282,4 +278,4 @@ def _identifiability(model: WeaveModel, weft: Plane, warp: Plane, problem: Probl
 
 
 def _rows(weft: Plane, warp: Plane) -> np.ndarray:
-    return np.concatenate([plane_rows(k, plane.theta_i, plane.theta_r) for k, plane in enumerate((weft, warp))])
+    return np.concatenate([plane_rows(k, plane.theta_r) for k, plane in enumerate((weft, warp))])

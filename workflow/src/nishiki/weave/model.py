@@ -1,14 +1,13 @@
 """Evaluate the reflectance of the weave model: gloss and body, each linear in its strength.
 
-A direction in space sees a section as its projection on the section's plane does, so each column is made of a factor of
-the weft plane (x, z) and one of the warp plane (y, z). Two readings of the same sections:
+The light comes along the normal, the views lie in the plane of the weft (x, z) or in that of the warp (y, z). Two
+readings of the same sections:
 
 * paper: Takeda and Tanaka, eq. 15, rho = k_s D F G / cos(theta_r) + k_d d G; a section enters by its masking alone.
-* shaded: every piece of a section that is lit and seen reflects by its own slope, the gloss by facets that scatter
+* shaded: every piece of a section that is seen reflects by its own slope, the gloss by facets that scatter
   about it, D(theta_h - slope), the body by Lambert's law; integrated over these pieces in closed form.
 
-Light off the normal: G is the share that is lit and seen, the gloss is divided by cos(theta_i) as well. For light and
-view along the normal both columns are 1 without the Fresnel term, so a strength is its part of rho: k_s F0, k_d d.
+Along the normal both columns are 1 without the Fresnel term, so a strength is its part of rho: k_s F0, k_d d.
 
 The lobe D is the paper's exp(-x^2 / a^2).
 """
@@ -67,46 +66,42 @@ def _beyond(x, width):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pieces(shape, width, theta_i, theta_r, half):
-    """Gloss (without Fresnel) and body of the pieces lit and seen, times cos(theta_i) cos(theta_r), over the period.
-
-    half: angle of the half vector, which in the plane lies midway.
-    """
+def pieces(shape, width, theta):
+    """Gloss (without Fresnel) and body of the pieces seen from theta, times cos(theta), over the period."""
     theta_a, length, radius, flat, yarns, contact = shape
-    rows, apart, middle = yarns - 1.0, cos(theta_i - theta_r), theta_i + theta_r
-    lit, seen = side_lengths(shape, theta_i), side_lengths(shape, theta_r)
+    rows, half, seen = yarns - 1.0, 0.5 * theta, side_lengths(shape, theta)
     arc = radius * theta_a
     hump_gloss = hump_body = 0.0
-    gloss, body = flat * lobe(half, width), flat * cos(theta_i) * cos(theta_r)
+    gloss, body = flat * lobe(half, width), flat * cos(theta)
     for k in range(2):
         side = 1.0 if k == 0 else -1.0
-        outer, inner = min(lit[k], seen[k]), min(lit[k + 2], seen[k + 2])
+        outer, inner = seen[k], seen[k + 2]
         straight, angle = max(outer - arc, 0.0), (min(outer, arc) / radius if radius > 0.0 else 0.0)
         low, high = (half - angle, half) if k == 0 else (half, half + angle)
         hump_gloss += straight * lobe(half - side * theta_a, width)
         hump_gloss += radius * lobe_integral(low, high, width)
-        hump_body += straight * cos(theta_i - side * theta_a) * cos(theta_r - side * theta_a)
-        # integral of cos(theta_i - side x) cos(theta_r - side x) over 0..angle
-        hump_body += 0.5 * radius * (angle * apart + sin(angle) * cos(angle - side * middle))
+        hump_body += straight * cos(theta_a) * cos(theta - side * theta_a)
+        # integral of cos(x) cos(theta - side x) over 0..angle
+        hump_body += 0.5 * radius * (angle * cos(theta) + sin(angle) * cos(angle - side * theta))
         if rows > 0.0:
             low, high = (half - inner, half) if k == 0 else (half, half + inner)
             gloss += rows * radius * lobe_integral(low, high, width)
-            body += 0.5 * rows * radius * (inner * apart + sin(inner) * cos(inner - side * middle))
+            body += 0.5 * rows * radius * (inner * cos(theta) + sin(inner) * cos(inner - side * theta))
     wide = 4.0 * (length * cos(theta_a) + radius * sin(theta_a)) + flat + 2.0 * rows * radius * sin(contact)
     # the first hump with its flat top or contacts, then the second
     return (gloss + hump_gloss) / wide + hump_gloss / wide, (body + hump_body) / wide + hump_body / wide
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _plane_factor(shape, width, reading, above, i, r, half):
-    """Gloss (times cos i cos r) and body factor of one plane, paper and shaded reading; 1 along the normal."""
-    if i == 0.0 and r == 0.0 and half == 0.0:
+def _section_factor(shape, width, reading, above, theta):
+    """Gloss (times the cosine) and body factor of one section, paper and shaded reading; 1 along the normal."""
+    if theta == 0.0:
         return 1.0, 1.0
     if reading < SHADED:
-        seen = visible_share(shape, i, r)
-        return lobe(half, width) * seen, seen
-    gloss, body = pieces(shape, width, i, r, half)
-    return gloss / above[0] if above[0] > TINY else 0.0, body / (above[1] * cos(i) * cos(r))
+        seen = visible_share(shape, theta)
+        return lobe(0.5 * theta, width) * seen, seen
+    gloss, body = pieces(shape, width, theta)
+    return gloss / above[0] if above[0] > TINY else 0.0, body / (above[1] * cos(theta))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -117,34 +112,28 @@ def fill_columns(weft, warp, across, along, rows, f0, reading, out):
     """
     above_x = above_y = (1.0, 1.0)
     if reading == SHADED:
-        above_x = pieces(weft, across, 0.0, 0.0, 0.0)
-        above_y = pieces(warp, along, 0.0, 0.0, 0.0)
+        above_x, above_y = pieces(weft, across, 0.0), pieces(warp, along, 0.0)
     for k in range(len(rows)):
-        row = rows[k]
-        schlick = 1.0 + (1.0 / f0 - 1.0) * (1.0 - row[8]) ** 5  # over its value f0 at normal incidence
-        fresnel = schlick / (row[6] * row[7])
-        x = _plane_factor(weft, across, reading, above_x, row[0], row[1], row[2])
-        y = _plane_factor(warp, along, reading, above_y, row[3], row[4], row[5])
-        out[k, 0], out[k, 1] = fresnel * x[0] * y[0], x[1] * y[1]
+        schlick = 1.0 + (1.0 / f0 - 1.0) * (1.0 - rows[k, 3]) ** 5  # over its value f0 at normal incidence
+        if rows[k, 0] == 0.0:
+            gloss, body = _section_factor(weft, across, reading, above_x, rows[k, 1])
+        else:
+            gloss, body = _section_factor(warp, along, reading, above_y, rows[k, 1])
+        out[k, 0], out[k, 1] = schlick / rows[k, 2] * gloss, body
 
 
-def plane_rows(plane: int, theta_i, theta_r) -> np.ndarray:
-    """Compute angles and cosines (..., 9) of directions in one plane (0 weft, 1 warp) at signed angles, radians.
+def plane_rows(plane: int, theta) -> np.ndarray:
+    """Rows (..., 4) of views in one plane (0 weft, 1 warp) at signed angles, radians.
 
-    Angles of light, view and half vector in the weft plane, the same in the warp plane, cosines of light and view with
-    the normal, and of light with the half vector.
+    Plane, angle, cosine of the view with the normal, and of the light with the half vector.
     """
-    theta_i, theta_r = np.broadcast_arrays(np.asarray(theta_i, float), np.asarray(theta_r, float))
-    rows = np.zeros((*theta_r.shape, 9))
-    rows[..., 3 * plane], rows[..., 3 * plane + 1] = theta_i, theta_r
-    rows[..., 3 * plane + 2] = 0.5 * (theta_i + theta_r)
-    rows[..., 6], rows[..., 7], rows[..., 8] = np.cos(theta_i), np.cos(theta_r), np.cos(0.5 * (theta_r - theta_i))
-    return rows
+    theta = np.asarray(theta, float)
+    return np.stack([np.full(theta.shape, float(plane)), theta, np.cos(theta), np.cos(0.5 * theta)], axis=-1)
 
 
 def columns(weft, warp, widths, rows: np.ndarray, *, f0: float, reading: int) -> np.ndarray:
-    """Gloss and body column (..., 2) of two sections' shapes for rows (..., 9); see fill_columns."""
-    flat = np.ascontiguousarray(rows.reshape(-1, 9))
+    """Gloss and body column (..., 2) of two sections' shapes for rows (..., 4); see fill_columns."""
+    flat = np.ascontiguousarray(rows.reshape(-1, 4))
     out = np.empty((len(flat), 2))
     shapes = (tuple(map(float, weft)), tuple(map(float, warp)))
     fill_columns(*shapes, float(widths[0]), float(widths[1]), flat, float(f0), reading, out)

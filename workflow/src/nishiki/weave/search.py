@@ -211,7 +211,7 @@ class Problem:
     def edges(self, plane: int) -> np.ndarray:
         """Return the ends of the intervals of one plane's theta_a in which the model is smooth; see `cells`."""
         part = slice(0, self.split) if plane == 0 else slice(self.split, None)
-        return cells(self.rows[part, 3 * plane : 3 * plane + 2].ravel())
+        return cells(self.rows[part, 1])
 
 
 def bounds() -> tuple[np.ndarray, np.ndarray]:

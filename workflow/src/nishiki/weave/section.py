@@ -4,8 +4,8 @@ A section is a train of two humps of equal height a period. A hump is a straight
 an arc of radius r and angle theta_a, and the mirror image of both (Takeda and Tanaka, figs. 5 and 6). The first hump
 may carry a flat
 top of length m between its arcs, or be a row of n yarns: n - 1 contacts, each of two further arcs of angle `contact`.
-From any direction what is seen of one side of a hump is one piece that begins at its top, so a single length says all:
-that is why two directions (lamp and camera) cost no more than one, the smaller of the two lengths is lit and seen.
+From any direction what is seen of one side of a hump is one piece that begins at its top, so a single length says all.
+The light comes along the normal and reaches all of it.
 
 Derivation, with t = pi/2 - theta the angle of the ray above the horizontal and u = (sin t, cos t) normal to the ray.
 A ray that leaves the arc (centre C) where it is tangent has u.p = u.C + r. With the valley at the origin and
@@ -93,13 +93,13 @@ def total_length(shape):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def visible_share(shape, theta_i, theta_r):
-    """Share of the surface that is lit from theta_i and seen from theta_r (signed), 0 to 1."""
-    if abs(theta_i) > HALF_PI or abs(theta_r) > HALF_PI:
+def visible_share(shape, theta):
+    """Share of the surface that is seen from theta (signed), 0 to 1."""
+    if abs(theta) > HALF_PI:
         return 0.0
-    lit, seen = side_lengths(shape, theta_i), side_lengths(shape, theta_r)
-    humps = 2.0 * (min(lit[0], seen[0]) + min(lit[1], seen[1]))
-    contacts = (shape[4] - 1.0) * shape[2] * (min(lit[2], seen[2]) + min(lit[3], seen[3]))
+    seen = side_lengths(shape, theta)
+    humps = 2.0 * (seen[0] + seen[1])
+    contacts = (shape[4] - 1.0) * shape[2] * (seen[2] + seen[3])
     return min((humps + shape[3] + contacts) / total_length(shape), 1.0)
 
 

@@ -66,9 +66,8 @@ def describe_yarns(search: YarnSearch, *, confidence: float) -> dict:
 
 def curves(model: WeaveModel, name: str, plane: Plane) -> dict:
     """Measured and fitted reflectance of one plane, mean over channels: degrees, sr^-1."""
-    gloss, body = model.parts(name, plane.theta_i, plane.theta_r)
+    gloss, body = model.parts(name, plane.theta_r)
     return {
-        "theta_i_deg": np.round(np.degrees(plane.theta_i), 4).tolist(),
         "theta_r_deg": np.round(np.degrees(plane.theta_r), 4).tolist(),
         "measured": plane.mean.tolist(),
         "sigma": plane.sigma.tolist(),

@@ -200,20 +200,15 @@ def words_of(name: str) -> str:
 
 
 def curve(values: dict[str, Any], plane: str) -> Figure:
-    """Measured and fitted reflectance at normal incidence (or at the first incidence there is) of one plane."""
-    theta_i, theta_r = np.array(values["theta_i_deg"]), np.array(values["theta_r_deg"])
-    first = theta_i[np.argmin(np.abs(theta_i))] if len(theta_i) else 0.0
-    rows = np.flatnonzero(np.abs(theta_i - first) < 0.5)
-    rows = rows[np.argsort(theta_r[rows], kind="stable")]
-    angle = theta_r[rows]
-    measured, gloss, body = (np.array(values[name])[rows] for name in ("measured", "gloss", "body"))
+    """Measured and fitted reflectance of one plane."""
+    angle, measured, gloss, body = (np.array(values[name]) for name in ("theta_r_deg", "measured", "gloss", "body"))
     curves = [
         Curve("interpolated" if values["interpolated"] else "measured", angle, measured, colour=INK, dots=True),
         Curve("fitted", angle, gloss + body),
         Curve("of which from within", angle, body, colour=PALETTE[1], dashed=True),
     ]
     svg = chart(curves, x_label="view, degrees", y_label="BRDF, 1/sr", title=f"reflectance in the plane of the {plane}")
-    return Figure(f"Plane of the {plane}", f"light at {abs(first):.0f}°.", svg=svg)
+    return Figure(f"Plane of the {plane}", "light along the normal.", svg=svg)
 
 
 def notes(entry: dict[str, Any]) -> list[str]:
