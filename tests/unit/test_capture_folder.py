@@ -12,9 +12,8 @@ from captures import edit_text, edit_yaml, make_capture
 from conftest import PROJECT
 from refusals import refused
 
-from nishiki.capture import seal as seal_module
 from nishiki.capture.folder import load_capture
-from nishiki.capture.seal import capture_digest, payload_digests, read_manifest, seal, sha256_of, verify_seal
+from nishiki.capture.seal import capture_digest, read_manifest, seal, sha256_of, verify_seal
 from nishiki.capture.tables import read_curves
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
@@ -211,16 +210,6 @@ def test_sealing_does_not_touch_a_strange_folder_in_its_way(tmp_path):
         seal(folder)
     assert caught.value.problems[0].kind == "seal-occupied"
     assert (tmp_path / "c.sealing" / "treasure.txt").read_text() == "gold"
-
-
-def test_known_digests_are_not_computed_again(tmp_path, monkeypatch):
-    folder = make_capture(tmp_path / "c")
-    known = payload_digests(folder)
-    read = []
-    monkeypatch.setattr(seal_module, "sha256_of", lambda path: read.append(path.name) or "0" * 64)
-    (folder / "frames/L01.png").write_bytes(b"other")
-    payload_digests(folder, known=known)
-    assert read == ["L01.png"]
 
 
 def test_moving_a_capture_does_not_change_it(tmp_path):

@@ -236,7 +236,7 @@ def test_a_frame_that_was_journalled_but_not_renamed_is_recognised(hand, tmp_pat
 def photographs_of(hand):
     from nishiki.capture.seal import payload_digests
 
-    return {name: entry.sha256 for name, entry in payload_digests(hand).items() if name.endswith(".png")}
+    return {name: digest for name, digest in payload_digests(hand).items() if name.endswith(".png")}
 
 
 def test_another_table_is_refused_with_the_way_on(hand, tmp_path):

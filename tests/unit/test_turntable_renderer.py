@@ -1,5 +1,6 @@
 """The renderer on a dome of known texels, against a slow one written out pixel by pixel."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -306,7 +307,7 @@ def test_pictures_are_clipped_to_what_the_capture_could_hold():
 def test_nothing_in_view_gives_an_empty_picture():
     made = make()
     away = Camera("away", made.cameras[0].intrinsics, np.eye(3), np.array([0, 0, -9.0]), 20, 30)
-    picture = next(made.render([made.captured(0, camera=away)]))
+    picture = next(made.render([replace(made.captured(0), camera=away, captured=None)]))
     assert not picture.reached.any()
     assert not picture.linear.any()
 

@@ -53,14 +53,11 @@ class TexelsWriter:
         cameras: list[Camera],
         source: Source,
         *,
-        tolerance: float = 1.0,
-        grazing_deg: float = 80.0,
         stamp: dict[str, str],
     ):
         self.mesh, self.atlas, self.cameras = mesh, atlas, cameras
         lights, components, channels, encoding, full_turn, hold_out = source
         self.lights, self.components, self.channels, self.hold_out = lights, components, channels, hold_out
-        self.tolerance, self.grazing_deg = tolerance, grazing_deg
         self.views, self.observations = len(cameras), len(cameras) * len(lights)
         texel_bytes = atlas.size**2 * channels * 4 * self.observations
         self.together = int(np.clip((READ_AHEAD_MIB << 20) // texel_bytes, 1, max(1, atlas.tiles)))
@@ -171,8 +168,6 @@ class TexelsWriter:
                 camera=camera,
                 depth=np.where(usable, view.raster.depth, np.float32(np.inf)),
                 pictures=[pictures[name] for name in self.components],
-                tolerance=self.tolerance,
-                grazing_deg=self.grazing_deg,
             )
             self.group["visible"][observation, group] = results[0].visible
             for name, sampled in zip(self.components, results, strict=True):

@@ -4,7 +4,6 @@ import hashlib
 import os
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from datetime import date as Date
 from pathlib import Path
 
@@ -15,15 +14,6 @@ from nishiki.formats.text_tables import refusal
 MANIFEST, TAG_MANIFEST = "manifest-sha256.txt", "tagmanifest-sha256.txt"
 TAGS = ("bagit.txt", "bag-info.txt", MANIFEST)
 BAGIT = "BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n"
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One payload file: digest and the facts that tell cheaply whether it may have changed."""
-
-    sha256: str
-    bytes: int
-    mtime_ns: int
 
 
 def sha256_of(path: Path) -> str:
@@ -63,19 +53,15 @@ def _strange(name: str, entry: os.DirEntry, folder: Path) -> Problem | None:
     return None
 
 
-def payload_digests(folder: Path, *, known: dict[str, Entry] | None = None) -> dict[str, Entry]:
-    """Digest of every file by its name in a bag ('data/...').
-
-    known: an earlier result; a file whose size and modification time are as they were is not read again.
-    """
-    entries = {}
+def payload_digests(folder: Path, *, progress: Callable[[str], None] | None = None) -> dict[str, str]:
+    """Digest of every file by its name in a bag ('data/...'); progress: called with each name."""
+    digests = {}
     for path in payload_files(folder):
-        name, facts = f"data/{path.relative_to(folder).as_posix()}", path.stat()
-        before = (known or {}).get(name)
-        if before is None or (before.bytes, before.mtime_ns) != (facts.st_size, facts.st_mtime_ns):
-            before = Entry(sha256_of(path), facts.st_size, facts.st_mtime_ns)
-        entries[name] = before
-    return entries
+        name = f"data/{path.relative_to(folder).as_posix()}"
+        digests[name] = sha256_of(path)
+        if progress:
+            progress(name)
+    return digests
 
 
 def manifest_text(digests: dict[str, str]) -> str:
@@ -130,7 +116,7 @@ def capture_digest(root: Path) -> str:
         text = manifest_text(read_manifest(root / MANIFEST))
     else:
         payload = root / "data" if (root / "data" / "capture.yaml").is_file() else root
-        text = manifest_text({name: e.sha256 for name, e in payload_digests(payload).items()})
+        text = manifest_text(payload_digests(payload))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -243,13 +229,8 @@ def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
 
 def _write_tags(bag: Path, payload: Path, progress: Callable[[str], None] | None) -> None:
     """bag-info, manifests, and last bagit.txt, whose presence makes it a bag."""
-    digests, size = {}, 0
-    for path in payload_files(payload):
-        name = f"data/{path.relative_to(payload).as_posix()}"
-        digests[name] = sha256_of(path)
-        size += path.stat().st_size
-        if progress:
-            progress(name)
+    digests = payload_digests(payload, progress=progress)
+    size = sum((payload / name.removeprefix("data/")).stat().st_size for name in digests)
     info = f"Bagging-Date: {Date.today().isoformat()}\nPayload-Oxum: {size}.{len(digests)}\n"
     texts = {"bag-info.txt": info, MANIFEST: manifest_text(digests)}
     tags = {n: hashlib.sha256(t.encode()).hexdigest() for n, t in {**texts, "bagit.txt": BAGIT}.items()}

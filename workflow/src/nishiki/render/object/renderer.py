@@ -90,12 +90,10 @@ class ObjectRenderer:
         self._cache: OrderedDict[int, DecodedTile] = OrderedDict()
         self._held, self._dropped, self._lock = 0, False, threading.Lock()
 
-    def captured(self, index: int, *, camera: Camera | None = None, light: int = 0) -> Shot:
-        """Make the picture of a captured view from its own slot of the residual; `camera`: the same at another size."""
+    def captured(self, index: int, *, light: int = 0) -> Shot:
+        """Make the picture of a captured view from its own slot of the residual."""
         slot = Neighbours(np.array([index]), np.ones(1))
-        return Shot(
-            camera or self.cameras[index], slot, slot, ((light, 1.0),), captured=index if camera is None else None
-        )
+        return Shot(self.cameras[index], slot, slot, ((light, 1.0),), captured=index)
 
     def predicted(self, index: int, *, light: int = 0) -> Shot:
         """Return the picture of a captured view without its own residual: interpolated between the other views."""
