@@ -24,6 +24,9 @@ busily: with two of each, the export of relightable images took twice the proces
 STRIPS_A_THREAD = 4
 """More strips than threads, so that a thread with easy rows helps out where rows are hard."""
 
+LEAST_VALUES = 1 << 15
+"""Of arrays that are worth several threads."""
+
 
 def threads() -> int:
     """Threads that this process may use: those that its job was given, else one for each processor that it may use.
@@ -70,11 +73,22 @@ def in_threads(
 
 
 def over_rows(kernel: Callable[..., None], rows: int, *arguments) -> None:
-    """Call kernel(start, stop, *arguments) for strips that cover 0 .. rows - 1, several at a time."""
-    strips = min(rows, threads() * STRIPS_A_THREAD) if threads() > 1 else 1
+    """Call kernel(start, stop, *arguments) for strips that cover 0 .. rows - 1, several at a time.
+
+    Arrays of few values are one strip: a parcel of near lamps is done before another thread has begun.
+    """
+    if rows < 2 or threads() == 1 or _values(arguments) < LEAST_VALUES:
+        kernel(0, rows, *arguments)
+        return
+    strips = min(rows, threads() * STRIPS_A_THREAD)
     edges = [rows * index // strips for index in range(strips + 1)] if rows else []
     for _ in in_threads(lambda pair: kernel(*pair, *arguments), itertools.pairwise(edges), rows, strips):
         pass
+
+
+def _values(arguments: tuple) -> int:
+    """Count the values of all arrays among arguments and tuples of them."""
+    return sum(_values(each) if isinstance(each, tuple) else getattr(each, "size", 1) for each in arguments)
 
 
 def strips(rows: int, most: int = 256) -> Iterator[slice]:
