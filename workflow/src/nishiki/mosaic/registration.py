@@ -163,7 +163,7 @@ def thumbnail_spectra(field: Field, size: tuple[int, int]) -> np.ndarray:
     from scipy.fft import rfft2
 
     values, known = field.read(*(slice(0, n) for n in field.shape))
-    taper = taper_of(known)
+    taper = taper_of(known, 1, 4)  # overlaps are narrow here
     features = [laplacian(values[..., k], taper) * taper for k in range(3)]
     return rfft2(np.stack([*features, np.square(features).sum(axis=0), taper]), s=size)
 

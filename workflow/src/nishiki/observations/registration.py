@@ -239,12 +239,12 @@ def _features(pictures: Sequence[np.ndarray] | np.ndarray, inside: np.ndarray) -
     return features
 
 
-def taper_of(inside: np.ndarray) -> np.ndarray:
-    """Return weights (rows, columns) float32 of an object's pixels, which rise from 0 at its rim to 1."""
+def taper_of(inside: np.ndarray, rim: int = 4, rise: int = 8) -> np.ndarray:
+    """Return weights (rows, columns) float32 of an object's pixels: 0 in its rim, from there rising to 1; in pixels."""
     import cv2
 
     depth = cv2.distanceTransform(np.pad(inside.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
-    return np.clip((depth - 4) / 8, 0, 1).astype(np.float32)
+    return np.clip((depth - rim) / rise, 0, 1).astype(np.float32)
 
 
 def laplacian(values: np.ndarray, taper: np.ndarray) -> np.ndarray:
