@@ -24,7 +24,7 @@ def wall(new_site, tmp_path_factory):
     site.nishiki("simulate", *whole, "--rows", "320", "--columns", "400", *LIGHTS)
     cut_capture(site.folder / "captures/whole", site.folder / "captures/wall", grid=(2, 2), overlap=0.3, seed=1)
     (site.folder / "config/scenes.tsv").write_text("scene\tcapture\nwall\tcaptures/wall\n")
-    site.configure(products=["height", "report"])
+    site.configure(products=["height", "viewer", "export", "report"])
     site.nishiki("run", "wall")
     return site
 
@@ -61,7 +61,7 @@ def test_the_fields_become_one_record(wall):
     height, normals = Maps(current / "height"), Maps(current / "mosaic")
     assert height.read("height").shape == tuple(described["shape"]) == normals.read("normals").shape[:2]
     assert np.isfinite(height.read("height")).mean() > 0.85
-    assert (current / "report.html").is_file()
+    assert all((current / name).is_file() for name in ("report.html", "viewer/index.html", "exports/height.tif"))
     assert all((wall.folder / "results" / field / "current/normals").exists() for field in FIELDS)
 
 

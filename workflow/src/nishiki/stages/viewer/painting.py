@@ -124,7 +124,9 @@ def layers_of(inputs: dict[str, Artifact], blocks: Blocks) -> list[dict[str, Any
     for name, unit, colours, maps, key, factor in sources:
         layers.append(_measured(name, unit, colours, factor * _reduced(maps, key), blocks))
     if "evaluate" in inputs and inputs["evaluate"].path("maps.zarr").is_dir():
-        difference = _mean_difference(Maps(inputs["evaluate"].folder), len(inputs["ingest"].diagnostics.get("lights", ())))
+        difference = _mean_difference(
+            Maps(inputs["evaluate"].folder), len(inputs["ingest"].diagnostics.get("lights", ()))
+        )
         if difference is not None:
             layers.append(_measured("delta_e", "CIEDE2000", "grey", difference, blocks))
     layers.append(_counted("lights_used", "lights", "grey", normals, blocks))
