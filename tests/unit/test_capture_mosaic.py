@@ -46,6 +46,8 @@ def test_fields_are_read_with_their_captures_and_positions(tmp_path):
         ("field,path\na1,fields/a1\na2,fields/a1\n", ("field-repeated", "fields.csv row 3")),
         ("field,path\na1,fields/a1\na--2,fields/a2\n", ("field-name", "fields.csv row 3")),
         ("field,path\na1,fields/a1\na2,../a2\n", ("outside-folder", "fields.csv row 3")),
+        ("field,path\na1,fields/a1\na2,.\n", ("outside-folder", "fields.csv row 3")),
+        ("field,path\na1,fields/a1\na2,./fields//a1\n", ("field-repeated", "fields.csv row 3")),
         ("field,path\na1,fields/a1\na2,fields/a3\n", ("folder-missing", "fields.csv row 3")),
         ("field,path,x_mm\na1,fields/a1,3\na2,fields/a2,\n", ("field-position", "fields.csv row 2")),
         ("field,path,x_mm,y_mm\na1,fields/a1,3,4\na2,fields/a2,one,2\n", ("field-position", "fields.csv row 3")),

@@ -108,10 +108,10 @@ def read_fields(root: Path) -> tuple[Field, ...]:
             "fields-columns", TABLE, "columns", expected=f"{', '.join(COLUMNS)}; x_mm and y_mm may miss", found=found
         )
     problems: list[Problem] = []
-    fields: list[Field] = []
+    fields, before = [], dict[str | Path, Field]()
     for number, row in enumerate(rows, start=2):
         cells = dict(zip(columns, row, strict=False))
-        fields.append(_field(root, cells, f"{TABLE} row {number}", fields, problems))
+        fields.append(_field(root, cells, f"{TABLE} row {number}", before, problems))
     if len(fields) < 2:
         remedy = "List the others; a single field is an ordinary capture: name its own folder"
         problems.append(
@@ -121,7 +121,9 @@ def read_fields(root: Path) -> tuple[Field, ...]:
     return tuple(fields)
 
 
-def _field(root: Path, cells: dict[str, str], where: str, before: list[Field], problems: list[Problem]) -> Field:
+def _field(
+    root: Path, cells: dict[str, str], where: str, before: dict[str | Path, Field], problems: list[Problem]
+) -> Field:
     """Read one row; what is wrong with it is added to the problems."""
     name, place = cells.get("field", ""), cells.get("path", "").rstrip("/")
     if not NAME.fullmatch(name):
@@ -133,19 +135,18 @@ def _field(root: Path, cells: dict[str, str], where: str, before: list[Field], p
         expected = "millimetres in x_mm and y_mm, or both empty"
         problems.append(error("field-position", where, "position", expected=expected, found=", ".join(given)[:60]))
     field = Field(name, place, root / place, (x, y) if any(given) else None)
-    if name_fault(place) or leads_out(field.path, root):
+    if name_fault(place) or field.path == root or leads_out(field.path, root):
         remedy = f"Put the field into the folder of {TABLE} and name it relative to that"
         problems.append(error("outside-folder", where, "folder of a field", found=repr(place[:200]), remedy=remedy))
     elif not field.path.is_dir():
         remedy = "Correct the path, or take the row out"
         problems.append(error("folder-missing", where, f"field {name}: no folder {place!r}", remedy=remedy))
-    for other in before:
-        if other.name.casefold() == name.casefold() or other.path == field.path:
+    for key in (name.casefold(), field.path):
+        other = before.setdefault(key, field)
+        if other is not field:
             found = f"{other.name} ({other.place}) and {name} ({place})"
-            remedy = "Give each field a name and a folder of its own"
-            problems.append(
-                error("field-repeated", where, "two fields of one name or folder", found=found, remedy=remedy)
-            )
+            what, remedy = "two fields of one name or folder", "Give each field a name and a folder of its own"
+            problems.append(error("field-repeated", where, what, found=found, remedy=remedy))
     return field
 
 
