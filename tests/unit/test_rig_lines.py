@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refused
-from simulated_devices import FAULTS, SimulatedComXim, SimulatedDialogue, SimulatedGrbl
 
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
@@ -28,7 +27,10 @@ from nishiki.rig.described import (
 )
 from nishiki.rig.device import DeviceError, DeviceLost
 from nishiki.rig.serial_line import LONGEST_LINE, SerialLine
+from nishiki.simulate.rig.comxim import SimulatedComXim
 from nishiki.simulate.rig.dome import SimulatedDome
+from nishiki.simulate.rig.grbl import SimulatedGrbl
+from nishiki.simulate.rig.line import FAULTS, SimulatedDialogue
 
 DESTRUCTIVE = [fault for fault in FAULTS if fault not in ("halves", "noise")]
 """Faults after which the answer never comes."""
@@ -84,10 +86,6 @@ class Pair:
 words = st.text(st.characters(min_codepoint=33, max_codepoint=126), min_size=1, max_size=20)
 
 
-def next_line(line, timeout_s):
-    return line._next_line(time.monotonic() + timeout_s)
-
-
 @settings(max_examples=40, deadline=None)
 @given(lines=st.lists(words, min_size=1, max_size=6), cuts=st.lists(st.integers(0, 120), max_size=6))
 def test_lines_arrive_as_they_were_sent_however_they_are_cut(lines, cuts):
@@ -97,12 +95,12 @@ def test_lines_arrive_as_they_were_sent_however_they_are_cut(lines, cuts):
         received = []
         for start, end in pairwise(places):
             os.write(pair.far, data[start:end])
-            if (line := next_line(pair.line, 0)) is not None:
+            if (line := pair.line.receive(0)) is not None:
                 received.append(line)
-        while len(received) < len(lines) and (line := next_line(pair.line, 0.5)) is not None:
+        while len(received) < len(lines) and (line := pair.line.receive(0.5)) is not None:
             received.append(line)
         assert received == lines
-        assert next_line(pair.line, 0) is None
+        assert pair.line.receive(0) is None
 
 
 @settings(max_examples=40, deadline=None)
@@ -134,7 +132,7 @@ def test_a_line_without_end_is_noise_and_not_memory():
         threading.Thread(target=babble, daemon=True).start()
         try:
             with refused(DeviceLost, by="_next_line"):
-                next_line(pair.line, 5.0)
+                pair.line.receive(5.0)
             assert len(pair.line.buffer) <= LONGEST_LINE
         finally:
             stop.set()

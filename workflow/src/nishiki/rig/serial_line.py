@@ -111,6 +111,16 @@ class SerialLine:
         except OSError as error:  # SerialTimeoutException is one
             raise self._lost(f"cannot be sent ({error})") from None
 
+    def receive(self, timeout_s: float) -> str | None:
+        """Return the next complete line without its ending; None on a timeout (its beginning stays in the buffer).
+
+        Raises DeviceLost where the port has gone, or the device has restarted.
+        """
+        line = self._next_line(time.monotonic() + timeout_s)
+        if line is not None:
+            self._expect_no_restart(line)
+        return line
+
     def ask(
         self,
         text: str,

@@ -10,6 +10,9 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
+FAULTS = ("silence", "partial", "halves", "noise", "restart", "unplug")
+"""What can happen to the next answer: it never comes; only its beginning comes; it comes in two parts; after noise; the
+device restarts in place of it; the cable is pulled."""
 BOOT_S = 0.05
 """Seconds from the opening of the port to the greeting: real boards take one or two."""
 HALVES_S = 0.1
@@ -170,3 +173,27 @@ class SimulatedLine(threading.Thread):
                 os.write(self.master, data)
             except OSError:
                 pass  # the program has closed the port
+
+
+class SimulatedDialogue(SimulatedLine):
+    """A home-made device that gives set answers.
+
+    Parameters
+    ----------
+    path : Path
+        As of `SimulatedLine`.
+    answers : dict of str to str
+        The answer to each command; others are answered with `error`.
+    greeting : str
+        What it says when it starts.
+    """
+
+    def __init__(self, path: Path, answers: dict[str, str], greeting: str = "") -> None:
+        self.answers, self.greeting = answers, greeting
+        super().__init__(path, restarts_when_opened=bool(greeting))
+
+    def greet(self) -> list[str]:
+        return [self.greeting] if self.greeting else []
+
+    def obey(self, command: str) -> list[str]:
+        return [self.answers.get(command, f"error: unknown command {command}")]
