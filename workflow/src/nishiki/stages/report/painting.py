@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps
+from nishiki.artifacts.maps import Maps, shrink
 from nishiki.artifacts.stage import Context
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.observations.plane import Observations
@@ -129,8 +129,10 @@ def finishes_of(page: PageMaps, finishes: list[dict[str, Any]]) -> list[Block]:
         return []
     names = finish_names(finishes)
     block = block_of(page.mask.shape[1], page.widest)
-    sampled = np.s_[block // 2 :: block, block // 2 :: block]
-    labels = np.where(page.mask, page.maps["normals"].read("finish"), -1)[sampled]
+    maps = page.maps["normals"]
+    labels = shrink(
+        lambda rows: np.where(page.mask[rows], maps.read("finish", rows), -1), page.mask.shape, block, "middle"
+    )
     key = {k: (PALETTE[k % len(PALETTE)], name) for k, name in enumerate(names)}
     rows: list[list[Cell]] = [
         [

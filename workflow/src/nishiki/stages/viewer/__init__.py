@@ -29,7 +29,9 @@ PAINTING = Stage(
     needs_colour=True,
     libraries=("numpy", "numba", "jinja2", "zarr", OPENCV),
     threads=1,
-    cost=lambda facts: Cost(mib=300, bytes_per_pixel=60, seconds=3, us_per_pixel=5, us_per_sample=0.03),
+    cost=lambda facts: Cost(  # a row of tiles of each level, as wide as the picture
+        mib=450 + 0.046 * facts.pixels**0.5, bytes_per_pixel=0.2, seconds=3, us_per_pixel=5, us_per_sample=0.03
+    ),
 )
 
 

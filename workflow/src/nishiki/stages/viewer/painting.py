@@ -171,9 +171,10 @@ def _counted(name: str, unit: str, colours: str, maps: Maps, blocks: Blocks) -> 
     """Return whole numbers, the pixel in the middle of every block."""
     shape = maps.group[name].shape[:2]
     values = shrink(lambda rows: maps.read(name, rows), shape, _block_side(shape), "middle")
-    values = np.minimum(values, LARGEST).astype(np.uint8)
     high = LARGEST if colours == "flags" else max(int(values.max()), 1)
-    return {**_written(name, unit, colours, values, 0, LARGEST, blocks), "range": [0, high]}
+    top = max(high, LARGEST)  # more than 254 lights share codes
+    codes = np.rint(np.minimum(values, top) * (LARGEST / top)).astype(np.uint8)
+    return {**_written(name, unit, colours, codes, 0, top, blocks), "range": [0, high]}
 
 
 def _written(

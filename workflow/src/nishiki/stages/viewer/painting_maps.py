@@ -112,7 +112,8 @@ class PaintingMaps:
         taken = []
         for first in range(0, rows, band_rows):
             start = -first % step
-            taken.append(self.read(slice(first, min(first + band_rows, rows)))[start::step, ::step])
+            band = self.read(slice(first, min(first + band_rows, rows)))
+            taken.append(band[start::step, ::step].copy())  # a view would keep the band
         values = np.concatenate(taken).reshape(-1, taken[0].shape[-1])
         return values[values[:, 0] > 0]
 
