@@ -6,6 +6,10 @@ from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, share
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage
 
+ALIKE = (
+    "photograph a white board for every lamp; without one, set ingest.correct.gains: never, so that the strengths of "
+    "the lamps are not estimated in each field apart"
+)
 LIMITS = (
     Limit(
         "registration",
@@ -16,8 +20,24 @@ LIMITS = (
         remedy="photograph fields with more overlap, or keep the painting flat and the camera at one distance",
         why="simulated fields gave 0.04 to 0.13; beyond a pixel, details are doubled or lost",
     ),
-    Limit("seam_colour", "mean colour difference of two fields where they overlap, CIEDE2000", at("seam_delta_e")),
-    Limit("seam_angle", "mean angle between the normals of two fields where they overlap, degrees", at("seam_deg")),
+    Limit(
+        "seam_colour",
+        "mean colour difference of two fields where they overlap, CIEDE2000",
+        at("seam_delta_e"),
+        most=3.0,
+        remedy=ALIKE,
+        why="simulated fields gave 0.5 to 0.6; three is seen at a glance",
+        warns=True,
+    ),
+    Limit(
+        "seam_angle",
+        "mean angle between the normals of two fields where they overlap, degrees",
+        at("seam_deg"),
+        most=3.0,
+        remedy=ALIKE,
+        why="simulated fields gave 0.1 to 0.2, a fossil 1, and 11 where each field's lamps were estimated apart",
+        warns=True,
+    ),
     Limit(
         "estimated_share",
         "share of the painting's pixels that have a normal",
