@@ -114,3 +114,23 @@ def test_names_of_scenes_have_plain_letters(tmp_path):
 def test_help_and_completion_are_printed(capsys, words):
     assert status_of(*words) == 0
     assert "nishiki" in capsys.readouterr().out
+
+
+def test_a_folder_of_fields_becomes_one_row_and_a_scene_for_each_field(runs, capsys):
+    for number, name in enumerate(("left", "right")):
+        photographs(Path("wall", name), JPG, size=(6 + number, 8))
+    Path("wall/dome.lp").write_text(listed(JPG))
+    assert status_of("run", "wall") == 2, "nobody says that these are fields"
+    assert status_of("run", "wall", "--fields", "--width-mm", "40") == 0
+    assert scenes() == {
+        "wall--left": "captures/wall/fields/left",
+        "wall--right": "captures/wall/fields/right",
+        "wall": "captures/wall",
+    }
+    assert Path("config/scenes.tsv").read_text().count("captures/wall") == 1
+    assert runs == [(["wall--left", "wall--right", "wall"], [])]
+    assert "--width-mm" in capsys.readouterr().out
+    assert status_of("run", "wall/") == 0, "converted before: used again"
+    assert status_of("add", "captures/wall") == 0
+    photographs(Path("wall/right"), [JPG[0]], size=(9, 8))
+    assert status_of("run", "wall/") == 2
