@@ -22,44 +22,23 @@ NAME = re.compile(r"(?=.{1,30}$)\w+(-\w+)*", re.ASCII)
 
 @dataclass(frozen=True)
 class Field:
-    """One row of the table.
-
-    Attributes
-    ----------
-    name, place : str
-        Name of the field; its folder relative to the table, with forward slashes.
-    path : Path
-        That folder.
-    position_mm : tuple of float or None
-        x (right) and y (up) of the middle of its photographs on the object, as a stage gave them; None where unknown.
-    """
+    """One row of the table."""
 
     name: str
-    place: str
-    path: Path
+    place: str  # folder relative to the table, with forward slashes
+    path: Path  # that folder
+    # x (right) and y (up) of the middle of its photographs on the object, as a stage gave them; None where unknown
     position_mm: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
 class MosaicCapture:
-    """A painting photographed in overlapping fields.
+    """A painting photographed in overlapping fields."""
 
-    Attributes
-    ----------
-    root : Path
-        Folder of the table.
-    fields : tuple of Field
-        Rows of the table.
-    captures : tuple of Capture
-        Capture of each field.
-    warnings : tuple of Problem
-        What was tolerated.
-    """
-
-    root: Path
-    fields: tuple[Field, ...]
-    captures: tuple[Any, ...]
-    warnings: tuple[Problem, ...] = ()
+    root: Path  # folder of the table
+    fields: tuple[Field, ...]  # rows of the table
+    captures: tuple[Any, ...]  # Capture of each field
+    warnings: tuple[Problem, ...] = ()  # what was tolerated
     geometry = "mosaic"
 
     @property

@@ -1,6 +1,7 @@
 """Commands that look and change nothing: plan, explain, schema; and the state of a stage."""
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -165,6 +166,7 @@ def _size(read: int, of: int) -> str:
     return f"{read / size:.2f} of {of / size:.2f} {unit}"
 
 
+@cache  # a mosaic asks for the stages of every field; a workflow is that of one command
 def stage_state(flow: "Workflow", scene: str, stage: str) -> tuple[str, list[str]]:
     """State of a stage (done | run) and the reasons to run."""
     from nishiki.artifacts.artifact import open_artifact
