@@ -84,7 +84,7 @@ def coded_dome(folder: Path, *, encoding: str = "srgb") -> DecodedObject:
         (encode(p, n[0], models[0]).data, encode(r, n[1], models[1]).data)
         for p, r, n in zip(parameters, residuals, levels, strict=True)
     ]
-    coded = EncodedObject(design, models, extents, [None] * atlas.tiles, streams, 1, 0.0, 0.0, 0.0, 0, [])
+    coded = EncodedObject(design, models, extents, [None] * atlas.tiles, streams, 1, 0.0, 0.0, 0, [])
     write_residual(folder, coded, stamp={}, report={})
     names = tuple(camera.name for camera in views)
     return DecodedObject(

@@ -266,12 +266,3 @@ def test_an_archive_is_listed_and_nothing_is_made(tmp_path, capsys):
 @pytest.mark.parametrize("entry", LAYOUTS, ids=lambda entry: entry.name)
 def test_no_layout_is_found_in_an_empty_folder(tmp_path, entry):
     assert entry.matches(tmp_path, ConvertOptions()) is None
-
-
-def test_the_former_name_of_unsealed_is_refused_with_the_present_one(tmp_path, capsys):
-    with_lights(listed(PNG))(tmp_path / "source")
-    with pytest.raises(SystemExit) as ended:
-        main(["convert", str(tmp_path / "source"), str(tmp_path / "c"), "--open"])
-    assert ended.value.code == 2
-    assert "--unsealed" in capsys.readouterr().err
-    assert not (tmp_path / "c").exists()

@@ -207,7 +207,7 @@ def test_steps_are_found_whatever_the_slope(power):
     def run(step, earlier):
         assert earlier is None or earlier.design.step == visited[-1]
         visited.append(step)
-        return EncodedObject(replace(design(), step=step), (), [], [], [], 1, step**power, 1.0, 1.0, 0, [])
+        return EncodedObject(replace(design(), step=step), (), [], [], [], 1, step**power, 1.0, 0, [])
 
     found = find_step(
         run,

@@ -112,7 +112,6 @@ class EncodedObject:
     pixels: int
     error: float
     model_error: float
-    zero_error: float
     kept: int
     curve: list[Point]
 
@@ -245,7 +244,7 @@ def one_pass(
     extents = [NOTHING if r is None else r[0].extent for r in results]
     integers = [None if r is None else r[2] for r in results]
     models, streams = code_streams(integers, extents, design, threads=threads)
-    sums = {name: sum(getattr(t, name) for t in coded) for name in ("pixels", "error", "model_error", "zero_error")}
+    sums = {name: sum(getattr(t, name) for t in coded) for name in ("pixels", "error", "model_error")}
     kept = sum(r[1] for r in results if r is not None)
     return EncodedObject(design, models, extents, integers, streams, kept=kept, curve=[], **sums)
 

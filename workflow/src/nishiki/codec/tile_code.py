@@ -72,8 +72,7 @@ class CodedTile:
     """Hold a coded tile.
 
     parameters (C, 3, rows, columns) int32; residual (C, lights * views, rows, columns) int32; extent;
-    pixels; error, model_error, zero_error: sums of squares over pixels and channels of the decoded tile, of its model
-    alone, and of the pictures themselves.
+    pixels; error, model_error: sums of squares over pixels and channels of the decoded tile and of its model alone.
     """
 
     parameters: np.ndarray
@@ -82,7 +81,6 @@ class CodedTile:
     pixels: int
     error: float
     model_error: float
-    zero_error: float
 
     @property
     def kept(self) -> int:
@@ -186,7 +184,7 @@ def encode_tile(
     solution = pursue(data, operator, block, curvature, price=price, bits=bits, effort=effort.pursuit, start=start)
     integers = quantise(solution.coefficients, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
     after = data - operator.look(samples_of(block, (integers * np.float32(design.step)).astype(np.float32)))
-    errors = [float(np.sum(a.astype(np.float64) ** 2)) for a in (after, data, seen.values)]
+    errors = [float(np.sum(a.astype(np.float64) ** 2)) for a in (after, data)]
     residual = integers.reshape(design.residual_shape(seen.extent))
     return CodedTile(parameters, residual, seen.extent, seen.values.shape[1], *errors)
 

@@ -119,11 +119,8 @@ def seal_folder(capture: Path) -> str:
 )
 @convert_options
 @option("--unsealed", "do not seal yet: camera curves and the like will be added")
-@option("--open", "former name of --unsealed", "opened", hidden=True)
-def convert(source: str, capture: str | None, list_only: bool, unsealed: bool, opened: bool, **given) -> None:
+def convert(source: str, capture: str | None, list_only: bool, unsealed: bool, **given) -> None:
     """Turn photographs with their lamps or cameras, or a goniometer's table, into a sealed capture folder."""
-    if opened:
-        raise UserError("--open: of other commands it opens a page. Remedy: --unsealed leaves the capture unsealed")
     if list_only:
         _list(Path(source))
         return
