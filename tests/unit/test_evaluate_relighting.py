@@ -13,7 +13,7 @@ from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import assumed_colour, fitted_colour
 from nishiki.evaluate.classes import DIFFUSE, FADGI, HIGHLIGHT, ISO_19264, OUTSIDE, SHADOW, classify, level_of, levels
-from nishiki.evaluate.prediction import channel_colour, light_of, predict_light, spectral_colour
+from nishiki.evaluate.prediction import channel_colour, light_of, predict_light, seen_from, spectral_colour
 from nishiki.evaluate.relighting import LightComparison, PreviewPair, SquaredError, difference_of, truth_difference
 from nishiki.evaluate.tables import COLUMNS, headlines, rows_of
 from nishiki.render.plane.scene import Gloss, Light
@@ -192,6 +192,22 @@ def _comparison(observed, predicted, **changes):
         parts = {name: values[rows] for name, values in options.items()}
         comparison.add(rows, predicted[rows], observed[rows], **parts)
     return comparison
+
+
+@pytest.mark.parametrize("falloff", [False, True])
+def test_bands_under_a_near_lamp_are_those_of_the_whole(falloff):
+    rng = np.random.default_rng(2)
+    normals = rng.normal(0, 0.2, (30, 20, 3)) + np.array([0, 0, 1])
+    normals = (normals / np.linalg.norm(normals, axis=2, keepdims=True)).astype(np.float32)
+    model = PlaneMaps(normals, rng.uniform(0.1, 0.9, normals.shape).astype(np.float32))
+    light = Light(position_mm=(4.0, -3.0, 12.0), falloff=falloff, intensity=1.5)
+    visibility = rng.uniform(size=(1, 30, 20)).astype(np.float32)
+    whole = predict_light(model, light, visibility=visibility, pitch=0.5)
+    for rows in (slice(0, 11), slice(11, 30)):
+        below = (rows.start + rows.stop - 1) / 2 - 14.5
+        maps = model._replace(normals=normals[rows], coefficients=model.coefficients[rows])
+        found = predict_light(maps, seen_from(light, 0.5 * below), visibility=visibility[:, rows], pitch=0.5)
+        np.testing.assert_allclose(found.channels, whole.channels[rows], rtol=1e-5, atol=1e-7)
 
 
 def test_comparison_counts_what_it_leaves_out():

@@ -16,7 +16,7 @@ from viewer_pages import READ, lamp
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.artifacts.maps import Maps
 from nishiki.artifacts.stage import Context
-from nishiki.evaluate.prediction import light_of, predict_light
+from nishiki.evaluate.prediction import light_of
 from nishiki.observations.plane import Observations
 from nishiki.progress import Progress
 from nishiki.stages.evaluate.painting import EvaluatedScene
@@ -75,7 +75,7 @@ def test_the_canvas_shows_what_render_shows_and_values_are_those_of_the_maps(vie
         place = (rows // 2, columns // 2)
         if valid[(j, *place)]:
             assert shown_values[name]["values"][0] == pytest.approx(values[(j, *place)], abs=0.02)
-        predicted = predict_light(evaluated.model, light_of(frames.directions[j], None), pitch=evaluated.pitch)
+        predicted = evaluated.predict(light_of(frames.directions[j], None), slice(0, rows), None)
         assert shown_values[name]["predicted"][0] == pytest.approx(predicted.channels[place].mean(), abs=0.02)
     for layer in page.page.evaluate("nishiki.scene.layers()"):
         page.set(layer=layer["name"])
@@ -104,7 +104,8 @@ def test_photographs_of_large_paintings_are_sampled_around_the_middle(viewed, mo
     for j in range(len(frames.lights)):
         seen, usable = values[j][samples], valid[j][samples]
         assert np.array_equal(codes[0, j] == told["nothing"], ~usable)
-        predicted = predict_light(evaluated.model, light_of(frames.directions[j], None)).channels.mean(axis=-1)[samples]
+        predicted = evaluated.predict(light_of(frames.directions[j], None), slice(0, frames.shape[0]), None)
+        predicted = predicted.channels.mean(axis=-1)[samples]
         for code, expected in zip(codes[:, j], (seen, predicted), strict=True):
             known = (code != told["nothing"]) & np.isfinite(expected)
             decoded = told["white"] * (code[known] / told["top"]) ** 2

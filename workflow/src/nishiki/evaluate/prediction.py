@@ -33,16 +33,21 @@ class PredictedLight:
 
 
 def predict_light(
-    model: PlaneMaps, light: Light, *, height: np.ndarray | None = None, pitch: float = 1.0
+    model: PlaneMaps,
+    light: Light,
+    *,
+    height: np.ndarray | None = None,
+    visibility: np.ndarray | None = None,
+    pitch: float = 1.0,
 ) -> PredictedLight:
     """Return observation I' = (rho c f + beta D F G / cos_r) E with c = max(n.l, 0), frontal view, in camera channels.
 
     Tominaga and Tanaka (2004), eq. 10, with the factor f of the body shading (1: Lambert). light : with a direction, or
     a position relative to the centre of the maps in the unit of `pitch`; E is 1 but for a lamp with fall-off, where no
     white board has divided it out. height : (rows, columns) in the unit of `pitch`, for cast shadows; None: none are
-    cast.
+    cast. visibility : (1, rows, columns) computed before, in place of a height.
     """
-    (seen,) = predict_observations(model, [light], height=height, pitch=pitch)
+    (seen,) = predict_observations(model, [light], height=height, visibility=visibility, pitch=pitch)
     white = np.ones((*model.normals.shape[:2], 1), np.float32)
     metal = model.gloss.refractive_index >= MIRROR  # sends back its reflectance like a body
     body_only = replace(model.gloss, beta=model.gloss.beta * metal[:, None])
@@ -56,6 +61,16 @@ def predict_light(
     diffuse = model.coefficients.mean(axis=-1) * body
     specular = np.maximum(seen.observations.mean(axis=-1) - diffuse, 0.0)
     return PredictedLight(seen.observations, diffuse, specular, lit, body)
+
+
+def seen_from(light: Light, down: float) -> Light:
+    """Return a lamp as maps see it whose middle lies so much below, in the unit of its position."""
+    if light.position_mm is None:
+        return light
+    x, y, z = light.position_mm
+    place = (x, y + down, z)
+    share = sum(v * v for v in light.position_mm) / sum(v * v for v in place) if light.falloff else 1.0
+    return replace(light, position_mm=place, intensity=light.intensity * share)
 
 
 def light_of(

@@ -296,13 +296,18 @@ class Prediction:
 
 
 def predict_observations(
-    maps: PlaneMaps, lights: list[Light], *, height: np.ndarray | None = None, pitch: float = 1.0
+    maps: PlaneMaps,
+    lights: list[Light],
+    *,
+    height: np.ndarray | None = None,
+    visibility: np.ndarray | None = None,
+    pitch: float = 1.0,
 ) -> Iterator[Prediction]:
     """Yield one prediction a light, in order, so that a stack of them need not be held in memory.
 
-    The coefficients of the maps are the albedo, perfect white 1; height, pitch as in `PlaneScene`.  The spectra of the
-    lights are not used; a white board at the same place has divided out intensity and fall-off, which should therefore
-    stay 1 and False.
+    The coefficients of the maps are the albedo, perfect white 1; height, pitch as in `PlaneScene`; visibility: (lights,
+    rows, columns) float32 computed before, in place of a height.  The spectra of the lights are not used; a white board
+    at the same place has divided out intensity and fall-off, which should therefore stay 1 and False.
     """
     normals, albedo = maps.normals, maps.coefficients
     if albedo.ndim != 3 or albedo.shape[:2] != normals.shape[:2] or normals.shape[2:] != (3,):
@@ -317,7 +322,8 @@ def predict_observations(
     groups = ColourGroups(
         np.eye(channels)[None], np.zeros((1, channels)), np.ones((1, channels)), np.zeros(1, np.int64), 0
     )
-    for light in lights:
-        visibility = None if height is None else cast_shadows(height, [light], pitch=pitch).visibility
-        seen = shade_channels(maps, [light], groups=groups, visibility=visibility, plane=plane)
-        yield Prediction(seen.values, seen.flags, None if visibility is None else visibility[0])
+    for j, light in enumerate(lights):
+        lit = None if visibility is None else visibility[j : j + 1]
+        lit = lit if height is None else cast_shadows(height, [light], pitch=pitch).visibility
+        seen = shade_channels(maps, [light], groups=groups, visibility=lit, plane=plane)
+        yield Prediction(seen.values, seen.flags, None if lit is None else lit[0])

@@ -37,7 +37,7 @@ PAINTING = Stage(
     cost=lambda facts: (
         Cost(mib=390, bytes_per_pixel=160, seconds=2.8, us_per_pixel=16)
         if facts.truth_sha256
-        else Cost(mib=225, bytes_per_pixel=195, seconds=2.4, us_per_pixel=16)
+        else Cost(mib=360, bytes_per_pixel=40, seconds=2.4, us_per_pixel=16)
     ),
 )
 

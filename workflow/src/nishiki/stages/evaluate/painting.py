@@ -14,7 +14,14 @@ from nishiki.errors import UserError, require
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.evaluate.classes import NAMES, classify, levels
 from nishiki.evaluate.maps import Pool, height_error, normal_errors, reflectance_errors
-from nishiki.evaluate.prediction import channel_colour, light_of, predict_light, spectral_colour
+from nishiki.evaluate.prediction import (
+    PredictedLight,
+    channel_colour,
+    light_of,
+    predict_light,
+    seen_from,
+    spectral_colour,
+)
 from nishiki.evaluate.relighting import LightComparison, PreviewPair, truth_difference
 from nishiki.evaluate.tables import COLUMNS, headlines, planned_truth, rows_of, write_tables
 from nishiki.evaluate.truth import Truth, truth_from
@@ -23,7 +30,7 @@ from nishiki.observations.parcels import point_mm
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.plane.scene import Gloss, Light
-from nishiki.render.plane.shade import PlaneMaps
+from nishiki.render.plane.shade import PlaneMaps, cast_shadows
 
 DARK_SHARE = 0.25  # of a region, that is scored apart
 LARGEST_LEVEL_ERROR = 0.1  # relative, of the light of a part under any lamp, beyond which no level is stated
@@ -41,7 +48,7 @@ def run(context: Context) -> dict:
     evaluation["lights"], evaluation["parts"], pooled = relight(context, scene, truth, out)
     evaluation["overall"] = {"de00": asdict(pooled), "levels": stated_levels(evaluation["parts"])}
     evaluation["classes_from"] = "truth" if truth.checks else "model"
-    evaluation["gloss"] = {"true_gamma_rad": truth.equivalent_gamma(), "gamma_rad": scene.model.gloss.gamma.tolist()}
+    evaluation["gloss"] = {"true_gamma_rad": truth.equivalent_gamma(), "gamma_rad": scene.gloss.gamma.tolist()}
     write_tables(context, evaluation, COLUMNS, rows_of(evaluation))
     return headlines(evaluation)
 
@@ -52,45 +59,75 @@ class EvaluatedScene:
     def __init__(self, context: Context, frames: Observations):
         inputs = context.inputs
         self.frames = frames
-        maps = Maps(inputs["normals"].folder)
-        self.flags = maps.read("flags")
-        gloss, labels = Gloss.none(), None  # a matte surface where the brdf stage is left out
+        self._maps = Maps(inputs["normals"].folder)
+        self.gloss, self.labels = Gloss.none(), None  # a matte surface where the brdf stage is left out
+        self._blurs = "brdf" in inputs
         if brdf := inputs.get("brdf"):
-            gloss = Gloss(*gloss_table(json.loads(brdf.path("parameters.json").read_text())))
+            self.gloss = Gloss(*gloss_table(json.loads(brdf.path("parameters.json").read_text())))
             if found := maps_with(brdf, "labels"):
-                labels = found.read("labels")
-        shading = maps.read("shading") if "shading" in maps else None
-        self.normals = maps.read("normals")
-        normals = shading_normals(maps)
-        slopes = slope_covariance(normals) if brdf else None
-        self.model = PlaneMaps(normals, maps.read("reflectance"), gloss, shading, slopes, labels)
-        self.known = ((self.flags & NO_ESTIMATE) == 0) & np.isfinite(self.model.coefficients).all(axis=-1)
-        self.casts_shadows = not directional_shading(maps)
+                self.labels = found.read("labels")
+        self.casts_shadows = not directional_shading(self._maps)
         self.height, self.height_unit = None, "pixels"
         if "height" in inputs:
             height = Maps(inputs["height"].folder)
             self.height, self.height_unit = height.read("height"), height.attributes("height")["unit"]
         self.pitch = (frames.pixel_pitch_mm or 1.0) if self.height is None or self.height_unit == "mm" else 1.0
-        self.coefficients, self.basis = None, None
-        if "spectra" in inputs:
-            spectra = Maps(inputs["spectra"].folder)
-            self.coefficients, self.basis = (
-                spectra.read("coefficients"),
-                np.array(spectra.attributes("coefficients")["basis"]),
-            )
+        self._spectra = Maps(inputs["spectra"].folder) if "spectra" in inputs else None
+        self.basis = None
+        if self._spectra is not None:
+            self.basis = np.array(self._spectra.attributes("coefficients")["basis"])
         curves = inputs["ingest"].path("curves.npz")
         self.curves = load_arrays(curves) if curves.is_file() else {}
         self.camera = read_camera_colour(curves, len(self.frames.channels), self.frames.to_srgb)
-        self.parts = parts_of(self.model, frames.mask & self.known)
+        self.known, level = np.zeros(frames.shape, bool), np.zeros(frames.shape, np.float32)
+        for rows in frames.bands():
+            reflectance = self.read("reflectance", rows)
+            self.known[rows] = (self.read("flags", rows) & NO_ESTIMATE) == 0
+            self.known[rows] &= np.isfinite(reflectance).all(axis=-1)
+            level[rows] = reflectance.mean(axis=-1)
+        self.parts = parts_of(self.labels, level, frames.mask & self.known)
+
+    def read(self, name: str, rows: slice = slice(None)) -> np.ndarray:
+        """Read a map of the stage normals."""
+        return self._maps.read(name, rows)
+
+    def coefficients(self, rows: slice = slice(None)) -> np.ndarray | None:
+        """Read the coefficients of the spectra; None where there are none."""
+        return None if self._spectra is None else self._spectra.read("coefficients", rows)
+
+    def model(self, rows: slice) -> PlaneMaps:
+        """Return the fitted maps of some rows, with the slopes that their neighbours show."""
+        first, last = max(rows.start - 1, 0), min(rows.stop + 1, self.frames.shape[0])
+        inside = slice(rows.start - first, rows.stop - first)
+        normals = shading_normals(self._maps, slice(first, last))
+        return PlaneMaps(
+            normals[inside],
+            self.read("reflectance", rows),
+            self.gloss,
+            self.read("shading", rows) if "shading" in self._maps else None,
+            slope_covariance(normals)[inside] if self._blurs else None,
+            None if self.labels is None else self.labels[rows],
+        )
+
+    def predict(self, light: Light, rows: slice, visibility: np.ndarray | None) -> PredictedLight:
+        """Return some rows under a lamp, whose visibility (1, rows, columns) is that of the whole."""
+        middle = (self.frames.shape[0] - 1) / 2
+        return predict_light(
+            self.model(rows),
+            seen_from(light, ((rows.start + rows.stop - 1) / 2 - middle) * self.pitch),
+            visibility=None if visibility is None else visibility[:, rows],
+            pitch=self.pitch,
+        )
 
 
-def parts_of(model: PlaneMaps, known: np.ndarray) -> np.ndarray:
+def parts_of(labels: np.ndarray | None, level: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Divide every region of the gloss into its darkest quarter and the rest.
 
-    known : (rows, columns) bool. Returns (rows, columns) int: 2 region, + 1 where dark, -1 outside of `known`.
+    labels, level, known : (rows, columns) uint8 region, reflectance and bool. Returns (rows, columns) int16: 2 region,
+    + 1 where dark, -1 outside of `known`.
     """
-    labels = np.zeros(known.shape, int) if model.labels is None else model.labels.astype(int)
-    level, parts = model.coefficients.mean(axis=-1), np.where(known, 2 * labels, -1)
+    labels = np.zeros(known.shape, np.uint8) if labels is None else labels
+    parts = np.where(known, 2 * labels.astype(np.int16), np.int16(-1))
     for region in np.unique(labels[known]):
         here = known & (labels == region)
         parts[here] += level[here] < np.quantile(level[here], DARK_SHARE)
@@ -124,21 +161,22 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
     """Errors of the maps themselves; None where there is no truth or no map of the kind."""
     result: dict[str, dict | None] = {"normals": None, "height": None, "reflectance": None}
     if truth.normals is not None:
-        angles = normal_errors(scene.normals, truth.normals, flags=scene.flags, mask=scene.frames.mask)
+        angles = normal_errors(scene.read("normals"), truth.normals, flags=scene.read("flags"), mask=scene.frames.mask)
         out.write("angular_error", angles.map_deg, unit="degrees", nan="outside what truth and estimate share")
         result["normals"] = angles.as_dict()
     if truth.height_mm is not None and scene.height is not None and scene.height_unit == "mm":
         inside = scene.frames.mask & scene.known
         error = height_error(scene.height, truth.height_mm, pixels=inside, pitch=scene.pitch)
         result["height"] = {"unit": "mm", **asdict(error)}
-    if truth.paints is not None and scene.coefficients is not None:
-        basis, spectra = require(scene.basis), require(truth.spectra)
+    if truth.paints is not None and scene.basis is not None:
+        basis, spectra = scene.basis, require(truth.spectra)
+        mirrors = PlaneMaps(np.empty(0), np.empty(0), scene.gloss, labels=scene.labels).mirrors
         errors = reflectance_errors(
-            scene.coefficients,
+            require(scene.coefficients()),
             basis,
             truth.paints,
             spectra,
-            pixels=scene.frames.mask & scene.known & ~scene.model.mirrors,
+            pixels=scene.frames.mask & scene.known & ~mirrors,
             regions=truth.regions,
         )
         out.write("reflectance_de00", errors.de00_map, unit="CIEDE2000 under D65", nan="no truth or no estimate here")
@@ -196,7 +234,8 @@ def one_light(
     """
     frames, name = scene.frames, scene.frames.lights[j]
     height = scene.height if context.settings.cast_shadows and scene.casts_shadows else None
-    predicted = predict_light(scene.model, lamp(context, scene, j), height=height, pitch=scene.pitch)
+    light = lamp(context, scene, j)
+    visibility = None if height is None else cast_shadows(height, [light], pitch=scene.pitch).visibility
     known_truth = truth.check(name)
     comparison = LightComparison.of(frames.shape, scene.camera)
     views = colours_for(scene) if known_truth else {}
@@ -205,7 +244,7 @@ def one_light(
     sums = np.zeros((2, int(scene.parts.max(initial=0)) + 1))
     for rows in frames.bands():
         observed, valid = frames.read(rows, lights=np.array([j]))
-        band = predicted.band(rows)
+        band = scene.predict(light, rows, visibility)
         inside = frames.mask[rows]
         parts = (band.diffuse, band.specular, band.lit)
         if known_truth:
@@ -220,11 +259,11 @@ def one_light(
             classes=classify(*parts, inside=inside),
         )
         used = (comparison.classes[rows] > 0) & (scene.parts[rows] >= 0)
-        for total, light in zip(sums, (band.channels, observed[0]), strict=True):
-            total += np.bincount(scene.parts[rows][used], light[used].mean(axis=-1), total.size)
+        for total, each in zip(sums, (band.channels, observed[0]), strict=True):
+            total += np.bincount(scene.parts[rows][used], each[used].mean(axis=-1), total.size)
         previews.add(rows, band.channels, observed[0], inside=inside)
         for case, colour in views.items():
-            pictures[case][rows] = colour.xyz(band, None if scene.coefficients is None else scene.coefficients[rows])
+            pictures[case][rows] = colour.xyz(band, scene.coefficients(rows))
     x, y, z = frames.directions[j]
     score = comparison.score().as_dict() | {
         "name": name,
