@@ -64,5 +64,5 @@ STAGE = Stage(
     geometry="mosaic",
     stands_for=("ingest", "normals", "brdf"),
     libraries=(*ARRAYS, OPENCV),
-    cost=lambda facts: Cost(mib=600, seconds=5, us_per_pixel=30),
+    cost=lambda facts: Cost(mib=700 + 12 * len(facts.fields), seconds=3 + 3 * len(facts.fields), us_per_pixel=1.2),
 )
