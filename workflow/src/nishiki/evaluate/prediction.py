@@ -1,6 +1,6 @@
 """What the fitted model predicts under a lamp, in the camera's channels and as XYZ."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,10 +26,6 @@ class PredictedLight:
     specular: np.ndarray
     lit: np.ndarray
     body: np.ndarray
-
-    def band(self, rows: slice) -> "PredictedLight":
-        """Return the same, of some rows."""
-        return PredictedLight(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 def predict_light(

@@ -17,13 +17,16 @@ before the integration. To subtract the smooth part of the heights instead leave
 is large: slopes grow with the tangent of the tilt.
 """
 
+import itertools
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from nishiki.errors import UserError
-from nishiki.photometric.multigrid import BAND_PIXELS, Laplace, Scratch, divergence, edges, windows
+from nishiki.photometric.multigrid import BAND_PIXELS, Laplace, RowsOnDisk, divergence, edges, windows
 from nishiki.summary import Summarised
 from nishiki.threads import strips
 
@@ -167,14 +170,20 @@ def integrate_bands(shape, read, write, *, pixel_pitch, method, iterations=(1e-5
         raise UserError(f"height: expected valid normals, found none among {rows * columns} pixels; see their flags")
     if method == "auto":
         method = "dct" if count == rows * columns and steepest > np.cos(np.radians(80.0)) else "weighted"
-    with Scratch(shape, folder) as scratch:
-        weight, right = (scratch.array(np.dtype(dtype)) for _ in range(2))
+    with tempfile.TemporaryDirectory(dir=folder) as place:
+        numbers = itertools.count()
+
+        def new(kind):
+            small = rows * columns <= BAND_PIXELS
+            return np.zeros(shape, kind) if small else RowsOnDisk(Path(place, str(next(numbers))), shape, kind)
+
+        weight, right = (new(np.dtype(dtype)) for _ in range(2))
         for band in bands:
             gradients, _, weights = slopes(read, band.read, dtype, pixel_pitch)
             weights = np.ones_like(weights) if method == "dct" else weights
             right[band.core] = divergence(gradients, edges(weights))[band.inner]
             weight[band.core] = weights[band.inner]
-        height, steps, residual = Laplace(weight, scratch).solve(right, *iterations)
+        height, steps, residual = Laplace(shape, weight).solve(right, new, *iterations)
         parts, means = level_parts(bands, lambda rows: (height[rows], unit_normals(read, rows)[1]))
         sums, sample, low, high = np.zeros(4), Sample(count, BOW_PIXELS), np.inf, -np.inf
         for band, mean in zip(bands, means, strict=True):

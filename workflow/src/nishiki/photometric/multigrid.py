@@ -12,8 +12,7 @@ cuts do not cross, and the numbers are those of the whole picture: there is no b
 lie on the disk; only levels of few pixels are held whole.
 """
 
-import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,28 +46,8 @@ class RowsOnDisk:
             np.ascontiguousarray(values, self.dtype).tofile(file)
 
 
-class Scratch:
-    """Arrays of one picture for the time of a computation: in memory where one band holds the picture, else on disk."""
-
-    def __init__(self, shape: tuple[int, int], folder: Path | None):
-        self.shape, self.count = shape, 0
-        self.place = None if np.prod(shape) <= BAND_PIXELS else tempfile.TemporaryDirectory(dir=folder)
-
-    def __enter__(self) -> "Scratch":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.place is not None:
-            self.place.cleanup()
-
-    def array(self, dtype: np.dtype) -> np.ndarray | RowsOnDisk:
-        """Create an array of zeros."""
-        self.count += 1
-        return (
-            np.zeros(self.shape, dtype)
-            if self.place is None
-            else RowsOnDisk(Path(self.place.name) / str(self.count), self.shape, dtype)
-        )
+Rows = np.ndarray | RowsOnDisk
+"""An array of the picture, in memory or on the disk."""
 
 
 @dataclass(frozen=True)
@@ -96,11 +75,6 @@ def windows(rows: int, step: int, margin: int) -> Iterator[Window]:
         yield Window(slice(start, stop), slice(max(start - margin, 0), min(stop + margin, rows)))
 
 
-def differences(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Differences of neighbours: (rows, columns - 1) along a row, (rows - 1, columns) down a column."""
-    return np.diff(values, axis=1), np.diff(values, axis=0)
-
-
 def edges(weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Weights of the pairs of neighbours, along and down: the smaller of the two pixels'."""
     return np.minimum(weight[:, :-1], weight[:, 1:]), np.minimum(weight[:-1], weight[1:])
@@ -121,7 +95,7 @@ def divergence(flows: tuple[np.ndarray, np.ndarray], weights: tuple[np.ndarray, 
 
 def laplacian(height: np.ndarray, weights: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """Multiply by the normal equations: the weighted graph Laplacian of the grid."""
-    return divergence(differences(height), weights)
+    return divergence((np.diff(height, axis=1), np.diff(height, axis=0)), weights)
 
 
 @dataclass(frozen=True)
@@ -213,12 +187,12 @@ def inner(a: np.ndarray, b: np.ndarray) -> float:
 class Laplace:
     """The equations of one picture, by windows of rows.
 
-    weight: (rows, columns) of the pixels, 0 where there is no unknown, in an array of `scratch`.
+    shape: rows and columns; weight: of the pixels, 0 where there is no unknown.
     """
 
-    def __init__(self, weight: np.ndarray | RowsOnDisk, scratch: Scratch):
-        rows, columns = scratch.shape
-        self.weight, self.scratch, self.count = weight, scratch, 1
+    def __init__(self, shape: tuple[int, int], weight: Rows):
+        rows, columns = shape
+        self.weight, self.dtype, self.count = weight, weight.dtype, 1
         while rows * columns > WHOLE_PIXELS << 2 * self.count:
             self.count += 1
         margin = MARGIN << self.count
@@ -234,16 +208,11 @@ class Laplace:
             down[at.core] = coarse[1][at.inner]
         self.below = levels_of(Level.of((along, down)))
 
-    @property
-    def dtype(self) -> np.dtype:
-        """Of all vectors."""
-        return self.weight.dtype
-
     def levels(self, window: Window, count: int) -> list[Level]:
         """Return the finest levels of a window."""
         return levels_of(Level.of(edges(self.weight[window.read])), count)
 
-    def precondition(self, right: np.ndarray | RowsOnDisk, out: np.ndarray | RowsOnDisk) -> float:
+    def precondition(self, right: Rows, out: Rows) -> float:
         """Write one V cycle of a vector to `out`; return the scalar product of the two."""
         below = np.zeros_like(self.below[0].inverse)
         for window in self.windows:
@@ -263,10 +232,13 @@ class Laplace:
         return laplacian(values, edges(self.weight[window.read]))[window.inner]
 
     def solve(
-        self, right: np.ndarray | RowsOnDisk, tolerance: float, most: int
-    ) -> tuple[np.ndarray | RowsOnDisk, int, float]:
-        """Solve for a right-hand side, which is used up; return heights, iterations and the relative residual."""
-        height, direction, following, conditioned = (self.scratch.array(self.dtype) for _ in range(4))
+        self, right: Rows, new: Callable[[np.dtype], Rows], tolerance: float, most: int
+    ) -> tuple[Rows, int, float]:
+        """Solve for a right-hand side, which is used up; return heights, iterations and the relative residual.
+
+        new: makes an array of zeros of the picture's shape.
+        """
+        height, direction, following, conditioned = (new(self.dtype) for _ in range(4))
         scale = sum(inner(right[w.core], right[w.core]) for w in self.narrow)
         if scale == 0.0:
             return height, 0, 0.0

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.artifacts.maps import shrink
 from nishiki.errors import UserError
 from nishiki.render.plane import camera
 from nishiki.render.plane.flags import BACKGROUND, TURNED_AWAY, UNUSABLE
@@ -156,13 +157,17 @@ def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
     if factor == 1:
         return scene, visibility
     known = np.abs(np.sum(np.square(scene.normals, dtype=np.float64), axis=2) - 1) < 0.02
-    normals = _block_means(np.where(known[..., None], scene.normals, 0), factor)
+
+    def means(values: np.ndarray) -> np.ndarray:
+        return shrink(lambda rows: values[rows], values.shape, factor)
+
+    normals = means(np.where(known[..., None], scene.normals, 0))
     length = np.linalg.norm(normals, axis=2, keepdims=True)
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
-    coefficients = _block_means(scene.coefficients, factor)
-    shading = None if scene.shading is None else _block_means(scene.shading, factor)
-    middles = [np.minimum(np.arange(0, n, factor) + factor // 2, n - 1) for n in scene.normals.shape[:2]]
-    labels = None if scene.labels is None else np.ascontiguousarray(scene.labels[np.ix_(*middles)])
+    coefficients = means(scene.coefficients)
+    shading = None if scene.shading is None else means(scene.shading)
+    numbers = scene.labels
+    labels = None if numbers is None else shrink(lambda rows: numbers[rows], numbers.shape, factor, "middle")
     reduced = dataclasses.replace(
         scene,
         normals=normals,
@@ -174,17 +179,8 @@ def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
         pitch=scene.pitch * factor,
     )
     if visibility is not None:
-        visibility = np.stack([_block_means(v[..., None], factor)[..., 0] for v in visibility])
+        visibility = np.stack([means(v) for v in visibility])
     return reduced, visibility
-
-
-def _block_means(values, factor):
-    """Means of (rows, columns, depth) over blocks; the last ones of a row or column may be smaller."""
-    rows, columns = (np.arange(0, n, factor) for n in values.shape[:2])
-    planes = [np.add.reduceat(plane, rows, axis=0, dtype=np.float64) for plane in np.moveaxis(values, 2, 0)]
-    sums = np.stack([np.add.reduceat(plane, columns, axis=1) for plane in planes], axis=2)
-    sizes = [np.diff(np.append(start, n)) for start, n in zip((rows, columns), values.shape, strict=False)]
-    return (sums / (sizes[0][:, None] * sizes[1])[..., None]).astype(np.float32)
 
 
 def _resolve(

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from nishiki.artifacts.maps import shrink
 from nishiki.threads import strips
 
 TILE, BORDER = 512, 4
@@ -134,8 +135,7 @@ def height_block(
     length of each stream, four bytes, the lowest first, before its zlib data.
     """
     factor = max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / most_pixels))))
-    bands = [_means(read(slice(k, min(k + 64 * factor, shape[0]))), factor) for k in range(0, shape[0], 64 * factor)]
-    height = np.concatenate(bands)
+    height = shrink(read, shape, factor)
     known = np.isfinite(height)
     low, high = (float(height[known].min()), float(height[known].max())) if known.any() else (0.0, 0.0)
     step = max(least_step * pitch, (high - low) / STEPS)
@@ -222,16 +222,3 @@ def _deflated(data: bytes) -> bytes:
     """Return a zlib stream, with or without a search for repetitions, whichever is shorter."""
     coder = zlib.compressobj(9, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_HUFFMAN_ONLY)
     return min(coder.compress(data) + coder.flush(), zlib.compress(data, 6), key=len)
-
-
-def _means(values: np.ndarray, factor: int) -> np.ndarray:
-    """Return means over blocks, NaN where half of one is not known."""
-    if factor == 1:
-        return values
-    pad = ((0, -values.shape[0] % factor), (0, -values.shape[1] % factor))
-    blocks = np.pad(values.astype(np.float64), pad, mode="edge")
-    blocks = blocks.reshape(blocks.shape[0] // factor, factor, blocks.shape[1] // factor, factor)
-    known = np.isfinite(blocks)
-    count = known.sum(axis=(1, 3))
-    total = np.where(known, blocks, 0).sum(axis=(1, 3))
-    return np.where(2 * count > factor * factor, total / np.maximum(count, 1), np.nan)
