@@ -86,7 +86,7 @@ def test_importing_a_stage_loads_no_package_that_it_has_not_declared(stage):
 @pytest.mark.slow
 def test_only_compiled_kernels_and_stores_are_imported_before_they_are_needed():
     modules = [*SOURCE.rglob("*.py"), *(PROJECT / "scripts").glob("*.py")]
-    eager = {path.name: imported(path, at_start=True) - LIGHT - {"numba", "zarr"} for path in modules}
+    eager = {str(path): imported(path, at_start=True) - LIGHT - {"numba", "zarr"} for path in modules}
     assert not {name: found for name, found in eager.items() if found}
 
 

@@ -176,7 +176,6 @@ def test_broken_yaml_is_told_with_its_file(asked, text, message):
         ("scene\tcapture\n../x\tcaptures/tiny\n", "../x"),
         ("scene\tcapture\ttruth\ntiny\tcaptures/tiny\tcaptures/none\n", "captures/none"),
         ("scene\tcapture\ttruth\tproducts\ntiny\tcaptures/tiny\t\tpicture\n", "picture"),
-        ("scene\tcapture\ttruth\tproducts\ntiny\tcaptures/tiny\t\treflectance\n", "'goniometer_samples'"),
         ("scene\tcapture\ttruth\tproducts\tsettings\ntiny\tcaptures/tiny\t\t\tnone.yaml\n", "none.yaml"),
     ],
 )

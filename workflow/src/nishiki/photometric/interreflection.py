@@ -11,13 +11,18 @@ white. The facets are those of a coarse grid, whose normals are integrated to a 
 normals again, and is nearer to the shape. What the camera does not see throws no light here.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import sparse
 
 from nishiki.photometric.height import integrate_normals
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 ROUNDS = 3
 BOUNCES = 8  # of predicted light
@@ -45,11 +50,11 @@ class Facets:
     directions: np.ndarray
     fit: Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
-    def scaled(self, factor: float) -> "Facets":
+    def scaled(self, factor: float) -> Facets:
         """Return facets so many times as bright."""
         return replace(self, observations=factor * self.observations)
 
-    def every(self, stride: int) -> "Facets":
+    def every(self, stride: int) -> Facets:
         """Select every stride-th facet each way."""
         values, valid = self.observations[:, ::stride, ::stride], self.valid[:, ::stride, ::stride]
         return replace(self, observations=np.ascontiguousarray(values), valid=np.ascontiguousarray(valid))
@@ -85,6 +90,8 @@ def form_factors(normals: np.ndarray, valid: np.ndarray) -> sparse.csr_array:
     valid : (rows, columns) bool
         Facets with a normal.
     """
+    from scipy import sparse
+
     if not valid.any():
         return sparse.csr_array((0, 0))
     height = integrate_normals(normals, valid=valid).height
