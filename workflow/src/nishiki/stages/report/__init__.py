@@ -28,7 +28,7 @@ PAINTING = Stage(
     libraries=("numpy", "jinja2", "zarr", OPENCV),
     deliverables=("*.html", "thumbnail.jpg"),
     threads=1,
-    cost=lambda facts: Cost(mib=230, bytes_per_pixel=16, seconds=2, us_per_pixel=8),
+    cost=lambda facts: Cost(mib=230, bytes_per_pixel=6, seconds=2, us_per_pixel=2),
 )
 
 
