@@ -52,6 +52,10 @@ class SequenceSettings(Closed):
     columns: int = Field(640, ge=16, le=4096, description="width of the video")
 
 
+MOST_MEGAPIXELS = 24.0
+"""As cameras have; pictures of them take 4 GiB."""
+
+
 class RenderSettings(Guarded, stage="render", version=3):
     """Pictures and sequences to make."""
 
@@ -70,7 +74,9 @@ class RenderSettings(Guarded, stage="render", version=3):
     )
     cast_shadows: bool = Field(True, description="shadows thrown by the integrated height")
     most_megapixels: float = Field(
-        12, gt=0, description="of the maps that pictures are made from; larger ones are averaged over squares of pixels"
+        MOST_MEGAPIXELS,
+        gt=0,
+        description="of the maps that pictures are made from; larger ones are averaged over squares of pixels",
     )
     export_normals: bool = Field(True, description="also write the normals as 16-bit PNG (y up) and EXR")
     curves_sha256: dict[str, str] = Field({}, description="digests of the illuminant tables; filled in by the plan")
@@ -100,9 +106,9 @@ PAINTING = Stage(
     idle={"av": no_film("render", "sequences")},
     deliverables=("*.png", "*.exr", "*.mp4", "*.webp"),
     cost=lambda facts: Cost(
-        mib=380 + 153 * min(facts.pixels / 1e6, 12),  # the pixels that pictures are made from
+        mib=380 + 153 * min(facts.pixels / 1e6, MOST_MEGAPIXELS),  # the pixels that pictures are made from
         bytes_per_pixel=0.5,
-        seconds=4 + 30 * min(facts.pixels / 1e6, 12),
+        seconds=4 + 30 * min(facts.pixels / 1e6, MOST_MEGAPIXELS),
         us_per_pixel=2,
     ),
 )

@@ -47,7 +47,8 @@ def run(context: Context) -> dict:
             spectra[name] = resample(curves.wavelengths_nm, curves.values.T, name=name)[0]
         else:
             spectra[name] = cie_illuminant(name)
-    pictures, notes = {}, []
+    coarse = f"a pixel of frontal pictures is the mean of {block} x {block} pixels of the maps (render.most_megapixels)"
+    pictures, notes = {}, [coarse] if block > 1 else []
     for picture in context.progress.over(settings.pictures, "picture"):
         made = paint(scene, picture, spectra, settings)
         pictures[picture.name] = save(context, picture, made)
