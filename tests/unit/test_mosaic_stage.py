@@ -62,7 +62,7 @@ def artifacts_of(mosaic: CutMosaic, folder: Path, regions: list[list[dict]], **a
             out = MapWriter(writer.folder, band_rows=64, stamp=STAMP, **size)
             for name, values in maps.items():
                 out.write(name, values, unit="some")
-            return {}
+            return {"valid_pixels": int(np.count_nonzero(maps["flags"] == 0))}
 
         def gloss(writer: ArtifactWriter, own=regions[number], shape=(rows, columns)) -> dict:
             writer.path("parameters.json").write_text(json.dumps({"regions": own}))

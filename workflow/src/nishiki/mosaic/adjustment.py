@@ -256,8 +256,8 @@ def expect_connected(fields: Sequence[Field], used: Sequence[Overlap], overlaps:
     raise UserError(
         f"{len(lost)} of {len(fields)} fields are not connected to the others by an overlap that can be relied on: "
         f"{', '.join(lost[:12])}. {'Overlaps not used: ' + '; '.join(doubts[:6]) + '. ' if doubts else ''}Remedy: "
-        "photograph fields that overlap them by a fifth where the surface has texture; where an ornament repeats, "
-        "state the positions in fields.csv; or leave these fields out of it."
+        "photograph fields that overlap them by 15 % or more where the surface has texture; where an ornament repeats, "
+        "state the positions in fields.csv (and pixel_pitch_mm in each capture.yaml); or leave these fields out of it."
     )
 
 
@@ -272,6 +272,6 @@ def expect_support(fields: Sequence[Field], used: Sequence[Overlap], wrong: Over
             names = [fields[k].name for k in (wrong.first, wrong.second, overlap.first, overlap.second)]
             raise UserError(
                 f"the overlap of {names[0]} and {names[1]} contradicts the others, among them that of {names[2]} and "
-                f"{names[3]}, and nothing tells which is wrong. Remedy: state the positions in fields.csv, or add a "
-                "field that overlaps several of them."
+                f"{names[3]}, and nothing tells which is wrong. Remedy: state the positions in fields.csv (and "
+                "pixel_pitch_mm in each capture.yaml), or add a field that overlaps several of them."
             )

@@ -79,11 +79,16 @@ def signals(reflectance: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return np.concatenate([logarithm[..., None], normals[..., :2]], axis=-1).astype(np.float32)
 
 
-def reduce_field(field: Field, pixels: int) -> tuple[Field, int]:
-    """Average a field over squares so that it has at most so many pixels; and the squares' side. One band in memory."""
-    step = int(np.ceil(np.sqrt(field.shape[0] * field.shape[1] / pixels)))
+def reduce_fields(fields: Sequence[Field], pixels: int) -> tuple[list[Field], int]:
+    """Average fields over squares of one side, so that none has more pixels; return them and the side."""
+    step = int(np.ceil(np.sqrt(max(field.shape[0] * field.shape[1] for field in fields) / pixels)))
+    return [reduce_field(field, step) for field in fields], step
+
+
+def reduce_field(field: Field, step: int) -> Field:
+    """Average a field over squares of this side. One band is in memory."""
     if step == 1:
-        return field, 1
+        return field
     rows, columns = (n // step for n in field.shape)
     values, known = np.empty((rows, columns, 3), np.float32), np.empty((rows, columns), bool)
     for top in range(0, rows, 64):
@@ -93,35 +98,34 @@ def reduce_field(field: Field, pixels: int) -> tuple[Field, int]:
         count = inside.reshape(squares).sum(axis=(1, 3))
         total = (part * inside[..., None]).reshape(*squares, 3).sum(axis=(1, 3))
         values[band], known[band] = total / np.maximum(count, 1)[..., None], 2 * count > step**2
-    reduced = replace(
+    return replace(
         field,
         shape=(rows, columns),
         read=lambda y, x: (values[y, x], known[y, x]),
         centre=(field.centre + 0.5) / step - 0.5,
         stated=None if field.stated is None else field.stated / step,
     )
-    return reduced, step
 
 
 def register_fields(fields: Sequence[Field]) -> list[Overlap]:
     """Find the overlaps of all fields and measure them; one that cannot be relied on is returned with its problem."""
-    reduced = [reduce_field(field, REDUCED_PIXELS) for field in fields]
-    thumbnails = [reduce_field(field, THUMBNAIL_PIXELS) for field, _ in reduced]
-    size = 2 * max(field.shape[0] for field, _ in thumbnails), 2 * max(field.shape[1] for field, _ in thumbnails)
-    spectra = [thumbnail_spectra(field, size) for field, _ in thumbnails]
+    reduced, fine = reduce_fields(fields, REDUCED_PIXELS)
+    thumbnails, coarse = reduce_fields(reduced, THUMBNAIL_PIXELS)
+    steps = coarse * fine
+    size = 2 * max(field.shape[0] for field in thumbnails), 2 * max(field.shape[1] for field in thumbnails)
+    spectra = [thumbnail_spectra(field, size) for field in thumbnails]
     overlaps = []
     for i, j in combinations(range(len(fields)), 2):
         stated, beside = stated_shift(fields[i], fields[j])
         if not beside:
             continue
         found = []
-        steps = thumbnails[i][1] * reduced[i][1]
         place = None if stated is None else (stated / steps, TOLERANCE * np.hypot(*fields[i].shape) / steps)
         for shift in find_candidates(spectra[i], spectra[j], size, place):
-            guess = enlarge(np.column_stack([np.eye(2), shift]), thumbnails[i][1], thumbnails[j][1])
-            measured = measure_overlap(reduced[i][0], reduced[j][0], guess, TRIED)
+            guess = enlarge(np.column_stack([np.eye(2), shift]), coarse)
+            measured = measure_overlap(reduced[i], reduced[j], guess, TRIED)
             if measured is not None:
-                matrix = enlarge(measured[0], reduced[i][1], reduced[j][1])
+                matrix = enlarge(measured[0], fine)
                 middle = matrix[:, :2] @ fields[i].centre + matrix[:, 2] - fields[i].centre
                 near = stated is None or np.hypot(*(middle - stated)) < TOLERANCE * np.hypot(*fields[i].shape)
                 if all(np.hypot(*(middle - other[2])) > APART * steps for other in found):
@@ -152,10 +156,10 @@ def stated_shift(first: Field, second: Field) -> tuple[np.ndarray | None, bool]:
     return shift, bool((shift < np.add(second.shape[::-1], reach)).all() and (shift + first.shape[::-1] > -reach).all())
 
 
-def enlarge(matrix: np.ndarray, first: int, second: int) -> np.ndarray:
-    """Rewrite a matrix (2, 3) between averages over squares of these sides for the fields that were averaged."""
-    turned = matrix[:, :2] * (second / first)
-    return np.column_stack([turned, second * matrix[:, 2] + (second - 1) / 2 - turned @ np.full(2, (first - 1) / 2)])
+def enlarge(matrix: np.ndarray, side: int) -> np.ndarray:
+    """Rewrite a matrix (2, 3) between averages over squares of this side for the fields that were averaged."""
+    half = np.full(2, (side - 1) / 2)
+    return np.column_stack([matrix[:, :2], side * matrix[:, 2] + half - matrix[:, :2] @ half])
 
 
 def thumbnail_spectra(field: Field, size: tuple[int, int]) -> np.ndarray:

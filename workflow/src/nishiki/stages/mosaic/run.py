@@ -25,8 +25,8 @@ from nishiki.photometric import flags as bits
 from nishiki.threads import strips
 
 BAND_PIXELS = 1 << 21  # of the mosaic, blended at a time
-KINDS = ("flags", "mask", "labels", "lights_used")
-BLENDED = ("normals", "reflectance", "albedo", "sigma", "correction_sigma", "condition", "residual", "shading")
+KINDS = ("flags", "mask", "labels", "lights_used", "condition")
+BLENDED = ("normals", "reflectance", "albedo", "sigma", "correction_sigma", "residual", "shading")
 PITCHES = 0.01  # relative difference of pixel pitches from which fields are no mosaic
 
 
@@ -115,6 +115,11 @@ def open_fields(artifacts: dict[str, dict[str, Artifact]]) -> tuple[list[dict], 
     Raises UserError where fields differ in what one painting under the same lamps and camera has in common.
     """
     names = sorted(artifacts)
+    empty = [name for name in names if not artifacts[name]["normals"].diagnostics["valid_pixels"]]
+    if empty:
+        raise UserError(
+            f"mosaic: no normal in field {empty[0]}. Remedy: photograph it again, or take it out of fields.csv"
+        )
     frames = [Observations(artifacts[name]["ingest"].folder) for name in names]
     for name, other in zip(names, frames, strict=True):
         for what in ("channels", "to_srgb", "white_board", "pixel_pitch_mm"):
