@@ -9,7 +9,7 @@ from captures import CHANNELS, RING, make_capture, write_frame
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import examine, load_capture
-from nishiki.capture.mosaic import MosaicCapture
+from nishiki.capture.mosaic import MosaicCapture, is_capture
 from nishiki.capture.seal import seal
 from nishiki.commands.capturing import seal_folder
 from nishiki.formats.problems import CaptureError
@@ -147,9 +147,11 @@ def test_folders_of_photographs_become_fields(tmp_path, lamps_beside):
 def test_a_table_beside_the_folders_names_the_fields_and_their_positions(tmp_path):
     source = photographs(tmp_path / "wall", ("one", "two", "tests"))
     (source / "fields.csv").write_text("field;path;x_mm;y_mm\nb;two;10,5;0\na;one;;\n")
+    assert not is_capture(source)
     convert(source, tmp_path / "capture")
     fields = load_capture(tmp_path / "capture").fields
     assert [(field.name, field.position_mm) for field in fields] == [("b", (10.5, 0.0)), ("a", None)]
+    assert is_capture(tmp_path / "capture")
 
 
 @pytest.mark.parametrize(

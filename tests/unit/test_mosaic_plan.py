@@ -127,6 +127,19 @@ def test_variants_of_a_mosaic_are_refused_with_a_field_that_can_be_named(project
         Workflow({**VALUES, "sweeps": {"one": sweep}, "sweep": "one"})
 
 
+def test_a_sweep_over_all_scenes_takes_the_fields_of_a_mosaic(project):
+    sweep = {"stage": "height", "vary": {"flatten": [True]}, "settings": {"hold_out": ["L01"]}}
+    flow = Workflow({**VALUES, "sweeps": {"one": sweep}, "sweep": "one"})
+    assert [swept.scene for swept in flow.sweep.scenes] == ["wall--a1", "wall--a2", "other"]
+
+
+@pytest.mark.parametrize("settings", [{"hold_out": ["L01"]}, {"normals": {"given": "wall/fields.csv"}}])
+def test_settings_that_no_mosaic_can_follow_are_refused(project, settings):
+    Workflow({**VALUES, **settings}, only=["other"])
+    with pytest.raises(UserError, match="wall"):
+        Workflow({**VALUES, **settings}, only=["wall"])
+
+
 def test_fields_are_jobs_of_their_own_on_a_cluster(project):
     flow = Workflow(VALUES)
     made = keys(flow)

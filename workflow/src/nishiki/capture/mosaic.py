@@ -11,7 +11,7 @@ from typing import Any
 
 from nishiki.capture.seal import capture_digest
 from nishiki.formats.files import bound, leads_out, name_fault
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, number_of, reading, table_rows
 
 TABLE = "fields.csv"
@@ -60,8 +60,13 @@ class MosaicCapture:
 
 
 def is_capture(folder: Path) -> bool:
-    """Return whether a folder holds the description of a capture, sealed or not, or a table of fields."""
-    return any((folder / part).is_file() for part in (TABLE, "capture.yaml", "data/capture.yaml"))
+    """Return whether a folder holds the description of a capture, sealed or not, or a table of fields that do."""
+    if any((folder / part).is_file() for part in ("capture.yaml", "data/capture.yaml")):
+        return True
+    try:
+        return is_mosaic(folder) and any(is_capture(field.path) for field in read_fields(folder))
+    except CaptureError:
+        return any(is_capture(place) for place in folder.iterdir() if place.is_dir())
 
 
 def is_mosaic(root: Path) -> bool:
@@ -150,6 +155,10 @@ def examine_mosaic(root: Path, examine: Callable) -> tuple[MosaicCapture | None,
         if twin is not field:
             found, remedy = f"as {twin.name}", "Correct the path, or take one of the two rows out"
             problems.append(error("field-repeated", field.place, "the same photographs", found=found, remedy=remedy))
+    if any(field.position_mm for field in fields) and captures[0].settings.pixel_pitch_mm is None:
+        what = "positions are not used: the fields have no scale"
+        remedy = "State pixel_pitch_mm in each capture.yaml, or convert again with --width-mm"
+        problems.append(warning("positions-unused", TABLE, what, remedy=remedy))
     doubts = tuple(problem for problem in problems if problem.severity == "warning")
     return MosaicCapture(root, fields, tuple(captures), doubts), problems
 
@@ -168,6 +177,7 @@ def _differences(first: str, usual: Any, place: str, other: Any) -> list[Problem
         "camera.channels": lambda capture: capture.settings.camera.channels,
         "camera.sensitivities": lambda capture: _values_of(capture.sensitivities),
         "illuminant": lambda capture: _values_of(capture.illuminant),
+        "white frames": lambda capture: bool(capture.frames_of("white")),
         "pixel_pitch_mm": lambda capture: capture.settings.pixel_pitch_mm is not None,
     }
     what = f"differs from the field in {first}"

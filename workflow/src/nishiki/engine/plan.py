@@ -108,6 +108,9 @@ def make_plan(scene: Scene, facts: SceneFacts, fields: Mapping[str, Plan] = Mapp
 
     Raises UserError where a product that was asked for by name cannot be made, with the reason.
     """
+    if facts.fields and scene.settings.normals.given:
+        remedy = "Remedy: leave it out; one picture cannot hold the normals of every field"
+        raise UserError(f"scene {scene.name!r}: normals.given is not for a mosaic. {remedy}")
     chain = chain_of(facts.geometry)
     held_out = held_out_of(scene.settings.hold_out, scene, facts)
     settings: dict[str, Closed] = {}
@@ -206,6 +209,9 @@ def held_out_of(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) 
 
     auto: a tenth of at least 16 lights, a twelfth of at least 16 views, where neither truth nor check lights exist.
     """
+    if facts.fields and not isinstance(choice, str):
+        remedy = "Remedy: leave hold_out out; for errors under other lamps give one field a scene of its own"
+        raise UserError(f"scene {scene.name!r}: lights are not held out of a mosaic. {remedy}")
     if choice == "none" or facts.fields:
         return ()
     series, what = facts.series, "view" if facts.geometry == "turntable" else "light"

@@ -88,7 +88,8 @@ def plan_sweep(named: str, project: Project, facts_of: Callable[[Scene], SceneFa
     if sweep.stage not in CHAIN:
         raise UserError(f"{named}: stage: unknown stage {sweep.stage!r}; stages: {', '.join(CHAIN)}")
     variants = expand(sweep, stages=CHAIN, where=named)
-    scenes = [project.scenes[scene] for scene in sweep.scenes or project.scenes]
+    every = [name for name, scene in project.scenes.items() if not scene.fields]  # variants of mosaics are not compared
+    scenes = [project.scenes[scene] for scene in sweep.scenes or every]
     return PlannedSweep(name, sweep, tuple(_scene_sweep(named, sweep, variants, scene, facts_of) for scene in scenes))
 
 
