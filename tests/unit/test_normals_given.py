@@ -59,9 +59,12 @@ def test_axes_are_found_whatever_they_are(tmp_path, number):
 
 def test_vectors_of_floats_are_read_as_they_are(tmp_path):
     normals = relief()
-    cv2.imwrite(str(tmp_path / "n.tiff"), normals[..., ::-1].astype(np.float32))
+    vectors = normals.astype(np.float32)
+    vectors[20:22] = np.nan  # where there is no object
+    cv2.imwrite(str(tmp_path / "n.tiff"), vectors[..., ::-1])
     given, _ = find_given(*field(normals), 1, tmp_path / "n.tiff")
     np.testing.assert_allclose(given.at(slice(3, 9)), normals[3:9], atol=1e-6)
+    assert not given.at(slice(20, 22)).any()
 
 
 def test_the_stated_error_is_at_least_the_angle_between_the_two(tmp_path):

@@ -129,7 +129,7 @@ def shrink(
         tiles = values.reshape(values.shape[0] // block, block, values.shape[1] // block, block, *values.shape[2:])
         known = np.isfinite(tiles)
         if how == "largest":
-            return np.where(known, tiles, -np.inf).max(axis=(1, 3))
+            return np.where(known.any(axis=(1, 3)), np.where(known, tiles, -np.inf).max(axis=(1, 3)), np.nan)
         count = known.sum(axis=(1, 3))
         total = np.where(known, tiles, 0).sum(axis=(1, 3), dtype=np.float64)
         return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)

@@ -117,4 +117,4 @@ def _read(frames: Observations, path: Path) -> tuple[np.ndarray, float]:
     codes = read_codes(path, ("x", "y", "z"), header=header, region=(row, column, rows, columns))
     if codes.dtype.kind == "u":
         return codes, float(np.iinfo(codes.dtype).max)
-    return codes, 0.0 if codes.min() < 0 else 1.0
+    return codes, 0.0 if np.min(codes, initial=0, where=np.isfinite(codes)) < 0 else 1.0

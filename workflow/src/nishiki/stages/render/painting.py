@@ -85,7 +85,7 @@ def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool, block: int = 
         **colours(inputs, maps, block),
     }
     if "shading" in maps:
-        fields["shading"] = shrink(lambda rows: maps.read("shading", rows), shape, block)
+        fields["shading"] = mean_known(maps, lambda rows: maps.read("shading", rows), block)
     if "height" in inputs and cast_shadows and not directional_shading(maps):
         height = Maps(inputs["height"].folder)
         fields["height"] = shrink(lambda rows: height.read("height", rows), shape, block)
@@ -98,18 +98,25 @@ def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool, block: int = 
     return PlaneScene(**fields)
 
 
-def known_normals(maps: Maps, normals: np.ndarray, rows: slice, unknown: float) -> np.ndarray:
-    """Return normals of some rows, and a number where there is no estimate."""
+def known_values(maps: Maps, values: np.ndarray, rows: slice, unknown: float) -> np.ndarray:
+    """Return values (r, columns, n) of some rows, and a number where there is no estimate."""
     known = (maps.read("flags", rows) & NO_ESTIMATE) == 0
-    return np.where(known[..., None], normals, np.float32(unknown))
+    return np.where(known[..., None], values, np.float32(unknown))
+
+
+def mean_known(maps: Maps, read: Callable[[slice], np.ndarray], block: int) -> np.ndarray:
+    """Return means over the known pixels of squares, 0 where there are none; block 1: the map as it is."""
+    if block == 1:
+        return read(slice(None))
+    shape = maps.group["normals"].shape[:2]
+    return np.nan_to_num(shrink(lambda rows: known_values(maps, read(rows), rows, np.nan), shape, block))
 
 
 def mean_normals(maps: Maps, read: Callable[[slice], np.ndarray], block: int) -> np.ndarray:
     """Return unit normals of squares of pixels, 0 where there is no estimate; read: normals of some rows."""
-    shape = maps.group["normals"].shape[:2]
     if block == 1:
-        return known_normals(maps, read(slice(None)), slice(None), 0)
-    mean = shrink(lambda rows: known_normals(maps, read(rows), rows, np.nan), shape, block)
+        return known_values(maps, read(slice(None)), slice(None), 0)
+    mean = mean_known(maps, read, block)
     length = np.linalg.norm(mean, axis=-1, keepdims=True)
     return np.divide(mean, length, out=np.zeros_like(mean), where=length > 0)
 
@@ -118,7 +125,7 @@ def block_slopes(maps: Maps, block: int) -> np.ndarray:
     """Return the covariance of the slopes inside squares of pixels, of their pixels and between these."""
 
     def read(rows: slice) -> np.ndarray:
-        normals = known_normals(maps, shading_normals(maps, rows), rows, 0)
+        normals = known_values(maps, shading_normals(maps, rows), rows, 0)
         slopes, known = slopes_of(normals)
         moments = np.concatenate([slopes, products(slopes) + slope_covariance(normals)], axis=-1)
         return np.where(known[..., None], moments, np.float32(np.nan))
@@ -129,14 +136,16 @@ def block_slopes(maps: Maps, block: int) -> np.ndarray:
 
 def colours(inputs: dict[str, Artifact], maps: Maps, block: int) -> dict[str, np.ndarray]:
     """Diffuse colour: spectral coefficients and their basis, else camera channels as linear sRGB, or grey."""
-    shape = maps.group["normals"].shape[:2]
     if "spectra" in inputs:
         spectra = Maps(inputs["spectra"].folder)
         basis = np.array(spectra.attributes("coefficients")["basis"])
-        return {"coefficients": shrink(lambda rows: spectra.read("coefficients", rows), shape, block), "basis": basis}
+        return {
+            "coefficients": mean_known(maps, lambda rows: spectra.read("coefficients", rows), block),
+            "basis": basis,
+        }
     to_srgb = display_map(maps)
     return {
-        "coefficients": shrink(lambda rows: displayed_colours(maps.read("reflectance", rows), to_srgb), shape, block)
+        "coefficients": mean_known(maps, lambda rows: displayed_colours(maps.read("reflectance", rows), to_srgb), block)
     }
 
 
