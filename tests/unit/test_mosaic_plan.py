@@ -65,8 +65,15 @@ def test_the_joining_stage_reads_what_it_stands_for_of_every_field_and_later_one
 
 def test_fields_are_planned_like_captures_on_their_own(project):
     (project / "scenes.tsv").write_text("scene\tcapture\tproducts\nwall\twall\t\none\twall/fields/a1\tnormals brdf\n")
-    made = keys()
+    made = keys(Workflow({**VALUES, "ingest": {"correct": {"gains": "never"}}}))
     assert made["one"] == made["wall--a1"]
+
+
+@pytest.mark.parametrize(("given", "taken"), [({}, "never"), ({"ingest": {"correct": {"gains": "auto"}}}, "auto")])
+def test_fields_do_not_estimate_lamps_each_by_itself_unless_they_are_told_to(project, given, taken):
+    plans = Workflow({**VALUES, **given}).plans
+    assert plans["wall--a1"].stages["ingest"].settings["correct"]["gains"] == taken
+    assert plans["other"].stages["ingest"].settings["correct"]["gains"] == "auto"
 
 
 def test_a_changed_field_changes_its_own_keys_and_those_of_the_mosaic(project):

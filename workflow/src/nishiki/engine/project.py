@@ -193,11 +193,19 @@ def _scene(row: dict[str, str], configuration: Configuration, values: dict, tabl
 
 
 def _scenes_of_fields(scene: Scene) -> tuple[Scene, ...]:
-    """Return a scene for each field of a mosaic; none where its table is wrong, which its plan tells."""
+    """Return a scene for each field of a mosaic; none where its table is wrong, which its plan tells.
+
+    Strengths of lamps that each field estimates by itself differ from field to field: without boards, where no setting
+    says otherwise, lamps are taken as equally strong in all of them.
+    """
+    settings, ingest = scene.settings, scene.settings.ingest
+    if "gains" not in ingest.correct.model_fields_set:
+        correct = ingest.correct.model_copy(update={"gains": "never"})
+        settings = settings.model_copy(update={"ingest": ingest.model_copy(update={"correct": correct})})
     products = next(iter(stage.stands_for[1:] for stage in CHAIN.values() if stage.stands_for), ())
     with suppress(CaptureError):
         return tuple(
-            Scene(scene_of_field(scene.name, field.name), field.path, None, products, scene.settings)
+            Scene(scene_of_field(scene.name, field.name), field.path, None, products, settings)
             for field in read_fields(scene.capture)
         )
     return ()

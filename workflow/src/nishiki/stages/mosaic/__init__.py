@@ -7,8 +7,8 @@ from nishiki.artifacts.limits import Limit, at, share
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage
 
 ALIKE = (
-    "photograph a white board for every lamp; without one, set ingest.correct.gains: never, so that the strengths of "
-    "the lamps are not estimated in each field apart"
+    "photograph a white board for every lamp; where ingest moved photographs of some fields only, set "
+    "ingest.correct.registration: never"
 )
 LIMITS = (
     Limit(
