@@ -301,7 +301,7 @@ def test_error_of_each_band_is_calibrated():
 
 
 @pytest.mark.slow
-def test_two_lamps_halve_the_error_and_noise_does_not_take_it_back():
+def test_a_second_lamp_lowers_the_error_with_and_without_noise():
     both = [(LAMP, camera(3)), (illuminant("D65"), camera(3))]
     lamps = np.repeat([lamp for lamp, _ in both], 3, axis=0)
     curves = under_one_lamp(lamps, np.concatenate([camera(3), camera(3)]))

@@ -193,10 +193,10 @@ def _scene(row: dict[str, str], configuration: Configuration, values: dict, tabl
 
 
 def _scenes_of_fields(scene: Scene) -> tuple[Scene, ...]:
-    """Return a scene for each field of a mosaic; none where its table is wrong, which its plan tells.
+    """Return a scene for each field of a mosaic; none where its table is wrong, which its plan reports.
 
-    Strengths of lamps that each field estimates by itself differ from field to field: without boards, where no setting
-    says otherwise, lamps are taken as equally strong in all of them.
+    Strengths of lamps that each field estimates by itself differ from field to field: without boards, lamps are
+    taken as equally strong in all of them.
     """
     settings, ingest = scene.settings, scene.settings.ingest
     if "gains" not in ingest.correct.model_fields_set:

@@ -16,7 +16,7 @@ from nishiki.formats.stored import load_arrays
 from nishiki.photometric.flags import NO_ESTIMATE
 
 SMALLEST = 1e-2
-"""Of the channels' singular values, relative to the largest: what smaller ones tell apart is noise."""
+"""Of the channels' singular values, relative to the largest: differences along smaller ones are noise."""
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,7 @@ def adjust(fields: Sequence[Field], overlaps: Sequence[Overlap]) -> tuple[Placem
     Raises
     ------
     UserError
-        Where nothing connects some fields, or overlaps contradict each other and nothing tells which is wrong.
+        Where nothing connects some fields, or overlaps contradict each other and nothing shows which is wrong.
     """
     used = [overlap for overlap in overlaps if not overlap.problem]
     expect_connected(fields, used, overlaps)
@@ -272,6 +272,6 @@ def expect_support(fields: Sequence[Field], used: Sequence[Overlap], wrong: Over
             names = [fields[k].name for k in (wrong.first, wrong.second, overlap.first, overlap.second)]
             raise UserError(
                 f"the overlap of {names[0]} and {names[1]} contradicts the others, among them that of {names[2]} and "
-                f"{names[3]}, and nothing tells which is wrong. Remedy: state the positions in fields.csv (and "
+                f"{names[3]}, and nothing shows which is wrong. Remedy: state the positions in fields.csv (and "
                 "pixel_pitch_mm in each capture.yaml), or add a field that overlaps several of them."
             )

@@ -32,7 +32,7 @@ class Samples:
     place : (n, 2, 2) float64
         Places in both fields, from the centre in units of the reach.
     values : (n, 2, quantities) float64
-        What both say: logarithms of reflectance, then the angles of the normal in radians.
+        Of both fields: logarithms of reflectance, then the angles of the normal in radians.
     """
 
     pair: np.ndarray

@@ -269,7 +269,7 @@ def window_places(
 def match_window(first: np.ndarray, second: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Measure the displacement of a window's signals (rows, columns, 3) float32 in the second, where both are known.
 
-    Returns it (columns, rows) and its covariance (2, 2), or None where it cannot be told.
+    Returns it (columns, rows) and its covariance (2, 2), or None where it cannot be measured.
     """
     import cv2
     from scipy.fft import rfft2
@@ -314,7 +314,7 @@ def match_window(first: np.ndarray, second: np.ndarray, known: np.ndarray) -> tu
 
 
 def fit_similarity(points: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit the similarity (2, 3) that takes points[0] to points[1] (2, n, 2) robustly; tell which agree (n,) bool."""
+    """Fit the similarity (2, 3) that takes points[0] to points[1] (2, n, 2) robustly; with which agree, (n,) bool."""
     middle = points[0].mean(axis=0)
     (x, y), one, none = (points[0] - middle).T, np.ones(points.shape[1]), np.zeros(points.shape[1])
     design = np.stack([np.stack([one, none, x, -y], 1), np.stack([none, one, y, x], 1)], 1)  # (n, 2, 4)

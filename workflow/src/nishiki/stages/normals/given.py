@@ -20,7 +20,7 @@ from nishiki.observations.plane import Observations
 if TYPE_CHECKING:
     from nishiki.photometric.interreflection import Facets
 
-TELLS = 0.7  # the axes are told where the angle to ours is below this part of that with any others
+CLEARLY = 0.7  # the angle to ours is below this part of that with any other axes where the axes are believed
 UNLIKE_DEG = 30.0  # median angle to our normals: beyond, it is a map of something else
 SHORT = 0.5  # length of a vector below which there is no normal
 AXES = tuple(
@@ -65,7 +65,7 @@ def find_given(frames: Observations, facets: Facets, step: int, path: Path) -> t
     """Read the map that the settings name, find its axes by our own normals of facets, and compare the two.
 
     step : side of a facet in pixels. Raises UserError where the size is another, where the map shows something else,
-    and where the axes cannot be told.
+    and where no axes fit clearly better than others.
     """
     codes, full = _read(frames, path)
     middles = [np.minimum(np.arange(step // 2, size + step // 2, step), size - 1) for size in frames.shape]
@@ -77,11 +77,11 @@ def find_given(frames: Observations, facets: Facets, step: int, path: Path) -> t
         raise UserError(f"normals.given: {path}: no normals on the object. Remedy: a map of unit vectors")
     apart = np.degrees([np.median(angles(normals, own)[known]) for normals in turned])
     first, second = np.argsort(apart, kind="stable")[:2]
-    if apart[first] > UNLIKE_DEG or apart[first] > TELLS * apart[second]:
+    if apart[first] > UNLIKE_DEG or apart[first] > CLEARLY * apart[second]:
         raise UserError(
             f"normals.given: {path}: its normals are {apart[first]:.3g} degrees (median) off those of the "
             f"photographs with the best axes, {apart[second]:.3g} with the next; the best should be at most "
-            f"{UNLIKE_DEG:g} and {TELLS:g} of the next. Remedy: a map of this object, in this place, as unit vectors"
+            f"{UNLIKE_DEG:g} and {CLEARLY:g} of the next. Remedy: a map of this object, in this place, as unit vectors"
         )
     horizontal, vertical = (
         "".join("+-"[int(v < 0)] + "xyz"[k] for k, v in enumerate(row) if v) for row in AXES[first][:2]

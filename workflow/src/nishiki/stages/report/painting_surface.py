@@ -142,9 +142,7 @@ def _of_given(given: dict[str, Any]) -> list[Block]:
     ]
     if given["left_out_own"] is not None:
         rows = [("given", given["left_out_given"]), ("from the photographs", given["left_out_own"])]
-        note = (
-            "Mean error of lamps left out, relative to white, by Lambert's law: it tells wrong axes, not small errors."
-        )
+        note = "Mean error of lamps left out (white is 1) by Lambert's law: it shows wrong axes, but not small errors."
         blocks.append(Table(("Normals", "error"), rows, "lr", note))
     return blocks
 
