@@ -53,7 +53,8 @@ def test_axes_are_found_whatever_they_are(tmp_path, number):
     given, described = find_given(*field(normals), 1, path)
     np.testing.assert_array_equal(given.axes, AXES[number])
     np.testing.assert_allclose(given.at(slice(None)), normals, atol=1e-4)
-    assert described["apart_median_deg"] < 0.1 < 0.1 * described["apart_next_axes_deg"]
+    assert described["apart_median_deg"] < 0.1
+    assert described["correlation"] > 0.99 > 0.2 > described["correlation_next_axes"]
     assert described["left_out_given"] == pytest.approx(described["left_out_own"], abs=1e-4)
 
 

@@ -20,8 +20,7 @@ from nishiki.observations.plane import Observations
 if TYPE_CHECKING:
     from nishiki.photometric.interreflection import Facets
 
-CLEARLY = 0.7  # the angle to ours is below this part of that with any other axes where the axes are believed
-UNLIKE_DEG = 30.0  # median angle to our normals: beyond, it is a map of something else
+LIKE = 0.5  # correlation with our normals, of the component that agrees less, from which axes are believed
 SHORT = 0.5  # length of a vector below which there is no normal
 AXES = tuple(
     np.array([[x, 0, 0], [0, y, 0], [0, 0, 1.0]])[[1, 0, 2] if swapped else [0, 1, 2]]
@@ -56,6 +55,12 @@ class GivenNormals:
         maps["sigma"] = np.where(known, np.maximum(maps["sigma"], angles(given, own)), maps["sigma"])
 
 
+def correlation(first: np.ndarray, second: np.ndarray) -> float:
+    """Return the correlation of two lists of numbers; 0 where one does not vary."""
+    a, b = first - first.mean(), second - second.mean()
+    return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), np.finfo(np.float32).tiny))
+
+
 def angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the angles (...), radians, between unit vectors (..., 3)."""
     return np.arccos(np.clip(np.sum(first * second, axis=-1), -1, 1)).astype(np.float32)
@@ -65,31 +70,33 @@ def find_given(frames: Observations, facets: Facets, step: int, path: Path) -> t
     """Read the map that the settings name, find its axes by our own normals of facets, and compare the two.
 
     step : side of a facet in pixels. Raises UserError where the size is another, where the map shows something else,
-    and where no axes fit clearly better than others.
+    or shows no relief.
     """
     codes, full = _read(frames, path)
-    middles = [np.minimum(np.arange(step // 2, size + step // 2, step), size - 1) for size in frames.shape]
+    rows, columns = frames.shape
+    middle, starts = np.minimum(np.arange(step // 2, rows + step // 2, step), rows - 1), np.arange(0, columns, step)
     own, known, _ = facets.fit(facets.observations, facets.valid, facets.directions)
     candidates = [GivenNormals(codes, full, axes) for axes in AXES]
-    turned = [given.at(*middles) for given in candidates]
+    sums = [np.add.reduceat(given.at(middle), starts, axis=1) for given in candidates]  # as facets are made
+    turned = [each / np.maximum(np.linalg.norm(each, axis=-1, keepdims=True), SHORT) for each in sums]
     known = known & (turned[0][..., 2] > 0)
     if not known.any():
         raise UserError(f"normals.given: {path}: no normals on the object. Remedy: a map of unit vectors")
-    apart = np.degrees([np.median(angles(normals, own)[known]) for normals in turned])
-    first, second = np.argsort(apart, kind="stable")[:2]
-    if apart[first] > UNLIKE_DEG or apart[first] > CLEARLY * apart[second]:
+    like = [min(correlation(each[known][:, k], own[known][:, k]) for k in (0, 1)) for each in turned]
+    second, first = np.argsort(like, kind="stable")[-2:]
+    if like[first] < LIKE:
         raise UserError(
-            f"normals.given: {path}: its normals are {apart[first]:.3g} degrees (median) off those of the "
-            f"photographs with the best axes, {apart[second]:.3g} with the next; the best should be at most "
-            f"{UNLIKE_DEG:g} and {CLEARLY:g} of the next. Remedy: a map of this object, in this place, as unit vectors"
+            f"normals.given: {path}: its normals correlate with those of the photographs by {like[first]:.2g} with the "
+            f"best axes (expected {LIKE:g} or more). Remedy: a map of this object, in this place, as unit vectors"
         )
     horizontal, vertical = (
         "".join("+-"[int(v < 0)] + "xyz"[k] for k, v in enumerate(row) if v) for row in AXES[first][:2]
     )
     described = {
         "axes": {"x": horizontal, "y": vertical},
-        "apart_median_deg": float(apart[first]),
-        "apart_next_axes_deg": float(apart[second]),
+        "apart_median_deg": float(np.degrees(np.median(angles(turned[first], own)[known]))),
+        "correlation": float(like[first]),
+        "correlation_next_axes": float(like[second]),
         "left_out_given": None,
         "left_out_own": None,
     }

@@ -133,12 +133,13 @@ def shape_section(page: PageMaps, diagnostics: dict[str, Any]) -> Section:
 
 
 def _of_given(given: dict[str, Any]) -> list[Block]:
-    axes, others = given["axes"], given["apart_next_axes_deg"]
-    ours, next_best = (figure(value, 3, "degrees") for value in (given["apart_median_deg"], others))
+    axes, like, following = (given[name] for name in ("axes", "correlation", "correlation_next_axes"))
+    apart = figure(given["apart_median_deg"], 3, "degrees")
     blocks: list[Block] = [
         f"The normals are those of a picture that was given (normals.given), read with x = {axes['x']} and "
-        f"y = {axes['y']} of the picture. They are {ours} (median) off those of the photographs; with the next best "
-        f"axes {next_best}. Light is still predicted with those of the photographs."
+        f"y = {axes['y']} of the picture. They are {apart} (median) off those of the photographs, and correlate with "
+        f"them by {like:.2f} (with the next best axes by {following:.2f}). Light is predicted "
+        "with those of the photographs."
     ]
     if given["left_out_own"] is not None:
         rows = [("given", given["left_out_given"]), ("from the photographs", given["left_out_own"])]
