@@ -7,7 +7,7 @@ import pytest
 from captures import make_capture
 from published_fits import brightest_light_samples, fit_brightest_light, histogram_of, thin
 
-from nishiki.artifacts.maps import Maps, MapWriter
+from nishiki.artifacts.maps import MapWriter
 from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, fit_gloss
 from nishiki.brdf.torrance_sparrow import attenuation, half_vector_geometry, specular, transmittance
 from nishiki.capture.folder import load_capture
@@ -19,6 +19,7 @@ from nishiki.progress import Progress
 from nishiki.stages.brdf import BrdfSettings
 from nishiki.stages.brdf.painting import fit_regions, gather
 from nishiki.stages.ingest import IngestSettings
+from nishiki.stages.painting_maps import PaintingMaps
 
 VIEW = np.array([0.0, 0.0, 1.0])
 INDEX = 1.45
@@ -48,6 +49,11 @@ def photographs(normals, lights, *, beta, gamma, noise=0.0, seed=0):
 def under(transmission):
     """Return a body below a surface that takes this share of a dielectric's loss."""
     return GlossProfile(np.zeros(1), np.ones(1), INDEX, transmission)
+
+
+def maps_in(folder):
+    """The maps of a painting of which there are normals alone."""
+    return PaintingMaps({"normals": SimpleNamespace(folder=folder)})
 
 
 def joint(transmission):
@@ -145,7 +151,14 @@ def test_the_stage_tells_outliers_in_the_unit_of_the_observations(tmp_path, refl
     out.write("reflectance", np.full((24, 32, 3), reflectance, np.float32))
     out.write("sigma", np.full((24, 32), 0.01, np.float32))
     context = SimpleNamespace(settings=BrdfSettings(), progress=Progress("scene/brdf"))
-    histogram = gather(context, frames, Maps(tmp_path), None, np.array([True]), [{"joint": False}])
+    histogram = gather(
+        context,
+        frames,
+        maps_in(tmp_path),
+        None,
+        np.array([True]),
+        [{"joint": False}],
+    )
     assert histogram.value_unit == unit
     assert histogram.rows[0, :, 2].sum() > 0
 
@@ -168,13 +181,21 @@ def test_the_stage_leaves_out_pixels_of_a_capture_with_regions(tmp_path):
     two = gather(
         context,
         frames,
-        Maps(tmp_path),
+        maps_in(tmp_path),
         labels,
         np.array([True, True]),
         [joint(0.0), joint(1.0)],
     )
     lossless, lossy = (
-        gather(context, frames, Maps(tmp_path), None, np.array([True]), [joint(loss)]) for loss in (0.0, 1.0)
+        gather(
+            context,
+            frames,
+            maps_in(tmp_path),
+            None,
+            np.array([True]),
+            [joint(loss)],
+        )
+        for loss in (0.0, 1.0)
     )
     np.testing.assert_allclose(two.rows.sum(axis=0), lossless.rows[0], rtol=1e-6)
     assert not np.array_equal(two.values.sum(axis=0), lossless.values[0])  # the body of one region loses light

@@ -187,7 +187,7 @@ def test_a_gilded_painting_looks_in_gltf_as_our_renderer_shows_it(gilded):
     metal, srgb = look.gloss.gltf.of(texels.rows, texels.columns), scene.srgb(rows).astype(np.float32)
     paint = replace(metal, metallic=0.0, strength=STRENGTH[-1])
     lights = gilded.painting.lights[:18:4]
-    model = scene.fitted_model(rows)._replace(coefficients=srgb)
+    model = scene.model(rows)._replace(coefficients=srgb)
     pictures = predict_observations(model, [Light(direction=tuple(each)) for each in lights])
 
     def apart(light, material, ours):

@@ -15,13 +15,12 @@ from viewer_pages import READ, lamp
 
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.artifacts.maps import Maps
-from nishiki.artifacts.stage import Context
 from nishiki.evaluate.prediction import light_of
 from nishiki.observations.plane import Observations
 from nishiki.progress import Progress
 from nishiki.stages.evaluate.painting import EvaluatedScene
+from nishiki.stages.painting_maps import PaintingMaps
 from nishiki.stages.viewer import painting_maps
-from nishiki.stages.viewer.painting_maps import PaintingMaps
 
 pytestmark = [
     pytest.mark.slow,
@@ -67,7 +66,7 @@ def test_the_canvas_shows_what_render_shows_and_values_are_those_of_the_maps(vie
     shown_values = {each["view"]: each for each in probe["photographs"]}
     frames = Observations((current / "ingest").resolve())
     with_ingest = {**inputs, "ingest": open_artifact(current / "ingest")}
-    evaluated = EvaluatedScene(Context(with_ingest, None, None, None, None, {}, None), frames)
+    evaluated = EvaluatedScene(with_ingest, frames)
     assert list(shown_values) == list(frames.lights)
     values, valid = frames.read(slice(0, rows), channel="mean")
     assert probe["sample_pixels"] == 0
@@ -88,7 +87,7 @@ def test_photographs_of_large_paintings_are_sampled_around_the_middle(viewed, mo
     monkeypatch.setattr(painting_maps, "MOST_CODES", 20_000)
     blocks = {}
     told = painting_maps.photographs_of(
-        PaintingMaps.of(inputs), frames, SimpleNamespace(add=blocks.__setitem__), Progress("")
+        PaintingMaps(inputs), frames, SimpleNamespace(add=blocks.__setitem__), Progress("")
     )
     shape = (2, len(frames.lights), told["rows"], told["columns"])
     assert told["step"] == 3
@@ -98,7 +97,7 @@ def test_photographs_of_large_paintings_are_sampled_around_the_middle(viewed, mo
         abs(2 * first + (count - 1) * told["step"] - (size - 1)) <= 1
         for first, count, size in zip(told["first"], shape[2:], frames.shape, strict=True)
     )
-    evaluated = EvaluatedScene(Context(inputs, None, None, None, None, {}, None), frames)
+    evaluated = EvaluatedScene(inputs, frames)
     values, valid = frames.read(slice(0, frames.shape[0]), channel="mean")
     samples = (slice(told["first"][0], None, told["step"]), slice(told["first"][1], None, told["step"]))
     for j in range(len(frames.lights)):

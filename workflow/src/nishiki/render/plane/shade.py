@@ -251,12 +251,12 @@ def shade_channels(
         np.zeros((0, 0, 0), np.float32) if slopes is None else np.ascontiguousarray(slopes, np.float32),
         np.zeros((1, 1), np.uint8) if labels is None else np.ascontiguousarray(labels),
     )
-    entering = _entering(gloss) if ambient_level else np.ones(len(gloss.refractive_index))
+    let_in = entering(gloss) if ambient_level else np.ones(len(gloss.refractive_index))
     over_rows(
         kernel.shade,
         len(values),
         arrays,
-        (table, gloss.refractive_index, gloss.transmission, entering),
+        (table, gloss.refractive_index, gloss.transmission, let_in),
         (lamps, groups.of_light, visible),
         (groups.matrices, groups.offsets, groups.whites),
         (np.ascontiguousarray(plane, np.float64), np.asarray(eye, np.float64), float(ambient_level), groups.ambient),
@@ -278,7 +278,7 @@ def _lamp(light: Light) -> np.ndarray:
     return np.concatenate([vector, [light.intensity, reference2]])
 
 
-def _entering(gloss: Gloss) -> np.ndarray:
+def entering(gloss: Gloss) -> np.ndarray:
     """Return (regions,) what the surface lets in of light from all sides, relative to frontal: 2 int T(c) c dc."""
     nodes, weights = np.polynomial.legendre.leggauss(48)
     cosine = (nodes + 1) / 2

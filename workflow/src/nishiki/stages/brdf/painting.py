@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
+from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.gloss_profile import (
     GlossProfile,
@@ -21,13 +21,12 @@ from nishiki.brdf.scene import (
     parameters_at_bounds,
     without_gloss,
 )
-from nishiki.brdf.slopes import slope_covariance
 from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.gloss import decide_gloss
 from nishiki.observations.parcels import parcels
 from nishiki.observations.plane import Observations
-from nishiki.photometric.flags import NO_ESTIMATE
+from nishiki.stages.painting_maps import PaintingMaps
 
 UNIT_BANDS, UNIT_STEP = 8, 8  # bands, and rows and columns between the pixels, that tell the unit of the observations
 
@@ -39,12 +38,12 @@ LOWEST = np.cos(np.radians(50))
 def run(context: Context) -> dict:
     """Gather the specular samples of all lights tile by tile, then fit each region once."""
     frames = Observations(context.inputs["ingest"].folder)
-    maps = Maps(context.inputs["normals"].folder)
-    labels = maps.read("finish") if "finish" in maps else frames.regions
+    painting = PaintingMaps(context.inputs)
+    labels = painting.maps.read("finish") if "finish" in painting.maps else frames.regions
     finishes, count = context.inputs["normals"].diagnostics["finishes"], 1 if labels is None else int(labels.max()) + 1
     if len(finishes) != count:  # normals knows of one finish, which is that of every region
         finishes = finishes[:1] * count
-    regions, decision = fit_glossy(context, frames, maps, labels, finishes)
+    regions, decision = fit_glossy(context, frames, painting, labels, finishes)
     for region, finish in zip(regions, finishes, strict=True):
         body = body_of(finish, context.settings.refractive_index)
         region["transmission"] = body.transmission
@@ -68,7 +67,7 @@ def run(context: Context) -> dict:
 
 
 def fit_glossy(
-    context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None, finishes: list[dict]
+    context: Context, frames: Observations, painting: PaintingMaps, labels: np.ndarray | None, finishes: list[dict]
 ) -> tuple[list[dict], Decision]:
     """Every region whose gloss predicts lamps fitted to all its pixels, the others Lambert alone; and the decision."""
     settings = context.settings
@@ -78,7 +77,7 @@ def fit_glossy(
     context.progress.tell(str(decision))
     regions = [without_gloss(settings.refractive_index, 0) for _ in finishes]
     if kept.any():
-        fitted = fit_regions(gather(context, frames, maps, labels, kept, finishes))
+        fitted = fit_regions(gather(context, frames, painting, labels, kept, finishes))
         regions = [glossy if keep else none for glossy, none, keep in zip(fitted, regions, kept, strict=True)]
     return of_equal_lobes(regions), decision
 
@@ -110,7 +109,7 @@ def body_of(finish: dict, refractive_index: float) -> GlossProfile:
 def gather(
     context: Context,
     frames: Observations,
-    maps: Maps,
+    painting: PaintingMaps,
     labels: np.ndarray | None,
     glossy: np.ndarray,
     finishes: Sequence[dict],
@@ -124,18 +123,21 @@ def gather(
     glosses = [body_of(finish, settings.refractive_index) for finish in finishes]
     joint = np.array([finish["joint"] for finish in finishes])
     lights = frames.fit_lights(settings.hold_out)
+    maps = painting.maps
     regions = 1 if labels is None else int(labels.max()) + 1
     histogram = SpecularHistogram.empty(
         regions=regions, refractive_index=settings.refractive_index, value_unit=unit_of(reflectances(frames, maps))
     )
     for band in context.progress.over(frames.bands(), "band"):
-        normals = shading_normals(maps, band)
-        left_out = ((maps.read("flags", band) & NO_ESTIMATE) != 0) | (normals[..., 2] < LOWEST)
+        normals = painting.shading_normals(band)
+        left_out = normals[..., 2] < LOWEST
         region_index = np.zeros(left_out.shape, int) if labels is None else labels[band].astype(int)
         region = np.where(left_out | ~glossy[region_index], -1, region_index)
         reflectance = maps.read("reflectance", band).mean(axis=-1)
-        sigma = np.sqrt(joint[region_index] * maps.read("sigma", band) ** 2 / 2 + slope_variance(maps, band))
-        shading = maps.read("shading", band) if "shading" in maps else None  # Lambert's law only
+        sigma = np.sqrt(
+            joint[region_index] * maps.read("sigma", band) ** 2 / 2 + painting.slopes(band)[..., ::2].mean(axis=-1)
+        )
+        shading = painting.shading(band)
         for rows, observations, valid in frames.strips(band, lights=lights, channel="mean"):
             strip = slice(rows.start - band.start, rows.stop - band.start)
             for parcel in parcels(frames, rows, lights):
@@ -156,13 +158,6 @@ def gather(
                     )
                     histogram = histogram.add_samples(*samples, sigma=sigma[area][here], region=number)
     return histogram
-
-
-def slope_variance(maps: Maps, band: slice) -> np.ndarray:
-    """Variance of the slopes within the pixels of a band, mean of both axes, from the normals beside them too."""
-    first = max(band.start - 1, 0)
-    covariance = slope_covariance(shading_normals(maps, slice(first, band.stop + 1)))
-    return 0.5 * (covariance[..., 0] + covariance[..., 2])[band.start - first :][: band.stop - band.start]
 
 
 def reflectances(frames: Observations, maps: Maps) -> list[np.ndarray]:

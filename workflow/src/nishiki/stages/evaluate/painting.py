@@ -1,14 +1,13 @@
 """Evaluate: errors against truth where there is one, and predictions of lights that the fit never saw."""
 
-import json
+from collections.abc import Mapping
 from dataclasses import asdict
 
 import numpy as np
 
-from nishiki.artifacts.maps import Maps, MapWriter, directional_shading, maps_with, shading_normals
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import MapWriter
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.scene import gloss_table
-from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import illuminant
 from nishiki.errors import UserError, require
 from nishiki.evaluate.camera_colour import read_camera_colour
@@ -28,9 +27,9 @@ from nishiki.evaluate.truth import Truth, truth_from
 from nishiki.formats.stored import load_arrays, open_group
 from nishiki.observations.parcels import point_mm
 from nishiki.observations.plane import Observations
-from nishiki.photometric.flags import NO_ESTIMATE
-from nishiki.render.plane.scene import Gloss, Light
+from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shade import PlaneMaps, cast_shadows
+from nishiki.stages.painting_maps import PaintingMaps
 
 DARK_SHARE = 0.25  # of a region, that is scored apart
 LARGEST_LEVEL_ERROR = 0.1  # relative, of the light of a part under any lamp, beyond which no level is stated
@@ -39,7 +38,7 @@ LARGEST_LEVEL_ERROR = 0.1  # relative, of the light of a part under any lamp, be
 def run(context: Context) -> dict:
     """Compare everything that has a counterpart; lights one after the other, each band by band."""
     frames = Observations(context.inputs["ingest"].folder)
-    scene = EvaluatedScene(context, frames)
+    scene = EvaluatedScene(context.inputs, frames)
     truth = read_truth(context, frames)
     rows, columns = frames.shape
     out = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
@@ -53,65 +52,37 @@ def run(context: Context) -> dict:
     return headlines(evaluation)
 
 
-class EvaluatedScene:
-    """The fitted maps of one scene and what is needed to see them."""
+class EvaluatedScene(PaintingMaps):
+    """The fitted maps of one scene and what is needed to see them.
 
-    def __init__(self, context: Context, frames: Observations):
-        inputs = context.inputs
+    Attributes
+    ----------
+    estimated : (rows, columns) bool ndarray
+        Pixels with an estimate of normal and reflectance.
+    parts : (rows, columns) int16 ndarray
+        As of `parts_of`.
+    relief : (rows, columns) float32 ndarray or None
+        Height in the unit of lengths.
+    """
+
+    def __init__(self, inputs: Mapping[str, Artifact], frames: Observations):
+        super().__init__(inputs)
         self.frames = frames
-        self._maps = Maps(inputs["normals"].folder)
-        self.gloss, self.labels = Gloss.none(), None  # a matte surface where the brdf stage is left out
-        self._blurs = "brdf" in inputs
-        if brdf := inputs.get("brdf"):
-            self.gloss = Gloss(*gloss_table(json.loads(brdf.path("parameters.json").read_text())))
-            if found := maps_with(brdf, "labels"):
-                self.labels = found.read("labels")
-        self.casts_shadows = not directional_shading(self._maps)
-        self.height, self.height_unit = None, "pixels"
-        if "height" in inputs:
-            height = Maps(inputs["height"].folder)
-            self.height, self.height_unit = height.read("height"), height.attributes("height")["unit"]
-        self.pitch = (frames.pixel_pitch_mm or 1.0) if self.height is None or self.height_unit == "mm" else 1.0
-        self._spectra = Maps(inputs["spectra"].folder) if "spectra" in inputs else None
-        self.basis = None
-        if self._spectra is not None:
-            self.basis = np.array(self._spectra.attributes("coefficients")["basis"])
+        self.relief = self.height(slice(0, self.shape[0])) if self.heights else None
         curves = inputs["ingest"].path("curves.npz")
         self.curves = load_arrays(curves) if curves.is_file() else {}
-        self.camera = read_camera_colour(curves, len(self.frames.channels), self.frames.to_srgb)
-        self.known, level = np.zeros(frames.shape, bool), np.zeros(frames.shape, np.float32)
+        self.camera = read_camera_colour(curves, len(frames.channels), frames.to_srgb)
+        self.estimated, level = np.zeros(frames.shape, bool), np.zeros(frames.shape, np.float32)
         for rows in frames.bands():
-            reflectance = self.read("reflectance", rows)
-            self.known[rows] = (self.read("flags", rows) & NO_ESTIMATE) == 0
-            self.known[rows] &= np.isfinite(reflectance).all(axis=-1)
+            reflectance = self.maps.read("reflectance", rows)
+            self.estimated[rows] = self.known(rows) & np.isfinite(reflectance).all(axis=-1)
             level[rows] = reflectance.mean(axis=-1)
-        self.parts = parts_of(self.labels, level, frames.mask & self.known)
-
-    def read(self, name: str, rows: slice = slice(None)) -> np.ndarray:
-        """Read a map of the stage normals."""
-        return self._maps.read(name, rows)
-
-    def coefficients(self, rows: slice = slice(None)) -> np.ndarray | None:
-        """Read the coefficients of the spectra; None where there are none."""
-        return None if self._spectra is None else self._spectra.read("coefficients", rows)
-
-    def model(self, rows: slice) -> PlaneMaps:
-        """Return the fitted maps of some rows, with the slopes that their neighbours show."""
-        first, last = max(rows.start - 1, 0), min(rows.stop + 1, self.frames.shape[0])
-        inside = slice(rows.start - first, rows.stop - first)
-        normals = shading_normals(self._maps, slice(first, last))
-        return PlaneMaps(
-            normals[inside],
-            self.read("reflectance", rows),
-            self.gloss,
-            self.read("shading", rows) if "shading" in self._maps else None,
-            slope_covariance(normals)[inside] if self._blurs else None,
-            None if self.labels is None else self.labels[rows],
-        )
+        labels = self.regions(slice(0, self.shape[0]))
+        self.parts = parts_of(labels, level, frames.mask & self.estimated)
 
     def predict(self, light: Light, rows: slice, visibility: np.ndarray | None) -> PredictedLight:
         """Return some rows under a lamp, whose visibility (1, rows, columns) is that of the whole."""
-        middle = (self.frames.shape[0] - 1) / 2
+        middle = (self.shape[0] - 1) / 2
         return predict_light(
             self.model(rows),
             seen_from(light, ((rows.start + rows.stop - 1) / 2 - middle) * self.pitch),
@@ -161,22 +132,24 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
     """Errors of the maps themselves; None where there is no truth or no map of the kind."""
     result: dict[str, dict | None] = {"normals": None, "height": None, "reflectance": None}
     if truth.normals is not None:
-        angles = normal_errors(scene.read("normals"), truth.normals, flags=scene.read("flags"), mask=scene.frames.mask)
+        normals, flags = (scene.maps.read(name) for name in ("normals", "flags"))
+        angles = normal_errors(normals, truth.normals, flags=flags, mask=scene.frames.mask)
         out.write("angular_error", angles.map_deg, unit="degrees", nan="outside what truth and estimate share")
         result["normals"] = angles.as_dict()
-    if truth.height_mm is not None and scene.height is not None and scene.height_unit == "mm":
-        inside = scene.frames.mask & scene.known
-        error = height_error(scene.height, truth.height_mm, pixels=inside, pitch=scene.pitch)
+    if truth.height_mm is not None and scene.relief is not None and scene.pitch_mm:
+        inside = scene.frames.mask & scene.estimated
+        error = height_error(scene.relief, truth.height_mm, pixels=inside, pitch=scene.pitch)
         result["height"] = {"unit": "mm", **asdict(error)}
     if truth.paints is not None and scene.basis is not None:
         basis, spectra = scene.basis, require(truth.spectra)
-        mirrors = PlaneMaps(np.empty(0), np.empty(0), scene.gloss, labels=scene.labels).mirrors
+        everything = slice(0, scene.shape[0])
+        mirrors = PlaneMaps(np.empty(0), np.empty(0), scene.gloss, labels=scene.regions(everything)).mirrors
         errors = reflectance_errors(
-            require(scene.coefficients()),
+            scene.coefficients(everything),
             basis,
             truth.paints,
             spectra,
-            pixels=scene.frames.mask & scene.known & ~mirrors,
+            pixels=scene.frames.mask & scene.estimated & ~mirrors,
             regions=truth.regions,
         )
         out.write("reflectance_de00", errors.de00_map, unit="CIEDE2000 under D65", nan="no truth or no estimate here")
@@ -233,7 +206,7 @@ def one_light(
     Returns the score, the map and, (2, parts), sums of predicted and observed light.
     """
     frames, name = scene.frames, scene.frames.lights[j]
-    height = scene.height if context.settings.cast_shadows and scene.casts_shadows else None
+    height = scene.relief if context.settings.cast_shadows and scene.casts_shadows else None
     light = lamp(context, scene, j)
     visibility = None if height is None else cast_shadows(height, [light], pitch=scene.pitch).visibility
     known_truth = truth.check(name)
@@ -254,7 +227,7 @@ def one_light(
             band.channels,
             observed[0],
             usable=valid[0],
-            known=scene.known[rows],
+            known=scene.estimated[rows],
             inside=inside,
             classes=classify(*parts, inside=inside),
         )

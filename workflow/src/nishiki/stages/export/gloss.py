@@ -20,12 +20,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.artifacts.stage import Context
-from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import isotropic_lobe, widened_roughness
 from nishiki.brdf.torrance_sparrow import MIRROR, specular
 from nishiki.colour.colour import encode
-from nishiki.report.page import read_json
+from nishiki.render.plane.scene import Gloss
 
 ROUGHNESS = np.geomspace(1, 0.05, 90)
 STRENGTH = np.append(0, np.geomspace(1e-3, 20, 120))
@@ -210,14 +208,8 @@ class PaintingGloss:
     usd: RegionGloss
 
 
-def slopes_widen(context: Context) -> bool:
-    """Return whether there is a gloss."""
-    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    return parameters is not None and bool(gloss_table(parameters)[0].any())
-
-
 def painting_gloss(
-    context: Context,
+    fitted: Gloss | None,
     albedo: np.ndarray,
     known: np.ndarray,
     labels: np.ndarray | None,
@@ -229,10 +221,9 @@ def painting_gloss(
     variance : (rows, columns) of the slopes inside a texel, which widens its lobe.
     UsdPreviewSurface has one strength for all: that with which all regions together are nearest.
     """
-    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    if parameters is None:
+    if fitted is None:
         return _one_region(MATTE)
-    beta, gamma, index, _ = gloss_table(parameters)
+    beta, gamma, index = fitted.beta, fitted.gamma, fitted.refractive_index
     labels = labels if len(beta) > 1 else None
     metal = (index >= MIRROR).astype(float)
     common = float(USUAL_INDEX if metal.all() else index.min())

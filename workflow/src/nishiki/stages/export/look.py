@@ -7,15 +7,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nishiki.artifacts.maps import shrink
 from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import decode, encode, srgb_encode
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.formats.textured_surface import Glb, SurfaceLook, TexturedMesh
 from nishiki.observations.plane import Observations
-from nishiki.stages.export.gloss import PaintingGloss, RegionGloss, painting_gloss, slopes_widen
+from nishiki.stages.export.gloss import PaintingGloss, RegionGloss, painting_gloss
 from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.registry import ExportedSurface, software
-from nishiki.stages.export.scene import ExportedScene, block_mean, reliefs
+from nishiki.stages.export.scene import ExportedScene, reliefs
 
 FIGURES = {"roughness": "roughness", "specular": "strength", "ior": "index", "metallic": "metallic"}
 METRES = 1e-3  # of a millimetre; of a pixel where the capture states no scale
@@ -71,11 +72,12 @@ class PaintingSurface(ExportedSurface):
     @cached_property
     def look(self) -> PaintingLook:
         """Material and textures, at most `gltf.texture_px` texels a side."""
+        fitted = self.scene.gloss
         albedo, normals, labels, variance, step = textures(
-            self.scene, self.context.settings.gltf.texture_px, slopes=slopes_widen(self.context)
+            self.scene, self.context.settings.gltf.texture_px, slopes=bool(fitted.beta.any())
         )
         known = np.abs(normals).max(axis=-1) > 0
-        gloss = painting_gloss(self.context, albedo, known, labels, variance)
+        gloss = painting_gloss(fitted if self.scene.glossy else None, albedo, known, labels, variance)
         rows, columns = known.shape
         colours = np.empty((rows, columns, 3), np.uint8)
         for row in range(rows):
@@ -133,25 +135,16 @@ class TexelMaps(NamedTuple):
 
 def textures(scene: ExportedScene, most: int, *, slopes: bool) -> TexelMaps:
     """Return maps with at most `most` texels a side, read by bands; slopes: with their variance."""
-    rows, columns = scene.shape
-    step = -(-max(rows, columns) // most)
-    high = max(1, scene.band_rows // step) * step
-    albedo, normals, labels, variance = [], [], [], []
-    for top in range(0, rows, high):
-        band = slice(top, min(top + high, rows))
-        known = scene.known(band)[..., None]
-        share = np.maximum(block_mean(known, step), 1e-9)
-        albedo.append((block_mean(scene.srgb(band), step) / share).astype(np.float32))
-        mean = block_mean(scene.relief_normals(band), step)
-        length = np.linalg.norm(mean, axis=-1, keepdims=True)
-        normals.append((mean / np.where(length > 0, length, 1)).astype(np.float32))
-        regions = scene.regions(band)
-        if regions is not None:
-            labels.append(most_frequent(regions, known[..., 0], step))
-        if slopes:
-            variance.append(scene.slope_variance(band, step).astype(np.float32))
-    numbers, slopes_variance = (np.concatenate(each) if each else None for each in (labels, variance))
-    return TexelMaps(np.concatenate(albedo), np.concatenate(normals), numbers, slopes_variance, step)
+    step = -(-max(scene.shape) // most)
+    everything = slice(0, scene.shape[0])
+    labels = scene.regions(everything)
+    return TexelMaps(
+        scene.mean(scene.srgb, step),
+        scene.mean_normals(scene.relief_normals, step),
+        None if labels is None else most_frequent(labels, scene.known(everything), step),
+        scene.block_slopes(step)[..., ::2].mean(axis=-1) if slopes else None,
+        step,
+    )
 
 
 def most_frequent(labels: np.ndarray, known: np.ndarray, step: int) -> np.ndarray:
@@ -159,13 +152,8 @@ def most_frequent(labels: np.ndarray, known: np.ndarray, step: int) -> np.ndarra
     if step == 1:
         return labels
     present = np.unique(labels)
-    best = np.full((-(-labels.shape[0] // step), -(-labels.shape[1] // step)), present[0], np.uint8)
-    most = np.full(best.shape, -1.0)
-    for label in present:
-        share = block_mean((labels == label) & known, step)
-        best[share > most] = label
-        most = np.maximum(most, share)
-    return best
+    shares = [shrink(((labels == label) & known).__getitem__, labels.shape, step) for label in present]
+    return present[np.argmax(shares, axis=0)]
 
 
 def errors(

@@ -10,7 +10,7 @@ representation of relightable images for the web, whose x0 is W p.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shade import PlaneMaps, predict_observations
 from nishiki.stages.export.light_models import GRID_SIDE, grid_weights
 from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.painting_maps import each_map
 
 CODED_STEPS = 65535  # of the table of coded values: at most .0001 off the curve
 
@@ -155,8 +156,8 @@ class GridPictures(Photographs):
 
     def fitted_model(self, band: slice) -> tuple[PlaneMaps, np.ndarray]:
         """Return the maps of the fitted model at the pixels (1, n) of a band, and (n,) bool where they are known."""
-        model = self._scene.fitted_model(band)
-        flat = _each_map(model, lambda values: values.reshape(1, -1, *values.shape[2:]))
+        model = self._scene.model(band)
+        flat = each_map(model, lambda values: values.reshape(1, -1, *values.shape[2:]))
         return flat, self._scene.known(band).ravel()
 
     def seen(
@@ -172,12 +173,5 @@ class GridPictures(Photographs):
 
     def drawn(self, model: PlaneMaps, pixels: slice | np.ndarray) -> np.ndarray:
         """Return (captured lights and nodes, 3, n) of the fitted model."""
-        seen = predict_observations(_each_map(model, lambda values: values[:, pixels]), self._lamps)
+        seen = predict_observations(each_map(model, lambda values: values[:, pixels]), self._lamps)
         return np.concatenate([self.coded(each.observations) for each in seen])
-
-
-def _each_map(model: PlaneMaps, change: Callable[[np.ndarray], np.ndarray]) -> PlaneMaps:
-    """Return a model with each of its maps changed."""
-    maps = {name: each for name, each in model._asdict().items() if name != "gloss" and each is not None}
-    changed: dict[str, Any] = {name: change(each) for name, each in maps.items()}
-    return model._replace(**changed)

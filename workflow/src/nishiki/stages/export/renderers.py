@@ -7,18 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.torrance_sparrow import MIRROR, body_factor, specular, transmittance
+from nishiki.errors import require
 from nishiki.formats.banded_pictures import ExrWriter
 from nishiki.formats.merl import MERL_HIDDEN, merl_bytes, merl_directions
 from nishiki.formats.textured_surface import faces, heading, vertices
-from nishiki.report.page import read_json
 from nishiki.stages.export import mitsuba_paint
-from nishiki.stages.export.gloss import slopes_widen
 from nishiki.stages.export.scene import ExportedScene, reliefs
 
 UP = np.array([0.0, 0.0, 1.0])
-GLOSS = ("beta", "gamma", "index", "transmission")
+GLOSS = {"beta": "beta", "gamma": "gamma", "index": "refractive_index", "transmission": "transmission"}
 Texture = Callable[[slice], np.ndarray]
 """Some rows of a texture, of the picture's columns."""
 
@@ -26,9 +24,7 @@ Texture = Callable[[slice], np.ndarray]
 def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
     """Write the folder `mitsuba`; return what of the model it leaves out."""
     folder = context.output.path("exports/mitsuba/scene.json").parent
-    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    table = gloss_table(parameters)
-    textures = model_textures(scene, facets=slopes_widen(context), regions=len(table[0]) > 1)
+    textures = model_textures(scene)
     header = {f"nishiki.{name}": text for name, text in context.stamp.items()}
     for name, read in textures.items():
         channels = "Y" if name == "regions" else "RGB"
@@ -36,7 +32,7 @@ def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
             for rows in scene.bands():
                 exr.write(read(rows).reshape(-1, scene.shape[1], len(channels)))
     count = write_relief(folder, context, scene)
-    columns = (values.tolist() for values in table)
+    gloss = (getattr(scene.gloss, name).tolist() for name in GLOSS.values())
     facts = {
         "rows": scene.shape[0],
         "columns": scene.shape[1],
@@ -44,8 +40,8 @@ def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
         "height": scene.shape[0] * scene.pitch,
         "unit": scene.unit,
         "textures": list(textures),
-        "shadows": not scene.has_directional_shading,
-        "gloss": {"regions": [dict(zip(GLOSS, each, strict=True)) for each in zip(*columns, strict=True)]},
+        "shadows": scene.casts_shadows,
+        "gloss": {"regions": [dict(zip(GLOSS, each, strict=True)) for each in zip(*gloss, strict=True)]},
         "stamp": dict(context.stamp),
     }
     (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
@@ -59,16 +55,26 @@ def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
     }
 
 
-def model_textures(scene: ExportedScene, *, facets: bool, regions: bool) -> dict[str, Texture]:
-    """Return what `nishiki_paint.py` reads, by name; facets: slopes widen the gloss; regions: there are several."""
-    textures: dict[str, Texture] = {"albedo": scene.srgb, "normals": scene.shading_normals, "shading": scene.shading}
-    if scene.has_directional_shading:
-        textures["directional"] = lambda rows: np.pad(scene.directional_terms(rows), ((0, 0), (0, 0), (0, 1)))
-    if facets:
+def model_textures(scene: ExportedScene) -> dict[str, Texture]:
+    """Return what `nishiki_paint.py` reads, by name."""
+    textures: dict[str, Texture] = {
+        "albedo": scene.srgb,
+        "normals": scene.shading_normals,
+        "shading": lambda rows: body_terms(scene, rows),
+    }
+    if not scene.casts_shadows:
+        textures["directional"] = lambda rows: np.pad(require(scene.shading(rows))[..., 3:], ((0, 0), (0, 0), (0, 1)))
+    if scene.gloss.beta.any():
         textures["slopes"] = scene.slopes
-    if regions:
+    if len(scene.gloss.beta) > 1:
         textures["regions"] = scene.regions
     return textures
+
+
+def body_terms(scene: ExportedScene, rows: slice) -> np.ndarray:
+    """Return (r, columns, 3) terms a, b, d of the body shading, (1, 0, 0) for Lambert's law."""
+    terms = scene.shading(rows)
+    return np.full((*scene.known(rows).shape, 3), [1, 0, 0], np.float32) if terms is None else terms[..., :3]
 
 
 def write_relief(folder: Path, context: Context, scene: ExportedScene) -> int:
@@ -94,8 +100,7 @@ def write_relief(folder: Path, context: Context, scene: ExportedScene) -> int:
 
 def write_merl(context: Context, scene: ExportedScene) -> dict:
     """Write a table a region: its lobes, and the mean of its body colour and body shading."""
-    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    beta, gamma, index, lost = gloss_table(parameters)
+    beta, gamma, index, lost = (getattr(scene.gloss, name) for name in GLOSS.values())
     labels = scene.regions(slice(0, scene.shape[0])) if len(index) > 1 else None
     light, view = merl_directions()
     files, spreads = [], []
@@ -127,7 +132,7 @@ def mean_body(
         count += len(colour)
         colours += colour.sum(axis=0)
         squares += (colour**2).sum(axis=0)
-        shadings += scene.shading(rows)[chosen].sum(axis=0, dtype=np.float64)
+        shadings += body_terms(scene, rows)[chosen].sum(axis=0, dtype=np.float64)
     if not count:
         return None, shadings, 0.0
     mean = colours / count

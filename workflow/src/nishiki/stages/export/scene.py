@@ -1,4 +1,4 @@
-"""What the formats of a painting are made from: the finished maps by bands of rows, the relief as a mesh."""
+"""What the formats of a painting are made from: the finished maps with their colours, the relief as a mesh."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -6,131 +6,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, directional_shading, maps_with, shading_normals
-from nishiki.brdf.scene import gloss_table
-from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
-from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import CameraColour, read_camera_colour
 from nishiki.formats.coding import D50
 from nishiki.observations.plane import Observations
-from nishiki.photometric.flags import NO_ESTIMATE
-from nishiki.render.plane.scene import Gloss
-from nishiki.render.plane.shade import PlaneMaps
-from nishiki.report.page import read_json
-from nishiki.threads import strips
+from nishiki.stages.painting_maps import PaintingMaps
 
 D65 = np.linalg.inv(srgb_matrix()).sum(axis=1)
 """White of sRGB."""
 
 
-class ExportedScene:
-    """The maps of one painting.
-
-    Attributes
-    ----------
-    shape : (int, int)
-        Rows and columns.
-    band_rows : int
-        Rows that are read at a time.
-    pitch_mm : float or None
-        Distance of two pixels; None where the capture states no scale.
-    """
+class ExportedScene(PaintingMaps):
+    """The maps of one painting and the colours of its coefficients."""
 
     def __init__(self, inputs: Mapping[str, Artifact]):
+        super().__init__(inputs)
         self._inputs = inputs
-        self._frames = Observations(inputs["ingest"].folder)
-        self._maps = Maps(inputs["normals"].folder)
-        self._height = Maps(inputs["height"].folder) if "height" in inputs else None
-        self._spectra = Maps(inputs["spectra"].folder) if "spectra" in inputs else None
-        self._labels = maps_with(inputs.get("brdf"), "labels")
-        self.shape: tuple[int, int] = self._maps.group["normals"].shape[:2]
-        self.band_rows: int = self._maps.group["normals"].chunks[0]
-        self.pitch_mm: float | None = self._maps.group.attrs.get("pixel_pitch_mm")
-
-    @property
-    def pitch(self) -> float:
-        """Distance of two pixels in the unit of lengths."""
-        return self.pitch_mm or 1.0
-
-    @property
-    def unit(self) -> str:
-        """Unit of lengths."""
-        return "mm" if self.pitch_mm else "pixels"
-
-    def bands(self) -> Iterator[slice]:
-        """Yield bands of rows from top to bottom."""
-        return strips(self.shape[0], self.band_rows)
-
-    def known(self, rows: slice) -> np.ndarray:
-        """Return (r, columns) bool: pixels with an estimate."""
-        return (self._maps.read("flags", rows) & NO_ESTIMATE) == 0
-
-    def normals(self, rows: slice) -> np.ndarray:
-        """Return (r, columns, 3) float32 unit normals, x right, y up, z to the camera; 0 where there is no estimate."""
-        return np.where(self.known(rows)[..., None], self._maps.read("normals", rows), np.float32(0))
-
-    def shading_normals(self, rows: slice) -> np.ndarray:
-        """As `normals`, those that predict lamps: few lamps have their own (stage normals)."""
-        return np.where(self.known(rows)[..., None], shading_normals(self._maps, rows), np.float32(0))
-
-    def slopes(self, rows: slice, step: int = 1) -> np.ndarray:
-        """Covariance of the slopes inside squares of pixels: xx, xy, yy.
-
-        Parameters
-        ----------
-        rows : slice
-            Beginning with a square's first row.
-        step : int
-            Pixels along the side of a square. Of 1 it is the covariance inside a pixel, as the stage render takes it.
-
-        Returns
-        -------
-        (r / step, columns / step, 3) ndarray: the mean of the covariances inside the square's known pixels, and the
-        covariance of these pixels' slopes (Olano and Baker 2010); 0 where none is known.
-        """
-        first, last = max(rows.start - 1, 0), min(rows.stop + 1, self.shape[0])
-        normals, inside = self.shading_normals(slice(first, last)), slice(rows.start - first, rows.stop - first)
-        covariance = slope_covariance(normals)[inside]
-        if step == 1:
-            return covariance
-        slopes, known = slopes_of(normals[inside])
-        share = np.maximum(block_mean(known, step), 1e-9)[..., None]
-        mean = block_mean(slopes * known[..., None], step) / share
-        squares = block_mean((covariance + products(slopes)) * known[..., None], step) / share
-        return squares - products(mean)
-
-    def slope_variance(self, rows: slice, step: int = 1) -> np.ndarray:
-        """Return (r / step, columns / step): mean over the directions of what `slopes` has."""
-        return self.slopes(rows, step)[..., ::2].mean(axis=-1)
-
-    def relief_normals(self, rows: slice) -> np.ndarray:
-        """As `normals`, of the relief: flattened where the height is."""
-        if self._height is None or "normals" not in self._height:
-            return self.normals(rows)
-        return self._height.read("normals", rows)
-
-    def height(self, rows: slice) -> np.ndarray:
-        """Return (r, columns) float32 height towards the camera in the unit of lengths, NaN where there is none."""
-        if self._height is None:
-            raise UserError("export: the height is left out of this scene. Remedy: see ./nishiki plan for the reason")
-        return self._height.read("height", rows)
-
-    @property
-    def basis(self) -> np.ndarray | None:
-        """(K, 61) basis of the spectra, or None where there are none."""
-        return None if self._spectra is None else np.array(self._spectra.attributes("coefficients")["basis"])
-
-    def coefficients(self, rows: slice) -> np.ndarray:
-        """(r, columns, K) coefficients of the spectra, or the reflectance in the camera's channels without spectra."""
-        if self._spectra is None:
-            return self._maps.read("reflectance", rows)
-        return self._spectra.read("coefficients", rows)
 
     def camera_colour(self) -> CameraColour:
         """From the camera's channels to XYZ: fitted where the capture has spectra of camera and lamp, else assumed."""
-        channels = self._maps.group["reflectance"].shape[-1]
-        return read_camera_colour(self._inputs["ingest"].path("curves.npz"), channels, self._frames.to_srgb)
+        channels = self.maps.group["reflectance"].shape[-1]
+        to_srgb = Observations(self._inputs["ingest"].folder).to_srgb
+        return read_camera_colour(self._inputs["ingest"].path("curves.npz"), channels, to_srgb)
 
     def to_srgb(self) -> np.ndarray:
         """(3, K) from coefficients to linear sRGB: spectra under D65, else the camera's channels with white kept."""
@@ -143,38 +40,6 @@ class ExportedScene:
     def srgb(self, rows: slice) -> np.ndarray:
         """Return (r, columns, 3) diffuse colour in linear sRGB; 0 where there is no estimate."""
         return np.where(self.known(rows)[..., None], np.nan_to_num(self.coefficients(rows)) @ self.to_srgb().T, 0)
-
-    def regions(self, rows: slice) -> np.ndarray | None:
-        """Return (r, columns) uint8 region of gloss of each pixel; None where the painting has one finish."""
-        return None if self._labels is None else self._labels.read("labels", rows)
-
-    def fitted_model(self, rows: slice) -> PlaneMaps:
-        """Return what predicts photographs of these rows; without gloss where it is left out."""
-        parameters = read_json(self._inputs.get("brdf"), "parameters.json")
-        labels = self.regions(rows) if parameters is not None and len(gloss_table(parameters)[0]) > 1 else None
-        return PlaneMaps(
-            self.shading_normals(rows),
-            np.nan_to_num(self._maps.read("reflectance", rows)),
-            Gloss.none() if parameters is None else Gloss(*gloss_table(parameters)),
-            self._maps.read("shading", rows) if "shading" in self._maps else None,
-            self.slopes(rows) if parameters is not None else None,
-            labels,
-        )
-
-    def shading(self, rows: slice) -> np.ndarray:
-        """Return (r, columns, 3) terms a, b, d of the body shading, (1, 0, 0) for Lambert's law."""
-        if "shading" in self._maps:
-            return self._maps.read("shading", rows)[..., :3]
-        return np.broadcast_to(np.array([1, 0, 0], np.float32), (*self.known(rows).shape, 3))
-
-    @property
-    def has_directional_shading(self) -> bool:
-        """Whether the body shading holds the shadows of a pixel's surroundings: no others are cast on top of it."""
-        return directional_shading(self._maps)
-
-    def directional_terms(self, rows: slice) -> np.ndarray:
-        """Return (r, columns, 2) terms e_x, e_y of such a body shading."""
-        return self._maps.read("shading", rows)[..., 3:]
 
     def to_xyz_d50(self) -> tuple[np.ndarray, str]:
         """(3, K) from coefficients to XYZ under D50, white (0.9642, 1, 0.8249); where it comes from, in words."""

@@ -1,9 +1,9 @@
 """Render: pictures and moving pictures of the object under any light and from any view."""
 
 import dataclasses
-import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -11,22 +11,19 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, directional_shading, maps_with, shading_normals, shrink
+from nishiki.artifacts.maps import Maps, shrink
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.scene import gloss_table
-from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.capture.tables import read_curves
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample
 from nishiki.errors import require
-from nishiki.evaluate.camera_colour import display_map, displayed_colours
-from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.display import adapted_exposure, display_image
 from nishiki.render.output import VideoWritten, write_exr, write_normals_exr, write_normals_png, write_png, write_video
 from nishiki.render.plane.flags import UNUSABLE
 from nishiki.render.plane.frame import Rendering, render
-from nishiki.render.plane.scene import Ambient, Gloss, Light, PlaneScene, View
+from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
 from nishiki.render.sequence import circle_of_directions, light_sequence, moved_lights, orbit, view_sequence
+from nishiki.stages.painting_maps import PaintingMaps
 from nishiki.stages.render import LightSettings, PictureSettings, RenderSettings, SequenceSettings, ViewSettings
 
 AMBIENT = 0.05  # of films
@@ -35,9 +32,8 @@ AMBIENT = 0.05  # of films
 def run(context: Context) -> dict:
     """Make every picture and sequence that the settings name."""
     settings = context.settings
-    maps = Maps(context.inputs["normals"].folder)
-    shape = maps.group["normals"].shape[:2]
-    block = math.ceil(math.sqrt(shape[0] * shape[1] / (1e6 * settings.most_megapixels)))
+    maps = PaintingMaps(context.inputs)
+    block = math.ceil(math.sqrt(math.prod(maps.shape) / (1e6 * settings.most_megapixels)))
     scene = load_scene(context.inputs, cast_shadows=settings.cast_shadows, block=block)
     lights = [light for picture in settings.pictures for light in picture.lights]
     spectra = {}
@@ -57,7 +53,7 @@ def run(context: Context) -> dict:
         pictures[sequence.name] = {"frames": written.frames, "file": written.path.name, "exposure": exposure}
         notes += [written.note] if written.note else []
     if settings.export_normals:
-        normals = mean_normals(maps, lambda rows: maps.read("normals", rows), block)
+        normals = maps.mean_normals(maps.normals, block)
         write_normals_png(context.output.path("normals.png"), normals, stamp=context.stamp)
         write_normals_exr(context.output.path("normals.exr"), normals, stamp=context.stamp)
     return {
@@ -76,77 +72,24 @@ def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool, block: int = 
     block: side of the squares of pixels over which the maps are averaged as they are read. Slopes that differ inside a
     square widen its gloss.
     """
-    maps = Maps(inputs["normals"].folder)
-    shape = maps.group["normals"].shape[:2]
-    normals = mean_normals(maps, lambda rows: shading_normals(maps, rows), block)
-    fields: dict[str, Any] = {
-        "normals": normals,
-        "pitch": (maps.group.attrs.get("pixel_pitch_mm") or 1.0) * block,
-        **colours(inputs, maps, block),
-    }
-    if "shading" in maps:
-        fields["shading"] = mean_known(maps, lambda rows: maps.read("shading", rows), block)
-    if "height" in inputs and cast_shadows and not directional_shading(maps):
-        height = Maps(inputs["height"].folder)
-        fields["height"] = shrink(lambda rows: height.read("height", rows), shape, block)
-    if "brdf" in inputs:
-        parameters = json.loads(inputs["brdf"].path("parameters.json").read_text())
-        fields["gloss"] = Gloss(*gloss_table(parameters))
-        fields["slopes"] = slope_covariance(normals) if block == 1 else block_slopes(maps, block)
-        if brdf := maps_with(inputs["brdf"], "labels"):
-            fields["labels"] = shrink(lambda rows: brdf.read("labels", rows), shape, block, "middle").astype(np.uint8)
-    return PlaneScene(**fields)
-
-
-def known_values(maps: Maps, values: np.ndarray, rows: slice, unknown: float) -> np.ndarray:
-    """Return values (r, columns, n) of some rows, and a number where there is no estimate."""
-    known = (maps.read("flags", rows) & NO_ESTIMATE) == 0
-    return np.where(known[..., None], values, np.float32(unknown))
-
-
-def mean_known(maps: Maps, read: Callable[[slice], np.ndarray], block: int) -> np.ndarray:
-    """Return means over the known pixels of squares, 0 where there are none; block 1: the map as it is."""
-    if block == 1:
-        return read(slice(None))
-    shape = maps.group["normals"].shape[:2]
-    return np.nan_to_num(shrink(lambda rows: known_values(maps, read(rows), rows, np.nan), shape, block))
-
-
-def mean_normals(maps: Maps, read: Callable[[slice], np.ndarray], block: int) -> np.ndarray:
-    """Return unit normals of squares of pixels, 0 where there is no estimate; read: normals of some rows."""
-    if block == 1:
-        return known_values(maps, read(slice(None)), slice(None), 0)
-    mean = mean_known(maps, read, block)
-    length = np.linalg.norm(mean, axis=-1, keepdims=True)
-    return np.divide(mean, length, out=np.zeros_like(mean), where=length > 0)
-
-
-def block_slopes(maps: Maps, block: int) -> np.ndarray:
-    """Return the covariance of the slopes inside squares of pixels, of their pixels and between these."""
-
-    def read(rows: slice) -> np.ndarray:
-        normals = known_values(maps, shading_normals(maps, rows), rows, 0)
-        slopes, known = slopes_of(normals)
-        moments = np.concatenate([slopes, products(slopes) + slope_covariance(normals)], axis=-1)
-        return np.where(known[..., None], moments, np.float32(np.nan))
-
-    moments = np.nan_to_num(shrink(read, maps.group["normals"].shape[:2], block))
-    return moments[..., 2:] - products(moments[..., :2])
-
-
-def colours(inputs: dict[str, Artifact], maps: Maps, block: int) -> dict[str, np.ndarray]:
-    """Diffuse colour: spectral coefficients and their basis, else camera channels as linear sRGB, or grey."""
-    if "spectra" in inputs:
-        spectra = Maps(inputs["spectra"].folder)
-        basis = np.array(spectra.attributes("coefficients")["basis"])
-        return {
-            "coefficients": mean_known(maps, lambda rows: spectra.read("coefficients", rows), block),
-            "basis": basis,
-        }
-    to_srgb = display_map(maps)
-    return {
-        "coefficients": mean_known(maps, lambda rows: displayed_colours(maps.read("reflectance", rows), to_srgb), block)
-    }
+    maps = PaintingMaps(inputs)
+    fields: dict[str, Any] = {}
+    if maps.terms:
+        fields["shading"] = maps.mean(partial(maps.maps.read, "shading"), block)
+    if maps.heights and cast_shadows and maps.casts_shadows:
+        fields["height"] = shrink(maps.height, maps.shape, block)
+    if maps.glossy:
+        fields |= {"gloss": maps.gloss, "slopes": maps.block_slopes(block)}
+        if maps.labels:
+            labels = shrink(partial(maps.labels.read, "labels"), maps.shape, block, "middle")
+            fields["labels"] = labels.astype(np.uint8)
+    return PlaneScene(
+        normals=maps.mean_normals(maps.shading_normals, block),
+        coefficients=maps.mean(maps.display_colours, block),
+        basis=maps.basis,
+        pitch=maps.pitch * block,
+        **fields,
+    )
 
 
 def paint(

@@ -16,7 +16,9 @@ from nishiki.observations.plane import Observations
 from nishiki.report.viewer.encoding import Steps
 from nishiki.report.viewer.page import Blocks, webp, webp_stack, write_page
 from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid, height_block
-from nishiki.stages.viewer.painting_maps import UNKNOWN_REGION, PaintingCode, PaintingMaps, gloss_of, photographs_of
+from nishiki.stages.painting_maps import PaintingMaps
+from nishiki.stages.viewer.painting_maps import UNKNOWN_REGION, PaintingCode, gloss_of, photographs_of, read_records
+from nishiki.threads import strips
 
 PAGE = Path(__file__).with_suffix(".js")
 ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5")
@@ -33,7 +35,7 @@ when the lamp rests. Neighbours that differ by a step of 0.03 make a horizon of 
 
 def run(context: Context) -> dict:
     """Write tiles, heights and layers, then the page around them."""
-    maps = PaintingMaps.of(context.inputs)
+    maps = PaintingMaps(context.inputs)
     rows, columns = maps.shape
     blocks = Blocks(context.output, inline_bytes=int(context.settings.inline_mb * 1e6))
     steps, step = FINE if rows * columns <= FINE_PIXELS else COARSE, context.settings.step
@@ -47,18 +49,14 @@ def run(context: Context) -> dict:
         regions.add(bool(planes[-1].any()))
         blocks.add(f"tile-{level}-{row}-{column}", webp_stack(planes))
 
-    pyramid = Pyramid(rows, columns, maps.read(slice(0, 1)).shape[-1], write)
-    for first in context.progress.over(range(0, rows, band_rows), "band"):
-        pyramid.push(maps.read(slice(first, min(first + band_rows, rows))))
-    height = Maps(context.inputs["height"].folder) if "height" in context.inputs else None
-    pitch = maps.normals.group.attrs.get("pixel_pitch_mm")
+    pyramid = Pyramid(rows, columns, read_records(maps, slice(0, 1)).shape[-1], write)
+    for band in context.progress.over(list(strips(rows, band_rows)), "band"):
+        pyramid.push(read_records(maps, band))
     shadows = []
-    if height is not None and maps.casts_shadows:
+    if maps.heights and maps.casts_shadows:
         smaller = [most for most, _ in RELIEFS if most < rows * columns]
         for number, (most, step) in enumerate(RELIEFS[: len(smaller) + 1]):
-            block, described = height_block(
-                lambda band: height.read("height", band), (rows, columns), pitch or 1.0, most, step
-            )
+            block, described = height_block(maps.height, (rows, columns), maps.pitch, most, step)
             blocks.add(f"height-{number}", block)
             shadows.append({"block": f"height-{number}", **described})
     manifest = {
@@ -68,7 +66,7 @@ def run(context: Context) -> dict:
         "title": context.inputs["ingest"].diagnostics["capture"]["title"],
         "rows": rows,
         "columns": columns,
-        "pitch_mm": pitch,
+        "pitch_mm": maps.pitch_mm,
         "wavelengths_nm": WAVELENGTHS_NM.tolist(),
         "basis": None if maps.basis is None else maps.basis.tolist(),
         "cmf": cie_1931_cmfs().T.tolist(),

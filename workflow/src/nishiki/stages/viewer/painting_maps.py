@@ -4,28 +4,19 @@ A record of a pixel holds, in this order: known (1 or 0), normal (3), coefficien
 or 5), region.
 """
 
-import json
 import zlib
 from dataclasses import dataclass
-from functools import cached_property
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, directional_shading, maps_with, shading_normals
-from nishiki.brdf.scene import gloss_table
-from nishiki.brdf.slopes import slope_covariance
-from nishiki.brdf.torrance_sparrow import transmittance
 from nishiki.colour.colour import srgb_matrix
-from nishiki.evaluate.camera_colour import display_map, displayed_colours
 from nishiki.evaluate.prediction import light_of, predict_light
 from nishiki.observations.parcels import point_mm
 from nishiki.observations.plane import Observations
-from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.progress import Progress
-from nishiki.render.plane.scene import Gloss
-from nishiki.render.plane.shade import PlaneMaps
+from nishiki.render.plane.shade import PlaneMaps, entering
 from nishiki.report.viewer.encoding import (
     ColourCode,
     NormalCode,
@@ -36,86 +27,34 @@ from nishiki.report.viewer.encoding import (
 )
 from nishiki.report.viewer.page import Blocks
 from nishiki.report.viewer.pyramid import filled
+from nishiki.stages.painting_maps import PaintingMaps, each_map
+from nishiki.threads import strips
 
 SAMPLES = 60_000
 """Pixels, about, that the codes are fitted to."""
 UNKNOWN_REGION = 255  # code
-FULL_TURN = 48  # nodes of the mean over the half space
 
 
-@dataclass(frozen=True)
-class PaintingMaps:
-    """The maps of a painting, read by bands of rows."""
+def read_records(maps: PaintingMaps, rows: slice) -> np.ndarray:
+    """Return records (rows, columns, 1 + 3 + K + terms + 1) float32 of some rows; 0 where nothing is known."""
+    normals, colours = maps.shading_normals(rows), maps.display_colours(rows)
+    known = np.isfinite(colours).all(axis=-1) & (np.abs((normals**2).sum(axis=-1) - 1) < 0.02)
+    shading, regions = maps.shading(rows), maps.regions(rows)
+    parts = [known[..., None], normals, colours, *([] if shading is None else [shading])]
+    values = np.where(known[..., None], np.concatenate(parts, axis=-1, dtype=np.float32), 0)
+    regions = np.zeros(known.shape) if regions is None else regions
+    return np.concatenate([values, regions[..., None].astype(np.float32)], axis=-1)
 
-    normals: Maps
-    spectra: Maps | None
-    brdf: Maps | None
-    parameters: dict[str, Any] | None
 
-    @classmethod
-    def of(cls, inputs: dict[str, Artifact]) -> "PaintingMaps":
-        """Return the maps of the upstream artifacts."""
-        brdf = inputs.get("brdf")
-        return cls(
-            Maps(inputs["normals"].folder),
-            Maps(inputs["spectra"].folder) if "spectra" in inputs else None,
-            maps_with(brdf, "labels"),
-            json.loads(brdf.path("parameters.json").read_text()) if brdf else None,
-        )
-
-    @cached_property
-    def to_srgb(self) -> list[list[float]] | None:
-        """The matrix of `display_map`, which is found over the whole painting."""
-        return display_map(self.normals)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, columns)."""
-        rows, columns = self.normals.group["normals"].shape[:2]
-        return rows, columns
-
-    @property
-    def basis(self) -> np.ndarray | None:
-        """(K, 61) of the coefficients; None where they are channels of a camera."""
-        return None if self.spectra is None else np.array(self.spectra.attributes("coefficients")["basis"])
-
-    @property
-    def terms(self) -> int:
-        """Terms of the body shading: 0, 3 or 5."""
-        return self.normals.group["shading"].shape[-1] if "shading" in self.normals else 0
-
-    @property
-    def casts_shadows(self) -> bool:
-        """Whether the height casts shadows: not where the body shading holds them."""
-        return not directional_shading(self.normals)
-
-    def read(self, rows: slice) -> np.ndarray:
-        """Return records (rows, columns, 1 + 3 + K + terms + 1) float32 of some rows; 0 where nothing is known."""
-        normals = shading_normals(self.normals, rows)
-        if self.spectra is None:
-            colours = displayed_colours(self.normals.read("reflectance", rows), self.to_srgb)
-        else:
-            colours = self.spectra.read("coefficients", rows)
-        known = (self.normals.read("flags", rows) & NO_ESTIMATE) == 0
-        known &= np.isfinite(colours).all(axis=-1) & (np.abs((normals**2).sum(axis=-1) - 1) < 0.02)
-        parts = [known[..., None], normals, colours]
-        parts += [self.normals.read("shading", rows)] if self.terms else []
-        values = np.concatenate(parts, axis=-1, dtype=np.float32)
-        regions = self.brdf.read("labels", rows) if self.brdf else np.zeros(known.shape)
-        values = np.where(known[..., None], values, 0)
-        return np.concatenate([values, regions[..., None].astype(np.float32)], axis=-1)
-
-    def sample(self, band_rows: int) -> np.ndarray:
-        """Return (n, fields) records of known pixels, evenly spread."""
-        rows, columns = self.shape
-        step = max(1, round(np.sqrt(rows * columns / SAMPLES)))
-        taken = []
-        for first in range(0, rows, band_rows):
-            start = -first % step
-            band = self.read(slice(first, min(first + band_rows, rows)))
-            taken.append(band[start::step, ::step].copy())  # a view would keep the band
-        values = np.concatenate(taken).reshape(-1, taken[0].shape[-1])
-        return values[values[:, 0] > 0]
+def sample_records(maps: PaintingMaps, band_rows: int) -> np.ndarray:
+    """Return (n, fields) records of known pixels, evenly spread."""
+    rows, columns = maps.shape
+    step = max(1, round(np.sqrt(rows * columns / SAMPLES)))
+    taken = []
+    for band in strips(rows, band_rows):
+        taken.append(read_records(maps, band)[-band.start % step :: step, ::step].copy())  # a view would keep the band
+    values = np.concatenate(taken).reshape(-1, taken[0].shape[-1])
+    return values[values[:, 0] > 0]
 
 
 @dataclass(frozen=True)
@@ -130,7 +69,7 @@ class PaintingCode:
     @classmethod
     def of(cls, maps: PaintingMaps, band_rows: int, steps: Steps) -> "PaintingCode":
         """Fit to a sample of the maps."""
-        values = maps.sample(band_rows)
+        values = sample_records(maps, band_rows)
         channels = values.shape[1] - 5 - maps.terms
         matrices = colour_matrices(maps.basis, np.linalg.inv(srgb_matrix()))
         shading = None
@@ -179,21 +118,15 @@ class PaintingCode:
 
 def gloss_of(maps: PaintingMaps) -> dict[str, Any]:
     """Describe every region's gloss for the manifest. entering: what the surface lets in of light from all sides."""
-    if maps.parameters is None:
-        return {"beta": [[]], "gamma": [[]], "refractive_index": [1.0], "transmission": [0.0], "entering": [1.0],
-                "blurred": False}  # fmt: skip
-    beta, gamma, index, transmission = gloss_table(maps.parameters)
-    used = beta.max(axis=0) > 0
-    nodes, weights = np.polynomial.legendre.leggauss(FULL_TURN)
-    cosine = (nodes + 1) / 2
-    mean = np.array([weights @ (cosine * transmittance(cosine, each)) for each in index])
+    gloss = maps.gloss
+    used = gloss.beta.max(axis=0) > 0
     return {
-        "beta": beta[:, used].tolist(),
-        "gamma": gamma[:, used].tolist(),
-        "refractive_index": index.tolist(),
-        "transmission": transmission.tolist(),
-        "entering": (1 - transmission * (1 - mean)).tolist(),
-        "blurred": True,
+        "beta": gloss.beta[:, used].tolist(),
+        "gamma": gloss.gamma[:, used].tolist(),
+        "refractive_index": gloss.refractive_index.tolist(),
+        "transmission": np.asarray(gloss.transmission).tolist(),
+        "entering": entering(gloss).tolist(),
+        "blurred": maps.glossy,
     }
 
 
@@ -256,25 +189,15 @@ def photographs_of(
 
 def sampled_model(maps: PaintingMaps, frames: Observations, first: list[int], step: int) -> PlaneMaps:
     """Return the maps of the fit at the samples; slopes inside a pixel from its neighbours at full resolution."""
-    gloss = Gloss.none() if maps.parameters is None else Gloss(*gloss_table(maps.parameters))
-    parts: dict[str, list[np.ndarray]] = {"normals": [], "coefficients": [], "labels": [], "shading": [], "slopes": []}
+    parts = []
     for band in frames.bands():
-        chosen = slice((first[0] - band.start) % step, None, step)
-        if band.start + chosen.start >= band.stop:
-            continue
-
-        def sampled(values: np.ndarray, chosen: slice = chosen) -> np.ndarray:
-            return np.ascontiguousarray(values[chosen, first[1] :: step])
-
-        parts["normals"].append(sampled(shading_normals(maps.normals, band)))
-        parts["coefficients"].append(sampled(maps.normals.read("reflectance", band)))
-        if maps.brdf:
-            parts["labels"].append(sampled(maps.brdf.read("labels", band)))
-        if maps.terms:
-            parts["shading"].append(sampled(maps.normals.read("shading", band)))
-        if maps.parameters is not None:
-            wider = slice(max(band.start - 1, 0), min(band.stop + 1, frames.shape[0]))
-            slopes = slope_covariance(shading_normals(maps.normals, wider))
-            parts["slopes"].append(sampled(slopes[band.start - wider.start :][: band.stop - band.start]))
-    joined: dict[str, Any] = {name: np.concatenate(values) if values else None for name, values in parts.items()}
-    return PlaneMaps(gloss=gloss, **joined)
+        start = (first[0] - band.start) % step
+        if band.start + start < band.stop:
+            chosen = slice(start, None, step), slice(first[1], None, step)
+            parts.append(each_map(maps.model(band), itemgetter(chosen)))
+    joined: dict[str, Any] = {
+        name: None if values[0] is None else np.concatenate(values)
+        for name, *values in zip(PlaneMaps._fields, *parts, strict=True)
+        if name != "gloss"
+    }
+    return PlaneMaps(gloss=maps.gloss, **joined)
