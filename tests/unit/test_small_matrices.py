@@ -8,7 +8,6 @@ from nishiki.small_matrices import (
     factorise,
     inverse,
     solve_by_cofactors,
-    solve_positive,
     substitute,
 )
 
@@ -51,12 +50,3 @@ def test_five_by_five():
         diagonal = [1 / getattr(factors, f"i{k}") for k in range(5)]
         assert np.allclose(lower @ np.diag(diagonal) @ lower.T, matrix, rtol=1e-12)
     assert not factorise((1.0, 1.0, 1.0, 1.0, 1.0), 2.0, 0.0, 0.0, 0.0, (0.0,) * 6).positive
-
-
-def test_any_size_in_place():
-    for size in (1, 3, 7):
-        matrix, right = positive(size, size), np.arange(1.0, size + 1)
-        expected = np.linalg.solve(matrix, right)
-        assert solve_positive(matrix.copy(), right)
-        assert np.allclose(right, expected, rtol=1e-10)
-    assert not solve_positive(np.array([[1.0, 0.0], [2.0, 1.0]]), np.ones(2))

@@ -142,32 +142,3 @@ def substitute(m, r0, r1, r2, r3, r4):
     r1 = r1 * m.i1 - m.l21 * r2 - m.l31 * r3 - m.l41 * r4
     r0 = r0 * m.i0 - m.l10 * r1 - m.l20 * r2 - m.l30 * r3 - m.l40 * r4
     return r0, r1, r2, r3, r4
-
-
-@njit(cache=True, error_model="numpy")
-def solve_positive(matrix, right):
-    """Solve a symmetric positive system of any size by Cholesky, in place of `right`; return False where it is none.
-
-    matrix (n, n), whose lower triangle becomes L, and right (n,) are float64.
-    """
-    size = right.size
-    for i in range(size):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                matrix[i, i] = np.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    for i in range(size):
-        for k in range(i):
-            right[i] -= matrix[i, k] * right[k]
-        right[i] /= matrix[i, i]
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            right[i] -= matrix[k, i] * right[k]
-        right[i] /= matrix[i, i]
-    return True

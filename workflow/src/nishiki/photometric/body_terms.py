@@ -8,7 +8,7 @@ channels, along those normals: light is predicted with all of the gloss and with
 import numpy as np
 
 from nishiki.photometric import flags as bits
-from nishiki.photometric.light_selection import half_vectors
+from nishiki.photometric.light_selection import half_vectors, sum_lights
 from nishiki.photometric.refine import LEAST_FACTOR, WIDTH
 from nishiki.photometric.solve import AT_LEAST, PRIOR
 from nishiki.threads import over_rows
@@ -62,10 +62,7 @@ def shading_of_mean(
 
 
 def _fitted_terms(values, chosen, known, normals, vectors, noise):
-    """Return terms (3, pixels), scaled so that the body factor is 1 on average, weighted c^2, and where they hold.
-
-    Sums run over the lights one by one, so that a pixel does not depend on its neighbours.
-    """
+    """Return terms (3, pixels), scaled so that the body factor is 1 on average, weighted c^2, and where they hold."""
     columns = [normals[:, k].astype(np.float64) for k in range(3)]
     c, x = (sum(vector[:, k, None] * columns[k] for k in range(3)) for vector in vectors)
     power = np.maximum(x, 1e-3) ** 2
@@ -79,8 +76,8 @@ def _fitted_terms(values, chosen, known, normals, vectors, noise):
             chosen = known & (np.abs(rest) <= limit)
         weighted = [np.where(chosen & lit, each, 0) for each in features]
         pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-        sums = [np.einsum("jp,jp->p", weighted[k], features[m]) for k, m in pairs]
-        right = [np.einsum("jp,jp->p", each, values) for each in weighted]
+        sums = [sum_lights(weighted[k], features[m]) for k, m in pairs]
+        right = [sum_lights(each, values) for each in weighted]
         solved, limit, good = _solve(sums, right, values, chosen & lit, noise)
         found &= good
         terms = np.where(found, solved, terms)
@@ -94,7 +91,7 @@ def _solve(sums, right, values, chosen, noise):
     The prior is as in `nishiki.photometric.refine.refine`, with the scatter about Lambert's law of the same normal.
     """
     (s00, s01, s02, s11, s12, s22), (r0, r1, r2) = sums, right
-    kept, squares = chosen.sum(axis=0), np.einsum("jp,jp,jp->p", values, values, chosen)
+    kept, squares = chosen.sum(axis=0), sum_lights(values, values, chosen)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
         albedo = r0 / s00
         left = np.maximum(squares - albedo * r0, 0)

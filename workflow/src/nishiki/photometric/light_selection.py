@@ -218,6 +218,11 @@ def half_vectors(directions):
     return halves / np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
 
 
+def sum_lights(*factors: np.ndarray) -> np.ndarray:
+    """Sum products (lights, pixels) over the lights one by one, so that a pixel does not depend on its neighbours."""
+    return np.einsum(",".join(["jp"] * len(factors)) + "->p", *factors)
+
+
 def direction_products(directions):
     """(lights, 9): xx, xy, xz, yy, yz, zz, x, y, z of each direction, as the kernels add them up."""
     x, y, z = directions.T

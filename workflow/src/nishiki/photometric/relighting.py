@@ -17,16 +17,13 @@ the more the samples scatter about the stage's fit. The terms of `directional` a
 there the shadows are to be predicted. `nishiki.model_selection.relighting` chooses.
 """
 
-from typing import NamedTuple
-
-import numba
 import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.photometric.flags import FEW_LIGHTS
-from nishiki.photometric.light_selection import half_vectors
+from nishiki.photometric.lambert_fit import median_of_lights
+from nishiki.photometric.light_selection import half_vectors, sum_lights
 from nishiki.photometric.refine import LEAST_FACTOR
-from nishiki.small_matrices import solve_positive
 from nishiki.threads import over_rows
 
 MODELS = ("plain", "directional")
@@ -38,23 +35,7 @@ LEAST_PRIOR = 1e-4  # times a third of the number of lamps, as in `nishiki.photo
 ALONG = 0.1  # of the prior on g along z, which is the level and not a tilt
 TERMS = {"plain": 3, "directional": 5}  # of the map `shading`
 LARGEST = 1e30  # reflectance
-
-
-class Relit(NamedTuple):
-    """Hold what is fitted of each pixel, float32: (pixels, 3), (pixels, terms), (pixels, channels)."""
-
-    shading_normals: np.ndarray
-    shading: np.ndarray
-    reflectance: np.ndarray
-
-
-class Work(NamedTuple):
-    """Hold arrays that the fits of a strip's pixels share."""
-
-    matrix: np.ndarray  # (terms, terms)
-    residual: np.ndarray  # (lights,)
-    scratch: np.ndarray  # (lights,)
-    weight: np.ndarray  # (lights,) of the last fit
+VALUES = 1 << 15  # at a time
 
 
 def fit_relighting(observations, directions, normals, *, valid, scatter, reflectance, shading, model="plain"):
@@ -87,180 +68,95 @@ def fit_relighting(observations, directions, normals, *, valid, scatter, reflect
             f"and {len(directions)} directions"
         )
     pixels = rows * columns
-    fitted = Relit(
-        np.array(normals, np.float32, order="C").reshape(pixels, 3).copy(),
-        np.zeros((pixels, TERMS[model]), np.float32),
-        np.array(reflectance, np.float32, order="C").reshape(pixels, channels).copy(),
-    )
-    fitted.shading[:, :3] = np.reshape(shading, (pixels, 3))
-    over_rows(
-        _fit,
-        pixels,
-        np.ascontiguousarray(observations, np.float32).reshape(lights, pixels, channels),
-        np.ascontiguousarray(valid).reshape(lights, pixels),
-        np.ascontiguousarray(directions, np.float64),
-        half_vectors(np.asarray(directions, np.float64)),
-        np.ascontiguousarray(scatter, np.float64).reshape(pixels),
-        fitted,
-    )
-    return {name: values.reshape(*shape, -1) for name, values in fitted._asdict().items()}
+    maps = {
+        "shading_normals": np.array(normals, np.float32).reshape(pixels, 3),
+        "shading": np.zeros((pixels, TERMS[model]), np.float32),
+        "reflectance": np.array(reflectance, np.float32).reshape(pixels, channels),
+    }
+    maps["shading"][:, :3] = np.reshape(shading, (pixels, 3))
+    directions = np.asarray(directions, np.float64)
+    vectors, valid = (directions, half_vectors(directions)), valid.reshape(lights, pixels)
+    scatter = np.asarray(scatter, np.float64).reshape(pixels)
+    step = max(1, VALUES // lights)
+
+    def fit(begin: int, end: int, observations: np.ndarray) -> None:
+        for first in range(begin, end, step):
+            here = slice(first, min(first + step, end))
+            samples = np.moveaxis(observations[:, here], -1, 0).astype(np.float64)
+            start = maps["shading_normals"][here].T.astype(np.float64)
+            found, fitted = _fit(samples, valid[:, here], vectors, start, scatter[here], model == "plain")
+            for name, values in fitted.items():
+                maps[name][here][found] = values.T[found]
+
+    with np.errstate(all="ignore"):
+        over_rows(fit, pixels, np.asarray(observations, np.float32).reshape(lights, pixels, channels))
+    return {name: values.reshape(*shape, -1) for name, values in maps.items()}
 
 
-@numba.njit(cache=True, error_model="numpy")
-def middle(values, count):
-    """Median of the first `count` values, which are sorted in place (by insertion: they are few)."""
-    for i in range(1, count):
-        value, j = values[i], i
-        while j > 0 and values[j - 1] > value:
-            values[j] = values[j - 1]
-            j -= 1
-        values[j] = value
-    return 0.5 * (values[(count - 1) // 2] + values[count // 2])
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _shading_basis(g, directions, halves, basis):
-    """Rows (c, c^2, c x^8) or (c, c^2, c x^8, c l_x, c l_y) of every lamp, for the normal along g."""
-    length = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
-    for j in range(len(directions)):
-        c = (g[0] * directions[j, 0] + g[1] * directions[j, 1] + g[2] * directions[j, 2]) / length
-        x = (g[0] * halves[j, 0] + g[1] * halves[j, 1] + g[2] * halves[j, 2]) / length
-        c, x = c if c > 0.0 else 0.0, x if x > 0.0 else 0.0
-        basis[j, 0], basis[j, 1], basis[j, 2] = c, c * c, c * x**8
-        for k in range(3, basis.shape[1]):
-            basis[j, k] = c * directions[j, k - 3]
-
-
-@numba.njit(cache=True, error_model="numpy", inline="always")
-def _shade(basis, terms, j):
-    total = 0.0
-    for i in range(terms.size):
-        total += basis[j, i] * terms[i]
-    return total
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _reweigh(level, allowed, basis, terms, work):
-    """Cauchy's weights of the lit samples; lit means that the fit lights them."""
-    residual, scratch, weight = work.residual, work.scratch, work.weight
-    lit = 0
-    for j in range(level.size):
-        shade = _shade(basis, terms, j)
-        weight[j] = 1.0 if allowed[j] and shade > 0.0 else 0.0
-        residual[j] = abs(level[j] - (shade if shade > 0.0 else 0.0))
-        if weight[j] > 0.0:
-            scratch[lit] = residual[j]
-            lit += 1
-    if lit == 0:
-        return
-    rest = lit - terms.size + 1.0
-    freedom = np.sqrt(lit / (rest if rest > 1.0 else 1.0))
-    scale = TUNING * (1.4826 * middle(scratch, lit) * freedom + NOISE)
-    for j in range(level.size):
-        weight[j] /= 1.0 + (residual[j] / scale) ** 2
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _least_squares(level, weight, basis, first, held, matrix, terms):
-    """Terms of level = basis . terms by weighted least squares with the prior `held` about `first`; False: none."""
-    for i in range(terms.size):
-        total = held[i] * first[i]
-        for j in range(level.size):
-            total += weight[j] * basis[j, i] * level[j]
-        terms[i] = total
+def _least_squares(level, weight, basis, first, held) -> tuple[np.ndarray, np.ndarray]:
+    """Terms (terms, pixels) of level = basis . terms with the prior `held` about `first`, and where there are some."""
+    size = len(basis)
+    matrix, right = np.zeros((level.shape[1], size, size)), np.empty((level.shape[1], size))
+    for i in range(size):
+        weighted = weight * basis[i]
+        right[:, i] = sum_lights(weighted, level) + held[i] * first[i]
         for k in range(i + 1):
-            total = held[i] if i == k else 0.0
-            for j in range(level.size):
-                total += weight[j] * basis[j, i] * basis[j, k]
-            matrix[i, k] = total
-    return solve_positive(matrix, terms)
+            matrix[:, i, k] = matrix[:, k, i] = sum_lights(weighted, basis[k]) + (held[i] if i == k else 0)
+    sound = np.isfinite(matrix).all(axis=(1, 2)) & (np.diagonal(matrix, axis1=1, axis2=2) > 0).all(axis=1)
+    matrix[~sound] = np.eye(size)
+    return np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T, sound
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _robust_fit(level, allowed, basis, first, held, rounds, work, terms):
-    """Fit again with robust weights."""
+def _robust_fit(level, weight, allowed, basis, first, held, rounds: int):
+    """Fit as `_least_squares`, again and again with Cauchy's weights of the samples that the fit lights."""
+    found = True
     for _ in range(rounds):
-        if not _least_squares(level, work.weight, basis, first, held, work.matrix, terms):
-            return False
-        _reweigh(level, allowed, basis, terms, work)
-    return True
+        terms, sound = _least_squares(level, weight, basis, first, held)
+        shade, found = _shade(basis, terms), found & sound
+        lit, residual = allowed & (shade > 0), np.abs(level - np.maximum(shade, 0))
+        count = lit.sum(axis=0)
+        freedom = np.sqrt(count / np.maximum(count - len(basis) + 1, 1))
+        scale = TUNING * (1.4826 * median_of_lights(np.where(lit, residual, np.nan)) * freedom + NOISE)
+        weight = np.where(lit, 1 / (1 + (residual / scale) ** 2), 0)
+    return terms, weight, found
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fit(begin, end, observations, valid, directions, halves, scatter, fitted):
-    normals, shading, reflectance = fitted
-    lights, _, channels = observations.shape
-    size = shading.shape[1]
-    plain = size == 3
-    level, allowed = np.empty(lights), np.empty(lights, np.bool_)
-    first, held, g = np.empty(3), np.empty(3), np.empty(3)
-    basis, terms, before, prior = np.empty((lights, size)), np.empty(size), np.empty(size), np.empty(size)
-    sums = np.empty(channels)
-    work = Work(np.empty((size, size)), np.empty(lights), np.empty(lights), np.empty(lights))
-    weight = work.weight
-    for p in range(begin, end):
-        for k in range(3):
-            first[k] = normals[p, k]
-        product, square = 0.0, 0.0
-        for j in range(lights):
-            allowed[j] = valid[j, p]
-            level[j] = 0.0
-            if allowed[j]:
-                for k in range(channels):
-                    level[j] += observations[j, p, k] / channels
-            weight[j] = 1.0 if allowed[j] else 0.0
-            c = first[0] * directions[j, 0] + first[1] * directions[j, 1] + first[2] * directions[j, 2]
-            if allowed[j] and c > 0.0:
-                product, square = product + c * level[j], square + c * c
-        if not product > 1e-9 * square:
-            continue
-        for j in range(lights):
-            level[j] *= square / product  # relative to Lambert's albedo
-        least = LEAST_PRIOR * lights / 3.0
-        for k in range(3):
-            held[k] = (scatter[p] / WIDTH_NORMAL) ** 2 + least
-        held[2] *= ALONG
-        solved = True
-        if plain or lights <= FEW_LIGHTS:
-            solved = _robust_fit(level, allowed, directions, first, held, np.int64(ROUNDS_NORMAL), work, g)
-        else:
-            for k in range(3):
-                g[k] = first[k]
-        length = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
-        if not (solved and length > LEAST_FACTOR and g[2] > 0.0):
-            continue
-        _shading_basis(g, directions, halves, basis)
-        for k in range(size):
-            before[k], prior[k] = 0.0, least + (scatter[p] / WIDTH_TERMS) ** 2 if plain else least
-        before[0], prior[0] = length, 0.0
-        if plain:
-            solved = _robust_fit(level, allowed, basis, before, prior, np.int64(ROUNDS_TERMS), work, terms)
-        else:
-            for j in range(lights):
-                weight[j] = 1.0 if allowed[j] else 0.0
-            solved = _least_squares(level, weight, basis, before, prior, work.matrix, terms)
-        if not solved:
-            continue
-        # reflectance of each channel for this shading, whose mean factor is scaled to 1
-        bodies, cosines, largest = 0.0, 0.0, 0.0
-        for k in range(channels):
-            sums[k] = 0.0
-        for j in range(lights):
-            shade = _shade(basis, terms, j)
-            shade = shade if shade > 0.0 else 0.0
-            if weight[j] > 0.0:
-                bodies, cosines = bodies + weight[j] * shade * shade, cosines + weight[j] * basis[j, 0] * shade
-                for k in range(channels):
-                    sums[k] += weight[j] * shade * observations[j, p, k]
-        scale = bodies / cosines
-        for k in range(channels):
-            largest = abs(sums[k]) if not abs(sums[k]) <= largest else largest  # also where it is no number
-        if not (bodies > 0.0 and scale > LEAST_FACTOR and largest * scale < LARGEST * bodies):
-            continue
-        for k in range(channels):
-            value = sums[k] / bodies * scale
-            reflectance[p, k] = value if value > 0.0 else 0.0
-        for i in range(3):
-            normals[p, i] = g[i] / length
-        for i in range(size):
-            shading[p, i] = terms[i] / scale
+def _shade(basis, terms) -> np.ndarray:
+    return sum(each * term for each, term in zip(basis, terms, strict=True))
+
+
+def _fit(samples, allowed, vectors, start, scatter, plain: bool) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Fit pixels: samples (channels, lights, pixels), start (3, pixels); return where it holds, and the maps."""
+    directions, halves = (np.broadcast_to(v.T[:, :, None], (3, *allowed.shape)) for v in vectors)
+    lights, level = len(allowed), np.where(allowed, samples.mean(axis=0), 0)
+    cosine = np.maximum(_shade(directions, start), 0) * allowed
+    product, square = sum_lights(cosine, level), sum_lights(cosine, cosine)
+    found = product > 1e-9 * square
+    level = level * (square / np.where(found, product, 1))  # relative to Lambert's albedo
+    least, weight, g = LEAST_PRIOR * lights / 3, allowed.astype(np.float64), start
+    if plain or lights <= FEW_LIGHTS:
+        held = ((scatter / WIDTH_NORMAL) ** 2 + least) * np.array([1, 1, ALONG])[:, None]
+        g, weight, sound = _robust_fit(level, weight, allowed, directions, start, held, ROUNDS_NORMAL)
+        found = found & sound
+    length = np.sqrt(sum_lights(g, g))
+    found = found & (length > LEAST_FACTOR) & (g[2] > 0)
+    normal = g / length
+    c, x = (np.maximum(_shade(each, normal), 0) for each in (directions, halves))
+    basis = [c, c * c, c * x**8, *(() if plain else (c * directions[0], c * directions[1]))]
+    before, prior = np.zeros((2, len(basis), len(length)))
+    before[0], prior[1:] = length, least + ((scatter / WIDTH_TERMS) ** 2 if plain else 0)
+    if plain:
+        terms, weight, sound = _robust_fit(level, weight, allowed, basis, before, prior, ROUNDS_TERMS)
+    else:
+        weight = allowed.astype(np.float64)
+        terms, sound = _least_squares(level, weight, basis, before, prior)
+    # reflectance of each channel for this shading, whose mean factor is scaled to 1
+    shade = np.maximum(_shade(basis, terms), 0)
+    weighted = weight * shade
+    bodies = sum_lights(weighted, shade)
+    scale = bodies / sum_lights(weighted, c)
+    sums = np.stack([sum_lights(weighted, np.where(weight > 0, channel, 0)) for channel in samples])
+    found = found & sound & (bodies > 0) & (scale > LEAST_FACTOR)
+    found &= np.abs(sums).max(axis=0) * scale < LARGEST * bodies  # false where it is no number
+    fitted = {"shading_normals": normal, "shading": terms / scale}
+    return found, fitted | {"reflectance": np.maximum(sums / bodies * scale, 0)}
