@@ -5,6 +5,8 @@ by area. A collapse must keep the surface a surface (the edge's two ends share n
 corners) and must not turn a triangle over.
 """
 
+import heapq
+
 import numpy as np
 from numba import njit
 
@@ -173,58 +175,6 @@ def _is_open(a, b, face, head, following, faces):
 
 
 @njit(**JIT)
-def _push(costs, items, size, cost, a, b, version_a, version_b):
-    """Put an edge into the heap of costs (smallest first; ties in the order of the vertices); its new size."""
-    place = size
-    while place > 0:
-        above = (place - 1) // 2
-        if not _before(cost, a, b, costs[above], items[above, 0], items[above, 1]):
-            break
-        _carry(costs, items, above, place)
-        place = above
-    costs[place] = cost
-    items[place, 0], items[place, 1], items[place, 2], items[place, 3] = a, b, version_a, version_b
-    return size + 1
-
-
-@njit(**JIT)
-def _carry(costs, items, start, end):
-    # Single numbers: slices of arrays cost seconds of compiling.
-    costs[end] = costs[start]
-    for k in range(4):
-        items[end, k] = items[start, k]
-
-
-@njit(**JIT)
-def _before(cost, a, b, other, c, d):
-    return cost < other or (cost == other and (a < c or (a == c and b < d)))
-
-
-@njit(**JIT)
-def _pop(costs, items, size):
-    """Take the first edge away (the caller has read it); the heap's new size."""
-    size -= 1
-    cost = costs[size]
-    a, b = items[size, 0], items[size, 1]
-    place = 0
-    while True:
-        below = 2 * place + 1
-        if below >= size:
-            break
-        right = below + 1
-        if right < size and _before(
-            costs[right], items[right, 0], items[right, 1], costs[below], items[below, 0], items[below, 1]
-        ):
-            below = right
-        if not _before(costs[below], items[below, 0], items[below, 1], cost, a, b):
-            break
-        _carry(costs, items, below, place)
-        place = below
-    _carry(costs, items, size, place)
-    return size
-
-
-@njit(**JIT)
 def collapse(vertices, faces, target):
     """Collapse edges until `target` triangles are left or no edge may collapse. Changes both arrays.
 
@@ -238,18 +188,17 @@ def collapse(vertices, faces, target):
     version, marks = np.zeros(count, np.int64), np.full(count, -1)
     ring, ring2 = np.empty(1024, np.int64), np.empty(1024, np.int64)
     place, scratch = np.empty(3), (np.empty(3), np.empty(3), np.empty((3, 3)))
-    costs, items, size = np.empty(3 * faces.shape[0]), np.empty((3 * faces.shape[0], 4), np.int64), 0
+    heap = [(0.0, 0, 0, 0, 0) for _ in range(0)]  # cost, ends and their versions
     for face in range(faces.shape[0]):
         for k in range(3):
             a, b = faces[face, k], faces[face, (k + 1) % 3]
             if a < b or _is_open(a, b, face, head, following, faces):
                 cost = _best(quadrics[a], quadrics[b], vertices[a], vertices[b], place)
-                size = _push(costs, items, size, cost, min(a, b), max(a, b), 0, 0)
+                heap.append((cost, min(a, b), max(a, b), 0, 0))
+    heapq.heapify(heap)
     left, stamp = faces.shape[0], 0
-    while left > target and size > 0:
-        a, b = items[0, 0], items[0, 1]
-        version_a, version_b = items[0, 2], items[0, 3]
-        size = _pop(costs, items, size)
+    while left > target and len(heap) > 0:
+        _, a, b, version_a, version_b = heapq.heappop(heap)
         if version[a] != version_a or version[b] != version_b:
             continue
         stamp += 2
@@ -294,18 +243,9 @@ def collapse(vertices, faces, target):
         version[a] += 1
         stamp += 2
         near_a = _gather(a, head, following, faces, alive, marks, stamp, ring)
-        near_a = min(near_a, ring.shape[0])
-        if size + near_a > costs.shape[0]:
-            more = 2 * costs.shape[0] + 1024
-            wider, wider_items = np.empty(more), np.empty((more, 4), np.int64)
-            for i in range(size):
-                wider[i] = costs[i]
-                for k in range(4):
-                    wider_items[i, k] = items[i, k]
-            costs, items = wider, wider_items
-        for i in range(near_a):
+        for i in range(min(near_a, ring.shape[0])):
             other = ring[i]
             cost = _best(quadrics[a], quadrics[other], vertices[a], vertices[other], place)
             first, second = min(a, other), max(a, other)
-            size = _push(costs, items, size, cost, first, second, version[first], version[second])
+            heapq.heappush(heap, (cost, first, second, version[first], version[second]))
     return alive

@@ -4,7 +4,6 @@ import numpy as np
 from numba import njit, types
 from numba.extending import overload
 
-from nishiki.photometric.relighting import middle
 
 SUBSAMPLE = 64  # of a block's samples, for the median and the spread
 CLIP_SIGMAS = 4.0  # standard deviations about the median of a block
@@ -20,6 +19,18 @@ def _linear_value(table, code):
     if isinstance(code, types.Float):
         return lambda table, code: code
     return lambda table, code: table[code]
+
+
+@njit(cache=True, error_model="numpy")
+def middle(values, count):
+    """Median of the first `count` values, which are sorted in place (by insertion: they are few)."""
+    for i in range(1, count):
+        value, j = values[i], i
+        while j > 0 and values[j - 1] > value:
+            values[j] = values[j - 1]
+            j -= 1
+        values[j] = value
+    return 0.5 * (values[(count - 1) // 2] + values[count // 2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
