@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
 from nishiki.errors import UserError, require
 from nishiki.formats.stored import open_made_by
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, read_chunk, write_chunk
 from nishiki.polarisation.polariser_states import StateSums
-from nishiki.threads import over_rows
 
 
 @dataclass(frozen=True)
@@ -47,32 +45,16 @@ def sum_planes(
         if not column.any():
             continue
         valid &= good & np.isfinite(values).all(axis=-1)
-        add_weighted(planes, np.ascontiguousarray(values, np.float32), np.asarray(column, np.float32))
+        add_weighted(planes, np.asarray(values, np.float32), np.asarray(column, np.float32))
     return require(planes), require(valid)
 
 
 def add_weighted(planes: np.ndarray, values: np.ndarray, weights: np.ndarray) -> None:
-    """planes[p] += weights[p] * values, in place; planes (p, rows, columns, channels), all float32."""
-    flat, added = planes.reshape(len(planes), -1), values.reshape(-1)
-    rows = -(-len(added) // ROW)
-
-    def band(first: int, last: int) -> None:
-        add_weighted_band(flat, added, weights, first * ROW, min(last * ROW, len(added)))
-
-    over_rows(band, rows)
-
-
-ROW = 1 << 14
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def add_weighted_band(planes, values, weights, first, last):
-    """Values first .. last - 1 of `add_weighted`; a value that is not finite counts as 0."""
-    for p in range(planes.shape[0]):
-        weight, plane = weights[p], planes[p]
-        for k in range(first, last):
-            value = values[k]
-            plane[k] += weight * (value if abs(value) < np.inf else np.float32(0.0))
+    """planes[p] += weights[p] * values, in place, all float32; a value that is not finite counts as 0."""
+    values = np.where(np.isfinite(values), values, np.float32(0))
+    for plane, weight in zip(planes, weights, strict=True):
+        if weight:
+            plane += weight * values
 
 
 def components(
@@ -96,73 +78,38 @@ def components(
     """
     if (beta is None) == (sums.method == "circular"):
         raise ValueError("circular polarisation needs beta, other methods take none")
-    field = np.asarray(beta if sums.method == "circular" else 1.0 if gain is None else gain, np.float32)
-    field = np.ascontiguousarray(field.reshape((1,) * (3 - field.ndim) + field.shape))
-    to_diffuse, to_specular = _last_step(sums.method, phase, sense)
-    kind = {"circular": CIRCULAR, "linear": AMPLITUDE if phase is None else SUMS}.get(sums.method, SUMS)
-    planes = np.ascontiguousarray(planes, np.float32)
-    diffuse, specular = np.empty_like(planes[0]), np.empty_like(planes[0])
-    known = np.empty(valid.shape, bool)
-
-    def band(first: int, last: int) -> None:
-        finish_band(planes, valid, field, (to_diffuse, to_specular, kind), (diffuse, specular, known), first, last)
-
-    over_rows(band, len(valid))
-    return SeparatedView(diffuse, specular, known)
-
-
-SUMS, AMPLITUDE, CIRCULAR = 0, 1, 2
+    planes, two = np.asarray(planes, np.float32), np.float32(2)
+    factor = np.asarray(1.0 if gain is None else gain, np.float32)
+    with np.errstate(all="ignore"):
+        if beta is not None:
+            factor = np.asarray(beta, np.float32)
+            diffuse = planes[1] / factor
+            specular = planes[0] - diffuse
+            valid = valid & (np.broadcast_to(factor, diffuse.shape) > 0).all(axis=-1)
+        elif sums.method == "linear" and phase is None:
+            specular = two * np.hypot(planes[1], planes[2], dtype=np.float64).astype(np.float32)
+            diffuse, specular = (two * planes[0] - specular) * factor, specular * factor
+        else:
+            diffuse, specular = (
+                sum(weight * plane for weight, plane in zip(weights, planes, strict=True)) * factor
+                for weights in _last_step(sums.method, phase, sense)
+            )
+        known = valid & np.isfinite(diffuse).all(axis=-1) & np.isfinite(specular).all(axis=-1)
+    shown = known[..., None]
+    return SeparatedView(np.where(shown, diffuse, np.float32(0)), np.where(shown, specular, np.float32(0)), known)
 
 
 def _last_step(method: str, phase: float | None, sense: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of the planes in diffuse and specular, float32; unused by the methods that are no sums of planes."""
+    """Return the weights of the planes in diffuse and specular, float32, for methods that are sums of planes."""
     along = (0.0, 0.0) if phase is None else (np.cos(2 * phase), np.sin(2 * phase))
     rows = {
         "none": ([1], [0]),
-        "circular": ([0, 0], [0, 0]),
         "crossed": ([0, 2], [1, -1]),
         "pairs": ([0, 2], [1, -1]),
         "linear": ([2, -2 * along[0], -2 * along[1]], [0, 2 * along[0], 2 * along[1]]),
         "mueller": ([1, -0.5, -0.5 * sense], [0, 0.5, 0.5 * sense]),
     }[method]
     return np.array(rows[0], np.float32), np.array(rows[1], np.float32)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def finish_band(planes, valid, field, rule, out, first, last):
-    """Fill rows first .. last - 1 of `components`. field (1 or rows, 1 or columns, 1 or channels): beta, or the gain.
-
-    rule: weights of the planes for both parts, and the kind; out: diffuse and specular part, and where they are known.
-    """
-    (to_diffuse, to_specular, kind), (diffuse, specular, known) = rule, out
-    down, across, deep = int(field.shape[0] > 1), int(field.shape[1] > 1), int(field.shape[2] > 1)
-    count, channels = planes.shape[0], planes.shape[3]
-    for y in range(first, last):
-        for x in range(planes.shape[2]):
-            good = valid[y, x]
-            for k in range(channels):
-                factor = field[y * down, x * across, k * deep]
-                d, s = np.float32(0.0), np.float32(0.0)
-                if kind == CIRCULAR:
-                    good &= factor > 0
-                    d = planes[1, y, x, k] / factor
-                    s = planes[0, y, x, k] - d
-                elif kind == AMPLITUDE:
-                    c, i = np.float64(planes[1, y, x, k]), np.float64(planes[2, y, x, k])
-                    b = np.float32(2.0 * np.sqrt(c * c + i * i))
-                    d, s = (np.float32(2.0) * planes[0, y, x, k] - b) * factor, b * factor
-                else:
-                    for p in range(count):
-                        d += to_diffuse[p] * planes[p, y, x, k]
-                        s += to_specular[p] * planes[p, y, x, k]
-                    d, s = d * factor, s * factor
-                good &= abs(d) < np.inf
-                good &= abs(s) < np.inf
-                diffuse[y, x, k], specular[y, x, k] = d, s
-            known[y, x] = good
-            if not good:
-                for k in range(channels):
-                    diffuse[y, x, k] = specular[y, x, k] = np.float32(0.0)
 
 
 def common_phase(planes: np.ndarray, valid: np.ndarray) -> tuple[float, float]:

@@ -17,7 +17,6 @@ is not smoothed.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from nishiki.polarisation.noise import PhotographNoise, Series, differences_of, inverse_of, measure_noise
 from nishiki.polarisation.polariser_states import StateSums
@@ -148,18 +147,15 @@ def smooth_differences(
         than the picture's own, are smoothed incompletely.
     """
     height = height or len(q)
-    down = [y - first for y in _places(height) if first <= y and y + PATCH <= first + len(q)]
+    across = np.array(_places(q.shape[1]))
     sums, weights = np.zeros(q.shape), np.zeros(q.shape[:2])
-    smooth_squares(
-        q,
-        variance,
-        usable,
-        np.asarray(colour, np.float64),
-        np.float32(2 * np.log(PATCH * PATCH * q.shape[2])),
-        (np.array(down, np.int64), np.array(_places(q.shape[1]), np.int64)),
-        sums,
-        weights,
-    )
+    for top in (y - first for y in _places(height) if first <= y and y + PATCH <= first + len(q)):
+        rows, columns = np.s_[top : top + PATCH], across + np.arange(PATCH)[:, None]
+        parts = (np.moveaxis(each[rows][:, columns], 1, 0) for each in (q, variance, usable))
+        smooth, weight = _smooth_squares(*parts, np.asarray(colour, np.float64))
+        for column, part in zip(columns, smooth, strict=True):
+            sums[rows, column] += part
+            weights[rows, column] += weight
     counted = (weights > 0) & usable
     smooth = np.where(counted[..., None], sums / np.where(counted, weights, 1)[..., None], q)
     reach = FARTHEST * np.sqrt(variance)
@@ -177,108 +173,35 @@ COSINES = COSINES.astype(np.float32)
 """(PATCH, PATCH) orthonormal cosine transform."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def smooth_squares(q, variance, usable, colour, limit, corners, sums, weights):
-    """Add the smoothed squares at these rows and columns to sums (rows, columns, n) with their weights.
-
-    limit: square of the threshold, in variances.
-    """
-    (down, across), cosines = corners, COSINES
-    n = q.shape[2]
-    square, half = np.empty((n, PATCH, PATCH), np.float32), np.empty((PATCH, PATCH), np.float32)
-    mirror, sizes, means, kept = np.empty(n, np.float32), np.empty(n), np.empty(n), np.empty(n, np.int64)
-    transposed = np.ascontiguousarray(cosines.T)
-    for y0 in down:
-        for x0 in across:
-            total = _square_means(q, variance, usable, y0, x0, means, sizes)
-            if not total > 0.0:
-                continue
-            _mirror_of(colour, sizes, mirror)
-            for k in range(n):
-                for i in range(PATCH):
-                    for j in range(PATCH):
-                        value = q[y0 + i, x0 + j, k] if usable[y0 + i, x0 + j] else means[k]
-                        square[k, i, j] = value / sizes[k]
-                _multiply(cosines, square[k], half)
-                _multiply(half, transposed, square[k])
-            kept[:] = 0
-            for i in range(PATCH):
-                for j in range(PATCH):
-                    _reflect(mirror, square, i, j)
-                    for k in range(n):
-                        if square[k, i, j] * square[k, i, j] < limit and k + i + j > 0:
-                            square[k, i, j] = np.float32(0.0)
-                        else:
-                            kept[k] += 1
-            weight = 1.0 / (kept.sum() * total)
-            for k in range(n):
-                if kept[k] > 0:  # most axes of another colour are 0 throughout
-                    _multiply(transposed, square[k], half)
-                    _multiply(half, cosines, square[k])
-            for i in range(PATCH):
-                for j in range(PATCH):
-                    _reflect(mirror, square, i, j)
-                    for k in range(n):
-                        sums[y0 + i, x0 + j, k] += weight * sizes[k] * square[k, i, j]
-                    weights[y0 + i, x0 + j] += weight
+def _smooth_squares(q, variance, usable, colour):
+    """Smooth squares (PATCH columns, PATCH rows, squares, n); return them times their weights (squares,), and these."""
+    inside, n = usable.astype(np.float32), q.shape[-1]
+    count = inside.reshape(PATCH * PATCH, -1).sum(axis=0)
+    means, sizes = (np.einsum("abik,abi->ik", each, inside) / np.maximum(count, 1)[:, None] for each in (q, variance))
+    known = (count >= FEWEST) & (sizes > 0).all(axis=1)
+    total = np.where(known, sizes.sum(axis=1), np.inf)
+    sizes = np.sqrt(np.where(known[:, None], sizes, 1))
+    square = (np.where(usable[..., None], q, means) / sizes).astype(np.float32)
+    # the reflection x - mirror (mirror x) takes the colour, divided by the noise, to the first axis (Householder)
+    mirror = colour / sizes
+    mirror /= np.linalg.norm(mirror, axis=1, keepdims=True)
+    sign = np.where(mirror[:, :1] >= 0, 1.0, -1.0)
+    mirror[:, :1] += sign
+    mirror = (mirror / np.sqrt(np.abs(mirror[:, :1]))).astype(np.float32)
+    square = _reflected(mirror, _transformed(COSINES, square))
+    kept = np.abs(square) >= np.sqrt(2 * np.log(PATCH * PATCH * n))
+    kept[0, 0, :, 0] = True
+    weight = 1 / (np.einsum("abik->i", kept, dtype=np.float64) * total)
+    square = _transformed(COSINES.T, _reflected(mirror, square * kept))
+    return square * (weight[:, None] * sizes), weight
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _square_means(q, variance, usable, y0, x0, means, sizes):
-    """Fill means and root mean variances (n,) of a square's usable pixels; return the sum of the variances.
-
-    The sum is 0 for too few pixels or where a channel has no noise.
-    """
-    count = 0
-    means[:], sizes[:] = 0.0, 0.0
-    for i in range(PATCH):
-        for j in range(PATCH):
-            if usable[y0 + i, x0 + j]:
-                count += 1
-                for k in range(len(means)):
-                    means[k] += q[y0 + i, x0 + j, k]
-                    sizes[k] += variance[y0 + i, x0 + j, k]
-    total, least = 0.0, np.inf
-    for k in range(len(means)):
-        means[k] /= max(count, 1)
-        sizes[k] /= max(count, 1)
-        total, least = total + sizes[k], min(least, sizes[k])
-        sizes[k] = np.sqrt(sizes[k])
-    return total if count >= FEWEST and least > 0.0 else 0.0
+def _transformed(cosines: np.ndarray, square: np.ndarray) -> np.ndarray:
+    """Multiply the first two axes of squares by a matrix each."""
+    rest = square.shape[2:]
+    square = (cosines @ square.reshape(PATCH, -1)).reshape(PATCH, PATCH, -1)
+    return np.matmul(cosines, square).reshape(PATCH, PATCH, *rest)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _mirror_of(colour, sizes, mirror):
-    """Fill the vector (n,) of the reflection x - mirror (mirror x) that takes the colour to the first axis.
-
-    The colour is divided by the noise (Householder).
-    """
-    length = 0.0
-    for k in range(len(colour)):
-        length += (colour[k] / sizes[k]) ** 2
-    length = np.sqrt(length)
-    first = colour[0] / sizes[0] / length
-    norm = np.sqrt(1.0 + abs(first))  # half the square of the vector's length is 1 + |first|
-    for k in range(len(colour)):
-        mirror[k] = colour[k] / sizes[k] / length / norm
-    mirror[0] += (1.0 if first >= 0 else -1.0) / norm
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _reflect(mirror, square, i, j):
-    along = np.float32(0.0)
-    for k in range(len(mirror)):
-        along += mirror[k] * square[k, i, j]
-    for k in range(len(mirror)):
-        square[k, i, j] -= mirror[k] * along
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _multiply(a, b, out):
-    """out = a b, all (PATCH, PATCH) float32."""
-    for i in range(PATCH):
-        for j in range(PATCH):
-            out[i, j] = np.float32(0.0)
-        for k in range(PATCH):
-            for j in range(PATCH):
-                out[i, j] += a[i, k] * b[k, j]
+def _reflected(mirror: np.ndarray, square: np.ndarray) -> np.ndarray:
+    return square - mirror * np.einsum("...k,...k->...", square, mirror)[..., None]
