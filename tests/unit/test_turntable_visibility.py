@@ -5,7 +5,7 @@ import numpy as np
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import rotation_matrix
-from nishiki.render.object.visibility import STEEP, DepthMaps, project
+from nishiki.render.object.visibility import STEEP, DepthMaps
 
 
 def plates():
@@ -19,18 +19,6 @@ def above(angle=0.0, name="a", distortion=(0.0,) * 5):
     rotation = np.diag([1.0, -1, -1]) @ rotation_matrix(np.array([0, -angle, 0]))
     intrinsics = np.array([[150.0, 0.2, 80], [0, 155, 60], [0, 0, 1]])
     return Camera(name, intrinsics, rotation, np.array([0, 0, 5.0]), 120, 160, distortion)
-
-
-def test_points_project_as_the_camera_does():
-    points = np.random.default_rng(0).normal(size=(40, 3))
-    for lens in ((0.0,) * 5, (-0.2, 0.05, 0.01, -0.02, 0.003)):
-        camera = above(0.4, distortion=lens)
-        pixels, depths = camera.project(points)
-        pose = np.column_stack([camera.rotation, camera.translation])
-        for point, pixel, depth in zip(points, pixels, depths, strict=True):
-            found = project(*point, pose, camera.intrinsics, np.array(lens))
-            np.testing.assert_allclose(found, [*pixel, depth], rtol=1e-10)
-    assert project(0.0, 0.0, 9.0, pose, camera.intrinsics, np.zeros(5))[2] < 0
 
 
 def test_hidden_and_turned_away_points_are_not_seen():

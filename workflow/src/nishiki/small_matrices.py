@@ -6,7 +6,6 @@ A symmetric 3 x 3 matrix is given by its six different elements: [[a, b, c], [b,
 
 from collections import namedtuple
 
-import numpy as np
 from numba import njit
 
 from nishiki.lanes import choose, root

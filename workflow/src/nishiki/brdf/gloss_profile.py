@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
 from nishiki.brdf.torrance_sparrow import (
     GAMMA_PER_SIGMA,
@@ -108,28 +107,21 @@ def unit_of(reflectances: Sequence[np.ndarray]) -> float:
     return 1.0 if LEVELS[0] <= level <= LEVELS[1] else float(10.0 ** np.round(np.log10(level / TYPICAL)))
 
 
-@njit(cache=True, error_model="numpy")
 def _add_samples(phi, residual, attenuation, sigma, value_unit, weights, values, rows):
     """Add samples (n,), but for those that are no number and those whose a^2 or a^2 z leaves float64."""
-    for k in range(phi.size):
-        a = attenuation[k]
-        if not (np.isfinite(phi[k] + residual[k] + a + sigma[k]) and a > 0.0):
-            continue
-        phi2, z, w = phi[k] * phi[k], residual[k] / a, a * a
-        if not (w > 0.0 and np.isfinite(w) and np.isfinite(w * z)):
-            continue
-        row = min(int(np.arcsinh(np.sqrt(phi2) / PHI_UNIT) / _ROW_STEP), ROWS - 1)
-        size = abs(z) / value_unit
-        column = 0
-        if size > 0.0:
-            column = min(max(int(np.floor((np.log10(size) + DECADES) * PER_DECADE)) + 1, 0), _SIDE)
-        column = _SIDE + column if z > 0 else _SIDE - column
-        weights[row, column] += w
-        values[row, column] += w * z
-        rows[row, PHI2] += w * phi2
-        rows[row, SIGMA2] += w * sigma[k] * sigma[k]
-        rows[row, COUNT] += 1.0
-        rows[row, ATTENUATION] += w
+    with np.errstate(all="ignore"):
+        w, z = attenuation**2, residual / attenuation
+        good = np.isfinite(phi + sigma + w * z + w) & (attenuation > 0) & (w > 0)
+    phi, sigma, w, z = (each[good] for each in (phi, sigma, w, z))
+    row = np.minimum((np.arcsinh(np.abs(phi) / PHI_UNIT) / _ROW_STEP).astype(int), ROWS - 1)
+    size = np.abs(z) / value_unit
+    place = np.floor((np.log10(np.where(size > 0, size, 1)) + DECADES) * PER_DECADE) + 1
+    column = _SIDE + np.where(size > 0, np.sign(z) * np.clip(place, 0, _SIDE), 0).astype(int)
+    cell, cells = row * COLUMNS + column, ROWS * COLUMNS
+    weights += np.bincount(cell, w, cells).reshape(ROWS, COLUMNS)
+    values += np.bincount(cell, w * z, cells).reshape(ROWS, COLUMNS)
+    for k, each in ((PHI2, w * phi**2), (SIGMA2, w * sigma**2), (COUNT, None), (ATTENUATION, w)):
+        rows[:, k] += np.bincount(row, each, ROWS)
 
 
 def _profile(weights, values, rows, reject) -> SpecularProfile:

@@ -120,24 +120,9 @@ def interpolate(attributes: np.ndarray, corners: np.ndarray, triangle: np.ndarra
 
     corners (f, 3): the triangles' vertices. 0 where triangle is -1.
     """
-    flat = np.ascontiguousarray(triangle, np.int32).reshape(-1)
-    weights = np.ascontiguousarray(barycentric, np.float32).reshape(-1, 2)
-    values = np.ascontiguousarray(attributes, np.float64)
-    values_at = blend(values, np.ascontiguousarray(corners, np.int32), flat, weights)
-    return values_at.reshape(*np.shape(triangle), values.shape[1])
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def blend(values, corners, triangle, weights):
-    """See `interpolate`: points (n,), weights (n, 2) -> (n, k) float32."""
-    out = np.zeros((len(triangle), values.shape[1]), np.float32)
-    for i in range(len(triangle)):
-        if triangle[i] >= 0:
-            a, b, c = corners[triangle[i], 0], corners[triangle[i], 1], corners[triangle[i], 2]
-            u, v = np.float64(weights[i, 0]), np.float64(weights[i, 1])
-            for k in range(values.shape[1]):
-                out[i, k] = values[c, k] + u * (values[a, k] - values[c, k]) + v * (values[b, k] - values[c, k])
-    return out
+    a, b, c = (np.asarray(attributes, np.float64)[corner] for corner in np.moveaxis(corners[triangle], -1, 0))
+    out = c + barycentric[..., :1] * (a - c) + barycentric[..., 1:] * (b - c)
+    return np.where(np.asarray(triangle)[..., None] >= 0, out, 0).astype(np.float32)
 
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))

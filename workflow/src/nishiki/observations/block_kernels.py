@@ -4,7 +4,6 @@ import numpy as np
 from numba import njit, types
 from numba.extending import overload
 
-
 SUBSAMPLE = 64  # of a block's samples, for the median and the spread
 CLIP_SIGMAS = 4.0  # standard deviations about the median of a block
 

@@ -101,7 +101,9 @@ def _weigh(samples: np.ndarray, valid: np.ndarray) -> np.ndarray:
         part, grey, saturation = np.where(lit, across, zero), level * used, np.zeros_like(lower)
         for _ in range(CONCENTRATIONS + 1):
             kept = (part >= saturation * grey).astype(np.float32)
-            saturation = np.maximum(sum_lights(part, kept) / np.maximum(sum_lights(grey, kept), np.float32(1e-12)), zero)
+            saturation = np.maximum(
+                sum_lights(part, kept) / np.maximum(sum_lights(grey, kept), np.float32(1e-12)), zero
+            )
         square = saturation**2
         gloss = np.clip((grey - part / np.where(saturation > 0, saturation, np.float32(np.inf))) / lower, zero, one)
         freedom = (count - one) * max(channels - 2, one)

@@ -40,34 +40,21 @@ class Surroundings:
         table = np.concatenate(tables, axis=2)
         returned = np.clip(table.mean(axis=(0, 1)), 0, 0.95)
         sky = np.stack([np.tile(colour, len(tables)) for colour in (self.light.above, self.light.below)])
-        points = (samples.pixel, samples.triangle, samples.weights, samples.back, samples.outgoing)
-        out = np.zeros((pixels, 3 * len(tables)))
-        _reflect(points, rows, (self.corners, self.open, self.from_above), table, returned, sky, out)
+        u, v = samples.weights[rows].astype(np.float64).T
+        weights, corner = np.stack([u, v, 1 - u - v], axis=1), self.corners[samples.triangle[rows]]
+        side = samples.back[rows, None].astype(int)
+        clear, high = (
+            np.einsum("nk,nk->n", weights, values[corner, side])[:, None] for values in (self.open, self.from_above)
+        )
+        light = high * sky[0] + (1 - high) * sky[1]
+        sent = light * lookup(table, samples.outgoing[rows]) * clear / (1 - returned * (1 - clear))
+        out = added_up(samples.pixel[rows], sent, pixels)
         return np.moveaxis(out.reshape(pixels, len(tables), 3), 1, 0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _reflect(points, rows, vertices, table, returned, sky, out):
-    """See `Surroundings.radiance`. The table is bilinear in (theta, phi)."""
-    (pixel, triangle, weights, back, outgoing), (corners, free, up) = points, vertices
-    channels = table.shape[2]
-    for k in rows:
-        side = 1 if back[k] else 0
-        u, v = np.float64(weights[k, 0]), np.float64(weights[k, 1])
-        a, b, c = corners[triangle[k], 0], corners[triangle[k], 1], corners[triangle[k], 2]
-        w = 1.0 - u - v
-        clear = u * free[a, side] + v * free[b, side] + w * free[c, side]
-        high = u * up[a, side] + v * up[b, side] + w * up[c, side]
-        theta = np.arccos(min(max(outgoing[k, 2], 0.0), 1.0)) / (0.5 * np.pi) * THETAS
-        phi = np.arctan2(outgoing[k, 1], outgoing[k, 0]) / (2.0 * np.pi) * PHIS
-        phi += PHIS if phi < 0.0 else 0.0
-        i, j = min(int(theta), THETAS - 1), min(int(phi), PHIS - 1)
-        s, t = theta - i, phi - j
-        for m in range(channels):
-            share = (1.0 - s) * ((1.0 - t) * table[i, j, m] + t * table[i, j + 1, m])
-            share += s * ((1.0 - t) * table[i + 1, j, m] + t * table[i + 1, j + 1, m])
-            light = high * sky[0, m] + (1.0 - high) * sky[1, m]
-            out[pixel[k], m] += light * share * clear / (1.0 - returned[m] * (1.0 - clear))
+def added_up(pixel: np.ndarray, values: np.ndarray, pixels: int) -> np.ndarray:
+    """Sum values (n, k) by their pixels (n,) into (pixels, k)."""
+    return np.stack([np.bincount(pixel, column, pixels) for column in values.T], axis=1)
 
 
 def grid_views() -> np.ndarray:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from nishiki.colour.colour import decode
 from nishiki.errors import UserError
@@ -16,7 +15,7 @@ from nishiki.geometry.camera import Camera, look_at
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import rotation_matrix, scaled
 from nishiki.geometry.visibility import rasterise
-from nishiki.render.cloth.around import Surroundings
+from nishiki.render.cloth.around import Surroundings, added_up
 from nishiki.render.cloth.local import Fragments, gather, lit
 from nishiki.render.cloth.models import share_of
 from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, Lamp, Matte, Surface, together
@@ -144,19 +143,11 @@ def _add_lamps(sums, scene, takes, lamps, samples: Fragments, shadows: bool, tal
             values, where = _values(list(brdfs.values()), light.incident, samples.outgoing, stands[rows])
             tally.evaluated += len(values[0])
             for each, brdf in zip(values, brdfs, strict=True):
-                picture = np.zeros(sums.shape[1:])
-                _gather(samples.pixel, rows, where, each * (np.pi * np.asarray(lamp.colour)), light.strength, picture)
+                sent = each[where] * (np.pi * light.strength[rows, None] * np.asarray(lamp.colour))
+                picture = added_up(samples.pixel[rows], sent, sums.shape[1])
                 for k, take in enumerate(takes):
                     if take.lamps[number] and id(take.materials[material]) == brdf:
                         sums[k] += take.lamps[number] * picture
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _gather(pixel, rows, where, values, strength, out):
-    """Add up in out (pixels, 3) the values (m, 3) of samples at rows (n,), found at `where` (n,), times strength."""
-    for k in range(rows.size):
-        for c in range(3):
-            out[pixel[rows[k]], c] += values[where[k], c] * strength[rows[k]]
 
 
 def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, samples: np.ndarray):
