@@ -302,29 +302,20 @@ def descend(values, weights, vectors, rounds, state):
 @njit(cache=True, error_model="numpy")
 def choose_samples(values, known, vectors, surface, limit, weights, count):
     """Weight 1 for the lit, known samples whose residual is at most `limit` (BLOCK,) float32; their number."""
-    zero, one = np.float32(0.0), np.float32(1.0)
+    zero, one, low = np.float32(0.0), np.float32(1.0), np.float32(1e-3)
     for p in range(0, BLOCK, LANES):
         most, total = load(limit, p), splat(zero)
         least = zero - most
+        n0, n1, n2 = load(surface, p), load(surface, p + BLOCK), load(surface, p + 2 * BLOCK)
+        a, b, d = load(surface, p + 9 * BLOCK), load(surface, p + 10 * BLOCK), load(surface, p + 11 * BLOCK)
         for j in range(values.shape[0]):
-            c, factor = body_of(vectors, j, surface, p)
-            r = load(values, (j, p)) - c * factor
+            c = n0 * vectors[0, j] + n1 * vectors[1, j] + n2 * vectors[2, j]
+            x = n0 * vectors[3, j] + n1 * vectors[4, j] + n2 * vectors[5, j]
+            r = load(values, (j, p)) - c * (a + b * c + d * powers(choose(x > low, x, low))[1])
             w = choose((r <= most) & (r >= least) & (c > zero), load(known, (j, p)), zero)
             store(weights, (j, p), w)
             total += choose(w > zero, one, zero)
         store(count, p, total)
-
-
-@njit(cache=True, inline="always")
-def body_of(vectors, j, surface, p):
-    """Cosine of light j, and the factor on it."""
-    least = np.float32(1e-3)
-    n0, n1, n2 = load(surface, p), load(surface, p + BLOCK), load(surface, p + 2 * BLOCK)
-    a, b, d = load(surface, p + 9 * BLOCK), load(surface, p + 10 * BLOCK), load(surface, p + 11 * BLOCK)
-    c = n0 * vectors[0, j] + n1 * vectors[1, j] + n2 * vectors[2, j]
-    x = n0 * vectors[3, j] + n1 * vectors[4, j] + n2 * vectors[5, j]
-    _, power = powers(choose(x > least, x, least))
-    return c, a + b * c + d * power
 
 
 @njit(cache=True, error_model="numpy")

@@ -47,42 +47,23 @@ def load_block(samples, estimates, block, width):
     observations, usable, known = samples
     index, start, albedo = block.index, block.state.fit, block.albedo
     shared_usable, shared_known = usable.shape[1] == 1, known.shape[1] == 1
-    row = planes(np.int64(1), np.int64(BLOCK))
     for p in range(BLOCK):
         q = index[p if p < width else 0]
         albedo[p] = estimates.scalars[0, q]
         for k in range(3):
             start[p + k * BLOCK] = estimates.normals[q, k]
         start[p + 3 * BLOCK], start[p + 4 * BLOCK], start[p + 5 * BLOCK] = 1.0, 0.0, 0.0
-    first = index[0]
-    neighbours = width == BLOCK and index[BLOCK - 1] == first + BLOCK - 1
-    there, is_usable = np.zeros((1, BLOCK), np.uint8), np.zeros((1, BLOCK), np.uint8)
+    zero, one = np.float32(0.0), np.float32(1.0)
     for j in range(observations.shape[0]):
-        if neighbours and not shared_known and not shared_usable:
-            load_light(observations, known, usable, (j, first), block, j)
-            continue
         for p in range(BLOCK):
             q = index[p if p < width else 0]
-            row[0, p] = observations[j, q]
-            there[0, p] = (known[j, 0] if shared_known else known[j, q]) if p < width else 0
-            is_usable[0, p] = usable[j, 0] if shared_usable else usable[j, q]
-        load_light(row, there, is_usable, (np.int64(0), np.int64(0)), block, j)
-
-
-@njit(cache=True, error_model="numpy")
-def load_light(samples, known, usable, place, block, j):
-    """Light j of a block from a place of the samples, relative to the albedo; samples that are not known are 0."""
-    zero, one = np.float32(0.0), np.float32(1.0)
-    row, first = place
-    for p in range(0, BLOCK, LANES):
-        value = load(samples, (row, first + p)) / load(block.albedo, p)
-        # so far outside of the albedo that only its sign matters: its square has to fit into float32
-        value = choose(value < FARTHEST, value, FARTHEST)
-        value = choose(value > -FARTHEST, value, -FARTHEST)
-        there = load(known, (row, first + p))
-        store(block.values, (j, p), choose(there, value, zero))
-        store(block.known, (j, p), choose(there, one, zero))
-        store(block.usable, (j, p), choose(there & load(usable, (row, first + p)), one, zero))
+            value = observations[j, q] / albedo[p]
+            # so far outside of the albedo that only its sign matters: its square has to fit into float32
+            value = min(max(value, -FARTHEST), FARTHEST)
+            there = p < width and (known[j, 0] if shared_known else known[j, q]) != 0
+            chosen = there and (usable[j, 0] if shared_usable else usable[j, q]) != 0
+            block.values[j, p] = value if there else zero
+            block.known[j, p], block.usable[j, p] = one if there else zero, one if chosen else zero
 
 
 @njit(cache=True, error_model="numpy")

@@ -115,8 +115,11 @@ def keep_below(distance, limit, weights):
 
 
 @njit(cache=True, error_model="numpy")
-def load_block(observations, valid, start, values, known, count):
-    """Copy a block, divided by each pixel's largest sample, so that every radiometric scale is treated alike."""
+def load_block(observations, valid, start, values, known, ranked, count):
+    """Copy a block, divided by each pixel's largest sample, so that every radiometric scale is treated alike.
+
+    ranked: the same with FAR for samples that are not known.
+    """
     zero, one = np.float32(0.0), np.float32(1.0)
     shared = valid.shape[1] == 1
     for p in range(0, BLOCK, LANES):
@@ -134,25 +137,24 @@ def load_block(observations, valid, start, values, known, count):
         # Two divisions by normal numbers: 1 / peak would overflow where the peak is subnormal.
         peak = choose(peak > zero, peak, one)
         for j in range(observations.shape[0]):
-            store(values, (j, p), load(values, (j, p)) / peak)
+            value = load(values, (j, p)) / peak
+            store(values, (j, p), value)
+            store(ranked, (j, p), choose(load(known, (j, p)) > zero, value, FAR))
         store(count, p, total)
 
 
 @njit(cache=True, error_model="numpy")
-def rank_limits(ordered, count, share, part, at_least, low, high):
-    """Values that bound the window of ranks that starts at the fraction `part` of the places it can have."""
+def open_window(ordered, values, known, count, ranks, limits, weights):
+    """Weight 1 for the samples within a window of ranks.
+
+    ranks: its share of the samples, the fraction of the places it can have at which it starts, and its least size;
+    limits (2, BLOCK): work array.
+    """
+    (share, part, at_least), (low, high), one, zero = ranks, limits, np.float32(1.0), np.float32(0.0)
     for p in range(BLOCK):
         size = min(max(at_least, np.floor(share * count[p] + 0.5)), count[p])
         first = int(np.floor(part * (count[p] - size) + 0.5))
-        last = max(first + int(size) - 1, 0)
-        low[p] = ordered[first, p]
-        high[p] = ordered[last, p]
-
-
-@njit(cache=True, error_model="numpy")
-def window_weights(values, known, low, high, weights):
-    """Weight 1 for known samples from low to high."""
-    one, zero = np.float32(1.0), np.float32(0.0)
+        low[p], high[p] = ordered[first, p], ordered[max(first + int(size) - 1, 0), p]
     for p in range(0, BLOCK, LANES):
         least, most = load(low, p), load(high, p)
         for j in range(values.shape[0]):
@@ -247,8 +249,7 @@ def refit_selection(first, last, observations, valid, lamps, settings, selected)
     record, scale, quality = memory[row + 4], memory[row + 5], memory[row + 6 :].ravel()
     for block in range(first, last):
         start = min(block * BLOCK, pixels - BLOCK)  # the last block overlaps: whatever shares it, a pixel is the same
-        load_block(observations, valid, start, values, known, count)
-        far_unless(known, values, ranked)
+        load_block(observations, valid, start, values, known, ranked, count)
         sort_block(ranked, comparators)
         for p in range(BLOCK):
             limit[p], record[p] = 0.0, np.inf
@@ -256,8 +257,7 @@ def refit_selection(first, last, observations, valid, lamps, settings, selected)
                 best[p + k * BLOCK] = 0.0
         for s in range(settings.starts):
             part = np.float32(s / max(settings.starts - 1, 1))
-            rank_limits(ranked, count, settings.window, part, at_least, low, high)
-            window_weights(values, known, low, high, weights)
+            open_window(ranked, values, known, count, (settings.window, part, at_least), (low, high), weights)
             for p in range(4 * BLOCK):
                 scaled[p] = 0.0
             for _ in range(settings.steps + 1):
@@ -280,14 +280,6 @@ def refit_selection(first, last, observations, valid, lamps, settings, selected)
             solve_block(sums, at_least, best)
         accept(values, known, directions, best, scale, settings.brighter, settings.darker, weights)
         write_block(values, known, directions, best, weights, at_least, start, selected)
-
-
-@njit(cache=True, error_model="numpy")
-def far_unless(known, values, out):
-    """Values of the known samples, FAR for the others."""
-    for p in range(0, BLOCK, LANES):
-        for j in range(values.shape[0]):
-            store(out, (j, p), choose(load(known, (j, p)) > np.float32(0.0), load(values, (j, p)), FAR))
 
 
 @njit(cache=True, error_model="numpy")
