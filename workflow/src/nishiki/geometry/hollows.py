@@ -18,13 +18,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import scaled
 from nishiki.geometry.visibility import interpolate, rasterise
-from nishiki.small_matrices import solve_by_cofactors
 
 RELATIVE_ERROR, ERROR = 0.02, 0.005
 """Deviation of a matt point from the model: part of its value, and of the object's bright values."""
@@ -40,6 +38,7 @@ SMALLEST_REGION = 0.015
 IMPROVEMENT = 0.7
 """Residual of a region, of that before, above which it stays as it was."""
 FEWEST_VIEWS, MOST_VIEWS = 5, 14
+LEAST_COSINE = 0.25  # of a view with the normal
 FINEST_SIZE_PX = 100
 """Root of the silhouette's area to which photographs are shrunk."""
 WIDTHS = (1.0, 0.75, 0.6)
@@ -98,17 +97,34 @@ class Photographed:
 
     def residuals(self, depths: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """(n,) mean robust squared residual of points in the views that see them; -1 where too few do."""
-        out = np.empty(len(points))
-        projected = [camera.project(points) for camera in self.cameras]
-        pixels, away = (np.stack([each[k] for each in projected]) for k in (0, 1))
+        import cv2
+
+        rows, columns = self.pictures.shape[1:3]
         centres = np.array([camera.centre for camera in self.cameras])
         distance = np.linalg.norm(centres - points.mean(axis=0), axis=1).mean()
-        footprint = distance / np.sqrt(abs(np.linalg.det(self.cameras[0].intrinsics)))
-        residuals_at(
-            np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64), (pixels, away),
-            (depths, self.pictures, centres), distance, 2.5 * footprint, out,
-        )  # fmt: skip
-        return out
+        tolerance = 2.5 * distance / np.sqrt(abs(np.linalg.det(self.cameras[0].intrinsics)))
+        towards = centres[:, None] - points
+        length = np.linalg.norm(towards, axis=2, keepdims=True)
+        facing = np.einsum("vnx,nx->vn", towards / length, normals)
+        values = np.empty((*facing.shape, self.pictures.shape[3]))
+        for view, camera in enumerate(self.cameras):
+            pixels, away = camera.project(points)
+            inside = (away > 0) & ((pixels >= 1) & (pixels < (columns - 2, rows - 2))).all(axis=1)
+            pixels = np.where(inside[:, None], pixels, 1.0)
+            shown = np.where(np.isfinite(depths[view]), depths[view], 0).astype(np.float32)
+            deepest = cv2.dilate(shown, np.ones((3, 3), np.uint8))
+            column, row = (pixels + 0.5).astype(int).T
+            facing[view, ~inside | (away > deepest[row, column] + tolerance)] = 0
+            (column, row), (s, t) = pixels.astype(int).T, (pixels % 1).T[..., None]
+            picture = self.pictures[view]
+            above, below = ((1 - s) * picture[k, column] + s * picture[k, column + 1] for k in (row, row + 1))
+            values[view] = (1 - t) * above + t * below
+        order = np.argsort(-facing, axis=0, kind="stable")[:MOST_VIEWS]
+        seen = np.take_along_axis(facing, order, axis=0) >= LEAST_COSINE
+        values, towards = (
+            np.take_along_axis(each, order[..., None], axis=0) for each in (values, towards * (distance**2 / length**3))
+        )
+        return np.where(seen.sum(axis=0) >= FEWEST_VIEWS, matt_residuals(values, towards, seen), -1.0)
 
 
 def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: Photographed) -> tuple[Mesh, list[dict]]:
@@ -297,84 +313,20 @@ class Shown:
         return float(np.where(values < 0, LARGEST, values).sum() / len(values))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def residuals_at(points, normals, seen, photographs, distance, tolerance, out):
-    """Compute the residuals of `Photographed.residuals`.
+def matt_residuals(values: np.ndarray, towards: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Mean robust squared residual (n,) of I = b . l over the views that see a point; three rounds of weights.
 
-    seen: pixels (views, n, 2) column and row of the points, and their depths (views, n); photographs: depths of the
-    mesh (views, rows, columns), pictures and centres of the cameras; tolerance: of the visibility.
+    values (views, n, channels), towards (views, n, 3), seen (views, n) bool.
     """
-    (pixels, away), (depths, pictures, centres) = seen, photographs
-    views, rows, columns, channels = pictures.shape
-    values, towards = np.empty((views, channels)), np.empty((views, 3))
-    variance, facing = np.empty(views), np.empty(views)
-    for i in range(len(points)):
-        count = 0
-        for v in range(views):
-            x, y, z = centres[v, 0] - points[i, 0], centres[v, 1] - points[i, 1], centres[v, 2] - points[i, 2]
-            length = np.sqrt(x * x + y * y + z * z)
-            cosine = (x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]) / length
-            if cosine < 0.25:
-                continue
-            column, row, depth = pixels[v, i, 0], pixels[v, i, 1], away[v, i]
-            if not (depth > 0 and 1 <= column < columns - 2 and 1 <= row < rows - 2):
-                continue
-            c, r = int(column + 0.5), int(row + 0.5)
-            deepest = 0.0
-            for a in range(r - 1, r + 2):
-                for b in range(c - 1, c + 2):
-                    if np.isfinite(depths[v, a, b]):
-                        deepest = max(deepest, np.float64(depths[v, a, b]))
-            if depth > deepest + tolerance:
-                continue
-            c, r = int(column), int(row)
-            s, t = column - c, row - r
-            mean = 0.0
-            for k in range(channels):
-                above = (1 - s) * pictures[v, r, c, k] + s * pictures[v, r, c + 1, k]
-                below = (1 - s) * pictures[v, r + 1, c, k] + s * pictures[v, r + 1, c + 1, k]
-                values[count, k] = (1 - t) * above + t * below
-                mean += values[count, k] / channels
-            scale = distance**2 / length**3
-            towards[count, 0], towards[count, 1], towards[count, 2] = scale * x, scale * y, scale * z
-            variance[count] = (RELATIVE_ERROR * mean) ** 2 + ERROR**2
-            facing[count] = cosine
-            count += 1
-        out[i] = -1.0
-        if count >= FEWEST_VIEWS:
-            order = np.argsort(-facing[:count])[:MOST_VIEWS]
-            out[i] = matt_residual(values, towards, variance, order)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def matt_residual(values, towards, variance, order):
-    """Mean robust squared residual of I = b . l over the observations `order`; three rounds of weights."""
-    channels, count = values.shape[1], len(order)
-    weights, b, total = np.ones(count), np.empty((channels, 3)), 0.0
+    variance = (RELATIVE_ERROR * values.mean(axis=2)) ** 2 + ERROR**2
+    weights, known = seen / variance, np.where(seen[..., None], values, 0)
     for _ in range(3):
-        xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        b[:] = 0.0
-        for n in range(count):
-            v = order[n]
-            w, x, y, z = weights[n] / variance[v], towards[v, 0], towards[v, 1], towards[v, 2]
-            xx, xy, xz = xx + w * x * x, xy + w * x * y, xz + w * x * z
-            yy, yz, zz = yy + w * y * y, yz + w * y * z, zz + w * z * z
-            for k in range(channels):
-                b[k, 0] += w * x * values[v, k]
-                b[k, 1] += w * y * values[v, k]
-                b[k, 2] += w * z * values[v, k]
-        ridge = 1e-3 * (xx + yy + zz)
-        for k in range(channels):
-            matrix = xx + ridge, xy, xz, yy + ridge, yz, zz + ridge
-            x, y, z, determinant = solve_by_cofactors(matrix, b[k, 0], b[k, 1], b[k, 2])
-            b[k, 0], b[k, 1], b[k, 2] = x / determinant, y / determinant, z / determinant
-        total = 0.0
-        for n in range(count):
-            v, error = order[n], 0.0
-            for k in range(channels):
-                shown = b[k, 0] * towards[v, 0] + b[k, 1] * towards[v, 1] + b[k, 2] * towards[v, 2]
-                error += (values[v, k] - max(shown, 0.0)) ** 2 / channels
-            error /= variance[v]
-            weights[n] = 1 / (1 + error / 4)
-            total += min(error, LARGEST)
-    return min(total / (count - 3), LARGEST)
+        weighted = weights[..., None] * towards
+        matrix = np.einsum("vnx,vny->nxy", weighted, towards)
+        matrix += (1e-3 * np.trace(matrix, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(3)
+        b = np.linalg.solve(matrix, np.einsum("vnx,vnk->nxk", weighted, known))
+        lit = np.maximum(np.einsum("vnx,nxk->vnk", towards, b), 0)
+        error = np.square(known - lit).mean(axis=2) / variance
+        weights = seen / (variance * (1 + error / 4))
+    total = (np.minimum(error, LARGEST) * seen).sum(axis=0)
+    return np.minimum(total / np.maximum(seen.sum(axis=0) - 3, 1), LARGEST)
