@@ -13,7 +13,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.geometry.camera import NO_DISTORTION, Camera, distort
-from nishiki.geometry.turn import rotation_matrix
+from nishiki.geometry.turn import rotation_matrix, rotation_vector
 
 LEAST_POINTS = 4  # of a pose
 DRAWS = 400  # at most
@@ -101,7 +101,7 @@ REMEDY = (
 def refine_pose(camera: Camera, points: np.ndarray, pixels: np.ndarray) -> Camera:
     """Move a camera to the least reprojection error over points (n, 3), pixels (n, 2); intrinsics stay."""
     lens = _Lens.of(camera.intrinsics, camera.distortion, camera.rows, camera.columns)
-    vector = np.concatenate([_rotation_vector(camera.rotation), camera.translation])
+    vector = np.concatenate([rotation_vector(camera.rotation), camera.translation])
     return lens.camera(camera.name, _refine(lens, vector, points, pixels))
 
 
@@ -127,17 +127,8 @@ class _Lens:
         return np.ascontiguousarray(np.column_stack([pixels[:, 0] - skew, pixels[:, 1]]))
 
     def camera(self, name: str, vector: np.ndarray) -> Camera:
-        import cv2
-
-        rotation = cv2.Rodrigues(np.ascontiguousarray(vector[:3]))[0]
-        coefficients = tuple(self.distortion.tolist())
+        rotation, coefficients = rotation_matrix(vector[:3]), tuple(self.distortion.tolist())
         return Camera(name, self.intrinsics, rotation, vector[3:].copy(), self.rows, self.columns, coefficients)
-
-
-def _rotation_vector(rotation: np.ndarray) -> np.ndarray:
-    import cv2
-
-    return cv2.Rodrigues(np.ascontiguousarray(rotation))[0].ravel()
 
 
 def _expect_spread(sight: Sight, chosen: np.ndarray) -> None:
@@ -230,7 +221,7 @@ def _expect_one(sight: Sight, lens: _Lens, vector: np.ndarray, inliers: np.ndarr
     variance = max(sums[order[0]] / max(1, 2 * len(points) - 6), 0.02**2)
     for other in order[1:]:
         turn = lens.camera("", best).rotation @ lens.camera("", poses[other]).rotation.T
-        apart = float(np.degrees(np.linalg.norm(_rotation_vector(turn))))
+        apart = float(np.degrees(np.linalg.norm(rotation_vector(turn))))
         if apart > SAME_POSE_DEG and sums[other] - sums[order[0]] < DISTINCT * variance:
             raise UserError(
                 f"view {sight.name!r}: its points lie in a plane, and two cameras {apart:.0f} degrees apart explain "

@@ -108,11 +108,8 @@ def scale_turn(matrices: np.ndarray, centres: np.ndarray, factor: float) -> np.n
     if factor == -1 and circle.full and np.ptp(circle.steps_deg) < EQUAL_STEPS_DEG:
         return np.roll(matrices[::-1], 1, axis=0)
     angles = np.radians((1 - factor) * np.concatenate([[0.0], np.cumsum(circle.steps_deg[:-1])]))
-    x, y, z = circle.axis
-    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    sines, cosines = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
     motions = np.tile(np.eye(4), (len(matrices), 1, 1))
-    motions[:, :3, :3] += sines * across + (1 - cosines) * (across @ across)  # Rodrigues
+    motions[:, :3, :3] = rotation_matrix(angles[:, None] * circle.axis)
     motions[:, :3, 3] = circle.centre - motions[:, :3, :3] @ np.array(circle.centre)
     return matrices @ motions
 
@@ -200,12 +197,8 @@ def turned(camera: Camera, turn: CameraPath, angle: float) -> Camera:
 
 
 def scaled(camera: Camera, factor: float) -> Camera:
-    """Scale a camera to `factor` times as many pixels along each side; pixel centres stay at whole numbers."""
-    rows, columns = max(1, round(camera.rows * factor)), max(1, round(camera.columns * factor))
-    down, across = rows / camera.rows, columns / camera.columns
-    # continuous image coordinates start half a pixel before the centre of the first pixel
-    change = np.array([[across, 0, 0.5 * across - 0.5], [0, down, 0.5 * down - 0.5], [0, 0, 1]])
-    return replace(camera, intrinsics=change @ camera.intrinsics, rows=rows, columns=columns)
+    """Scale a camera to `factor` times as many pixels along each side, at least one."""
+    return camera.resize(max(1, round(camera.rows * factor)), max(1, round(camera.columns * factor)))
 
 
 def twist(rotation: np.ndarray, axis: np.ndarray) -> float:
@@ -220,29 +213,14 @@ def twist(rotation: np.ndarray, axis: np.ndarray) -> float:
 
 def rotation_vector(rotation: np.ndarray) -> np.ndarray:
     """(3,) axis times angle of a rotation matrix, radians; accurate at small angles and up to half a turn."""
-    skew = 0.5 * np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
-    sine, cosine = np.linalg.norm(skew), 0.5 * (np.trace(rotation) - 1)
-    angle = np.arctan2(sine, cosine)
-    if sine > 1e-6:
-        return skew * (angle / sine)
-    if cosine > 0:
-        return skew
-    # half a turn: the rotation is 2 a a^T - 1
-    outer = 0.5 * (rotation + np.eye(3))
-    column = outer[:, np.argmax(np.diag(outer))]
-    return angle * column / np.linalg.norm(column)
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(rotation).as_rotvec()
 
 
 def rotation_matrix(vectors: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) rotations about vectors (..., 3) by their lengths in radians (Rodrigues)."""
+    """(..., 3, 3) rotations about vectors (..., 3) by their lengths in radians."""
+    from scipy.spatial.transform import Rotation
+
     vectors = np.asarray(vectors, np.float64)
-    angles = np.linalg.norm(vectors, axis=-1)
-    # sin(x)/x and (1 - cos x)/x^2 without a division by zero
-    ratio = np.sinc(angles / np.pi)
-    half = np.sinc(angles / (2 * np.pi)) ** 2 / 2
-    cross = np.zeros((*vectors.shape, 3))
-    cross[..., 0, 1], cross[..., 0, 2], cross[..., 1, 2] = -vectors[..., 2], vectors[..., 1], -vectors[..., 0]
-    cross -= np.swapaxes(cross, -1, -2)
-    return np.eye(3) + ratio[..., None, None] * cross + half[..., None, None] * (cross @ cross)
+    return Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(*vectors.shape, 3)

@@ -67,7 +67,7 @@ def diffuse_reflectance(observations, directions, normals, *, usable, method="le
                 for k in range(channels):
                     sums[k] += np.where(good, observations[j, here, k], np.float32(0)) * factor
             values = (sums / np.where(weights > 0, weights, np.float32(1))).T
-            known = (weights > 0) & np.isfinite(values).all(axis=1)
+            known = np.logical_and(weights > 0, np.isfinite(values).all(axis=1))
             reflectance[here], used[here] = np.where(known[:, None], values, np.float32(0)), np.where(known, count, 0)
 
     with np.errstate(over="ignore", invalid="ignore"):
@@ -88,4 +88,5 @@ def _body(normals: np.ndarray, terms: np.ndarray | None, direction: np.ndarray) 
 def mean_of_channels(observations: np.ndarray) -> np.ndarray:
     """Mean (lights, rows, columns) float32 of observations (lights, rows, columns, channels) over the channels."""
     observations = np.asarray(observations, dtype=np.float32)
-    return sum(observations[..., k] for k in range(observations.shape[-1])) / np.float32(observations.shape[-1])
+    total = sum(observations[..., k] for k in range(observations.shape[-1]))
+    return np.asarray(total / np.float32(observations.shape[-1]))

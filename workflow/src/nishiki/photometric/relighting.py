@@ -102,7 +102,8 @@ def _least_squares(level, weight, basis, first, held) -> tuple[np.ndarray, np.nd
         right[:, i] = sum_lights(weighted, level) + held[i] * first[i]
         for k in range(i + 1):
             matrix[:, i, k] = matrix[:, k, i] = sum_lights(weighted, basis[k]) + (held[i] if i == k else 0)
-    sound = np.isfinite(matrix).all(axis=(1, 2)) & (np.diagonal(matrix, axis1=1, axis2=2) > 0).all(axis=1)
+    positive = (np.diagonal(matrix, axis1=1, axis2=2) > 0).all(axis=1)
+    sound = np.logical_and(positive, np.isfinite(matrix).all(axis=(1, 2)))
     matrix[~sound] = np.eye(size)
     return np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T, sound
 

@@ -152,7 +152,7 @@ def smooth_differences(
     for top in (y - first for y in _places(height) if first <= y and y + PATCH <= first + len(q)):
         rows, columns = np.s_[top : top + PATCH], across + np.arange(PATCH)[:, None]
         parts = (np.moveaxis(each[rows][:, columns], 1, 0) for each in (q, variance, usable))
-        smooth, weight = _smooth_squares(*parts, np.asarray(colour, np.float64))
+        smooth, weight = _smooth_squares(np.asarray(colour, np.float64), *parts)
         for column, part in zip(columns, smooth, strict=True):
             sums[rows, column] += part
             weights[rows, column] += weight
@@ -173,7 +173,7 @@ COSINES = COSINES.astype(np.float32)
 """(PATCH, PATCH) orthonormal cosine transform."""
 
 
-def _smooth_squares(q, variance, usable, colour):
+def _smooth_squares(colour, q, variance, usable):
     """Smooth squares (PATCH columns, PATCH rows, squares, n); return them times their weights (squares,), and these."""
     inside, n = usable.astype(np.float32), q.shape[-1]
     count = inside.reshape(PATCH * PATCH, -1).sum(axis=0)
