@@ -3,14 +3,12 @@
 Lengths in mm; the axis of the turntable is the y axis (upwards), the jar stands on y = 0.
 """
 
-import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from nishiki.packages import optional
-from nishiki.threads import over_rows
+from nishiki.threads import strips
 
 PARTS = ("body", "lid", "rope", "handles", "fruit", "animal")
 BODY, LID, ROPE, HANDLES, FRUIT, ANIMAL = range(6)
@@ -19,57 +17,52 @@ HIGH = (104.0, 188.0, 90.0)
 FLUTES = 14  # around the jar
 
 
-@numba.njit(cache=True)
 def smooth_union(a, b, k):
     """Minimum of two distances, rounded where they differ by less than k (quadratic blend)."""
-    h = max(k - abs(a - b), 0.0) / k
-    return min(a, b) - 0.25 * h * h * k
+    h = np.maximum(k - abs(a - b), 0.0) / k
+    return np.minimum(a, b) - 0.25 * h * h * k
 
 
-@numba.njit(cache=True)
 def _ball(x, y, z, centre, radii):
     """Approximate the distance from an ellipsoid."""
     (cx, cy, cz), (rx, ry, rz) = centre, radii
     u, v, w = (x - cx) / rx, (y - cy) / ry, (z - cz) / rz
-    k = math.sqrt(u * u + v * v + w * w)
-    g = math.sqrt((u / rx) ** 2 + (v / ry) ** 2 + (w / rz) ** 2)
-    return k * (k - 1.0) / g if g > 1e-9 else -min(rx, min(ry, rz))
+    k = np.sqrt(u * u + v * v + w * w)
+    g = np.sqrt((u / rx) ** 2 + (v / ry) ** 2 + (w / rz) ** 2)
+    return np.where(g > 1e-9, k * (k - 1.0) / np.maximum(g, 1e-9), -min(radii))
 
 
-@numba.njit(cache=True)
 def _limb(x, y, z, a, b, thick_a, thick_b):
     """Compute the distance from a rod with round ends whose thickness changes from a to b."""
     (ax, ay, az), (bx, by, bz) = a, b
     dx, dy, dz = bx - ax, by - ay, bz - az
     t = ((x - ax) * dx + (y - ay) * dy + (z - az) * dz) / (dx * dx + dy * dy + dz * dz)
-    t = min(max(t, 0.0), 1.0)
+    t = np.clip(t, 0.0, 1.0)
     px, py, pz = x - ax - t * dx, y - ay - t * dy, z - az - t * dz
-    return math.sqrt(px * px + py * py + pz * pz) - (thick_a + t * (thick_b - thick_a))
+    return np.sqrt(px * px + py * py + pz * pz) - (thick_a + t * (thick_b - thick_a))
 
 
-@numba.njit(cache=True)
 def _body(x, y, z, r, turn):
-    latitude = math.atan2(y - 58.0, r)
-    flute = math.cos(FLUTES * turn)
-    window = math.exp(-(((latitude - 0.15) / 0.55) ** 4))
+    latitude = np.arctan2(y - 58.0, r)
+    flute = np.cos(FLUTES * turn)
+    window = np.exp(-(((latitude - 0.15) / 0.55) ** 4))
     wide = 71.0 * (1.0 + 0.022 * window * flute)
     # Carved petals rise from the foot: pointed arches, each over two flutes.
-    arch = abs(math.sin(0.5 * FLUTES * turn))
-    petal = min(max((-0.30 - 0.42 * (1.0 - arch) - latitude) / 0.10, 0.0), 1.0)
-    wide += 1.6 * petal * petal * (3.0 - 2.0 * petal)
+    arch = abs(np.sin(0.5 * FLUTES * turn))
+    petal = np.clip((-0.30 - 0.42 * (1.0 - arch) - latitude) / 0.10, 0.0, 1.0)
+    wide = wide + 1.6 * petal * petal * (3.0 - 2.0 * petal)
     u, v = r / wide, (y - 58.0) / 57.0
     k = (abs(u) ** 2.3 + abs(v) ** 2.3) ** (1.0 / 2.3)
     body = (k - 1.0) * 58.0
-    wall = max(r - 40.0, abs(y - 106.0) - 13.0)
-    rim = math.sqrt((r - 40.5) ** 2 + (y - 118.5) ** 2) - 4.2
+    wall = np.maximum(r - 40.0, abs(y - 106.0) - 13.0)
+    rim = np.sqrt((r - 40.5) ** 2 + (y - 118.5) ** 2) - 4.2
     body = smooth_union(smooth_union(body, wall, 9.0), rim, 3.0)
-    foot = max(abs(r - 40.0) - 5.0, abs(y - 3.0) - 5.0)
+    foot = np.maximum(abs(r - 40.0) - 5.0, abs(y - 3.0) - 5.0)
     body = smooth_union(body, foot, 4.0)
-    inside = math.sqrt(r * r / 1600.0 + (y + 2.0) ** 2 / 49.0) - 1.0  # hollow under the foot
-    return max(max(body, -y), -7.0 * inside)
+    inside = np.sqrt(r * r / 1600.0 + (y + 2.0) ** 2 / 49.0) - 1.0  # hollow under the foot
+    return np.maximum(np.maximum(body, -y), -7.0 * inside)
 
 
-@numba.njit(cache=True)
 def _animal(x, y, z):
     side = abs(x)
     d = _ball(x, y, z, (0.0, 147.0, -3.0), (13.0, 12.0, 19.0))
@@ -81,78 +74,51 @@ def _animal(x, y, z):
     return smooth_union(d, _ball(x, y, z, (0.0, 149.0, -22.0), (5.0, 5.0, 4.5)), 2.0)
 
 
-@numba.njit(cache=True)
-def part_distances(x, y, z, out):
-    """Approximate signed distances (mm, negative inside) from the parts, in the order of `PARTS`, into out (6,)."""
-    r = math.sqrt(x * x + z * z)
-    turn = math.atan2(z, x)
-    out[BODY] = _body(x, y, z, r, turn)
+def part_distances(points: np.ndarray) -> np.ndarray:
+    """Approximate signed distances (mm, negative inside) of points (3, ...) from the parts, (6, ...) as in `PARTS`."""
+    x, y, z = points
+    r, turn = np.hypot(x, z), np.arctan2(z, x)
     dome = _ball(x, y, z, (0.0, 118.0, 0.0), (35.0, 18.0, 35.0))
-    step = max(r - 19.0, abs(y - 134.0) - 3.0)
-    out[LID] = smooth_union(max(dome, 112.0 - y), step, 2.0)
+    step = np.maximum(r - 19.0, abs(y - 134.0) - 3.0)
+    lid = smooth_union(np.maximum(dome, 112.0 - y), step, 2.0)
     ring, lift = r - 45.0, y - 105.0
-    twist = math.cos(2.0 * math.atan2(lift, ring) + 40.0 * turn)
-    out[ROPE] = 0.8 * (math.sqrt(ring * ring + lift * lift) - 4.6 - 0.8 * twist)
+    twist = np.cos(2.0 * np.arctan2(lift, ring) + 40.0 * turn)
+    rope = 0.8 * (np.hypot(ring, lift) - 4.6 - 0.8 * twist)
     across, rise = abs(x) - 74.0, y - 78.0
-    about = math.sqrt(across * across + rise * rise)
-    thick = 5.4 + 0.7 * math.cos(4.0 * math.atan2(rise, across))
-    out[HANDLES] = math.sqrt((about - 18.5) ** 2 + z * z) - thick
+    thick = 5.4 + 0.7 * np.cos(4.0 * np.arctan2(rise, across))
+    handles = np.hypot(np.hypot(across, rise) - 18.5, z) - thick
     fruit = _ball(x, y, z, (0.0, 93.0, 60.0), (12.0, 11.0, 12.0))
-    fruit = min(fruit, _ball(x, y, z, (17.0, 84.0, 62.0), (10.0, 9.5, 10.0)))
-    fruit = min(fruit, _ball(x, y, z, (-15.5, 81.0, 64.0), (9.5, 9.0, 9.5)))
-    out[FRUIT] = smooth_union(fruit, _limb(x, y, z, (-24.0, 96.0, 52.0), (22.0, 100.0, 50.0), 2.6, 2.0), 2.0)
-    out[ANIMAL] = _animal(x, y, z)
+    fruit = np.minimum(fruit, _ball(x, y, z, (17.0, 84.0, 62.0), (10.0, 9.5, 10.0)))
+    fruit = np.minimum(fruit, _ball(x, y, z, (-15.5, 81.0, 64.0), (9.5, 9.0, 9.5)))
+    fruit = smooth_union(fruit, _limb(x, y, z, (-24.0, 96.0, 52.0), (22.0, 100.0, 50.0), 2.6, 2.0), 2.0)
+    return np.stack([_body(x, y, z, r, turn), lid, rope, handles, fruit, _animal(x, y, z)])
 
 
-@numba.njit(cache=True)
-def distance(x, y, z, parts):
-    """Signed distance (approximate; exact in sign) from the whole object; parts (6,) is scratch."""
-    part_distances(x, y, z, parts)
+def distance(points: np.ndarray) -> np.ndarray:
+    """Signed distance (approximate; exact in sign) of points (3, ...) from the whole object."""
+    parts = part_distances(points)
     d = smooth_union(parts[BODY], parts[HANDLES], 5.0)
     d = smooth_union(d, parts[ROPE], 1.5)
     d = smooth_union(d, parts[FRUIT], 2.0)
-    return min(d, smooth_union(parts[LID], parts[ANIMAL], 2.0))
+    return np.minimum(d, smooth_union(parts[LID], parts[ANIMAL], 2.0))
 
 
-@numba.njit(cache=True)
-def gradient(x, y, z, parts, step):
-    """Gradient of `distance` by central differences over 2 step mm."""
-    gx = distance(x + step, y, z, parts) - distance(x - step, y, z, parts)
-    gy = distance(x, y + step, z, parts) - distance(x, y - step, z, parts)
-    gz = distance(x, y, z + step, parts) - distance(x, y, z - step, parts)
-    return 0.5 * gx / step, 0.5 * gy / step, 0.5 * gz / step
+def gradient(points: np.ndarray, step: float) -> np.ndarray:
+    """Gradient (3, n) of `distance` at points (3, n) by central differences over 2 step mm."""
+    steps = step * np.eye(3)[:, :, None]
+    return np.stack([distance(points + along) - distance(points - along) for along in steps]) * 0.5 / step
 
 
-@numba.njit(cache=True, nogil=True)
-def sample_layers(start, stop, origin, spacing, out):
-    """Distances on layers start..stop (first axis) of a grid with the given origin and spacing, into out."""
-    parts = np.empty(6)
-    for i in range(start, stop):
-        for j in range(out.shape[1]):
-            for k in range(out.shape[2]):
-                out[i, j, k] = distance(
-                    origin[0] + i * spacing, origin[1] + j * spacing, origin[2] + k * spacing, parts
-                )
+def settle(points: np.ndarray, rounds: int) -> tuple[np.ndarray, np.ndarray]:
+    """Move points (3, n) onto the surface along the gradient; return them and unit normals."""
+    for _ in range(rounds):
+        slope = gradient(points, 0.05)
+        points = points - np.clip(distance(points), -1.0, 1.0) / np.maximum((slope**2).sum(axis=0), 0.04) * slope
+    slope = gradient(points, 0.15)
+    return points, slope / np.maximum(np.linalg.norm(slope, axis=0), 1e-12)
 
 
-@numba.njit(cache=True, nogil=True)
-def settle(start, stop, points, normals, parts_out, rounds):
-    """Move points onto the surface along the gradient; write unit normals and the distances from the parts."""
-    parts = np.empty(6)
-    for p in range(start, stop):
-        x, y, z = points[p, 0], points[p, 1], points[p, 2]
-        for _ in range(rounds):
-            gx, gy, gz = gradient(x, y, z, parts, 0.05)
-            square = max(gx * gx + gy * gy + gz * gz, 0.04)
-            move = min(max(distance(x, y, z, parts), -1.0), 1.0) / square
-            x, y, z = x - move * gx, y - move * gy, z - move * gz
-        gx, gy, gz = gradient(x, y, z, parts, 0.15)
-        length = max(math.sqrt(gx * gx + gy * gy + gz * gz), 1e-12)
-        points[p, 0], points[p, 1], points[p, 2] = x, y, z
-        normals[p, 0], normals[p, 1], normals[p, 2] = gx / length, gy / length, gz / length
-        part_distances(x, y, z, parts_out[p])
-
-
+_BATCH = 4096  # points at a time
 _COARSE_MM = 5.0
 _CREASE = 0.9  # cosine between the gradient and the mean normal of the triangles
 
@@ -197,8 +163,8 @@ def _march(spacing: float) -> tuple[np.ndarray, np.ndarray]:
     from skimage.measure import marching_cubes
 
     shape = [int(np.ceil((high - low) / spacing)) + 1 for low, high in zip(LOW, HIGH, strict=True)]
-    field = np.empty(shape, np.float32)
-    over_rows(sample_layers, shape[0], np.array(LOW), float(spacing), field)
+    x, y, z = (low + spacing * np.arange(size) for low, size in zip(LOW, shape, strict=True))
+    field = np.stack([distance(np.stack(np.meshgrid(a, y, z, indexing="ij"))[:, 0]) for a in x]).astype(np.float32)
     vertices, faces, _, _ = marching_cubes(field, 0.0, spacing=(spacing,) * 3, allow_degenerate=False)
     vertices = vertices.astype(np.float64) + LOW
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
@@ -208,9 +174,10 @@ def _march(spacing: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _settled(vertices: np.ndarray, faces: np.ndarray) -> SimulatedSurface:
-    points = np.ascontiguousarray(vertices, np.float64)
-    normals, parts = np.empty_like(points), np.empty((len(points), len(PARTS)))
-    over_rows(settle, len(points), points, normals, parts, 3)
+    points, normals, parts = np.empty_like(vertices), np.empty_like(vertices), np.empty((len(vertices), len(PARTS)))
+    for some in strips(len(points), _BATCH):
+        place, slope = settle(vertices[some].T, 3)
+        points[some], normals[some], parts[some] = place.T, slope.T, part_distances(place).T
     # Where two parts meet in a crease the gradient is that of one of them only: there use the triangles'.
     mean = _triangle_normals(points, faces)
     crease = np.einsum("ij,ij->i", mean, normals) < _CREASE
