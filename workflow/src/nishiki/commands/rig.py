@@ -175,7 +175,8 @@ def _try_axis(axis: Any) -> str:
     target = low + (high - low) / 12
     axis.move_to(target)
     axis.move_to(low)
-    return f"homed, turned to {target:g} and back to {low:g} degrees"
+    unit = "mm" if getattr(axis, "straight", False) else "degrees"
+    return f"homed, moved to {target:g} and back to {low:g} {unit}"
 
 
 def _try_polariser(polariser: Any) -> str:

@@ -204,9 +204,12 @@ class GrblSettings(Closed):
     kind: Literal["grbl"]
     port: str = Field(description="serial port")
     axis: Literal["X", "Y", "Z", "A", "B", "C"] = Field(description="letter of the axis")
-    units_per_degree: float = Field(1.0, description="units of the controller for a degree; negative: the other way")
-    home_deg: float = Field(0.0, description="angle at which homing ends")
-    range_deg: tuple[float, float] = Field((0.0, 360.0), description="smallest and largest angle")
+    units_per_degree: float = Field(
+        1.0, description="units of the controller for a degree (straight: a millimetre); negative: the other way"
+    )
+    home_deg: float = Field(0.0, description="angle (straight: millimetres) at which homing ends")
+    range_deg: tuple[float, float] = Field((0.0, 360.0), description="smallest and largest angle or millimetre")
+    straight: bool = Field(False, description="goes along a line, and counts millimetres instead of degrees")
     baud: Baud = Field(115200, description="bits per second")
 
     @model_validator(mode="after")
@@ -223,7 +226,7 @@ class GrblAxis:
 
     def __init__(self, name: str, controller: Grbl, settings: GrblSettings) -> None:
         self.name, self.controller, self.settings = name, controller, settings
-        self.range_deg = settings.range_deg
+        self.range_deg, self.straight = settings.range_deg, settings.straight
 
     def home(self) -> None:
         """Home all axes of the controller, unless they are."""

@@ -68,7 +68,7 @@ class RigDescription(Closed):
 
     camera: CameraSettings = Field(description="the camera")
     lamps: LampSettings | None = Field(None, description="lamps that this computer switches")
-    axes: dict[str, AxisSettings] = Field({}, description="turning axes by name: turntable, or those of a goniometer")
+    axes: dict[str, AxisSettings] = Field({}, description="axes by name: turntable, of a goniometer, of a stage")
     polarisers: dict[str, PolariserSettings] = Field({}, description="polarisers by name")
 
     @model_validator(mode="after")
@@ -282,7 +282,8 @@ class OpenedRig:
             rig.polarisers[name].set(state)
         for name, angle in frame.axes:
             axis = rig.axes[name]
-            axis.move_to(reachable_angle(angle, axis.range_deg, f"{frame.file}: axis {name}"))
+            straight = getattr(axis, "straight", False)
+            axis.move_to(reachable_angle(angle, axis.range_deg, f"{frame.file}: axis {name}", straight=straight))
         if rig.lamps is not None and (frame.lamp is not None or frame.group == "dark"):
             rig.lamps.light(frame.lamp)
         wanted = Exposure(seconds, frame.aperture, frame.iso)
@@ -307,18 +308,22 @@ def expect_devices(frames: tuple[PlannedFrame, ...], rig: Rig | RigDescription) 
             raise UserError(f"{where}. Remedy: use one name in both")
     for frame in frames:
         for name, angle in frame.axes:
-            limits = getattr(rig.axes[name], "range_deg", None)
+            limits, straight = (getattr(rig.axes[name], key, None) for key in ("range_deg", "straight"))
             if limits is not None:
-                reachable_angle(angle, limits, f"plan: {frame.file}: axis {name}")
+                reachable_angle(angle, limits, f"plan: {frame.file}: axis {name}", straight=bool(straight))
         for name, state in frame.polarisers:
             states = getattr(rig.polarisers[name], "states", None)
             if states is not None and state not in states:
                 raise UserError(f"plan: {frame.file}: polariser {name} has {', '.join(states)}, not '{state}'")
 
 
-def reachable_angle(angle: float, limits: tuple[float, float], where: str) -> float:
-    """Return the angle, or the same direction one turn away, inside the range of an axis."""
-    for turned in (angle, angle - 360, angle + 360):
+def reachable_angle(angle: float, limits: tuple[float, float], where: str, *, straight: bool = False) -> float:
+    """Return the angle, or the same direction one turn away, inside the range of an axis; straight axes have no turn.
+
+    Raises UserError where the axis does not reach it.
+    """
+    for turned in (angle,) if straight else (angle, angle - 360, angle + 360):
         if limits[0] - 1e-9 <= turned <= limits[1] + 1e-9:
             return turned
-    raise UserError(f"{where}: expected {limits[0]:g} to {limits[1]:g} degrees, found {angle:g}")
+    unit = "mm" if straight else "degrees"
+    raise UserError(f"{where}: expected {limits[0]:g} to {limits[1]:g} {unit}, found {angle:g}")

@@ -92,7 +92,10 @@ class Lamps(Protocol):
 
 
 class Axis(Protocol):
-    """A turning axis: a turntable, or one arm of a goniometer."""
+    """A turning axis: a turntable, or one arm of a goniometer.
+
+    One that goes along a line has an attribute `straight`, which is True, and counts millimetres.
+    """
 
     range_deg: tuple[float, float]  # smallest and largest angle, in degrees
 

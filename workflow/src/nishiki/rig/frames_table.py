@@ -9,7 +9,7 @@ import csv
 import math
 import shutil
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,8 @@ AUTOMATIC = {"object": "auto:object", "white": "auto:white"}
 COLUMNS = ("file", "role", "lamp", "light", "view", "polariser", *ANGLES, "exposure_s", "aperture", "iso")
 AXIS, POLARISER = "axis:", "polariser:"
 """Beginnings of the columns that a rig's axes and polarisers have by their names."""
+FIELDS = "fields"
+"""Folder of the fields of a mosaic; the files of one are in a folder of its name there."""
 ESTIMATES = ("seconds", "bytes")
 PLAN_LINE = "# plan: "
 ALL_ROLES = tuple(dict.fromkeys(ROLES + TURNTABLE_ROLES))
@@ -44,7 +46,7 @@ class PlannedFrame:
     view: str = ""
     polariser: str = ""
     angles_deg: tuple[float, ...] = ()
-    # axes, polarisers: angle in degrees of each axis and state of each polariser of the rig, by name
+    # axes, polarisers: angle in degrees (straight: millimetres) of each axis, state of each polariser, by name
     axes: tuple[tuple[str, float], ...] = ()
     polarisers: tuple[tuple[str, str], ...] = ()
     exposure_s: float | str | None = None  # seconds; `auto:object` or `auto:white`; None: as the camera is set
@@ -57,6 +59,23 @@ class PlannedFrame:
     def group(self) -> str:
         """What stands before the camera: object, white, board or dark."""
         return self.role if self.role in ("white", "board", "dark") else "object"
+
+
+def by_field(frames: tuple[PlannedFrame, ...]) -> dict[str, tuple[PlannedFrame, ...]]:
+    """Divide the frames of a mosaic into those of each field, with boards and darks; empty where they have no fields.
+
+    Files are named within the field.
+    """
+    parts = [frame.file.split("/", 2) for frame in frames]
+    names = dict.fromkeys(part[1] for part in parts if part[0] == FIELDS and len(part) > 2)
+    return {
+        name: tuple(
+            replace(frame, file=part[2]) if part[0] == FIELDS else frame
+            for frame, part in zip(frames, parts, strict=True)
+            if part[0] != FIELDS or part[1] == name
+        )
+        for name in names
+    }
 
 
 def table_text(frames: tuple[PlannedFrame, ...], plan: Path | str) -> str:

@@ -18,7 +18,7 @@ from nishiki.formats.picture_files import IMAGE_SUFFIXES
 from nishiki.goniometry.directions import between, unit
 from nishiki.rig.described import States
 from nishiki.rig.description import read_yaml
-from nishiki.rig.frames_table import AUTOMATIC, PlannedFrame
+from nishiki.rig.frames_table import AUTOMATIC, FIELDS, PlannedFrame
 
 When = Literal["before", "after"]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -79,7 +79,7 @@ class Estimate(Closed):
 
     frame_mb: Positive = Field(30.0, description="size of a photograph, megabytes")
     download_s: Positive = Field(3.0, description="seconds from the end of an exposure until the next may begin")
-    degrees_per_s: Positive = Field(10.0, description="speed of the axes")
+    degrees_per_s: Positive = Field(10.0, description="speed of the axes; millimetres of straight ones")
     polariser_s: Positive = Field(2.0, description="seconds for a change of the polarisers")
 
 
@@ -121,6 +121,38 @@ class Plan(Closed):
         return self
 
 
+class FieldGrid(Closed):
+    """Overlapping fields of a painting, in rows and columns; two straight axes go to them."""
+
+    rows: Annotated[int, Field(strict=True, ge=1, le=26)] = Field(description="a, b … from the upper edge")
+    columns: Annotated[int, Field(strict=True, ge=1, le=1000)] = Field(description="1, 2 … from the left edge")
+    step_mm: tuple[Positive, Positive] = Field(description="from a field to its neighbour, to the right and down")
+    first_mm: tuple[float, float] = Field((0.0, 0.0), description="where the axes stand for field a1")
+    axes: tuple[str, str] = Field(("x", "y"), description="names in the rig's description: to the right, up")
+    moves: Literal["camera", "painting"] = Field("camera", description="what the axes move")
+
+    @model_validator(mode="after")
+    def _several(self) -> "FieldGrid":
+        if self.rows * self.columns < 2:
+            raise ValueError("one field is no mosaic; leave `fields` out")
+        return self
+
+    @property
+    def sign(self) -> int:
+        """Direction in which the camera's place on the painting goes when an axis goes up."""
+        return 1 if self.moves == "camera" else -1
+
+    def places(self) -> dict[str, tuple[tuple[str, float], ...]]:
+        """Where the axes stand, by names of fields; every other row backwards."""
+        found: dict[str, tuple[tuple[str, float], ...]] = {}
+        for row, column in product(range(self.rows), range(self.columns)):
+            column = self.columns - 1 - column if row % 2 else column
+            moved = self.first_mm[0] + self.sign * column * self.step_mm[0]
+            lifted = self.first_mm[1] - self.sign * row * self.step_mm[1]
+            found[f"{chr(ord('a') + row)}{column + 1}"] = ((self.axes[0], moved), (self.axes[1], lifted))
+        return found
+
+
 class DomePlan(Plan):
     """A flat object under lamps that shine one after the other."""
 
@@ -128,6 +160,7 @@ class DomePlan(Plan):
     lights: str = Field(description=".lp file, relative to the plan; its line n is lamp n")
     lights_kind: Literal["direction", "position_mm"] = Field("direction", description="what the file holds")
     checks_for: tuple[str, ...] = Field((), description="names of lamps that are kept for evaluation")
+    fields: FieldGrid | None = Field(None, description="fields of a mosaic that two axes go to; left out: one")
 
 
 class TurntablePlan(Plan):
@@ -247,10 +280,12 @@ def _dome_frames(plan: DomePlan, lights: Lights) -> dict[str, list[PlannedFrame]
     held = {lights.find(name) for name in plan.checks_for}
     (exposure,), (white_exposure,) = _exposures(plan, "object"), _exposures(plan, "white")
     groups: dict[str, list[PlannedFrame]] = {"object": [], "white": []}
-    for i, name in enumerate(lights.names):
-        role = "check" if i in held else "sample"
-        groups["object"].append(_frame(plan, f"frames/{name}", role, exposure, lamp=i + 1, light=name))
-        groups["white"].append(_frame(plan, f"white/{name}", "white", white_exposure, lamp=i + 1, light=name))
+    places = {f"{FIELDS}/{name}/": axes for name, axes in plan.fields.places().items()} if plan.fields else {"": ()}
+    for (i, name), (folder, axes) in ((lamp, place) for place in places.items() for lamp in enumerate(lights.names)):
+        shared, role = {"lamp": i + 1, "light": name, "axes": axes}, "check" if i in held else "sample"
+        groups["object"].append(_frame(plan, f"{folder}frames/{name}", role, exposure, **shared))
+        if len(groups["white"]) == i:
+            groups["white"].append(_frame(plan, f"white/{name}", "white", white_exposure, **shared))
     return groups
 
 
@@ -371,7 +406,9 @@ def _with_estimates(plan: AnyPlan, frames: list[PlannedFrame]) -> list[PlannedFr
     for frame in frames:
         exposure = frame.exposure_s if isinstance(frame.exposure_s, float) else plan.auto.start_s
         seconds = exposure + estimate.download_s
-        turns = [abs((angle - before.get(name, 0.0) + 180) % 360 - 180) for name, angle in frame.axes]
+        turns = [abs(angle - before.get(name, 0.0)) for name, angle in frame.axes]
+        if plan.kind != "dome":
+            turns = [min(turn % 360, -turn % 360) for turn in turns]
         seconds += max(turns, default=0.0) / estimate.degrees_per_s
         before |= dict(frame.axes)
         if frame.polarisers and frame.polarisers != state:

@@ -20,12 +20,16 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+from nishiki.capture.folder import load_capture
+from nishiki.capture.mosaic import TABLE as MOSAIC
+from nishiki.capture.mosaic import MosaicCapture
 from nishiki.capture.schema_base import CameraResponse, validate
 from nishiki.capture.seal import MANIFEST, capture_digest, read_manifest, seal, sha256_of
 from nishiki.capture.taking import channel_names
-from nishiki.errors import UserError
+from nishiki.capture.taking import table_text as rows_text
+from nishiki.errors import UserError, require
 from nishiki.formats.exif import read_exif
 from nishiki.formats.files import flush, put_file
 from nishiki.formats.images import read_codes, read_header
@@ -33,7 +37,7 @@ from nishiki.formats.problems import CaptureError, group_problems
 from nishiki.rig.description import OpenedRig, expect_devices, open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Rig, ask_operator
 from nishiki.rig.frame_check import Measures, Neighbours, measure
-from nishiki.rig.frames_table import AUTOMATIC, PlannedFrame, read_table, summary, table_text
+from nishiki.rig.frames_table import AUTOMATIC, FIELDS, PlannedFrame, by_field, read_table, summary, table_text
 from nishiki.rig.plan import ReadPlan, read_plan
 from nishiki.rig.records import Journal, RunState, capture_settings, refuse_unusable_settings, write_tables
 
@@ -50,6 +54,8 @@ WAIT_S = 2.0
 """Seconds before the first reconnection; each further one waits twice as long."""
 GOOD_PEAK = (0.55, 0.85)
 """Of full scale: where the automatic exposure puts the brightest pixels but one in a thousand."""
+OVERLAP = 0.1
+"""Share of a field that its neighbour must show too: matches of the mosaic need about this much."""
 TRIALS = 12  # exposures of an automatic one
 SAME_COMMAND = "Nothing is lost: the same command goes on with this frame"
 
@@ -94,8 +100,40 @@ def run_capture(
         The plan, the rig or a frame needs a person. Nothing is lost: the same call goes on.
     """
     read, frames = read_frames_of(plan)
-    run = CaptureRun(rig, read, frames, Path(capture), observer or RunState(), open_devices, ask, pause)
-    return run.complete(plan)
+    capture, fields = Path(capture), by_field(frames)
+    runs = {
+        name: CaptureRun(rig, read, part, capture / name, observer or RunState(), open_devices, ask, pause)
+        for name, part in ({f"{FIELDS}/{name}": part for name, part in fields.items()} or {".": frames}).items()
+    }
+    before = None
+    for run in runs.values():
+        digest = run.complete(plan, like=before)
+        if fields and before is None:
+            expect_overlap(read, run.capture)
+        before = run
+    if not fields:
+        return digest
+    grid = require(getattr(read.settings, "fields", None))
+    rows: list[tuple[str, ...]] = [("field", "path", "x_mm", "y_mm")]
+    for name, part in fields.items():
+        stands = dict(next(frame.axes for frame in part if frame.group == "object"))
+        rows.append((name, f"{FIELDS}/{name}", *(f"{grid.sign * stands[axis]:.10g}" for axis in grid.axes)))
+    put_file(capture / MOSAIC, rows_text(rows))
+    return cast(MosaicCapture, load_capture(capture)).digest
+
+
+def expect_overlap(plan: ReadPlan, field: Path) -> None:
+    """UserError where neighbours of this field, whose size and scale are known, would overlap by too little."""
+    grid, pitch = require(getattr(plan.settings, "fields", None)), plan.settings.capture.get("pixel_pitch_mm")
+    header = read_header(next((field / "data" / "frames").iterdir()))
+    sizes = (grid.columns, header.columns), (grid.rows, header.rows)
+    for (count, size), step in zip(sizes, grid.step_mm, strict=True):
+        if pitch and count > 1 and step > (1 - OVERLAP) * size * pitch:
+            raise UserError(
+                f"plan: fields.step_mm: a field is {size * pitch:g} mm wide or high, so steps of {step:g} mm leave an "
+                f"overlap of {max(1 - step / size / pitch, 0):.0%}. Remedy: step_mm of at most "
+                f"{(1 - OVERLAP) * size * pitch:.4g} there, and a new name for the capture; or correct pixel_pitch_mm"
+            )
 
 
 def read_frames_of(plan: Path) -> tuple[ReadPlan, tuple[PlannedFrame, ...]]:
@@ -114,8 +152,9 @@ def describe_run(rig: Path, plan: Path, capture: Path) -> str:
     """
     _read, frames = read_frames_of(plan)
     expect_devices(frames, read_rig(rig))
-    events = list(Journal(work_folder(capture) / "journal.jsonl").events())
-    kept = {event["file"] for event in events if event["event"] == "frame"}
+    places = [capture / FIELDS / name for name in by_field(frames)] or [capture]
+    events = [event for place in places for event in Journal(work_folder(place) / "journal.jsonl").events()]
+    kept = [event["file"] for event in events if event["event"] == "frame"]
     text = table_text(frames, os.path.relpath(plan)) + summary(frames, capture)
     return f"{text}\n{len(kept)} of them are kept already" if kept else text
 
@@ -151,15 +190,18 @@ class CaptureRun:
         self.exposures: dict[str, float] = {}
         self.subject: str | None = "object"
 
-    def complete(self, plan_file: Path) -> str:
-        """Take what is missing, then check, put in place and seal."""
+    def complete(self, plan_file: Path, *, like: "CaptureRun | None" = None) -> str:
+        """Take what is missing, then check, put in place and seal.
+
+        like: the field of the same mosaic that was finished before; its boards, darks and exposures serve this one too.
+        """
         checked = any(event["event"] == "checked" for event in self.journal.events())
         if self._is_in_place() and not checked:
             raise UserError(f"{self.capture}: exists already. Remedy: choose another name; nothing is overwritten")
         with self._locked():
             try:
                 if not self._is_in_place():
-                    self._begin(plan_file)
+                    self._begin(plan_file, like)
                     for frame in self.frames:
                         if frame.file not in self.kept:
                             self._take(frame)
@@ -188,17 +230,17 @@ class CaptureRun:
                 raise UserError(f"{self.capture}: another run takes it now. Remedy: wait, or end it") from None
             yield
 
-    def _begin(self, plan_file: Path) -> None:
+    def _begin(self, plan_file: Path, like: "CaptureRun | None") -> None:
         """Prepare the folder, or recognise what an earlier run left in it."""
         for folder in (self.payload, self.incoming, self.work / "rejected", self.work / "companions"):
             folder.mkdir(exist_ok=True)
         self._keep_table(plan_file)
         write_tables(self.payload, self.plan, self.frames, {})
         refuse_unusable_settings(self.payload)
-        for event in self.journal.events():
-            if event["event"] == "frame":
-                self.kept[event["file"]] = event
-            elif event["event"] == "exposure":
+        own = [*self.journal.events()]
+        self.kept = {event["file"]: event for event in own if event["event"] == "frame"}
+        for event in [*(like.journal.events() if like else ()), *own]:
+            if event["event"] == "exposure":
                 self.exposures[event["group"]] = event["exposure_s"]
             elif event["event"] == "subject":
                 self.subject = event["subject"]
@@ -207,8 +249,21 @@ class CaptureRun:
         for file in [file for file, event in self.kept.items() if not self._is_kept(event)]:
             self._note("missing", file=file)
             del self.kept[file]
+        if like is not None:
+            self._share(like)
         self._note("begin", frames=len(self.frames), kept=len(self.kept))
         self.observer.started(self.frames, set(self.kept), self.camera)
+
+    def _share(self, other: "CaptureRun") -> None:
+        """Take over what was photographed once for all fields, and is not here yet."""
+        shared = {frame.file for frame in self.frames if frame.group in ("white", "dark")} - set(self.kept)
+        for event in other.journal.events():
+            if event["event"] == "frame" and event["file"] in shared:
+                copy = self.incoming / "shared"
+                shutil.copyfile(other.capture / "data" / event["file"], copy)
+                facts = {key: value for key, value in event.items() if key not in ("time", "event")}
+                self.kept[event["file"]] = self._note("frame", **facts)
+                self._rename(copy, self.payload / event["file"])
 
     def _keep_table(self, plan_file: Path) -> None:
         """Write the table beside the journal; UserError where the run began with another one."""
