@@ -140,7 +140,14 @@ def test_a_sweep_over_all_scenes_takes_the_fields_of_a_mosaic(project):
     assert [swept.scene for swept in flow.sweep.scenes] == ["wall--a1", "wall--a2", "other"]
 
 
-@pytest.mark.parametrize("settings", [{"hold_out": ["L01"]}, {"normals": {"given": "wall/fields.csv"}}])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"hold_out": ["L01"]},
+        {"normals": {"given": "wall/fields.csv"}},
+        {"products": ["export"], "export": {"formats": ["normals", "relight"]}},
+    ],
+)
 def test_settings_that_no_mosaic_can_follow_are_refused(project, settings):
     Workflow({**VALUES, **settings}, only=["other"])
     with pytest.raises(UserError, match="wall"):

@@ -108,9 +108,8 @@ def make_plan(scene: Scene, facts: SceneFacts, fields: Mapping[str, Plan] = Mapp
 
     Raises UserError where a product that was asked for by name cannot be made, with the reason.
     """
-    if facts.fields and scene.settings.normals.given:
-        remedy = "Remedy: leave it out; one picture cannot hold the normals of every field"
-        raise UserError(f"scene {scene.name!r}: normals.given is not for a mosaic. {remedy}")
+    if facts.fields:
+        expect_of_mosaic(scene)
     chain = chain_of(facts.geometry)
     held_out = held_out_of(scene.settings.hold_out, scene, facts)
     settings: dict[str, Closed] = {}
@@ -167,6 +166,27 @@ def make_plan(scene: Scene, facts: SceneFacts, fields: Mapping[str, Plan] = Mapp
     return Plan(scene, facts, stages, left_out, held_out, packages, idle)
 
 
+def expect_of_mosaic(scene: Scene) -> None:
+    """Raise UserError where settings ask of a mosaic what fields alone can give."""
+    asked, own = scene.settings, "give the capture of a field a scene of its own"
+    relight = "export" in scene.products and "relight" in asked.export.formats
+    for wrong, what, remedy in (
+        (asked.normals.given, "normals.given: one picture cannot hold the normals of every field", "leave it out"),
+        (
+            asked.hold_out not in ("auto", "none"),
+            "hold_out: no lights are left out of joined maps",
+            f"leave it out, or {own}",
+        ),
+        (
+            relight,
+            "export.formats: relight is fitted to photographs, which fields alone have",
+            f"take it out, or {own}",
+        ),
+    ):
+        if wrong:
+            raise UserError(f"scene {scene.name!r}, a mosaic: {what}. Remedy: {remedy}")
+
+
 def _read_by_ingest(
     scene: Scene, facts: SceneFacts, settings: dict[str, Closed], needed: set[str], held_out: tuple[str, ...]
 ) -> tuple[Closed, dict[str, str]]:
@@ -209,9 +229,6 @@ def held_out_of(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) 
 
     auto: a tenth of at least 16 lights, a twelfth of at least 16 views, where neither truth nor check lights exist.
     """
-    if facts.fields and not isinstance(choice, str):
-        remedy = "Remedy: leave hold_out out; for errors under other lamps give one field a scene of its own"
-        raise UserError(f"scene {scene.name!r}: lights are not held out of a mosaic. {remedy}")
     if choice == "none" or facts.fields:
         return ()
     series, what = facts.series, "view" if facts.geometry == "turntable" else "light"

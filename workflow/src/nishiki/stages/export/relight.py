@@ -11,7 +11,6 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import srgb_encode
-from nishiki.errors import UserError
 from nishiki.formats.legacy_rti import read_ptm, write_ptm
 from nishiki.formats.picture_tiles import picture_on_disk, read_full_resolution, read_jpeg, write_deep_zoom, write_jpeg
 from nishiki.observations.plane import Observations
@@ -45,11 +44,6 @@ DecodedRows = tuple[slice, np.ndarray]
 def write(context: Context, scene: ExportedScene) -> dict:
     """Write a folder `relight_KIND` for every kind; return their errors against photographs."""
     frames = Observations(context.inputs["ingest"].folder)
-    if not frames.lights:
-        what = "relightable images are fitted to photographs, and a mosaic has those of its fields alone"
-        raise UserError(
-            f"{context.stamp['scene']}: {what}. Remedy: leave relight out of export.formats, or export a field"
-        )
     settings = context.settings.relight
     hold_out = context.settings.hold_out
     fitted = frames.fit_lights(hold_out)
