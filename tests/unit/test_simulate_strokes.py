@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.simulate.painting.objects import Strokes, apply_strokes, stroke_profile
 from nishiki.simulate.painting.picture import CanvasMap
-from nishiki.simulate.randomness import fractal_noise, hash_uint, line_noise, normal, plane_noise, uniform
+from nishiki.simulate.randomness import fractal_noise, hash_uint, line_noise, normals, plane_noise, uniform, uniforms
 
 MASK = (1 << 64) - 1
 
@@ -44,10 +44,11 @@ def test_noise_equals_slow_form():
 
 
 def test_hashed_numbers_are_uniform_and_normal():
-    values = np.array([uniform(np.uint64(9), np.uint64(n)) for n in range(20000)])
+    values = uniforms(9, np.arange(20000))
+    assert values[:9].tolist() == [uniform(np.uint64(9), np.uint64(n)) for n in range(9)]
     assert abs(values.mean() - 0.5) < 0.01
     assert np.histogram(values, 10, (0, 1))[0].min() > 1800
-    bells = np.array([normal(np.uint64(9), np.uint64(n)) for n in range(20000)])
+    bells = normals(9, np.arange(20000))
     assert abs(bells.mean()) < 0.03
     assert abs(bells.std() - 1) < 0.02
     steps = np.array([line_noise(np.uint64(1), x) for x in np.arange(0, 20, 0.01)])

@@ -8,11 +8,10 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.simulate.randomness import normal
+from nishiki.simulate.randomness import normals
 from nishiki.threads import over_rows
 
 
@@ -95,22 +94,6 @@ def _lobe(w, peak, centre, below, above):
     return peak * np.exp(-0.5 * ((w - centre) / np.where(w < centre, below, above)) ** 2)
 
 
-@numba.njit(cache=True, nogil=True)
-def _expose(start, stop, signal, sensor, key, first, codes):
-    full_scale, black, electrons, read_noise, noisy = sensor
-    columns, channels = signal.shape[1], signal.shape[2]
-    for row in range(start, stop):
-        for column in range(columns):
-            for channel in range(channels):
-                count = max(np.float64(signal[row, column, channel]), 0.0) * electrons
-                if noisy:
-                    place = np.uint64(((first + row) * columns + column) * channels + channel)
-                    # One normal number serves both: shot noise of a large count is normal with that variance.
-                    count += math.sqrt(count + read_noise * read_noise) * normal(key, place)
-                code = math.floor(black + count / electrons * (full_scale - black) + 0.5)
-                codes[row, column, channel] = min(max(code, 0.0), full_scale)
-
-
 def dark_frame(shape: tuple[int, ...], camera: CameraSettings, *, key: int) -> np.ndarray:
     """Codes (rows, columns, channels) with the lens closed: black level and read noise."""
     return expose(np.zeros(shape, np.float32), camera, key=key)
@@ -122,17 +105,19 @@ def expose(signal: np.ndarray, camera: CameraSettings, *, key: int, first_row: i
     Shot noise is taken as normal (the well holds thousands of electrons; below some ten electrons the read noise
     hides the difference). `first_row` is the row of the image at which this band starts, so that bands join exactly.
     """
-    codes = np.empty(signal.shape, np.uint16)
-    full = float(2**camera.bits - 1)
-    over_rows(
-        _expose,
-        len(codes),
-        np.ascontiguousarray(signal, np.float32),
-        (full, float(camera.black_level), camera.full_well, camera.read_noise, camera.noise),
-        np.uint64(key),
-        first_row,
-        codes,
-    )
+    codes, full, each = np.empty(signal.shape, np.uint16), 2**camera.bits - 1, math.prod(signal.shape[1:])
+
+    def fill(start: int, stop: int, signal: np.ndarray) -> None:
+        for row in range(start, stop):
+            count = np.maximum(signal[row].astype(float), 0.0) * camera.full_well
+            if camera.noise:
+                # One normal number serves both: shot noise of a large count is normal with that variance.
+                places = np.arange((first_row + row) * each, (first_row + row + 1) * each).reshape(count.shape)
+                count += np.sqrt(count + camera.read_noise**2) * normals(key, places)
+            code = camera.black_level + count / camera.full_well * (full - camera.black_level)
+            codes[row] = np.clip(np.floor(code + 0.5), 0, full)
+
+    over_rows(fill, len(codes), np.asarray(signal, np.float32))
     return codes
 
 

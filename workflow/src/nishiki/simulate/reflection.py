@@ -9,13 +9,18 @@ import numba
 import numpy as np
 
 
-@numba.njit(cache=True)
-def fresnel(cosine, index):
-    """Unpolarised reflectance of a dielectric surface, exact; cosine of incidence 0..1, index of refraction > 1."""
-    g = math.sqrt(index * index - 1.0 + cosine * cosine)
+def dielectric_fresnel(cosine, index):
+    """Unpolarised reflectance of a dielectric surface, exact; cosine of incidence 0..1, index of refraction > 1.
+
+    Numbers, or arrays; kernels call it by the name `fresnel`.
+    """
+    g = np.sqrt(index * index - 1.0 + cosine * cosine)
     ratio = (g - cosine) / (g + cosine)
     second = (cosine * (g + cosine) - 1.0) / (cosine * (g - cosine) + 1.0)
     return 0.5 * ratio * ratio * (1.0 + second * second)
+
+
+fresnel = numba.njit(cache=True)(dielectric_fresnel)
 
 
 @numba.njit(cache=True)
@@ -35,37 +40,38 @@ def ggx_gloss(n_l, n_v, n_h, v_h, alpha, index):
     return a2 / (spread * spread) * fresnel(min(v_h, 1.0), index) * 0.5 / (light + view) * n_l
 
 
-@numba.njit(cache=True)
 def facets(half, light, view, alpha_t, alpha_b):
     """Compute π D G₂ / (4 n·v) of anisotropic GGX facets, without Fresnel's factor.
 
     Heitz, Understanding the masking-shadowing function, JCGT 3(2), 2014: eq. 85 (distribution), 86 (slopes' variance
     along a direction), 99 (height-correlated masking). Components of half vector, light and view: along the tangent,
-    the bitangent, the normal.
+    the bitangent, the normal; arrays of one shape. 0 where light or view is below the surface.
     """
     (h_t, h_b, h_n), (l_t, l_b, n_l), (v_t, v_b, n_v) = half, light, view
-    if n_l <= 0.0 or n_v <= 0.0:
-        return 0.0
+    above = (n_l > 0.0) & (n_v > 0.0)
     spread = (h_t / alpha_t) ** 2 + (h_b / alpha_b) ** 2 + h_n * h_n
     # Masking with both square roots over a common denominator: no division by n·l or n·v, finite at grazing angles.
-    lit = math.sqrt(n_l * n_l + (alpha_t * l_t) ** 2 + (alpha_b * l_b) ** 2)
-    seen = math.sqrt(n_v * n_v + (alpha_t * v_t) ** 2 + (alpha_b * v_b) ** 2)
-    return 0.5 * n_l / (alpha_t * alpha_b * spread * spread * (n_v * lit + n_l * seen))
+    lit = np.sqrt(n_l * n_l + (alpha_t * l_t) ** 2 + (alpha_b * l_b) ** 2)
+    seen = np.sqrt(n_v * n_v + (alpha_t * v_t) ** 2 + (alpha_b * v_b) ** 2)
+    reach = np.where(above, n_v * lit + n_l * seen, np.inf)
+    return 0.5 * n_l / (alpha_t * alpha_b * spread * spread * reach)
 
 
-@numba.njit(cache=True)
-def oren_nayar(n_l, n_v, l_v, sigma):
+def rough_factor(n_l, n_v, l_v, sigma):
     """Factor of Lambert's law of a rough surface, and its value where light and view are along the normal.
 
     Oren & Nayar, SIGGRAPH 1994, eq. 30 (qualitative model). n_l, n_v > 0, l_v : cosines of light-normal, view-normal
-    and light-view. sigma : roughness, radians.
+    and light-view. sigma : roughness, radians. Numbers, or arrays; kernels call it by the name `oren_nayar`.
     """
     s2 = sigma * sigma
     a = 1.0 - 0.5 * s2 / (s2 + 0.33)
     b = 0.45 * s2 / (s2 + 0.09)
     # cos Δφ · sinθ_l · sinθ_v = l·v − n·l n·v;  sin α tan β = sinθ_l sinθ_v / max(n·l, n·v).
-    side = (l_v - n_l * n_v) / max(n_l, n_v, 1e-6)
-    return a + b * max(side, 0.0), a
+    side = (l_v - n_l * n_v) / np.maximum(np.maximum(n_l, n_v), 1e-6)
+    return a + b * np.maximum(side, 0.0), a
+
+
+oren_nayar = numba.njit(cache=True)(rough_factor)
 
 
 @numba.njit(cache=True)
@@ -82,17 +88,14 @@ def rough_body(n_l, n_v, l_v, sigma, index):
     return value
 
 
-@numba.njit(cache=True)
 def rough_matter(n_l, n_v, l_v, sigma, index):
-    """Body reflection of albedo 1: `oren_nayar` below a surface of this index.
+    """Body reflection of albedo 1: `rough_factor` below a surface of this index; arrays of one shape.
 
     The surface's losses for light and view are not given back, so that body and gloss together never exceed the
     light that arrives.
     """
-    if n_l <= 0.0 or n_v <= 0.0:
-        return 0.0
-    passing = (1.0 - fresnel(min(n_l, 1.0), index)) * (1.0 - fresnel(min(n_v, 1.0), index))
-    return n_l * passing * oren_nayar(n_l, n_v, l_v, sigma)[0]
+    lit, seen = (1.0 - dielectric_fresnel(np.minimum(cosine, 1.0), index) for cosine in (n_l, n_v))
+    return np.where((n_l > 0.0) & (n_v > 0.0), n_l * lit * seen * rough_factor(n_l, n_v, l_v, sigma)[0], 0.0)
 
 
 def metal_fresnel(cosine, straight):

@@ -3,16 +3,15 @@
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from nishiki.geometry.visibility import Hits, RayTree, cast, make_tree
-from nishiki.simulate.randomness import GOLDEN_RATIO, mix_bits, subkey
+from nishiki.simulate.randomness import GOLDEN_RATIO, mix_bits, subkey, uniforms
 from nishiki.simulate.reflection import metal_fresnel
 from nishiki.simulate.turntable.materials import INDEX, describe, reflected
 from nishiki.simulate.turntable.settings import AIM_MM, LAMP_RADIUS_MM, TurntableSettings, Viewpoint
 from nishiki.simulate.turntable.shape import SimulatedSurface, make_surface
-from nishiki.threads import over_rows, strips
+from nishiki.threads import strips
 
 OFFSET_MM = 0.02  # rays start so far above the surface
 _SMOOTHEST = 0.28  # the mirror image of the surroundings is at least so blurred: there are few rays a vertex
@@ -107,48 +106,25 @@ def bounced(around: Surroundings, direct: np.ndarray, bounces: int) -> tuple[np.
     return indirect, around.albedo * (direct + indirect)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _mirror(start, stop, surface, around, radiosity, eye, smoothest, out):
-    """Average the surroundings' radiosity as the facets of each vertex reflect it to the eye (GGX weights)."""
-    (vertices, normals, frames), (seen, toward, spin, shine) = surface, around
-    for p in range(start, stop):
-        n = normals[p]
-        vx, vy, vz = eye[0] - vertices[p, 0], eye[1] - vertices[p, 1], eye[2] - vertices[p, 2]
-        length = math.sqrt(vx * vx + vy * vy + vz * vz)
-        vx, vy, vz = vx / length, vy / length, vz / length
-        out[p, 0] = out[p, 1] = out[p, 2] = 0.0
-        if n[0] * vx + n[1] * vy + n[2] * vz <= -0.2:
-            continue
-        f, g = frames[p, 0], frames[p, 1]
-        c, s = math.cos(spin[p]), math.sin(spin[p])
-        a2 = max(shine[p, 0], smoothest) ** 2
-        total = 1e-12
-        for d in range(toward.shape[0]):
-            u, v, w = c * toward[d, 0] - s * toward[d, 1], s * toward[d, 0] + c * toward[d, 1], toward[d, 2]
-            hx = u * f[0] + v * g[0] + w * n[0] + vx
-            hy = u * f[1] + v * g[1] + w * n[1] + vy
-            hz = u * f[2] + v * g[2] + w * n[2] + vz
-            square = max(hx * hx + hy * hy + hz * hz, 1e-12)
-            n_h = n[0] * hx + n[1] * hy + n[2] * hz
-            spread = (a2 - 1.0) * n_h * n_h / square + 1.0
-            weight = 1.0 / (spread * spread)
-            total += weight
-            q = seen[p, d]
-            if q >= 0:
-                for k in range(3):
-                    out[p, k] += weight * radiosity[q, k]
-        for k in range(3):
-            out[p, k] /= total
-
-
 def mirrored(surface: SimulatedSurface, around: Surroundings, radiosity: np.ndarray, eye: np.ndarray) -> np.ndarray:
-    """(v, 3): what facets that reflect all light would show at each vertex towards the eye, of the object itself."""
-    out = np.empty(around.albedo.shape)
-    over_rows(
-        _mirror, len(out), (surface.vertices, surface.normals, frames_about(surface.normals)),
-        (around.seen, around.toward, around.spin, around.shine), radiosity, np.asarray(eye, float), _SMOOTHEST, out,
-    )  # fmt: skip
-    return out
+    """(v, 3): what facets that reflect all light would show at each vertex towards the eye, of the object itself.
+
+    The mean of the surroundings' radiosity with the weights of GGX facets.
+    """
+    view = eye - surface.vertices
+    view /= np.linalg.norm(view, axis=1, keepdims=True)
+    normals, frames = surface.normals, frames_about(surface.normals)
+    v_t, v_b, v_n = (np.einsum("ij,ij->i", axis, view) for axis in (frames[:, 0], frames[:, 1], normals))
+    c, s = np.cos(around.spin), np.sin(around.spin)
+    roughness = np.maximum(around.shine[:, 0], _SMOOTHEST) ** 2
+    leaving = np.vstack([radiosity, np.zeros(3)])  # of -1, where a ray meets nothing
+    total, light = np.full(len(view), 1e-12), np.zeros(around.albedo.shape)
+    for (a, b, up), met in zip(around.toward, around.seen.T, strict=True):
+        square = np.maximum(2 + 2 * ((c * a - s * b) * v_t + (s * a + c * b) * v_b + up * v_n), 1e-12)
+        weight = ((roughness - 1) * (up + v_n) ** 2 / square + 1) ** -2
+        total += weight
+        light += weight[:, None] * leaving[met]
+    return np.where(v_n[:, None] > -0.2, light / total[:, None], 0.0)
 
 
 _LAMP_POINTS = 8  # lamp points a vertex, for the light that bounces
@@ -270,8 +246,8 @@ def _aim(scene, view, settings, rows: slice, vertex_light: np.ndarray) -> _Point
     pixel, sample = np.divmod(np.arange(count * side * side), side * side)
     # the third number is the same for the whole pixel: it turns the lamp's pattern
     turns = 4 * sample[:, None] * (1, 1, 0, 1) + (4, 5, 1, 6)
-    bits = mix_bits(np.uint64(scene.key), (rows.start * columns + pixel).astype(np.uint64))
-    numbers = (mix_bits(bits[:, None], turns.astype(np.uint64)) >> np.uint64(11)) * 2.0**-53
+    bits = mix_bits(np.uint64(scene.key), rows.start * columns + pixel)
+    numbers = uniforms(bits[:, None], turns)
     u = pixel % columns - 0.5 + (sample % side + numbers[:, 0]) / side
     v = rows.start + pixel // columns - 0.5 + (sample // side + numbers[:, 1]) / side
     u, v = ((a - middle) / view.focal for a, middle in zip((u, v), view.principal, strict=True))
