@@ -1,6 +1,5 @@
 """Triangles across edges, and quantities smoothed or spread from triangle to triangle."""
 
-import numba
 import numpy as np
 
 
@@ -29,58 +28,34 @@ def smoothed(vectors: np.ndarray, weights: np.ndarray, neighbours: np.ndarray, *
 
     Triangles around which nothing has weight keep (0, 0, 0).
     """
-    vectors = np.ascontiguousarray(vectors, np.float64)
+    from scipy.sparse import csr_array
+
+    count, vectors = len(vectors), np.asarray(vectors, np.float64)
+    around = np.column_stack([np.arange(count), neighbours])
+    met, starts = around >= 0, np.append(0, np.cumsum((around >= 0).sum(axis=1)))
+    sums = csr_array((np.ones(starts[-1]), around[met], starts), shape=(count, count))
     for _ in range(rounds):
-        vectors = average(vectors, np.ascontiguousarray(weights, np.float64), neighbours)
+        vectors = sums @ (np.reshape(weights, (-1, 1)) * vectors)
+        lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+        vectors = vectors / np.where(lengths > 0, lengths, 1)
     return vectors
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def average(vectors, weights, neighbours):
-    """One round of `smoothed`."""
-    out = np.zeros_like(vectors)
-    for i in range(len(vectors)):
-        x, y, z = weights[i] * vectors[i, 0], weights[i] * vectors[i, 1], weights[i] * vectors[i, 2]
-        for k in range(3):
-            j = neighbours[i, k]
-            if j >= 0:
-                x += weights[j] * vectors[j, 0]
-                y += weights[j] * vectors[j, 1]
-                z += weights[j] * vectors[j, 2]
-        length = np.sqrt(x * x + y * y + z * z)
-        if length > 0:
-            out[i, 0], out[i, 1], out[i, 2] = x / length, y / length, z / length
-    return out
-
-
 def smoothed_vertices(vertices: np.ndarray, corners: np.ndarray, *, rounds: int) -> np.ndarray:
-    """Vertices (v, 3) float64 after `rounds` of moving half way to the mean of those that share an edge with them."""
+    """Vertices (v, 3) float64 after `rounds` of moving half way to the mean of those that share an edge with them.
+
+    A neighbour counts once for each triangle that has both; vertices without a triangle stay.
+    """
+    from scipy.sparse import coo_array
+
     vertices = np.array(vertices, np.float64)
+    here, there = np.repeat(corners, 2, axis=1).ravel(), corners[:, [1, 2, 2, 0, 0, 1]].ravel()
+    sums = coo_array((np.ones(len(here)), (here, there)), shape=(len(vertices), len(vertices))).tocsr()
+    counts = np.bincount(here, minlength=len(vertices))[:, None]
     for _ in range(rounds):
-        vertices = half_way(vertices, np.ascontiguousarray(corners, np.int32))
+        mean = sums @ vertices / np.maximum(counts, 1)
+        vertices = np.where(counts > 0, (vertices + mean) / 2, vertices)
     return vertices
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def half_way(vertices, corners):
-    """One round of `smoothed_vertices`; a neighbour counts once for each triangle that has both."""
-    sums = np.zeros_like(vertices)
-    counts = np.zeros(len(vertices))
-    for i in range(len(corners)):
-        for k in range(3):
-            here = corners[i, k]
-            counts[here] += 2
-            for other in (corners[i, (k + 1) % 3], corners[i, (k + 2) % 3]):
-                for axis in range(3):
-                    sums[here, axis] += vertices[other, axis]
-    for i in range(len(vertices)):
-        if counts[i] > 0:
-            for axis in range(3):
-                sums[i, axis] = (vertices[i, axis] + sums[i, axis] / counts[i]) / 2
-        else:
-            for axis in range(3):
-                sums[i, axis] = vertices[i, axis]
-    return sums
 
 
 def components(labels: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
@@ -100,27 +75,16 @@ def components(labels: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     return numbers
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def spread(labels, neighbours):
+def spread(labels: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     """Fill negative labels (f,) from labelled neighbours, ring by ring; what nothing labelled touches stays."""
     labels = labels.copy()
-    count = len(labels)
-    queue = np.empty(count, np.int32)
-    tail = 0
-    for i in range(count):
-        if labels[i] >= 0:
-            queue[tail] = i
-            tail += 1
-    head = 0
-    while head < tail:
-        here = queue[head]
-        head += 1
-        for k in range(3):
-            there = neighbours[here, k]
-            if there >= 0 and labels[there] < 0:
-                labels[there] = labels[here]
-                queue[tail] = there
-                tail += 1
+    ring = np.flatnonzero(labels >= 0)
+    while len(ring):
+        there, source = neighbours[ring].ravel(), np.repeat(labels[ring], 3)
+        free = (there >= 0) & (labels[there] < 0)
+        there, first = np.unique(there[free], return_index=True)
+        labels[there] = source[free][first]
+        ring = there[np.argsort(first)]
     return labels
 
 

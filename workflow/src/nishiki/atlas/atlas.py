@@ -37,12 +37,19 @@ class Atlas(ArrayFields):
         triangle (...), barycentric (..., 2) as of a `Raster`. Tile -1 where triangle is -1 or has no place. A point
         between two tiles belongs to the later one: s and t are below T - 1 but for rounding.
         """
-        flat = np.ascontiguousarray(triangle, np.int32).reshape(-1)
-        weights = np.ascontiguousarray(barycentric, np.float32).reshape(-1, 2)
-        from nishiki.atlas.cells import place  # compiled: not needed by those who only read an atlas
-
-        located = place(flat, weights, self.chart, self.corners, self.chart_grid, self.cells, self.size)
-        return tuple(values.reshape(np.shape(triangle)) for values in located)
+        shape, triangle, stride = np.shape(triangle), np.ravel(triangle), self.size - 1
+        chart = np.append(self.chart, -1)[triangle]  # triangle -1 reads the last entry
+        known = np.flatnonzero(chart >= 0)
+        u, v = np.reshape(barycentric, (-1, 2))[known].astype(np.float64).T
+        corners, (first, rows, columns) = self.corners[triangle[known]], self.chart_grid[chart[known]].T
+        row, column = (u * a + v * b + (1 - u - v) * c for a, b, c in corners.T)
+        down = np.clip(np.floor(row / stride).astype(np.intp), 0, rows - 1)
+        across = np.clip(np.floor(column / stride).astype(np.intp), 0, columns - 1)
+        tile, places = np.full(len(chart), -1, np.int32), np.zeros((2, len(chart)), np.float32)
+        tile[known] = self.cells[first + down * columns + across]
+        places[:, known] = np.clip((row - down * stride, column - across * stride), 0, stride)
+        places[:, tile < 0] = 0
+        return tile.reshape(shape), *places.reshape(2, *shape)
 
     def save(self, path: Path) -> None:
         """Write as .npz, deterministic."""

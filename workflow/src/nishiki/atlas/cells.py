@@ -52,27 +52,3 @@ def cell_range(values, stride, count):
     high = max(values[0], max(values[1], values[2]))
     first = min(max(int(np.floor((low - 1.0) / stride)), 0), count - 1)
     return first, min(max(int(np.floor((high + 1.0) / stride)), first), count - 1)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def place(triangle, weights, chart, corners, grid, cells, size):
-    """See `Atlas.locate`: points (n,) -> tile, s, t."""
-    count, stride = len(triangle), size - 1
-    tile = np.full(count, -1, np.int32)
-    s, t = np.zeros(count, np.float32), np.zeros(count, np.float32)
-    for i in range(count):
-        f = triangle[i]
-        if f < 0 or chart[f] < 0:
-            continue
-        u, v = np.float64(weights[i, 0]), np.float64(weights[i, 1])
-        w = 1 - u - v
-        row = u * corners[f, 0, 0] + v * corners[f, 1, 0] + w * corners[f, 2, 0]
-        column = u * corners[f, 0, 1] + v * corners[f, 1, 1] + w * corners[f, 2, 1]
-        first, rows, columns = grid[chart[f], 0], grid[chart[f], 1], grid[chart[f], 2]
-        down = min(max(int(np.floor(row / stride)), 0), rows - 1)
-        across = min(max(int(np.floor(column / stride)), 0), columns - 1)
-        tile[i] = cells[first + down * columns + across]
-        if tile[i] >= 0:
-            s[i] = min(max(row - down * stride, 0.0), np.float64(stride))
-            t[i] = min(max(column - across * stride, 0.0), np.float64(stride))
-    return tile, s, t

@@ -221,92 +221,45 @@ def sample_view(
     further in front of or behind the texel than the texel's own tangent plane comes or goes within `tolerance` pixels,
     plus `tolerance` pixels of the surface's size (against ties of a surface with itself).
     """
-    least = np.cos(np.radians(grazing_deg))
-    towards = normals.reshape(-1, 3)
-    index = turned_to(positions.reshape(-1, 3), towards, inside.reshape(-1), camera.centre, least)
-    points, towards = positions.reshape(-1, 3)[index], towards[index]
-    pixels, depths = camera.project(points)
-    pose = camera.centre, np.ascontiguousarray(camera.rotation), np.linalg.inv(camera.intrinsics)
-    seen = np.empty(len(points), np.bool_)
-    see(points, towards, pixels, depths, pose, depth, tolerance, seen)
+    points, towards = positions.reshape(-1, 3), normals.reshape(-1, 3)
+    ray = camera.centre - points
+    facing = np.einsum("ij,ij->i", towards, ray)
+    lengths = np.sqrt(np.einsum("ij,ij->i", ray, ray))
+    index = np.flatnonzero(inside.reshape(-1) & (facing > np.cos(np.radians(grazing_deg)) * lengths))
+    pixels, depths = camera.project(points[index])
+    inverse, n = np.linalg.inv(camera.intrinsics), towards[index] @ camera.rotation[:2].T
+    # Depth of the tangent plane at a pixel is -towards / (n . ray of the pixel): its relative change for one pixel.
+    across = np.abs(n[:, 0] * inverse[0, 0]) + np.abs(n[:, 0] * inverse[0, 1] + n[:, 1] * inverse[1, 1])
+    footprint = np.sqrt(abs(inverse[0, 0] * inverse[1, 1]))
+    slack = tolerance * depths * (footprint + across * depths / facing[index])
+    shown = (depths > 0) & ((pixels >= 0) & (pixels <= np.array(depth.shape[::-1]) - 1)).all(axis=1)
+    index, pixels, depths, slack = (a[shown] for a in (index, pixels, depths, slack))
+    near = _around(pixels, depth.shape)
+    agree = [np.abs(depth[place] - depths) <= slack for place, _ in near]
+    seen = np.all(agree, axis=0)
+    index = index[seen]
     visible = np.zeros(inside.size, np.bool_)
-    visible[index] = seen
+    visible[index] = True
     sampled = []
     for picture in pictures:
         values = np.zeros((inside.size, picture.shape[2]), np.float32)
-        bilinear(pixels, seen, index, np.ascontiguousarray(picture, np.float32), values)
+        values[index] = sum(weight[seen, None] * picture[row[seen], column[seen]] for (row, column), weight in near)
         sampled.append(Sampled(values.reshape(*inside.shape, -1), visible.reshape(inside.shape)))
     return sampled
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def turned_to(points, normals, inside, centre, least):
-    """Numbers of the texels that are inside and face the camera's centre, the cosine above `least`."""
-    texels = np.empty(len(points), np.int64)
-    count = 0
-    for i in range(len(points)):
-        if not inside[i]:
-            continue
-        towards, length = 0.0, 0.0
-        for k in range(3):
-            ray = centre[k] - points[i, k]
-            towards += normals[i, k] * ray
-            length += ray * ray
-        if towards > least * np.sqrt(length):
-            texels[count] = i
-            count += 1
-    return texels[:count].copy()
+def _around(pixels: np.ndarray, shape: tuple[int, ...]) -> list[tuple[tuple[np.ndarray, np.ndarray], np.ndarray]]:
+    """Rows and columns of the four pixels about places (n, 2) (column, row) in a picture, and their weights.
 
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def see(points, normals, pixels, depths, camera, shown, tolerance, seen):
-    """Fill seen (n,) for texels at points (n, 3), as `sample_view` says.
-
-    camera: centre, rotation, inverse intrinsics; shown (rows, columns): depths, infinite where nothing usable is.
+    A pixel without weight may not exist: the place's own stands for it.
     """
-    (centre, rotation, inverse), (rows, columns) = camera, shown.shape
-    footprint = np.sqrt(abs(inverse[0, 0] * inverse[1, 1]))
-    for i in range(len(points)):
-        seen[i] = False
-        x, y, z = pixels[i, 0], pixels[i, 1], depths[i]
-        if not z > 0 or not (0 <= x <= columns - 1 and 0 <= y <= rows - 1):
-            continue
-        towards = 0.0
-        for k in range(3):
-            towards += normals[i, k] * (centre[k] - points[i, k])
-        n0, n1 = 0.0, 0.0
-        for k in range(3):
-            n0 += rotation[0, k] * normals[i, k]
-            n1 += rotation[1, k] * normals[i, k]
-        # Depth of the tangent plane at a pixel is -towards / (n . ray of the pixel): its relative change for one pixel.
-        across = abs(n0 * inverse[0, 0]) + abs(n0 * inverse[0, 1] + n1 * inverse[1, 1])
-        slack = tolerance * z * (footprint + across * z / towards)
-        column, row = min(int(x), max(columns - 2, 0)), min(int(y), max(rows - 2, 0))
-        good = True
-        for down in range(2):
-            for right in range(2):
-                # A neighbour without weight is not asked: it may not exist.
-                if (right == 1 and x == column) or (down == 1 and y == row):
-                    continue
-                r, c = row + down, column + right
-                if not abs(shown[r, c] - z) <= slack:
-                    good = False
-        seen[i] = good
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def bilinear(pixels, seen, index, picture, values):
-    """Picture (rows, columns, channels) at the pixels (n, 2) (column, row) that are seen, into values[index[i]]."""
-    rows, columns, channels = picture.shape
-    for i in range(len(pixels)):
-        if not seen[i]:
-            continue
-        column, row = min(int(pixels[i, 0]), columns - 1), min(int(pixels[i, 1]), rows - 1)
-        u, v = pixels[i, 0] - column, pixels[i, 1] - row
-        # A neighbour without weight is not read: it may be missing.
-        right = column + 1 if u > 0 and column + 1 < columns else column
-        below = row + 1 if v > 0 and row + 1 < rows else row
-        for k in range(channels):
-            top = (1 - u) * picture[row, column, k] + u * picture[row, right, k]
-            bottom = (1 - u) * picture[below, column, k] + u * picture[below, right, k]
-            values[index[i], k] = (1 - v) * top + v * bottom
+    first = np.floor(pixels).astype(np.intp)
+    share = pixels - first
+    (left, top), (u, v) = first.T, share.T
+    right, below = np.where(u > 0, left + 1, left), np.where(v > 0, top + 1, top)
+    return [
+        ((top, left), (1 - u) * (1 - v)),
+        ((top, right), u * (1 - v)),
+        ((below, left), (1 - u) * v),
+        ((below, right), u * v),
+    ]

@@ -30,9 +30,9 @@ _ENAMELS = np.array(
 )
 
 
-def _set(m, where, red, green, blue, alpha):
+def _set(m, where, colour, alpha):
     """Paint the materials m (NUMBERS, n) where `where` (n,) bool holds."""
-    for row, value in zip((0, 1, 2, 3, 6, 7), (red, green, blue, 0.0, alpha, alpha), strict=True):
+    for row, value in zip((0, 1, 2, 3, 6, 7), (*colour, 0.0, alpha, alpha), strict=True):
         m[row] = np.where(where, value, m[row])
 
 
@@ -42,9 +42,9 @@ def _gild(m, where, along, across):
         m[row] = np.where(where, value, m[row])
 
 
-def _mix(m, where, red, green, blue, share):
+def _mix(m, where, colour, share):
     share = np.where(where, share, 0.0)
-    for row, value in enumerate((red, green, blue)):
+    for row, value in enumerate(colour):
         m[row] += share * (value - m[row])
 
 
@@ -82,16 +82,16 @@ def _flower(m, key, u, v, size):
     covered = r <= edge
     first = (6.0 * uniforms(bits, 6)).astype(int)
     pale = 0.75 - 0.6 * r / edge + 0.35 * (solid_noise(bits, 9.0 * turn, 0.5 * r, 0.0) - 0.5)
-    _set(m, covered, *_ENAMELS[first].T, 0.16)
-    _mix(m, covered, 0.72, 0.66, 0.55, np.clip(pale, 0.0, 0.85))
+    _set(m, covered, _ENAMELS[first].T, 0.16)
+    _mix(m, covered, (0.72, 0.66, 0.55), np.clip(pale, 0.0, 0.85))
     # a second ring of petals, and the heart
     inner = abs(np.cos(0.5 * petals * turn + 1.57))
-    _mix(m, r < 0.42 * edge * (0.7 + 0.3 * inner), *_ENAMELS[(first + 1) % 6].T, 0.8)
+    _mix(m, r < 0.42 * edge * (0.7 + 0.3 * inner), _ENAMELS[(first + 1) % 6].T, 0.8)
     heart = r < 0.15 * edge
-    _set(m, heart, 0.55, 0.33, 0.05, 0.2)
-    _mix(m, heart & _even(np.floor(u / 0.9) + np.floor(v / 0.9)), 0.15, 0.06, 0.02, 0.4)
+    _set(m, heart, (0.55, 0.33, 0.05), 0.2)
+    _mix(m, heart & _even(np.floor(u / 0.9) + np.floor(v / 0.9)), (0.15, 0.06, 0.02), 0.4)
     # Fine outlines: of the petals, and of the flower in gold.
-    _mix(m, covered & (wave * r < 0.6) & (r > 0.42 * edge), 0.10, 0.03, 0.03, 0.4)
+    _mix(m, covered & (wave * r < 0.6) & (r > 0.42 * edge), (0.10, 0.03, 0.03), 0.4)
     _gild(m, covered & (edge - r < 0.75), 0.36, 0.36)
 
 
@@ -103,20 +103,20 @@ def _field(m, key, turn, s):
     column = np.floor(place)
     u, v = (place - column - 0.5) * width, s + 14.0 - height * (row + 0.5)
     around, tone = turn * 72.0, solid_noise(key + np.uint64(3), 4.0 * np.cos(turn), s / 18.0, 4.0 * np.sin(turn))
-    _set(m, True, 0.64, 0.57, 0.45, 0.14)
+    _set(m, True, (0.64, 0.57, 0.45), 0.14)
     # Bare ground, and patches with a diaper of crossing threads in red.
     a, b = (around + s) / 6.5, (around - s) / 6.5
     line = np.minimum(*(abs(each) for each in _apart(a, b)))
     bare = tone < 0.56
-    _mix(m, bare, 0.72, 0.55, 0.40, 0.5 * np.maximum(0.45 - tone, 0.0) / 0.45)
-    _mix(m, ~bare & (line < 0.06), 0.48, 0.10, 0.06, 0.45)
+    _mix(m, bare, (0.72, 0.55, 0.40), 0.5 * np.maximum(0.45 - tone, 0.0) / 0.45)
+    _mix(m, ~bare & (line < 0.06), (0.48, 0.10, 0.06), 0.45)
     other = _even(np.floor(a + 0.5) + np.floor(b + 0.5))
-    _mix(m, ~bare & (line >= 0.06) & other, 0.36, 0.46, 0.40, 0.35)
+    _mix(m, ~bare & (line >= 0.06) & other, (0.36, 0.46, 0.40), 0.35)
     leaf = solid_noise(key + np.uint64(4), 8.0 * np.cos(turn), s / 9.0, 8.0 * np.sin(turn)) - 0.60
     leafy = leaf > 0.0
-    _set(m, leafy, 0.06 + 0.10 * tone, 0.22 + 0.12 * tone, 0.10, 0.18)
+    _set(m, leafy, (0.06 + 0.10 * tone, 0.22 + 0.12 * tone, 0.10), 0.18)
     vein = abs(np.sin(1.2 * (around + 0.6 * s)))
-    _mix(m, leafy & ((vein < 0.16) | (leaf < 0.035)), 0.02, 0.07, 0.05, 0.45)
+    _mix(m, leafy & ((vein < 0.16) | (leaf < 0.035)), (0.02, 0.07, 0.05), 0.45)
     bits = _bits(_bits(key, row + 5), column % 11 + 20)
     _flower(m, bits, u, v, 13.0)
 
@@ -130,8 +130,8 @@ def _waves(m, turn, s):
         r = np.hypot(u, s - (level - 0.6) * height) / (0.56 * width)
         ring = np.where(r < 1, r, ring)
     blue = (ring < 0.0) | ~_even(np.floor(ring * 3.4))
-    _set(m, blue, 0.05, 0.12, 0.40, 0.15)
-    _set(m, ~blue, 0.68, 0.68, 0.64, 0.15)
+    _set(m, blue, (0.05, 0.12, 0.40), 0.15)
+    _set(m, ~blue, (0.68, 0.68, 0.64), 0.15)
 
 
 def _woven(m, key, around, s):
@@ -145,7 +145,7 @@ def _woven(m, key, around, s):
     grain = solid_noise(key + np.uint64(9), np.where(over, a, b) * 0.8, np.where(over, b, a) * 9.0, 0.0)
     shade = (1.0 - 0.75 * (2.0 * along) ** 4) * (1.0 - 0.55 * (2.0 * across) ** 6)
     shade *= (0.65 + 0.55 * dye) * (0.75 + 0.5 * grain)
-    _set(m, True, 0.44 * shade, 0.29 * shade, 0.13 * shade, 0.32)
+    _set(m, True, (0.44 * shade, 0.29 * shade, 0.13 * shade), 0.32)
     bend, camber = -1.3 * along * abs(2.0 * along), -0.9 * across * abs(2.0 * across)
     m[SLOPE] = np.where(over, (bend, camber), (camber, bend))
 
@@ -156,39 +156,39 @@ def _jar(m, key, x, y, z):
     s, around = 64.0 * latitude, r * turn
     zone = np.digitize(s, (-49.0, -19.5, -14.0, 44.0, 53.0))
     foot, petals, band, neck = (zone == k for k in (0, 1, 2, 5))
-    _set(m, foot, 0.66, 0.65, 0.60, 0.17)
-    _set(m, foot & ((abs(s + 52.0) < 0.8) | (abs(s + 54.5) < 0.4) | (y < 1.5)), 0.04, 0.09, 0.30, 0.17)
+    _set(m, foot, (0.66, 0.65, 0.60), 0.17)
+    _set(m, foot & ((abs(s + 52.0) < 0.8) | (abs(s + 54.5) < 0.4) | (y < 1.5)), (0.04, 0.09, 0.30), 0.17)
     arch = abs(np.sin(0.5 * FLUTES * turn))
     inside = -0.33 - 0.42 * (1.0 - arch) - latitude
     _within(m, petals & (inside > 0.035), _woven, key, 64.0 * turn, s)
     _gild(m, petals & (inside > 0.005) & (inside <= 0.035), 0.40, 0.40)
     rest = petals & (inside <= 0.005)
-    _set(m, rest, 0.03, 0.08, 0.29, 0.13)
+    _set(m, rest, (0.03, 0.08, 0.29), 0.13)
     dots = np.hypot(*_apart(around / 4.6 + 0.5 * (np.floor(s / 4.6) % 2), s / 4.6)) < 0.22
-    _mix(m, rest & dots, 0.40, 0.42, 0.46, 0.6)
-    _set(m, band, 0.50, 0.05, 0.03, 0.15)
+    _mix(m, rest & dots, (0.40, 0.42, 0.46), 0.6)
+    _set(m, band, (0.50, 0.05, 0.03), 0.15)
     fret, inner = abs(_apart(turn * 72.0 / 8.0, 0)[0]), abs(s + 16.7)
     bar, hook = (fret < 0.09) & (inner < 1.4), (fret > 0.2) & (fret < 0.36) & (abs(inner - 0.9) < 0.45)
     _gild(m, band & ((inner > 2.1) | bar | hook), 0.38, 0.38)
     _within(m, zone == 3, _field, key, turn, s)
     _within(m, zone == 4, _waves, turn, s)
-    _set(m, neck, 0.45, 0.06, 0.035, 0.14)
+    _set(m, neck, (0.45, 0.06, 0.035), 0.14)
     u, v = _apart(around / 5.0 + 0.5 * (np.floor(s / 4.0) % 2), s / 4.0)
     _gild(m, neck & ((np.hypot(u * 1.25, v) < 0.3) | (y > 121.5)), 0.40, 0.40)
     crack = crack_distance(key + np.uint64(30), turn * 72.0 / 6.0, s / 6.0)
     stained = solid_noise(key + np.uint64(31), x / 22.0, y / 22.0, z / 22.0) > 0.42
-    _mix(m, (crack < 0.028) & (m[3] == 0.0) & stained, 0.12, 0.08, 0.05, 0.35)
+    _mix(m, (crack < 0.028) & (m[3] == 0.0) & stained, (0.12, 0.08, 0.05), 0.35)
 
 
 def _lacquer(m, key, x, y, z):
     """Black lacquer with sprinkled gold, a gold and red spray of blossoms, and a red rim."""
-    _set(m, True, 0.022, 0.015, 0.012, 0.13)
+    _set(m, True, (0.022, 0.015, 0.012), 0.13)
     r, place = np.hypot(x, z), np.arctan2(z, x) / TURN * 7.0
     fleck = crack_distance(key + np.uint64(40), x / 1.5, z / 1.5)
     amount = solid_noise(key + np.uint64(41), x / 11.0, z / 11.0, 0.0)
     _gild(m, fleck > 0.46 - 0.20 * amount, 0.45, 0.45)
     _flower(m, _bits(key + np.uint64(42), np.floor(place) + 9), _apart(place, 0)[0] * 22.0, r - 26.0, 6.5)
-    _set(m, r > 33.2, 0.42, 0.035, 0.02, 0.15)
+    _set(m, r > 33.2, (0.42, 0.035, 0.02), 0.15)
 
 
 def _cord(m, key, x, y, z):
@@ -198,7 +198,7 @@ def _cord(m, key, x, y, z):
     shade = (0.75 + 0.25 * np.cos(phase)) * (0.88 + 0.12 * thread)
     strands = ((0.55, 0.40, 0.12, 0.38), (0.40, 0.04, 0.04, 0.45), (0.16, 0.07, 0.28, 0.45))
     for strand, (*colour, alpha) in enumerate(strands):
-        _set(m, np.floor(phase / TURN) % 3 == strand, *(value * shade for value in colour), alpha)
+        _set(m, np.floor(phase / TURN) % 3 == strand, [value * shade for value in colour], alpha)
     m[8], m[SLOPE.stop - 1] = 0.45, 0.25 * thread
 
 
@@ -206,34 +206,34 @@ def _gilded(m, key, x, y, z):
     wear = solid_fractal(key + np.uint64(50), x / 7.0, y / 7.0, z / 7.0, 4)
     brush = solid_noise(key + np.uint64(55), x / 3.0, y / 3.0, z / 0.5)
     worn = wear > 0.64
-    _set(m, worn, 0.30 * (0.7 + 0.6 * brush), 0.07, 0.035, 0.42)
+    _set(m, worn, (0.30 * (0.7 + 0.6 * brush), 0.07, 0.035), 0.42)
     _gild(m, ~worn, 0.46 + 0.1 * brush, 0.24)
-    _mix(m, ~worn, 0.10, 0.07, 0.03, wear)
+    _mix(m, ~worn, (0.10, 0.07, 0.03), wear)
 
 
 def _creature(m, key, x, y, z):
     patch = solid_fractal(key + np.uint64(60), x / 13.0, y / 13.0, z / 13.0, 3)
     hair = solid_noise(key + np.uint64(63), x / 0.8, y / 2.6, z / 1.0)
-    _set(m, True, 0.66, 0.63, 0.57, 0.19)
-    _set(m, patch > 0.55, 0.52, 0.24, 0.07, 0.19)
-    _set(m, patch < 0.36, 0.11, 0.08, 0.07, 0.19)
-    _mix(m, True, 0.10, 0.06, 0.04, 0.45 * np.maximum(hair - 0.45, 0.0) / 0.55)
+    _set(m, True, (0.66, 0.63, 0.57), 0.19)
+    _set(m, patch > 0.55, (0.52, 0.24, 0.07), 0.19)
+    _set(m, patch < 0.36, (0.11, 0.08, 0.07), 0.19)
+    _mix(m, True, (0.10, 0.06, 0.04), 0.45 * np.maximum(hair - 0.45, 0.0) / 0.55)
     side = abs(x)
     eye = np.sqrt((side - 6.0) ** 2 + (y - 162.5) ** 2 + (z - 19.5) ** 2)
-    _set(m, eye < 2.6, 0.012, 0.010, 0.010, 0.10)
+    _set(m, eye < 2.6, (0.012, 0.010, 0.010), 0.10)
     _gild(m, (eye >= 2.6) & (eye < 3.4), 0.38, 0.38)
-    _set(m, (z > 24.8) & (abs(y - 157.5) < 1.2) & (side < 1.8), 0.45, 0.10, 0.09, 0.2)
-    _mix(m, (y > 168.0) & (z > 5.5), 0.62, 0.30, 0.26, 0.7)
+    _set(m, (z > 24.8) & (abs(y - 157.5) < 1.2) & (side < 1.8), (0.45, 0.10, 0.09), 0.2)
+    _mix(m, (y > 168.0) & (z > 5.5), (0.62, 0.30, 0.26), 0.7)
 
 
 def _fruit(m, key, x, y, z):
     ripe = solid_fractal(key + np.uint64(70), x / 16.0, y / 16.0, z / 16.0, 4)
-    _set(m, True, 0.58, 0.42, 0.08, 0.22)
-    _mix(m, True, 0.55, 0.10, 0.04, np.clip((ripe - 0.38) / 0.22, 0.0, 1.0))
+    _set(m, True, (0.58, 0.42, 0.08), 0.22)
+    _mix(m, True, (0.55, 0.10, 0.04), np.clip((ripe - 0.38) / 0.22, 0.0, 1.0))
     leaf = (y > 96.5) | (z < 50.0)
-    _set(m, leaf, 0.09, 0.20, 0.06, 0.3)
+    _set(m, leaf, (0.09, 0.20, 0.06), 0.3)
     seed = crack_distance(key + np.uint64(75), (x + 0.3 * z) / 1.6, y / 1.6) > 0.42
-    _mix(m, ~leaf & seed, 0.22, 0.10, 0.03, 0.75)
+    _mix(m, ~leaf & seed, (0.22, 0.10, 0.03), 0.75)
 
 
 PAINTS = {BODY: _jar, LID: _lacquer, ROPE: _cord, HANDLES: _gilded, FRUIT: _fruit, ANIMAL: _creature}
