@@ -10,6 +10,7 @@ import heapq
 import numpy as np
 from numba import njit
 
+from nishiki.geometry.mesh import face_vectors
 from nishiki.small_matrices import solve_by_cofactors
 
 JIT = {"cache": True, "nogil": True, "error_model": "numpy"}
@@ -32,33 +33,6 @@ def _plane(a, b, c, out):
 
 
 @njit(**JIT)
-def _add_plane(quadric, n, point, weight):
-    """Add weight (n . (x - point))^2 as the ten numbers xx xy xz yy yz zz, x y z, constant."""
-    d = -(n[0] * point[0] + n[1] * point[1] + n[2] * point[2])
-    quadric[0] += weight * n[0] * n[0]
-    quadric[1] += weight * n[0] * n[1]
-    quadric[2] += weight * n[0] * n[2]
-    quadric[3] += weight * n[1] * n[1]
-    quadric[4] += weight * n[1] * n[2]
-    quadric[5] += weight * n[2] * n[2]
-    quadric[6] += weight * n[0] * d
-    quadric[7] += weight * n[1] * d
-    quadric[8] += weight * n[2] * d
-    quadric[9] += weight * d * d
-
-
-@njit(**JIT)
-def _value(q, x, y, z):
-    return (
-        q[0] * x * x
-        + q[3] * y * y
-        + q[5] * z * z
-        + 2.0 * (q[1] * x * y + q[2] * x * z + q[4] * y * z + q[6] * x + q[7] * y + q[8] * z)
-        + q[9]
-    )
-
-
-@njit(**JIT)
 def _best(first, second, a, b, out):
     """Place (into out) of smallest error for the sum of two quadrics, drawn weakly to the middle of a and b; error."""
     q = np.empty(10)
@@ -73,7 +47,11 @@ def _best(first, second, a, b, out):
         out[0], out[1], out[2] = mx, my, mz
     else:
         out[0], out[1], out[2] = x / determinant, y / determinant, z / determinant
-    return max(0.0, _value(q, out[0], out[1], out[2]))
+    x, y, z = out[0], out[1], out[2]
+    squares = q[0] * x * x + q[3] * y * y + q[5] * z * z
+    return max(
+        0.0, squares + 2.0 * (q[1] * x * y + q[2] * x * z + q[4] * y * z + q[6] * x + q[7] * y + q[8] * z) + q[9]
+    )
 
 
 @njit(**JIT)
@@ -131,70 +109,56 @@ def _turns(vertex, other, place, surface, scratch):
     return False
 
 
-@njit(**JIT)
-def _start(vertices, faces, quadrics, head, following):
-    """Quadrics of all triangles and of planes across open edges; lists of the triangles at each vertex."""
-    normal, across = np.empty(3), np.empty(3)
-    for face in range(faces.shape[0]):
-        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-        area = _plane(vertices[a], vertices[b], vertices[c], normal)
-        for k in range(3):
-            _add_plane(quadrics[faces[face, k]], normal, vertices[a], area / 3.0)
-            following[3 * face + k] = head[faces[face, k]]
-            head[faces[face, k]] = 3 * face + k
-    for face in range(faces.shape[0]):
-        area = _plane(vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]], normal)
-        for k in range(3):
-            a, b = faces[face, k], faces[face, (k + 1) % 3]
-            if not _is_open(a, b, face, head, following, faces):
-                continue
-            ex, ey, ez = (
-                vertices[b, 0] - vertices[a, 0],
-                vertices[b, 1] - vertices[a, 1],
-                vertices[b, 2] - vertices[a, 2],
-            )
-            length = np.sqrt(ex * ex + ey * ey + ez * ez)
-            if length <= 0.0 or area <= 0.0:
-                continue
-            across[0] = (ey * normal[2] - ez * normal[1]) / length
-            across[1] = (ez * normal[0] - ex * normal[2]) / length
-            across[2] = (ex * normal[1] - ey * normal[0]) / length
-            _add_plane(quadrics[a], across, vertices[a], length * length)
-            _add_plane(quadrics[b], across, vertices[a], length * length)
-
-
-@njit(**JIT)
-def _is_open(a, b, face, head, following, faces):
-    node = head[a]
-    while node >= 0:
-        other = node // 3
-        node = following[node]
-        if other != face and (faces[other, 0] == b or faces[other, 1] == b or faces[other, 2] == b):
-            return False
-    return True
-
-
-@njit(**JIT)
-def collapse(vertices, faces, target):
+def collapse(vertices: np.ndarray, faces: np.ndarray, target: int) -> np.ndarray:
     """Collapse edges until `target` triangles are left or no edge may collapse. Changes both arrays.
 
     vertices (v, 3) float64, faces (f, 3) int64 of a surface (two triangles an edge at most). Returns alive (f,) bool.
     """
-    count = vertices.shape[0]
-    quadrics = np.zeros((count, 10))
-    head, following = np.full(count, -1), np.full(3 * faces.shape[0], -1)
-    _start(vertices, faces, quadrics, head, following)
+    count, nodes = len(vertices), faces.ravel()
+    ends = np.stack([nodes, np.roll(faces, -1, axis=1).ravel()], axis=1)
+    _, edge, uses = np.unique(ends.min(axis=1) * count + ends.max(axis=1), return_inverse=True, return_counts=True)
+    is_open = uses[edge] == 1
+    # quadrics of the planes of all triangles, and of planes across open edges
+    normals = face_vectors(vertices, faces)
+    sizes = np.linalg.norm(normals, axis=1)
+    normals /= np.where(sizes > 0, sizes, 1)[:, None]
+    borders = np.flatnonzero(is_open & (sizes > 0)[np.arange(len(ends)) // 3])
+    along = vertices[ends[borders, 1]] - vertices[ends[borders, 0]]
+    lengths = np.linalg.norm(along, axis=1)
+    across = np.cross(along, normals[borders // 3]) / np.where(lengths > 0, lengths, 1)[:, None]
+    planes = np.concatenate([
+        np.repeat(_quadrics(normals, vertices[faces[:, 0]], sizes / 6), 3, axis=1),
+        np.repeat(_quadrics(across, vertices[ends[borders, 0]], lengths**2), 2, axis=1),
+    ], axis=1)  # fmt: skip
+    places = np.concatenate([nodes, ends[borders].ravel()])
+    quadrics = np.stack([np.bincount(places, values, count) for values in planes], axis=1)
+    # the triangles at each vertex as linked lists, the last one first
+    order = np.argsort(nodes, kind="stable")
+    same = nodes[order[1:]] == nodes[order[:-1]]
+    head, following = np.full(count, -1), np.full(len(nodes), -1)
+    head[nodes[order]] = order
+    following[order[1:][same]] = order[:-1][same]
+    return _collapse(vertices, faces, target, quadrics, (head, following), ends[(ends[:, 0] < ends[:, 1]) | is_open])
+
+
+def _quadrics(normals: np.ndarray, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(10, n): weight (n . (x - point))^2 as the numbers xx xy xz yy yz zz, x y z, constant of planes (n,)."""
+    plane = np.concatenate([normals.T, -(normals * points).sum(axis=1)[None]])
+    return weights * plane[[0, 0, 0, 1, 1, 2, 0, 1, 2, 3]] * plane[[0, 1, 2, 1, 2, 2, 3, 3, 3, 3]]
+
+
+@njit(**JIT)
+def _collapse(vertices, faces, target, quadrics, lists, edges):
+    """Collapse as `collapse` says; lists: first node of each vertex, and the node that follows."""
+    (head, following), count = lists, vertices.shape[0]
     alive = np.ones(faces.shape[0], np.bool_)
     version, marks = np.zeros(count, np.int64), np.full(count, -1)
     ring, ring2 = np.empty(1024, np.int64), np.empty(1024, np.int64)
     place, scratch = np.empty(3), (np.empty(3), np.empty(3), np.empty((3, 3)))
     heap = [(0.0, 0, 0, 0, 0) for _ in range(0)]  # cost, ends and their versions
-    for face in range(faces.shape[0]):
-        for k in range(3):
-            a, b = faces[face, k], faces[face, (k + 1) % 3]
-            if a < b or _is_open(a, b, face, head, following, faces):
-                cost = _best(quadrics[a], quadrics[b], vertices[a], vertices[b], place)
-                heap.append((cost, min(a, b), max(a, b), 0, 0))
+    for a, b in edges:
+        cost = _best(quadrics[a], quadrics[b], vertices[a], vertices[b], place)
+        heap.append((cost, min(a, b), max(a, b), 0, 0))
     heapq.heapify(heap)
     left, stamp = faces.shape[0], 0
     while left > target and len(heap) > 0:
