@@ -18,7 +18,6 @@ from nishiki.rig.axes import expect_in_range, not_homed
 from nishiki.rig.device import Baud, DeviceError, Pause, Seconds, ask_operator, closed_on_failure, expect_state
 from nishiki.rig.serial_line import SerialLine
 
-GREETING = "RTI-Dome in"
 GREETING_S = 3.0
 """Seconds that an Arduino needs to start after its port was opened."""
 ANSWER_S = 3.0
@@ -35,60 +34,11 @@ class DomeSettings(Closed):
     baud: Baud = Field(9600, description="bits per second")
 
 
-class BracketDome:
-    """A dome with the protocol `<3,n>`."""
-
-    def __init__(self, name: str, settings: DomeSettings) -> None:
-        self.name, self.settings, self.count = name, settings, settings.count
-        self.line = SerialLine(name, settings.port, settings.baud, restart=GREETING)
-        with closed_on_failure(self.line):
-            self.line.greeting(GREETING, GREETING_S)  # a board that does not restart when opened sends none
-            self.light(None)
-
-    def light(self, lamp: int | None) -> None:
-        """Light one lamp, numbered from 1, or none."""
-        if lamp is None:
-            self._ask("<0>", "All lights turned off")
-        else:
-            expect_lamp(self.name, lamp, self.count)
-            number = lamp - 1 + self.settings.first
-            self._ask(f"<3,{number}>", rf"Single LED turned on, number: {number}\b")
-        time.sleep(self.settings.settle_s)
-
-    def release(self) -> None:
-        """Release the camera on the dome's shutter cable."""
-        self._ask("<6>", "Shutter triggered")
-
-    def close(self) -> None:
-        """Switch the lamps off and close the line; a second call does nothing."""
-        if self.line.serial.is_open:
-            try:
-                self._ask("<0>", "All lights turned off")
-            except DeviceError:
-                pass  # it has gone
-            self.line.close()
-
-    def _ask(self, command: str, expect: str) -> None:
-        self.line.ask(command, expect, ANSWER_S, "INCORRECT FUNCTION CALL", _explain)
-
-
-def _explain(refusal: object) -> str:
-    return "The dome does not know the command. Remedy: check that its program has the commands <0>, <3,n> and <6>"
-
-
-def expect_lamp(name: str, lamp: int, count: int) -> None:
-    """Raise DeviceError where there is no such lamp."""
-    if not 1 <= lamp <= count:
-        raise DeviceError(
-            f"{name}: expected a lamp from 1 to {count}, found {lamp}. Remedy: correct plan or description"
-        )
-
-
 class Exchange(Closed):
     """One line to a device, and its answer."""
 
     send: str = Field(description="line to send; {degrees} and {lamp} stand for the angle and the number of the lamp")
-    expect: str = Field(min_length=1, description="text that the answer contains")
+    expect: str = Field(min_length=1, description="text that the answer contains; {lamp} as in send")
     error: str = Field("error", description="text that an answer contains which refuses; upper and lower case alike")
     timeout_s: Seconds = Field(5.0, description="seconds to wait for the answer")
 
@@ -175,7 +125,8 @@ class _Device:
 
     def ask(self, exchange: Exchange, **values: float) -> None:
         refused = rf"(?i){re.escape(exchange.error)}" if exchange.error else ""
-        self.line.ask(exchange.send.format(**values), re.escape(exchange.expect), exchange.timeout_s, refused)
+        expect = exchange.expect.replace("{lamp}", f"{values.get('lamp', '')}")
+        self.line.ask(exchange.send.format(**values), re.escape(expect), exchange.timeout_s, refused)
 
     def close(self) -> None:
         """Close the line; a second call does nothing."""
@@ -196,7 +147,9 @@ class HomeMadeLamps(_Device):
         if lamp is None:
             self.ask(self.settings.dark)
         else:
-            expect_lamp(self.name, lamp, self.count)
+            if not 1 <= lamp <= self.count:
+                found = f"expected a lamp from 1 to {self.count}, found {lamp}"
+                raise DeviceError(f"{self.name}: {found}. Remedy: correct plan or description")
             self.ask(self.settings.light, lamp=lamp - 1 + self.settings.first)
         time.sleep(self.settings.settle_s)
 
@@ -208,6 +161,26 @@ class HomeMadeLamps(_Device):
             except DeviceError:
                 pass  # it has gone
             self.line.close()
+
+
+class BracketDome(HomeMadeLamps):
+    """A dome with the protocol `<3,n>`."""
+
+    def __init__(self, name: str, settings: DomeSettings) -> None:
+        shared = {"error": "INCORRECT FUNCTION CALL", "timeout_s": ANSWER_S}
+        self.shutter = Exchange(send="<6>", expect="Shutter triggered", **shared)
+        described = DescribedLamps(
+            **settings.model_dump(exclude={"kind"}),
+            greeting="RTI-Dome in",
+            greeting_s=GREETING_S,
+            light=Exchange(send="<3,{lamp}>", expect="Single LED turned on, number: {lamp},", **shared),
+            dark=Exchange(send="<0>", expect="All lights turned off", **shared),
+        )
+        super().__init__(name, described)
+
+    def release(self) -> None:
+        """Release the camera on the dome's shutter cable."""
+        self.ask(self.shutter)
 
 
 class HomeMadeAxis(_Device):

@@ -16,7 +16,7 @@ from nishiki.capture.schema_base import CameraResponse
 from nishiki.colour.colour import decode
 from nishiki.observations.linearise import full_scale, saturation_code
 from nishiki.rig.frames_table import PlannedFrame
-from nishiki.rig.plan import Checks, ReadPlan, frame_distance, incidence_cosines
+from nishiki.rig.plan import ReadPlan, frame_distance, incidence_cosines
 
 SAMPLES_PX = 1000  # about as many pixels a side are measured
 DETAIL_PX = 1024  # side of the central window whose sharpness is measured
@@ -81,71 +81,9 @@ def sharpness(codes: np.ndarray) -> float | None:
     return fine / coarse if coarse > 0 else None
 
 
-def reasons_against(
-    group: str,
-    measures: Measures,
-    checks: Checks,
-    *,
-    first: Measures | None,
-    reference_sharpness: float | None,
-    expected: tuple[float, float] | None,
-    exposure_s: float | None,
-) -> list[str]:
-    """Why a photograph cannot be kept; empty where it can.
-
-    Parameters
-    ----------
-    group : str
-        What was photographed: object, white, board or dark.
-    measures : Measures
-        Of the photograph.
-    checks : Checks
-        Limits of the plan.
-    first : Measures or None
-        Of the first frame of the capture, whose size all others have.
-    reference_sharpness : float or None
-        Of the first frame of the object.
-    expected : tuple of float or None
-        Level that its neighbours lead to expect, and the factor by which it may differ.
-    exposure_s : float or None
-        Exposure that the camera was set to.
-    """
-    reasons = []
-    size = (measures.rows, measures.columns, measures.channels, measures.sample)
-    if first is not None and size != (wanted := (first.rows, first.columns, first.channels, first.sample)):
-        reasons.append(f"expected {_size(wanted)} as the first frame, found {_size(size)}: set the camera as it was")
-    if exposure_s and measures.exposure_s and abs(measures.exposure_s / exposure_s - 1) > EXPOSURE_TOLERANCE:
-        reasons.append(
-            f"EXIF tells an exposure of {measures.exposure_s:g} s, not {exposure_s:g} s: set the camera to M"
-        )
-    if group == "dark":
-        if measures.level > DARK_LEVEL:
-            reasons.append(f"a dark frame of {measures.level:.0%} of full scale: close the lens, or darken the room")
-        return reasons
-    most = checks.white_saturated if group == "white" else checks.saturated
-    if most is not None and measures.saturated > most:
-        reasons.append(
-            f"{measures.saturated:.1%} of the pixels are saturated, at most {most:.1%} may be: expose shorter"
-        )
-    if checks.dark is not None and measures.dark > checks.dark:
-        reasons.append(f"{measures.dark:.1%} of the pixels have no light: check that the lamp shines")
-    if group == "object" and checks.sharpness is not None and reference_sharpness and measures.sharpness is not None:
-        relative = measures.sharpness / reference_sharpness
-        if relative < checks.sharpness:
-            reasons.append(f"sharpness is {relative:.2f} of the first frame's: check that nothing moves or vibrates")
-    if expected is not None and expected[0] > 0:
-        level, factor = expected
-        ratio = max(measures.level, 0.0) / level
-        if not 1 / factor <= ratio <= factor:
-            reasons.append(
-                f"brightness is {ratio:.2g} of what its neighbours lead to expect (1/{factor:g} to {factor:g}): "
-                "check this lamp, or the frames before"
-            )
-    return reasons
-
-
-def _size(size: tuple[int, int, int, str]) -> str:
-    return f"{size[0]} x {size[1]} pixels with {size[2]} channels of {size[3]}"
+def _size(measures: Measures) -> str:
+    size = f"{measures.rows} x {measures.columns} pixels"
+    return f"{size} with {measures.channels} channels of {measures.sample}"
 
 
 COMPARED = {"dome": 4, "turntable": 2, "goniometer": 2}
@@ -182,32 +120,45 @@ class Neighbours:
     def reasons_against(
         self, frame: PlannedFrame, measures: Measures, exposure_s: float | None, kept: Mapping[str, Mapping[str, Any]]
     ) -> list[str]:
-        """Why a photograph cannot be kept, by itself and beside those that are (kept: their events)."""
+        """Find why a photograph cannot be kept, by itself and beside those that are (kept: their events)."""
         known = {
             file: KeptFrame(self._by_file[file], Measures(**event["measures"]), event["exposure_s"])
             for file, event in kept.items()
             if file in self._by_file
         }
-        objects = [one.measures for one in known.values() if one.frame.group == "object" and one.measures.sharpness]
-        return reasons_against(
-            frame.group,
-            measures,
-            self._plan.settings.checks,
-            first=next((one.measures for one in known.values()), None),
-            reference_sharpness=objects[0].sharpness if objects else None,
-            expected=self._expected(frame, known, exposure_s),
-            exposure_s=exposure_s,
-        )
+        checks, reasons, size = self._plan.settings.checks, [], _size(measures)
+        wanted = next((_size(one.measures) for one in known.values()), size)
+        if size != wanted:
+            reasons.append(f"expected {wanted} as the first frame, found {size}: set the camera as it was")
+        if exposure_s and measures.exposure_s and abs(measures.exposure_s / exposure_s - 1) > EXPOSURE_TOLERANCE:
+            found = f"EXIF tells an exposure of {measures.exposure_s:g} s, not {exposure_s:g} s"
+            reasons.append(f"{found}: set the camera to M")
+        if frame.group == "dark":
+            if measures.level > DARK_LEVEL:
+                found = f"a dark frame of {measures.level:.0%} of full scale"
+                reasons.append(f"{found}: close the lens, or darken the room")
+            return reasons
+        most = checks.white_saturated if frame.group == "white" else checks.saturated
+        if most is not None and measures.saturated > most:
+            found = f"{measures.saturated:.1%} of the pixels are saturated, at most {most:.1%} may be"
+            reasons.append(f"{found}: expose shorter")
+        if checks.dark is not None and measures.dark > checks.dark:
+            reasons.append(f"{measures.dark:.1%} of the pixels have no light: check that the lamp shines")
+        sharp = [one.measures.sharpness for one in known.values() if one.frame.group == "object"]
+        if frame.group == "object" and checks.sharpness is not None and measures.sharpness is not None and any(sharp):
+            relative = measures.sharpness / next(filter(None, sharp))
+            if relative < checks.sharpness:
+                reasons.append(f"sharpness is {relative:.2f} of the first frame's: check that nothing moves")
+        expected, factor = self._expected(frame, known, exposure_s), checks.brightness
+        if expected and factor and not 1 / factor <= (ratio := max(measures.level, 0.0) / expected) <= factor:
+            found = f"brightness is {ratio:.2g} of what its neighbours lead to expect (1/{factor:g} to {factor:g})"
+            reasons.append(f"{found}: check this lamp, or the frames before")
+        return reasons
 
-    def _expected(
-        self, frame: PlannedFrame, known: dict[str, KeptFrame], exposure_s: float | None
-    ) -> tuple[float, float] | None:
-        """Level that a frame should have by its neighbours, and the factor by which it may differ."""
-        settings = self._plan.settings
-        if frame.group == "dark" or settings.checks.brightness is None:
-            return None
+    def _expected(self, frame: PlannedFrame, known: dict[str, KeptFrame], exposure_s: float | None) -> float | None:
+        """Compute the level that a frame should have by its neighbours; None without any."""
         near = [(frame_distance(self._plan, frame, one.frame), file) for file, one in known.items()]
-        near = sorted(pair for pair in near if math.isfinite(pair[0]))[: COMPARED[settings.kind]]
+        near = sorted(pair for pair in near if math.isfinite(pair[0]))[: COMPARED[self._plan.settings.kind]]
         boards = {known[file].frame.light: file for file in known if file.startswith("white/")} if frame.light else {}
         lights = {frame.light, *(known[file].frame.light for _, file in near)}
         use_boards = frame.group == "object" and lights <= set(boards)
@@ -223,4 +174,4 @@ class Neighbours:
         if not pairs:
             return None
         brighter = float(np.median([level / known for known, level in pairs]))
-        return reference(frame.file) * brighter * (exposure_s or 1.0), settings.checks.brightness
+        return reference(frame.file) * brighter * (exposure_s or 1.0)
