@@ -2,14 +2,15 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nishiki.capture.frames import SHIFT_COLUMNS
+from nishiki.capture.frames import EXPOSURE_COLUMNS, SHIFT_COLUMNS
 from nishiki.capture.goniometer_tables import ReflectanceTable, is_table, read_table
 from nishiki.capture.layouts import MASK_SUFFIXES, Layout, masks_in, natural_key, photographs_in, source_problems
 from nishiki.capture.lights import Lights, rearrange
@@ -24,8 +25,8 @@ from nishiki.capture.taking import (
     choose_encoding,
     file_names,
     lights_text,
-    read_exposures,
     settings_text,
+    state_exposures,
     table_text,
     take,
     take_mask,
@@ -34,7 +35,12 @@ from nishiki.capture.taking import (
 from nishiki.capture.turntable_layouts import STATES, RoundLayout
 from nishiki.formats.files import files_with
 from nishiki.formats.masks import alpha_problems
-from nishiki.formats.problems import CaptureError, Problem, expect_one, raise_errors, refuse, warning
+from nishiki.formats.problems import CaptureError, Problem, expect_one, name_some, raise_errors, refuse, warning
+
+FOLDERS = {"sample": "frames", "check": "frames"}
+"""Folders of photographs whose role has no folder of its own."""
+ORDER = ("file", "role", "view", "light", "polariser", "silhouette", "band", *EXPOSURE_COLUMNS, *SHIFT_COLUMNS)
+"""Columns of frames.csv as they are written."""
 
 
 def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOptions) -> list[Problem]:
@@ -45,39 +51,25 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     raise_errors(file_problems(mask=options.mask))
     unknown = [name for name in options.checks if layout.lights.find(name) is None]
     if unknown:
-        expected, found = f"one of {', '.join(layout.lights.names)}", ", ".join(unknown)
-        what = "no such light to keep for evaluation"
-        remedy = "The names of the lamps are those of their photographs, without the suffix"
-        refuse("light-unknown", str(source), what, expected=expected, found=found, remedy=remedy)
+        what = f"no lamp {', '.join(unknown)} to keep for evaluation; there are {', '.join(layout.lights.names)}"
+        refuse("light-unknown", str(source), what, remedy="Lamps are called as their photographs, without the suffix")
     lights, places = rearrange(layout.lights, options.lights_order, options.lights_axes)
-    strengths = None if layout.intensities is None else layout.intensities[places]
-    layout = replace(layout, lights=lights, intensities=strengths)
-    link, region = options.link, options.region or layout.region
+    link, region, names = options.link, options.region or layout.region, lights.names
     folder.mkdir(parents=True)
     header = usual_header(layout.photographs)
     of_file = channel_names(header)
     of_band = {b: (b,) if len(of_file) == 1 else tuple(f"{name}_{b}" for name in of_file) for b in layout.bands}
     channels = tuple(name for part in of_band.values() for name in part) or of_file
-    names, held = layout.lights.names, {layout.lights.find(name) for name in options.checks}
-    rows: list[tuple[str, ...]] = []
-    notes: list[Problem] = []
-    if layout.bands:
-        taken = _take_bands(folder, layout, held, options)
-        rows = [(*row, "+".join(of_band.get(band, ()))) for *row, band in taken]
-    else:
-        for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
-            name = take(photograph, folder / "frames" / file, link)
-            rows.append((name, "check" if i in held else "sample", names[i]))
-    if options.white and not layout.bands:
-        boards = photographs_in(options.white)
-        pairing = pair_by_name(layout.photographs, boards, what="white boards", folder=str(options.white))
-        notes += pairing.warnings
-        for board, light in zip(pairing.partners, names, strict=True):
-            rows.append((take(board, folder / "white" / board.name, link), "white", light))
-    for role, given in (("dark", options.dark), ("ambient", options.ambient)):
-        if given is not None and not layout.bands:
-            for photograph in photographs_in(given) if given.is_dir() else [given]:
-                rows.append((take(photograph, folder / role / photograph.name, link), role, ""))
+    held = {layout.lights.find(name) for name in options.checks}
+    roles = ["check" if i in held else "sample" for i in range(len(names))]
+    chosen, notes = (_choose_bands if layout.bands else _choose_files)(layout, roles, options)
+    rows = []
+    same = Counter((FOLDERS.get(role, role), path.name) for path, role, *_ in chosen)
+    for path, role, light, band in chosen:
+        place = FOLDERS.get(role, role)
+        name = path.name if same[place, path.name] == 1 else f"{path.parent.name}_{path.name}"
+        cells = {"light": light, "band": "+".join(of_band.get(band, ()))}
+        rows.append({"file": take(path, folder / place / name, link), "role": role, **cells})
     settings: dict[str, Any] = {"format": FORMAT, "title": options.title or source.name, "geometry": "plane"}
     coding, doubts = choose_encoding(header, options.encoding, source.name)
     notes += doubts
@@ -89,14 +81,14 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         settings["pixel_pitch_mm"] = float(f"{pitch:.9g}")
     if layout.intensities is not None:
         settings["lights"]["intensities"] = "intensities.csv"
-        _write_intensities(folder / "intensities.csv", layout.lights.names, layout.intensities, channels)
+        _write_intensities(folder / "intensities.csv", names, layout.intensities[places], channels)
     if layout.mask is not None:
         settings["mask"], doubts = take_mask(layout.mask, folder / f"mask{layout.mask.suffix.lower()}", link)
         notes += doubts
     elif not layout.files:
         notes += alpha_problems(layout.photographs[0])
         if several := masks_in(layout.photographs[0].parent):
-            what, found = "several masks: none of them is used", ", ".join(path.name for path in several[:5])
+            what, found = "several masks: none of them is used", name_some(path.name for path in several)
             notes.append(
                 warning("mask-several", source.name, what, found=found, remedy="Give the right one with --mask")
             )
@@ -108,27 +100,46 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         settings["notes"] = layout.notes
     if region is not None:
         settings["region_of_interest"] = list(region)
-    exposures, remarks = ({}, []) if layout.bands else read_exposures(folder, rows)
-    further = dict(exposures)
-    if layout.shifts is not None and not layout.bands:
-        shifts = np.zeros((len(rows), 2))
-        shifts[: len(layout.shifts)] = layout.shifts
-        further |= {c: [f"{v:.9g}" for v in values] for c, values in zip(SHIFT_COLUMNS, shifts.T, strict=True)}
-    write_tables(folder, settings, rows, layout.lights, further)
-    return [*notes, *remarks]
+    if not layout.bands:
+        notes += state_exposures(folder, rows)
+        if layout.shifts is not None:
+            for i, row in enumerate(rows):
+                shift = layout.shifts[i] if i < len(layout.shifts) else (0.0, 0.0)
+                row |= {column: f"{v:.9g}" for column, v in zip(SHIFT_COLUMNS, shift, strict=True)}
+    write_tables(folder, settings, rows, lights)
+    return notes
 
 
-def _take_bands(folder: Path, layout: Layout, held: set[int | None], options: ConvertOptions) -> list[tuple[str, ...]]:
-    """Take photographs of a file a band, their boards, dark and ambient frames; returns rows (file, role, light, band).
+Chosen = tuple[Path, str, str, str]
+"""A file that is taken over, its role, its lamp and its band."""
 
-    Dark frames without bands are those of every band. CaptureError: band-missing, those of `pair_by_name`.
+
+def _choose_files(layout: Layout, roles: list[str], options: ConvertOptions) -> tuple[list[Chosen], list[Problem]]:
+    """Choose photographs, boards, dark and ambient frames."""
+    chosen, notes = list(zip(layout.photographs, roles, layout.lights.names, repeat(""))), []
+    if options.white:
+        boards = photographs_in(options.white)
+        pairing = pair_by_name(layout.photographs, boards, what="white boards", folder=str(options.white))
+        chosen += zip(pairing.partners, repeat("white"), layout.lights.names, repeat(""))
+        notes += pairing.warnings
+    for role, given in (("dark", options.dark), ("ambient", options.ambient)):
+        if given is not None:
+            chosen += [(path, role, "", "") for path in (photographs_in(given) if given.is_dir() else [given])]
+    return chosen, notes
+
+
+def _choose_bands(layout: Layout, roles: list[str], options: ConvertOptions) -> tuple[list[Chosen], list[Problem]]:
+    """Choose the same where each band has a file; dark frames without bands are those of every band.
+
+    CaptureError: band-missing, those of `pair_by_name`.
     """
-    names, bands = layout.lights.names, layout.bands
-    chosen = [
-        (path, "check" if i in held else "sample", names[i], band)
-        for i, files in enumerate(layout.band_files)
-        for band, path in zip(bands, files, strict=True)
-    ]
+    names, bands, chosen = layout.lights.names, layout.bands, []
+
+    def add(files: Iterable[Sequence[Path]], roles: Iterable[str], lights: Iterable[str]) -> None:
+        for each, role, light in zip(files, roles, lights, strict=False):
+            chosen.extend((path, role, light, band) for band, path in zip(bands, each, strict=True))
+
+    add(layout.band_files, roles, names)
     if options.white:
         boards = _sorted_bands(options.white, bands)
         if boards is None:
@@ -137,22 +148,13 @@ def _take_bands(folder: Path, layout: Layout, held: set[int | None], options: Co
         lamps, pictures = ([Path(f"{name}.tif") for name in some] for some in (names, boards))
         partners = pair_by_name(lamps, pictures, what="white boards", folder=str(options.white)).partners
         files = complete_bands(bands, {path.stem: boards[path.stem] for path in partners}, str(options.white))
-        for light, board in zip(names, files, strict=True):
-            chosen += [(path, "white", light, band) for band, path in zip(bands, board, strict=True)]
+        add(files, repeat("white"), names)
     for role, given in (("dark", options.dark), ("ambient", options.ambient)):
-        if given is None:
-            continue
-        found = _sorted_bands(given, bands)
-        for taken in complete_bands(bands, found, str(given)) if found else ():
-            chosen += [(path, role, "", band) for band, path in zip(bands, taken, strict=True)]
-        chosen += [(path, role, "", "") for path in (() if found else photographs_in(given))]
-    same = Counter((role, path.name) for path, role, _, _ in chosen)
-    rows: list[tuple[str, ...]] = []
-    for path, role, light, band in chosen:
-        name = path.name if same[role, path.name] == 1 else f"{path.parent.name}_{path.name}"
-        place = folder / ("frames" if role in ("sample", "check") else role) / name
-        rows.append((take(path, place, options.link), role, light, band))
-    return rows
+        if given is not None:
+            found = _sorted_bands(given, bands)
+            add(complete_bands(bands, found, str(given)) if found else (), repeat(role), repeat(""))
+            chosen += [(path, role, "", "") for path in (() if found else photographs_in(given))]
+    return chosen, []
 
 
 def _sorted_bands(folder: Path, bands: tuple[str, ...]) -> dict[str, dict[str, Path]] | None:
@@ -162,23 +164,14 @@ def _sorted_bands(folder: Path, bands: tuple[str, ...]) -> dict[str, dict[str, P
     )
 
 
-def write_tables(
-    folder: Path,
-    settings: dict,
-    rows: Sequence[tuple[str, ...]],
-    lights: Lights,
-    further: dict[str, list[str]] | None = None,
-) -> None:
-    """Write capture.yaml, lights.lp and frames.csv.
-
-    rows: file, role, light and, where each has a file, band; further: cells of further columns.
-    """
+def write_tables(folder: Path, settings: dict, rows: Sequence[dict[str, str]], lights: Lights | None = None) -> None:
+    """Write capture.yaml, frames.csv (without columns that are empty) and, of a plane, lights.lp."""
     (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
-    further = further or {}
-    columns = ("file", "role", "light", "band")[: len(rows[0])]
-    lines = [(*columns, *further), *zip(*zip(*rows, strict=True), *further.values(), strict=True)]
+    columns = [column for column in ORDER if any(row.get(column) for row in rows)]
+    lines = [columns, *([row.get(column, "") for column in columns] for row in rows)]
     (folder / "frames.csv").write_text(table_text(lines), encoding="utf-8")
-    (folder / "lights.lp").write_text(lights_text(lights.names, lights.vectors), encoding="utf-8")
+    if lights is not None:
+        (folder / "lights.lp").write_text(lights_text(lights.names, lights.vectors), encoding="utf-8")
 
 
 def _write_intensities(path: Path, names: Sequence[str], values: np.ndarray, channels: tuple[str, ...]) -> None:
@@ -215,15 +208,15 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
     for path, file in zip(masks, file_names(masks), strict=True):
         copies[path], doubts = take_mask(path, folder / "silhouettes" / file, link)
         notes = (*notes, *doubts)
-    rows: list[tuple[str, ...]] = []
+    rows: list[dict[str, str]] = []
     for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
         outline = copies[outlines[photograph]] if photograph in outlines else ""
-        name = take(photograph, folder / "frames" / file, link)
-        rows.append((name, "sample", layout.views[i], layout.states[i], outline))
+        cells = {"view": layout.views[i], "polariser": layout.states[i], "silhouette": outline}
+        rows.append({"file": take(photograph, folder / "frames" / file, link), "role": "sample", **cells})
     for board, state in _states_of(photographs_in(white), layout, str(white)) if white else ():
-        rows.append((take(board, folder / "white" / board.name, link), "white", "", state, ""))
+        rows.append({"file": take(board, folder / "white" / board.name, link), "role": "white", "polariser": state})
     for photograph in photographs_in(dark) if dark else ():
-        rows.append((take(photograph, folder / "dark" / photograph.name, link), "dark", "", "", ""))
+        rows.append({"file": take(photograph, folder / "dark" / photograph.name, link), "role": "dark"})
     coding, doubts = choose_encoding(header, options.encoding, source.name, display=not any(layout.states))
     notes = (*notes, *doubts)
     block: dict = {"full_turn": layout.full_turn, "unit": "arbitrary"} if layout.matrices is not None else {}
@@ -242,13 +235,8 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
     camera = {"channels": list(channel_names(header)), "encoding": coding}
     settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "turntable", "camera": camera}
     settings |= {"turntable": block} if block else {}
-    (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
-    exposures, doubts = read_exposures(folder, rows)
-    names = ("file", "role", "view", "polariser", "silhouette")
-    table = dict(zip(names, zip(*rows, strict=True), strict=True)) | exposures
-    used = {name: cells for name, cells in table.items() if name in names[:2] or any(cells)}
-    text = table_text([list(used), *zip(*used.values(), strict=True)])
-    (folder / "frames.csv").write_text(text, encoding="utf-8")
+    doubts = state_exposures(folder, rows)
+    write_tables(folder, settings, rows)
     return [*notes, *doubts]
 
 

@@ -122,7 +122,7 @@ def write_rendered(folder: Path, layout: Rendering, source: Path, options: Conve
     folder.mkdir(parents=True)
     files = [f"frames/{name}.png" for name in lights.names]
     clipped = [_render(image, light, folder / name) for name, light in zip(files, lights.directions, strict=True)]
-    rows = [(name, "sample", light) for name, light in zip(files, lights.names, strict=True)]
+    rows = [{"file": name, "role": "sample", "light": light} for name, light in zip(files, lights.names, strict=True)]
     polar = np.degrees(np.arccos(lights.directions[:, 2]))
     what = f"{image.layout} {file.name}" if file.is_dir() else f"{image.layout} file {file.name}"
     angles = f"{polar.min():.0f} to {polar.max():.0f} degrees from the normal"

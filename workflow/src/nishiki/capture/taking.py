@@ -109,28 +109,28 @@ def take_mask(origin: Path, place: Path, link: bool) -> tuple[str, list[Problem]
     return take(origin, place, link), list(examine_mask(origin).problems)
 
 
-def read_exposures(folder: Path, rows: list[tuple[str, ...]]) -> tuple[dict[str, list[str]], list[Problem]]:
-    """Read exposure time, f-number and ISO of the photographs of frames.csv, where cameras recorded them.
+def state_exposures(folder: Path, rows: list[dict[str, str]]) -> list[Problem]:
+    """Add exposure time, f-number and ISO that cameras recorded to the rows of frames.csv.
 
-    rows: file and role of each. Returns the cells of each column whose values differ between the lit photographs, and
-    a warning where there is one, or where some of them state nothing.
+    Only columns whose values differ between the lit photographs are added, and none where some photographs state
+    nothing; returns a warning of either.
     """
-    recorded = [read_exif(folder / row[0], name=row[0]) for row in rows]
-    lit = [i for i, row in enumerate(rows) if row[1] in (*LIT_ROLES, "ambient")]
+    recorded = [read_exif(folder / row["file"], name=row["file"]) for row in rows]
+    lit = [i for i, row in enumerate(rows) if row["role"] in (*LIT_ROLES, "ambient")]
     said, unknown = compare_exposures([recorded[i] for i in lit])
     found = ", ".join(said.values())
     if unknown:
-        file = rows[lit[unknown[0]]][0]
+        file = rows[lit[unknown[0]]]["file"]
         what = "photographs are differently exposed, and some do not state how"
         remedy = f"Exposures are not divided out. Give them for {file} too, in frames.csv of an open capture"
-        return {}, [warning("exposure-unstated", file, what, found=found, remedy=remedy)]
+        return [warning("exposure-unstated", file, what, found=found, remedy=remedy)]
     if not said:
-        return {}, []
+        return []
+    for row, exif in zip(rows, recorded, strict=True):
+        row |= {column: f"{v:.9g}" for column in said if (v := getattr(exif, column)) is not None}
     what = "photographs are differently exposed; the exposures that they record are divided out"
-    values = {column: [getattr(exif, column) for exif in recorded] for column in said}
-    columns = {column: ["" if v is None else f"{v:.9g}" for v in each] for column, each in values.items()}
     remedy = "Set the camera to manual exposure"
-    return columns, [warning("exposure-differs", "frames.csv", what, found=found, remedy=remedy)]
+    return [warning("exposure-differs", "frames.csv", what, found=found, remedy=remedy)]
 
 
 def compare_exposures(recorded: Sequence[Exif]) -> tuple[dict[str, str], list[int]]:
