@@ -171,149 +171,102 @@ def turntable_problems(
     matrices: dict[str, np.ndarray] | None,
     settings: TurntableFile,
 ) -> list[Problem]:
-    """Everything wrong with how the tables fit together."""
+    """List everything wrong with how the tables fit together."""
     samples = [f for f in frames if f.role == "sample"]
     if not samples:
-        remedy = "Photographs of the object have the role sample"
-        return [error("samples-none", TABLE, "no photograph of the object", remedy=remedy)]
+        return [error("samples-none", TABLE, "no photograph of the object, of role sample")]
     if len(views) > bound("views"):
-        expected, found = f"at most {bound('views')}", f"{len(views)}"
-        return [error("views-many", TABLE, "views", expected=expected, found=found, remedy=bound_remedy("views"))]
+        what = f"at most {bound('views')} views are read, found {len(views)}"
+        return [error("views-many", TABLE, what, remedy=bound_remedy("views"))]
     return [
-        *_view_problems(frames, views),
-        *_light_problems(frames, lights, settings),
+        *_cell_problems(frames, views, lights, settings),
         *_grid_problems(samples, views),
         *_white_problems(frames),
         *_silhouette_problems(samples, views),
         *_camera_problems(views, matrices, settings),
         *_board_problems(frames, views, settings),
-        *_pose_problems(frames, views, settings),
         *exposure_problems(frames),
     ]
 
 
-def _row(frame: Frame) -> str:
-    return f"{TABLE} row {frame.row}"
-
-
-def _view_problems(frames: tuple[Frame, ...], views: tuple[str, ...]) -> list[Problem]:
-    problems = []
-    several = len(views) > 1
-    for frame in frames:
-        if frame.role == "sample" and several and not frame.view:
-            remedy = "Give every sample frame the name of its view, in the order of the turn"
-            problems.append(error("view-empty", _row(frame), "a sample frame needs its view", remedy=remedy))
-        if frame.role == "board" and frame.view and frame.view not in views:
-            what = f"no sample frame shows view '{frame.view}'"
-            remedy = "Name the view as its sample frame does, or leave it empty for a picture of the board alone"
-            problems.append(error("view-unknown", _row(frame), what, remedy=remedy))
-        if frame.role in ("dark", "white") and frame.view:
-            what, remedy = f"a {frame.role} frame has no view", "Leave the column empty: it serves all views"
-            problems.append(error("view-unexpected", _row(frame), what, found=repr(frame.view), remedy=remedy))
-        if frame.role in ("dark", "board") and frame.polariser:
-            what = f"a {frame.role} frame has no polariser state"
-            problems.append(error("polariser-unexpected", _row(frame), what, found=repr(frame.polariser)))
-    return problems
-
-
-def _light_problems(frames: tuple[Frame, ...], lights: Lights | None, settings: TurntableFile) -> list[Problem]:
-    """Lamps named in the frames against those of the lights file; without a file, all named or none."""
+def _cell_problems(
+    frames: tuple[Frame, ...], views: tuple[str, ...], lights: Lights | None, settings: TurntableFile
+) -> list[Problem]:
+    """List cells that a frame of its role needs or cannot have, and lamps that are none of the lights file."""
     lit = [f for f in frames if f.role in ("sample", "white")]
+    states, file = (
+        {f.polariser for f in frames if f.role == "sample"},
+        settings.lights.file if settings.lights else None,
+    )
+    # Without a file all lamps are named or none is; the mistakes of a file that cannot be read are reported already.
+    named = lights is not None if file else any(f.light for f in lit)
     problems = []
-    if settings.lights is None or settings.lights.file is None:
-        names = {f.light for f in lit}
-        if "" in names and len(names) > 1:
-            frame = next(f for f in lit if not f.light)
-            remedy = "Name the lamp of every sample and white frame, or of none"
-            problems.append(error("light-empty", _row(frame), f"a {frame.role} frame needs its light", remedy=remedy))
-        return problems
-    if lights is None:
-        return problems  # its own mistakes are reported already
-    problems = [
-        error("light-empty", _row(f), f"a {f.role} frame needs its light", remedy="Name it as in the lights")
-        for f in lit
-        if not f.light
-    ]
-    return problems + lamp_problems(lit, lights, settings.lights.file)
+    for frame in frames:
+        role, view, state = frame.role, frame.view, frame.polariser
+        faults = (
+            ("view-empty", role == "sample" and len(views) > 1 and not view, "a sample frame needs its view"),
+            ("view-unknown", role == "board" and view not in ("", *views), f"no sample frame shows view '{view}'"),
+            ("view-unexpected", role in ("dark", "white") and view, f"a {role} frame serves all views, not '{view}'"),
+            ("polariser-unexpected", role in ("dark", "board") and state, f"a {role} frame has no state '{state}'"),
+            ("light-empty", named and frame in lit and not frame.light, f"a {role} frame needs its light"),
+            ("white-state", role == "white" and state not in ("", *states), f"no sample frame has the state '{state}'"),
+        )
+        problems += [error(kind, f"{TABLE} row {frame.row}", what) for kind, wrong, what in faults if wrong]
+    return problems + (lamp_problems(lit, lights, file) if file and lights is not None else [])
 
 
 def _grid_problems(samples: list[Frame], views: tuple[str, ...]) -> list[Problem]:
-    """Every view under every lamp in every polariser state, once."""
-    states = tuple(dict.fromkeys(f.polariser for f in samples))
-    lights = tuple(dict.fromkeys(f.light for f in samples))
+    """List what is missing from, or repeated in, the grid of every view under every lamp in every state."""
+    states, lights = (tuple(dict.fromkeys(getattr(f, key) for f in samples)) for key in ("polariser", "light"))
     problems = state_problems(states, TABLE)
+    last = {(f.light, f.view, f.polariser): f.row for f in samples}
     counts = Counter((f.light, f.view, f.polariser) for f in samples)
-    last = {(f.light, f.view, f.polariser): f for f in samples}
     for key, count in counts.items():
         if count > 1:
-            found = f"{count} frames of {_frame_name(*key)}"
-            remedy = "Keep one frame of each view, light and polariser state"
-            problems.append(error("frame-repeated", _row(last[key]), "one frame each", found=found, remedy=remedy))
+            what = f"expected one frame of {_frame_name(*key)}, found {count}"
+            problems.append(error("frame-repeated", f"{TABLE} row {last[key]}", what))
     if any(p.kind == "polariser-mixed" for p in problems):
         return problems
     for light, view in product(lights, views):
-        if len(problems) > MOST_PROBLEMS:
-            break
         lacking = [state for state in states if (light, view, state) not in counts]
         if len(lacking) == len(states):
-            what = f"view '{view}' has no frame under light '{light}'"
-            remedy = "Photograph every view under every light"
-            problems.append(error("light-missing", TABLE, what, remedy=remedy))
+            problems.append(error("light-missing", TABLE, f"view '{view}' has no frame under light '{light}'"))
         elif lacking:
-            found = ", ".join(repr(state) for state in lacking[:4])
-            what, remedy = f"{_frame_name(light, view, None)} lacks a polariser state", "Photograph it in every state"
-            expected = f"{len(states)} states"
-            problems.append(
-                error("polariser-missing", TABLE, what, expected=expected, found=f"no {found}", remedy=remedy)
-            )
-    return problems
+            what = f"{_frame_name(light, view, '')} has not all {len(states)} polariser states"
+            problems.append(error("polariser-missing", TABLE, what, found=f"no {', '.join(map(repr, lacking[:4]))}"))
+    return problems[:MOST_PROBLEMS]
 
 
-def _frame_name(light: str, view: str, state: str | None) -> str:
-    parts = [f"view '{view}'"] + ([f"light '{light}'"] if light else []) + ([f"polariser '{state}'"] if state else [])
-    return ", ".join(parts)
+def _frame_name(light: str, view: str, state: str) -> str:
+    names = (("view", view), ("light", light), ("polariser", state))
+    return ", ".join(f"{what} '{name}'" for what, name in names if name or what == "view")
 
 
 def _white_problems(frames: tuple[Frame, ...]) -> list[Problem]:
-    """White boards: in states that the sample has, or without one; the normalising ones under every lamp."""
-    whites = [f for f in frames if f.role == "white"]
-    samples = [f for f in frames if f.role == "sample"]
-    states, lights = {f.polariser for f in samples}, tuple(dict.fromkeys(f.light for f in samples))
-    problems = []
-    for frame in whites:
-        if frame.polariser and frame.polariser not in states:
-            what, remedy = f"no sample frame has the polariser state '{frame.polariser}'", "Correct or remove the row"
-            problems.append(error("white-state", _row(frame), what, remedy=remedy))
-    plain = Counter(f.light for f in whites if not f.polariser)
-    for light in lights if plain else ():
-        count = plain[light]
-        if count == 0:
-            what = f"light '{light}' has no white frame"
+    """List white boards that are missing: those without a state under every lamp, the others in every state."""
+    samples, whites = ([f for f in frames if f.role == role] for role in ("sample", "white"))
+    plain, problems = Counter(f.light for f in whites if not f.polariser), []
+    for light in dict.fromkeys(f.light for f in samples) if plain else ():
+        if plain[light] == 0:
             remedy = "Photograph the board under every light, or list no white frames at all"
-            problems.append(error("white-missing", TABLE, what, remedy=remedy))
-        if count > 1:
-            found = f"{count} under light '{light}'"
-            problems.append(error("light-repeated", TABLE, "one white frame a light", found=found))
-    kept = {f.polariser for f in whites if f.polariser}
+            problems.append(error("white-missing", TABLE, f"light '{light}' has no white frame", remedy=remedy))
+        if plain[light] > 1:
+            what = f"expected one white frame under light '{light}', found {plain[light]}"
+            problems.append(error("light-repeated", TABLE, what))
+    states, kept = {f.polariser for f in samples}, {f.polariser for f in whites if f.polariser}
     if kept and kept != states:
-        lacking = ", ".join(repr(state) for state in sorted(states - kept)[:4])
-        what, remedy = "white boards lack a polariser state", "Photograph the board in every state"
-        problems.append(error("white-missing", TABLE, what, found=f"no {lacking}", remedy=remedy))
+        found = f"no {', '.join(map(repr, sorted(states - kept)[:4]))}"
+        problems.append(error("white-missing", TABLE, "white boards lack a polariser state", found=found))
     return problems
 
 
 def _silhouette_problems(samples: list[Frame], views: tuple[str, ...]) -> list[Problem]:
     problems = []
-    given: dict[str, set[str]] = {view: set() for view in views}
-    for frame in samples:
-        if frame.silhouette:
-            given[frame.view].add(frame.silhouette)
+    given = {view: {f.silhouette for f in samples if f.view == view} - {""} for view in views}
     for view, files in given.items():
         if len(files) > 1:
-            found = ", ".join(sorted(files)[:3])
-            remedy = "Name the same file in all rows of the view, or in one of them"
-            what = f"view '{view}' has several silhouettes"
-            problems.append(error("silhouette-several", TABLE, what, found=found, remedy=remedy))
+            found, what = ", ".join(sorted(files)[:3]), f"view '{view}' has several silhouettes"
+            problems.append(error("silhouette-several", TABLE, what, found=found))
     without = [view for view, files in given.items() if not files]
     if without and len(without) < len(views):
         found = f"{len(without)} of {len(views)} views without, the first '{without[0]}'"
@@ -327,63 +280,51 @@ def _camera_problems(
 ) -> list[Problem]:
     if matrices is None:
         return []
-    file, problems = require(settings.turntable.cameras), []
-    for view in [view for view in views if view not in matrices]:
-        remedy = "Add its row to the cameras, or remove its photographs"
-        problems.append(error("view-without-camera", file, f"view '{view}' has no camera", remedy=remedy))
-    for view in [view for view in matrices if view not in views]:
-        remedy = f"Add its photograph to {TABLE}, or remove the camera"
-        problems.append(error("camera-without-view", file, f"view '{view}' has no photograph", remedy=remedy))
+    file, stated = require(settings.turntable.cameras), settings.turntable.full_turn
+    problems = [
+        error("view-without-camera", file, f"view '{view}' has no camera") for view in views if view not in matrices
+    ]
+    problems += [
+        error("camera-without-view", file, f"view '{view}' has no photograph in {TABLE}")
+        for view in matrices
+        if view not in views
+    ]
     if problems or len(views) < 3:
         return problems
     turn = turn_of(np.array([camera_centre(matrices[view]) for view in views]))
-    full = turn is not None and turn.full
-    if settings.turntable.full_turn and not full:
-        found = (
-            f"steps of {min(turn.steps_deg):.1f} to {max(turn.steps_deg):.1f} degrees" if turn else "a straight line"
-        )
-        what, expected = "full_turn is true but the cameras do not go once round at about equal steps", "equal steps"
+    full, where = turn is not None and turn.full, "capture.yaml turntable.full_turn"
+    if stated and not full:
+        steps = f"steps of {min(turn.steps_deg):.1f} to {max(turn.steps_deg):.1f} degrees" if turn else "no circle"
+        what = "full_turn is true but the cameras do not go once round at about equal steps"
         remedy = f"List the views in the order of the turn in {TABLE}, or set full_turn: false"
-        problems.append(warning("turn-uneven", "capture.yaml turntable.full_turn", what,
-                                expected=expected, found=found, remedy=remedy))  # fmt: skip
-    if full and not settings.turntable.full_turn:
+        return [warning("turn-uneven", where, what, found=steps, remedy=remedy)]
+    if full and not stated:
         remedy = "Set full_turn: true: the residual is then coded as periodic over the views"
-        what = "the cameras go once round, but full_turn is false"
-        problems.append(warning("turn-full", "capture.yaml turntable.full_turn", what, remedy=remedy))
-    return problems
+        return [warning("turn-full", where, "the cameras go once round, but full_turn is false", remedy=remedy)]
+    return []
 
 
 def _board_problems(frames: tuple[Frame, ...], views: tuple[str, ...], settings: TurntableFile) -> list[Problem]:
-    boards = [f for f in frames if f.role == "board"]
-    problems = []
-    if boards and settings.turntable.board is None:
-        what = "frames of a calibration board, but no description of it"
-        expected = "turntable.board with squares_x, squares_y, square_mm, marker_mm, dictionary"
-        problems.append(
-            error("board-undescribed", "capture.yaml", what, expected=expected, found=f"{len(boards)} frames")
-        )
-    if settings.turntable.board is not None and not boards:
-        what, remedy = "a calibration board is described, but no frame shows it", "List its pictures with role board"
-        problems.append(error("board-without-frame", "capture.yaml turntable.board", what, remedy=remedy))
-    for view, count in Counter(f.view for f in boards if f.view).items():
+    """List how boards and their description disagree, and views without a camera, which boards must then give."""
+    boards, block, problems = [f for f in frames if f.role == "board"], settings.turntable, []
+    if boards and block.board is None:
+        what = f"{len(boards)} frames show a calibration board that turntable.board does not describe"
+        problems.append(error("board-undescribed", "capture.yaml", what))
+    if block.board is not None and not boards:
+        what = f"a calibration board is described, but no frame of role board in {TABLE} shows it"
+        problems.append(error("board-without-frame", "capture.yaml turntable.board", what))
+    posed = Counter(f.view for f in boards if f.view)
+    for view, count in posed.items():
         if count > 1:
-            found = f"{count} for view '{view}'"
-            problems.append(error("board-repeated", TABLE, "one picture of the board a view", found=found))
-    return problems
-
-
-def _pose_problems(frames: tuple[Frame, ...], views: tuple[str, ...], settings: TurntableFile) -> list[Problem]:
-    """Where neither matrices nor correspondences tell where a view was taken from, boards must, for all or none."""
-    block = settings.turntable
+            what = f"expected one picture of the board for view '{view}', found {count}"
+            problems.append(error("board-repeated", TABLE, what))
     if block.cameras or block.correspondences or len(views) < 2:
-        return []
-    posed = {f.view for f in frames if f.role == "board" and f.view}
+        return problems
     if not posed:
         what = "camera positions are unknown: only separation by polarisers is possible"
         remedy = "Give turntable.cameras, correspondences, or pictures of a board in each view"
-        return [warning("cameras-none", "capture.yaml", what, remedy=remedy)]
-    return [
-        error("view-without-camera", TABLE, f"view '{view}' has no picture of the board, nor a camera")
-        for view in views
-        if view not in posed
+        return [*problems, warning("cameras-none", "capture.yaml", what, remedy=remedy)]
+    what = "has no picture of the board, nor a camera"
+    return problems + [
+        error("view-without-camera", TABLE, f"view '{view}' {what}") for view in views if view not in posed
     ]
