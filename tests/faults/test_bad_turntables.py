@@ -141,13 +141,13 @@ BROKEN = {
     "matrix infinite": ({}, camera_row("v1", ",".join("1" * 11) + ",inf"), "camera-not-finite", "view 'v1'"),
     "matrix singular": ({}, camera_row("v1", ",".join("1" * 12)), "camera-singular", "K [R t]"),
     "camera twice": ({}, text("cameras.csv", "v2,", "v1,"), "camera-duplicate", "two cameras"),
-    "cameras without heading": ({}, text("cameras.csv", "view,p11", "name,p11"), "cameras-columns", "p11 ... p34"),
+    "cameras without heading": ({}, text("cameras.csv", "view,p11", "name,p11"), "cameras-columns", "p33,p34"),
     "cameras empty": ({}, whole("cameras.csv", ""), "cameras-columns", "no heading"),
     "cameras not text": ({}, whole("cameras.csv", b"\xff\xfe\x00"), "cameras-unreadable", "UTF-8"),
     "cameras missing": ({}, lambda f: (f / "cameras.csv").unlink(), "image-missing", "turntable.cameras"),
     "cameras outside": ({}, block(cameras="../cameras.csv"), "outside-folder", "turntable.cameras"),
     "view missing": ({}, row("frames/2_", "frames/2_0_0.png,sample,,,,"), "view-empty", "row 4"),
-    "view twice": ({}, row("frames/2_", "frames/2_0_0.png,sample,v1,,,"), "frame-repeated", "2 frames of view 'v1'"),
+    "view twice": ({}, row("frames/2_", "frames/2_0_0.png,sample,v1,,,"), "frame-repeated", "view 'v1'"),
     "same view, light and polariser": (
         STATES, row("frames/2_0_1", "frames/2_0_1.png,sample,v2,,off,"), "frame-repeated", "polariser 'off'"),
     "polariser state unknown": (STATES, text("frames.csv", "v2,,on", "v2,,onn"), "polariser-unknown", "'on'"),
@@ -178,10 +178,10 @@ BROKEN = {
     "scan that is an OBJ": ({}, mesh(b"v 0 0 0\n", "m.obj", "scans"), "mesh-format", "expected .ply"),
     "scan without points": (
         {}, mesh(b"ply\nelement vertex 0\nend_header\n", "m.ply", "scans"), "mesh-empty", "without vertex"),
-    "board not described": ({}, more("b.png,board,v1,,,", "b.png"), "board-undescribed", "squares_x"),
+    "board not described": ({}, more("b.png,board,v1,,,", "b.png"), "board-undescribed", "turntable.board"),
     "board without a picture": ({}, block(board=BOARD), "board-without-frame", "role board"),
     "board twice for a view": (
-        {}, both(described(), more("b.png,board,v1,,,", "b.png")), "board-repeated", "2 for view 'v1'"),
+        {}, both(described(), more("b.png,board,v1,,,", "b.png")), "board-repeated", "view 'v1'"),
     "board of an unknown view": ({}, both(described(), more("b.png,board,v9,,,", "b.png")), "view-unknown", "'v9'"),
     "board for some views only": (NO_CAMERAS, described(), "view-without-camera", "view 'v0'"),
     "board with markers too large": ({}, described(marker_mm=20.0), "wrong-value", "smaller than square_mm"),
@@ -210,7 +210,7 @@ BROKEN = {
     "lamp without a photograph": ({"lights": ("a",)}, lamps("a,0,0,1\nb,0,1,1\n"), "light-without-frame", "'b'"),
     "photograph without its lamp": ({"lights": ("a", "b")}, lamps("a,0,0,1\n"), "frame-without-light", "'b'"),
     "lamp not named": ({}, lamps("a,0,0,1\nb,0,1,1\n"), "light-empty", "row 2"),
-    "lamp named for some": ({}, text("frames.csv", "v2,,", "v2,a,"), "light-empty", "or of none"),
+    "lamp named for some": ({}, text("frames.csv", "v2,,", "v2,a,"), "light-empty", "row 2"),
     "lamp of zero length": ({"lights": ("a",)}, lamps("a,0,0,0\n"), "light-zero", "'a'"),
     "view not under every lamp": ({"lights": ("a", "b")}, row("frames/2_1", ""), "light-missing", "view 'v2'"),
     "white missing for a lamp": (

@@ -114,21 +114,24 @@ def lights_from_vectors(
     with np.errstate(over="ignore", invalid="ignore"):
         lengths = np.sqrt((vectors**2).sum(axis=1))
     called = [str(i + 1) if name is None else light_name(name) for i, name in enumerate(names)]
-    for i, (vector, length) in enumerate(zip(vectors, lengths, strict=True)):
-        # the origin of a turntable's positions is the camera, where a lamp may well be
-        somewhere = 0.0 if kind == "position_mm" and not frontal else 1e-9
-        problems += _check_vector(vector, length, called[i], file, frontal, somewhere)
+    # the origin of a turntable's positions is the camera, where a lamp may well be
+    least = 0.0 if kind == "position_mm" and not frontal else 1e-9
+    for name, vector, length in zip(called, vectors, lengths, strict=True):
+        what, found = f"light '{name}'", " ".join(f"{v:g}" for v in vector)
+        if not math.isfinite(length):
+            problems.append(error("light-not-finite", file, f"{what} is not finite", found=found))
+        elif length < least:
+            problems.append(error("light-zero", file, f"{what} has a vector of zero length", found=found))
+        elif frontal and vector[2] <= 0:
+            what += " lies in or behind the object's plane: directions point from there to the lamp, z to the camera"
+            problems.append(error("light-behind", file, what, expected="z > 0", found=found))
     seen: dict[str, int] = {}
     for i, name in enumerate(called):
-        if name in seen:
+        if seen.setdefault(name, i) != i:
             what = f"light '{name}' appears twice (numbers {seen[name] + 1} and {i + 1})"
-            problems.append(error("light-duplicate", file, what, remedy="Remove or rename one"))
-        seen.setdefault(name, i)
+            problems.append(error("light-duplicate", file, what))
         if not name:
-            remedy = "Name the photograph that it was taken with"
-            problems.append(
-                error("name-unusable", file, f"light {i + 1} has no name", found=repr(names[i]), remedy=remedy)
-            )
+            problems.append(error("name-unusable", file, f"light {i + 1} has no name", found=repr(names[i])))
         problems += label_problems(name, "light", file)
     raise_errors(problems)
     uneven = np.abs(lengths - 1) > 0.01
@@ -139,21 +142,6 @@ def lights_from_vectors(
     return Lights(
         tuple(called), tuple(names), vectors, vectors / np.where(lengths > 0, lengths, 1.0)[:, None], tuple(problems)
     )
-
-
-def _check_vector(
-    vector: np.ndarray, length: float, name: str, file: str, frontal: bool, least: float
-) -> list[Problem]:
-    found = " ".join(f"{v:g}" for v in vector)
-    if not math.isfinite(length):
-        return [error("light-not-finite", file, f"light '{name}' is not finite", found=found)]
-    if length < least:
-        return [error("light-zero", file, f"light '{name}' has a vector of zero length", found=found)]
-    if frontal and vector[2] <= 0:
-        remedy = "Directions point from the object to the lamp, z towards the camera; turn the axes if yours differ"
-        what = f"light '{name}' lies in or behind the object's plane"
-        return [error("light-behind", file, what, expected="z > 0", found=found, remedy=remedy)]
-    return []
 
 
 def rearrange(lights: Lights, order: str | None, axes: str | None) -> tuple[Lights, np.ndarray]:
@@ -179,15 +167,12 @@ def rearrange(lights: Lights, order: str | None, axes: str | None) -> tuple[Ligh
     CaptureError
         option-unusable for what is none of these.
     """
-    places = np.arange(len(lights.names))
-    if order is not None:
-        places = _order_of(order, len(places))
+    places = np.arange(len(lights.names)) if order is None else _order_of(order, len(lights.names))
     vectors = lights.vectors[places]
     if axes is not None:
         if not re.fullmatch(r"-?x,-?y|-?y,-?x", axes):
             remedy = "Write it with an equals sign where it begins with a dash: --lights-axes=-x,y"
-            expected = "x,-y and the like, one of the eight ways to turn and mirror"
-            refuse("option-unusable", "lights-axes", "not two axes", expected=expected, found=axes, remedy=remedy)
+            refuse("option-unusable", "lights-axes", f"expected two axes such as x,-y, found {axes}", remedy=remedy)
         columns = [(-1 if axis.startswith("-") else 1) * vectors[:, "xy".index(axis[-1])] for axis in axes.split(",")]
         vectors = np.column_stack([*columns, vectors[:, 2]])
     directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -205,20 +190,18 @@ def _order_of(text: str, count: int) -> np.ndarray:
         if sorted(numbers.tolist()) == places.tolist():
             return numbers
     expected = f"shift:N, reverse, or each number from 1 to {count} once, with commas between"
-    refuse("option-unusable", "lights-order", "not an order", expected=expected, found=text[:60])
+    refuse("option-unusable", "lights-order", f"expected {expected}, found {text[:60]}")
 
 
 def direction_problems(directions: np.ndarray, file: str) -> list[Problem]:
     """Whether these directions (lights, 3) can determine a normal: three or more, not all in one plane."""
     if len(directions) < 3:
-        remedy = "Photograph the object under more lamp positions"
-        found = f"{len(directions)}"
-        return [error("lights-few", file, "too few lights", expected="at least 3", found=found, remedy=remedy)]
+        return [error("lights-few", file, f"expected photographs under at least 3 lights, found {len(directions)}")]
     values = np.linalg.svd(directions, compute_uv=False)
     if values[2] < COPLANAR_RATIO * values[0]:
-        remedy = "Add a light outside that plane: with these, normals are not determined"
+        what = "all lights lie in one plane, so that normals are not determined"
         found = f"singular values {values[0]:.3g}, {values[1]:.3g}, {values[2]:.3g}"
-        return [error("lights-coplanar", file, "all lights lie in one plane", found=found, remedy=remedy)]
+        return [error("lights-coplanar", file, what, found=found, remedy="Add a light outside that plane")]
     return []
 
 
@@ -231,29 +214,22 @@ def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None
         declared = int(lines.pop(0)[1])
     elif counted:
         found = lines[0][1][:40] if lines else "an empty file"
-        expected = "the number of lights in the first line"
-        remedy = "Begin it with the number of lights; a line '[file name] x y z' for each follows"
-        what = "not a .lp file"
-        refuse("lights-unreadable", file, what, expected=expected, found=found, remedy=remedy)
+        expected = "the number of lights in the first line, then a line '[file name] x y z' for each"
+        refuse("lights-unreadable", file, "not a .lp file", expected=expected, found=found)
     parsed = [_parse_line(line) for _, line in lines]
     problems = []
     for (number, line), each in zip(lines, parsed, strict=True):
         if each is None:
-            where = f"{file} line {number}"
-            expected = "[file name] x y z"
-            remedy = "End the line with the three numbers of the direction"
-            what, found = "line cannot be read", line[:60]
-            problems.append(error("lights-unreadable", where, what, expected=expected, found=found, remedy=remedy))
+            what = f"expected [file name] x y z, found {line[:60]}"
+            problems.append(error("lights-unreadable", f"{file} line {number}", what))
     if declared is not None and declared != len(lines):
-        remedy = "Correct the first line, or restore the missing lines"
-        expected, found = f"{declared} lights as the first line says", f"{len(lines)} lines"
-        problems.append(error("lights-count", file, "count disagrees", expected=expected, found=found, remedy=remedy))
+        what = f"expected {declared} lights as the first line says, found {len(lines)} lines"
+        problems.append(error("lights-count", file, what))
     raise_errors(problems)
     names = [each[0] for each in parsed if each]
     rows = [each[1] for each in parsed if each]
     if any(n is None for n in names) and any(n is not None for n in names):
-        what, remedy = "some lines have a file name and some have none", "Name the photograph in every line, or in none"
-        refuse("lights-unreadable", file, what, remedy=remedy)
+        refuse("lights-unreadable", file, "some lines name a photograph and some do not: name it in all, or in none")
     if len({len(row) for row in rows}) > 1:  # names that end in numbers
         rows = [row[-3:] for row in rows]
     return names, rows
@@ -312,18 +288,15 @@ def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[Any], lis
     cartesian, angular = ["light", "x", "y", "z"], ["light", "azimuth_deg", "polar_deg"]
     if sorted(columns) not in (sorted(cartesian), sorted(angular)):
         expected = f"{','.join(cartesian)} or {','.join(angular)}"
-        refuse("lights-unreadable", file, "wrong columns", expected=expected, found=",".join(columns)[:80])
+        refuse("lights-unreadable", file, f"expected the columns {expected}, found {','.join(columns)[:80]}")
     names, vectors, problems = [], [], []
     for number, cells in islice(rows, bound("lights") + 1):
         row = dict(zip(columns, cells, strict=False))
         values: list[Any] = [_number(row.get(key, "")) for key in (cartesian if "x" in columns else angular)[1:]]
-        if (
-            len(cells) != len(columns)
-            or not row["light"]
-            or not all(v is not None and math.isfinite(v) for v in values)
-        ):
-            found = ",".join(cells)[:60]
-            problems.append(error("lights-unreadable", f"{file} line {number}", "row cannot be read", found=found))
+        sound = all(v is not None and math.isfinite(v) for v in values)
+        if len(cells) != len(columns) or not row["light"] or not sound:
+            what = f"expected a name and {len(values)} numbers, found {','.join(cells)[:60]}"
+            problems.append(error("lights-unreadable", f"{file} line {number}", what))
             continue
         names.append(row["light"])
         vectors.append(values if len(values) == 3 else from_angles(*np.radians(values)).tolist())

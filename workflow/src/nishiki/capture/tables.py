@@ -1,6 +1,7 @@
 """Tables of a capture beside frames.csv: projection matrices, points found in pictures, spectra."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,34 +36,37 @@ def read_cameras(path: Path, name: str) -> CameraTable:
     matrices: dict[str, np.ndarray] = {}
     distortions: dict[str, tuple[float, ...]] = {}
     problems: list[Problem] = []
-    with reading(name, "cameras"):
-        rows = list(table_rows(path, name))
-    expected = "view, then the 12 numbers p11 ... p34 of the 3x4 matrix, row by row; k1, k2, p1, p2, k3 may follow"
-    expect_rows(len(rows) - 1, "views", name, "cameras")
-    heading = [cell.casefold() for cell in rows[0][1]] if rows else []
-    wide = [["view", *MATRIX_COLUMNS], ["view", *MATRIX_COLUMNS, *LENS_COLUMNS]]
-    if heading not in wide:
-        found = ",".join(rows[0][1])[:90] if rows else "no heading"
-        refuse("cameras-columns", name, "columns", expected=expected, found=found)
-    count = len(heading) - 1
-    for number, cells in rows[1:]:
-        where = f"{name} row {number}"
+    wide = ("view", *MATRIX_COLUMNS)
+    rows, count = _read_rows(path, name, "cameras", wide, (*wide, *LENS_COLUMNS))
+    expect_rows(len(rows), "views", name, "cameras")
+    for where, cells in rows:
         values = _numbers(cells[1:])
         if values is None or len(values) != count or not np.isfinite(values[12:]).all():
-            found = f"{len(cells) - 1} values" if len(cells) != count + 1 else ",".join(cells)[:60]
-            problems.append(error("camera-values", where, "camera", expected=f"{count} numbers", found=found))
+            problems.append(error("camera-values", where, f"expected {count} numbers, found {len(cells) - 1} values"))
             continue
         view, matrix = cells[0], np.array(values[:12]).reshape(3, 4)
         if values[12:]:
             distortions[view] = tuple(values[12:])
-        problems += label_problems(view, "view", where)
         if view in matrices:
-            what = f"view '{view}' has two cameras"
-            problems.append(error("camera-duplicate", where, what, remedy="Keep one row a view"))
-        problems += camera_problems(view, matrix, where)
+            problems.append(error("camera-duplicate", where, f"view '{view}' has two cameras"))
+        problems += label_problems(view, "view", where) + camera_problems(view, matrix, where)
         matrices[view] = matrix
     raise_errors(problems)
     return CameraTable(matrices, distortions)
+
+
+def _read_rows(path: Path, name: str, kind: str, *headings: Sequence[str]) -> tuple[list[tuple[str, list[str]]], int]:
+    """Read a table with a row a view or a point: place and cells of each row, and the number of its numbers.
+
+    CaptureError (KIND-columns) unless it has one of these headings.
+    """
+    with reading(name, kind):
+        rows = list(table_rows(path, name))
+    heading = tuple(cell.casefold() for cell in rows[0][1]) if rows else ()
+    if heading not in headings:
+        expected = " or ".join(",".join(each) for each in headings)
+        refuse(f"{kind}-columns", name, f"expected {expected}, found {','.join(heading)[:90] or 'no heading'}")
+    return [(f"{name} row {number}", cells) for number, cells in rows[1:]], len(heading) - 1
 
 
 def arrange_cameras(
@@ -82,8 +86,7 @@ def arrange_cameras(
     if reverse:
         turned = scale_turn(arranged, np.array([camera_centre(matrix) for matrix in arranged]), -1.0)
         if turned is None:
-            what, remedy = "the cameras lie on no circle", "Leave turn out, and correct the cameras"
-            refuse("turn-unknown", "capture.yaml turntable.turn", what, remedy=remedy)
+            refuse("turn-unknown", "capture.yaml turntable.turn", "the cameras lie on no circle, which turn needs")
         arranged = turned
     lenses = {view: table.distortions[camera_of.get(view, view)] for view in views} if table.distortions else {}
     return CameraTable(dict(zip(views, arranged, strict=True)), lenses)
@@ -92,14 +95,13 @@ def arrange_cameras(
 def camera_problems(view: str, matrix: np.ndarray, where: str) -> list[Problem]:
     """Whether a 3x4 matrix is a camera at a finite place: finite, with a regular left part."""
     if not np.isfinite(matrix).all():
-        found = f"{int((~np.isfinite(matrix)).sum())} of 12 values are not finite"
-        return [error("camera-not-finite", where, f"camera of view '{view}'", expected="12 numbers", found=found)]
+        what = f"camera of view '{view}': {int((~np.isfinite(matrix)).sum())} of 12 values are not finite"
+        return [error("camera-not-finite", where, what)]
     try:
         Camera.from_matrix(view, matrix, rows=1, columns=1)
     except UserError:
-        what = f"camera of view '{view}' is singular"
         remedy = "A 3x4 matrix K [R t] of a perspective camera is expected, row by row"
-        return [error("camera-singular", where, what, remedy=remedy)]
+        return [error("camera-singular", where, f"camera of view '{view}' is singular", remedy=remedy)]
     return []
 
 
@@ -108,32 +110,23 @@ def read_points(path: Path, name: str, views: tuple[str, ...]) -> dict[str, np.n
 
     Raises CaptureError: points-missing, points-unreadable, points-columns, points-values, points-view, points-few.
     """
-    with reading(name, "points"):
-        rows = list(table_rows(path, name))
-    if not rows or tuple(c.casefold() for c in rows[0][1]) != POINT_COLUMNS:
-        found = ",".join(rows[0][1])[:90] if rows else "no heading"
-        refuse("points-columns", name, "columns", expected=",".join(POINT_COLUMNS), found=found)
-    rows_by_view: dict[str, list] = {}
+    points: dict[str, list] = {view: [] for view in views}
     problems: list[Problem] = []
-    for number, cells in rows[1:]:
-        where, values = f"{name} row {number}", _numbers(cells[1:])
+    for where, cells in _read_rows(path, name, "points", POINT_COLUMNS)[0]:
+        values = _numbers(cells[1:])
         if len(cells) != 6 or values is None or not all(map(math.isfinite, values)):
-            expected, found = "a view and 5 finite numbers", ",".join(cells)[:60]
-            problems.append(error("points-values", where, "point", expected=expected, found=found))
-            continue
-        if cells[0] not in views:
-            remedy = "Name the view as frames.csv does"
-            problems.append(error("points-view", where, f"no view '{cells[0]}'", remedy=remedy))
-        rows_by_view.setdefault(cells[0], []).append(values)
-    if not problems:
-        for view in views:
-            count = len(rows_by_view.get(view, ()))
-            if count < FEWEST_POINTS:
-                expected, remedy = f"at least {FEWEST_POINTS}", "Mark more points of the object in this view"
-                what = f"points in view '{view}'"
-                problems.append(error("points-few", name, what, expected=expected, found=str(count), remedy=remedy))
+            what = f"expected a view and 5 finite numbers, found {','.join(cells)[:60]}"
+            problems.append(error("points-values", where, what))
+        elif cells[0] not in points:
+            problems.append(error("points-view", where, f"no view '{cells[0]}' in frames.csv"))
+        else:
+            points[cells[0]].append(values)
+    for view, listed in points.items() if not problems else ():
+        if len(listed) < FEWEST_POINTS:
+            what = f"expected {FEWEST_POINTS} points or more in view '{view}', found {len(listed)}"
+            problems.append(error("points-few", name, what))
     raise_errors(problems)
-    return {view: np.array(points) for view, points in rows_by_view.items()}
+    return {view: np.array(listed) for view, listed in points.items()}
 
 
 def camera_centre(matrix: np.ndarray) -> np.ndarray:
@@ -168,16 +161,17 @@ def read_curves(path: Path, *, names: tuple[str, ...] | None = None, label: str 
     spectra-range, spectra-zero.
     """
     label = label or path.name
-    header, rows = _table(path, label)
-    if header[:1] != ["wavelength_nm"] or len(header) < 2:
-        expected = "wavelength_nm, then one column a curve"
-        refuse("spectra-columns", label, "columns", expected=expected, found=",".join(header)[:80])
+    with reading(label, "spectra"):
+        header, *rows = [cells for _, cells in table_rows(path, label)] or [[]]
+    expect_rows(len(header), "table_columns", label, "spectra")
     selected = list(names) if names else header[1:]
-    missing = [n for n in selected if n not in header[1:]]
-    if missing or len(set(header)) != len(header):
-        what = f"no column for {', '.join(missing)}" if missing else "a column appears twice"
-        remedy = "Name the columns as camera.channels does"
-        refuse("spectra-columns", label, what, found=",".join(header)[:80], remedy=remedy)
+    missing = [name for name in selected if name not in header[1:]]
+    if header[:1] != ["wavelength_nm"] or not selected or missing or len(set(header)) != len(header):
+        expected = f"wavelength_nm and a column for {', '.join(selected) or 'each curve'}, each once"
+        refuse("spectra-columns", label, f"expected {expected}, found {','.join(header)[:80] or 'an empty file'}")
+    uneven = next((number for number, row in enumerate(rows, start=2) if len(row) != len(header)), None)
+    if uneven:
+        refuse("spectra-unreadable", label, f"row {uneven} has another number of values than the heading")
     try:
         numbers = np.array([[float(v) for v in row] for row in rows], dtype=np.float64).reshape(-1, len(header))
     except ValueError as e:
@@ -187,36 +181,23 @@ def read_curves(path: Path, *, names: tuple[str, ...] | None = None, label: str 
     return Curves(tuple(selected), wavelengths, values)
 
 
-def _table(path: Path, label: str) -> tuple[list[str], list[list[str]]]:
-    with reading(label, "spectra"):
-        rows = [cells for _, cells in table_rows(path, label)]
-    if not rows:
-        refuse("spectra-unreadable", label, "empty file")
-    expect_rows(len(rows[0]), "table_columns", label, "spectra")
-    uneven = [i for i, row in enumerate(rows, start=1) if len(row) != len(rows[0])]
-    if uneven:
-        what = f"row {uneven[0]} has another number of values than the heading"
-        refuse("spectra-unreadable", label, what, expected=f"{len(rows[0])} values")
-    return rows[0], rows[1:]
-
-
 def _mistakes(wavelengths: np.ndarray, values: np.ndarray, label: str) -> list:
     if not (np.isfinite(wavelengths).all() and np.isfinite(values).all()):
         bad = int((~np.isfinite(values)).sum() + (~np.isfinite(wavelengths)).sum())
         return [error("spectra-not-finite", label, f"{bad} values are not finite")]
-    problems = []
-    if len(wavelengths) > 1 and not (np.diff(wavelengths) > 0).all():
-        at = wavelengths[1:][np.diff(wavelengths) <= 0][0]
-        problems.append(error("spectra-order", label, "wavelengths do not increase", found=f"at {at:g} nm"))
+    problems, falls = [], np.diff(wavelengths) <= 0
+    if falls.any():
+        at = wavelengths[1:][falls][0]
+        problems.append(error("spectra-order", label, f"wavelengths do not increase at {at:g} nm"))
     if len(wavelengths) < 2 or wavelengths.min() > FIRST_NM or wavelengths.max() < LAST_NM:
         found = f"{wavelengths.min():g}-{wavelengths.max():g} nm" if len(wavelengths) else "no rows"
-        expected = f"at least {FIRST_NM:g}-{LAST_NM:g} nm"
-        remedy = "Measure or extend the curve; it is not extrapolated"
-        what = "wavelength range is too short"
-        problems.append(error("spectra-range", label, what, expected=expected, found=found, remedy=remedy))
+        what = f"expected wavelengths over {FIRST_NM:g}-{LAST_NM:g} nm or more, found {found}"
+        problems.append(
+            error("spectra-range", label, what, remedy="The curve is not extrapolated: measure or extend it")
+        )
     if (values < 0).any():
-        found = f"{values.min():g}"
-        problems.append(error("spectra-negative", label, f"{int((values < 0).sum())} negative values", found=found))
+        what = f"{int((values < 0).sum())} negative values, the lowest {values.min():g}"
+        problems.append(error("spectra-negative", label, what))
     elif values.size and not (values > 0).any(axis=0).all():
         problems.append(error("spectra-zero", label, "a curve is zero everywhere"))
     return problems
