@@ -1,6 +1,5 @@
 """Search the circles of mirror balls: edges around moving highlights, and rays of two balls that meet."""
 
-from collections.abc import Callable, Sequence
 from itertools import combinations, product
 
 import numpy as np
@@ -13,7 +12,6 @@ from nishiki.capture.spheres.findings import (
     SphereInput,
     corner_of,
     crop_around,
-    cut_crop,
     read_crops,
 )
 from nishiki.capture.spheres.lamps import triangulate
@@ -34,9 +32,6 @@ from nishiki.formats.masks import read_mask
 MOST_CLUSTERS = 8  # that are examined
 LEAST_SUPPORT = 0.45  # of a circle that may be a ball's outline
 RIVAL = 0.7  # of the best support: of one ball alone, the outermost circle with as much is its outline
-LEAST_OF_SAME = 0.38  # support of a circle as large as that of another ball
-SAME_SIZE = 0.05  # relative difference of radii
-MOST_SIZES = 3  # of other balls that are tried
 MOST_RIVALS = 8  # circles that may be the outline of one ball
 EQUAL = 1.03  # residual relative to the least, up to which edges alone rank circles
 AS_GOOD = 1.15  # residual relative to the least, up to which circles explain the scene as well
@@ -115,19 +110,16 @@ def _propose(stack, corner, inner: np.ndarray, radii: tuple[float, float], facto
     import cv2
 
     origin = np.asarray(corner, float) * factor
+    shrink = max(1.0, max(stack.shape[1:]) / CROP_SIDE)
+    size = (max(8, round(stack.shape[2] / shrink)), max(8, round(stack.shape[1] / shrink)))
+    small = np.array([cv2.resize(each, size, interpolation=cv2.INTER_AREA) for each in stack])
+    pixel = factor * stack.shape[2] / size[0]
+    places = (inner + 0.5 - origin) / pixel - 0.5
     circles: list[Circle] = []
-    for side in (CROP_SIDE, CROP_SIDE / 2):  # rims are sharp or blurred
-        shrink = max(1.0, max(stack.shape[1:]) / side)
-        size = (max(8, round(stack.shape[2] / shrink)), max(8, round(stack.shape[1] / shrink)))
-        small = np.array([cv2.resize(each, size, interpolation=cv2.INTER_AREA) for each in stack])
-        pixel = factor * stack.shape[2] / size[0]
-        places = (inner + 0.5 - origin) / pixel - 0.5
-        for c in propose_circles(small, places, (max(radii[0] / pixel, 4.0), max(radii[1] / pixel, 8.0))):
-            column, row = (np.array([c.column, c.row]) + 0.5) * pixel - 0.5 + origin
-            circles.append(Circle(column, row, c.radius * pixel, c.support))
-        if shrink == 1 and max(stack.shape[1:]) <= side / 2:
-            break
-    return sorted(circles, key=lambda each: -each.support)
+    for c in propose_circles(small, places, (max(radii[0] / pixel, 4.0), max(radii[1] / pixel, 8.0))):
+        column, row = (np.array([c.column, c.row]) + 0.5) * pixel - 0.5 + origin
+        circles.append(Circle(column, row, c.radius * pixel, c.support))
+    return circles
 
 
 def _outermost(circles: list[Circle]) -> Circle:
@@ -160,33 +152,13 @@ def search_circles(given: SphereInput, overview: Overview, findings: Findings) -
     crops : list of Crop
         Crops of the photographs that were read on the way.
     """
-    from scipy.optimize import minimize
-
     clusters = cluster_highlights(find_moving_highlights(overview.stack), overview)[:MOST_CLUSTERS]
     shape = findings.camera.rows, findings.camera.columns
     small = [c for c in clusters if c.radius / overview.factor < COARSE_PX and overview.factor > 1.2]
     crops = [crop_around((*c.centre, CROP_REACH * c.radius / MARGIN), shape) for c in small]
-    fine: dict[int | None, Crop] = dict(
-        zip(map(id, small), zip(crops, read_crops(given.photographs, crops), strict=True), strict=True)
-    )
-    if overview.factor == 1:
-        fine[None] = ((slice(0, shape[0]), slice(0, shape[1])), overview.stack)
+    fine = dict(zip(map(id, small), zip(crops, read_crops(given.photographs, crops), strict=True), strict=True))
     candidates: list[tuple[Cluster, list[Circle]]] = []
     left: dict[Circle, float] = {}
-
-    def examine(cluster: Cluster, circles: list[Circle], least: float = LEAST_SUPPORT) -> list[Circle]:
-        residual = _explain_scene(cluster, overview, findings.camera)
-        good = [c for c in circles if c.support >= least and c.radius >= LEAST_RADIUS_PX]
-        left.update({circle: residual(circle) for circle in good})
-        least = min((left[circle] for circle in good), default=1.0)
-        # Circles that explain the scene as well as the best are ranked by their edges.
-        return sorted(good, key=lambda c: (max(left[c], EQUAL * least), -c.support))[:MOST_RIVALS]
-
-    def propose_near(cluster: Cluster, circle: Sequence[float], radii: tuple[float, float]) -> list[Circle]:
-        crop = crop_around(circle, shape)
-        stack = cut_crop(crop, list(fine.values()))
-        inner = np.array(list(cluster.places.values()))
-        return _propose(stack, corner_of(crop), inner, radii, 1.0) if stack is not None else []
 
     for cluster in clusters:
         inner = np.array(list(cluster.places.values()))
@@ -200,27 +172,16 @@ def search_circles(given: SphereInput, overview: Overview, findings: Findings) -
             centre = (cluster.centre + 0.5) / overview.factor - 0.5
             crop = crop_around((*centre, LARGEST * cluster.radius / overview.factor / 1.5), overview.stack.shape[1:])
             circles += _propose(overview.stack[(slice(None), *crop)], corner_of(crop), inner, radii, overview.factor)
-        residual = _explain_scene(cluster, overview, findings.camera)
-        start = (*cluster.centre, 1.5 * cluster.radius)
-        if residual(start) < 1:
-            # Where the scene tells which circle it must be, edges are looked for along that one, too.
-            found = minimize(residual, start, method="Nelder-Mead", options={"maxfev": 150, "xatol": 1}).x
-            again = propose_near(cluster, found, (0.88 * found[2], 1.14 * found[2]))
-            circles += [c for c in again if np.hypot(c.column - found[0], c.row - found[1]) < 0.25 * found[2]][:4]
-        if good := examine(cluster, circles):
-            candidates.append((cluster, good))
+        if good := [c for c in circles if c.support >= LEAST_SUPPORT and c.radius >= LEAST_RADIUS_PX]:
+            left |= _unexplained_shares(cluster, good, overview, findings.camera)
+            least = EQUAL * min(left[circle] for circle in good)
+            # Circles that explain the scene as well as the best are ranked by their edges.
+            good.sort(key=lambda c: (max(left[c], least), -c.support))
+            candidates.append((cluster, good[:MOST_RIVALS]))
         else:
             nowhere = Circle(cluster.centre[0], cluster.centre[1], cluster.radius, 0.0)
             best = max(circles, key=lambda each: each.support, default=nowhere)
             findings.rejected.append((best, f"no outline: edges along {100 * best.support:.0f} % of a circle only"))
-    # Balls are often of one size: edges are looked for along circles as large as those of the other balls.
-    for k, (cluster, circles) in enumerate(candidates):
-        others = [c[0].radius for j, (_, c) in enumerate(candidates) if j != k and min(left[c[0]], 1) < 1]
-        for radius in others[:MOST_SIZES]:
-            if all(abs(np.log(radius / c.radius)) > SAME_SIZE for c in circles) and radius > cluster.radius:
-                near = (radius / (1 + SAME_SIZE), radius * (1 + SAME_SIZE))
-                circles = [*circles, *propose_near(cluster, (*cluster.centre, 1.3 * radius), near)[:4]]
-        candidates[k] = (cluster, examine(cluster, circles, LEAST_OF_SAME))
     chosen = []
     for circle in _choose(candidates, left, overview, findings):
         share = _lit_share(circle, overview)
@@ -262,8 +223,8 @@ def _choose(
                 continue
             places = candidates[i][0].places, candidates[j][0].places
             pair = ((one, places[0]), (two, places[1]))
-            if min(_disagreement(pair, lens, findings.camera) for lens in LENSES[::4]) < 3 * AGREEMENT:
-                angle, best = min((_disagreement(pair, lens, findings.camera), -k) for k, lens in enumerate(LENSES))
+            if min(_meet(pair, lens, findings.camera)[1] for lens in LENSES[::4]) < 3 * AGREEMENT:
+                angle, best = min((_meet(pair, lens, findings.camera)[1], -k) for k, lens in enumerate(LENSES))
                 if angle < AGREEMENT:
                     pairs.append((max(left[one], left[two]), angle, i, j, one, two, LENSES[-best]))
     if not pairs:
@@ -288,7 +249,7 @@ def _choose(
                     for c in chosen.values()
                 )
                 pair = ((one, candidates[i][0].places), (circle, candidates[k][0].places))
-                angle = _disagreement(pair, lens, findings.camera)
+                angle = _meet(pair, lens, findings.camera)[1]
                 if apart and angle < min(AGREEMENT, 2 * least + np.radians(2)):
                     fitting.append((left[circle], angle, circle))
             if fitting:
@@ -306,10 +267,12 @@ def _choose(
     return sorted(taken)
 
 
-def _explain_scene(cluster: Cluster, overview: Overview, camera: SphereCamera) -> Callable[[Sequence[float]], float]:
-    """Make a function of a circle (column, row, radius): the share of the scene's light that its lamps do not explain.
+def _unexplained_shares(
+    cluster: Cluster, circles: list[Circle], overview: Overview, camera: SphereCamera
+) -> dict[Circle, float]:
+    """Compute the share of the scene's light that the lamps seen on each circle do not explain; 1 without a scene.
 
-    A turn of all lamps does not change that share, so the ball is treated as seen from afar. 1 without a scene.
+    A turn of all lamps does not change that share, so the ball is treated as seen from afar.
     """
     import cv2
 
@@ -319,29 +282,21 @@ def _explain_scene(cluster: Cluster, overview: Overview, camera: SphereCamera) -
     at = [int((v + 0.5) / overview.factor) for v in cluster.centre]
     cv2.circle(free, at, int(2.5 * cluster.radius / overview.factor), 0, -1)
     light = bright_blocks(overview.stack[seen], free > 0)
-
-    def residual(circle: Sequence[float]) -> float:
-        if light is None or (np.hypot(*(places - circle[:2]).T) >= circle[2]).mean() > OUTSIDE:
-            return 1.0
-        shown = (
-            np.asarray(circle[:2])
-            + (places - circle[:2]) * np.minimum(1, 0.999 * circle[2] / np.hypot(*(places - circle[:2]).T))[:, None]
-        )
-        return residual_of(light, reflected_rays(shown, np.array(circle[:3]), camera, 1.0)[1])
-
-    return residual
-
-
-def _disagreement(pair, lens: float | None, camera: SphereCamera) -> float:
-    """Compute the median angle in radians by which rays from two balls miss each other.
-
-    pair: circle and highlights of each ball.
-    """
-    return _meet(pair, lens, camera)[1]
+    shares = dict.fromkeys(circles, 1.0)
+    if light is None:
+        return shares
+    for circle in circles:
+        away = np.hypot(*(places - circle[:2]).T)
+        if (away >= circle.radius).mean() <= OUTSIDE:
+            inside = (
+                np.asarray(circle[:2]) + (places - circle[:2]) * np.minimum(1, 0.999 * circle.radius / away)[:, None]
+            )
+            shares[circle] = residual_of(light, reflected_rays(inside, np.array(circle[:3]), camera, 1.0)[1])
+    return shares
 
 
 def _meet(pair, lens: float | None, camera: SphereCamera) -> tuple[np.ndarray, float]:
-    """Compute the directions (lamps, 3) of lamps from between two balls.
+    """Compute the directions (lamps, 3) of lamps from between two balls, of which pair has circle and highlights.
 
     Also returns the median angle in radians by which rays from both balls miss each other.
     """
@@ -385,9 +340,5 @@ def _settle_pair(
     start = np.array([*circles[0][:3], *circles[1][:3], 0.0 if lens is None else np.arctan(0.5 / lens)])
     steps = 0.05 * np.array([circles[0].radius] * 3 + [circles[1].radius] * 3 + [1.0])
     simplex = np.vstack([start, start + np.diag(steps)])
-    x = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 400, "initial_simplex": simplex}).x
-    (column, row, radius), (other_column, other_row, other_radius) = x[:3].tolist(), x[3:6].tolist()
-    return (
-        Circle(column, row, radius, circles[0].support),
-        Circle(other_column, other_row, other_radius, circles[1].support),
-    )
+    x = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 400, "initial_simplex": simplex}).x.tolist()
+    return Circle(x[0], x[1], x[2], circles[0].support), Circle(x[3], x[4], x[5], circles[1].support)
