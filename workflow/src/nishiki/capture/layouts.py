@@ -15,7 +15,14 @@ from nishiki.capture.frames import SourcePhotographs, inside
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.pairing import find_bands
-from nishiki.capture.rti_projects import CROPPED, RtiProject, find_relight, is_relight, read_relight
+from nishiki.capture.rti_projects import (
+    CROPPED,
+    find_project_lights,
+    find_project_photographs,
+    find_relight,
+    is_relight,
+    read_relight,
+)
 from nishiki.capture.spheres.optics import direction_from_sphere
 from nishiki.capture.stated_lights import (
     StatedLights,
@@ -189,18 +196,22 @@ def settle_directions(layout: Layout, options: ConvertOptions) -> Layout:
     return _settled(layout, stated, Path(layout.name), options)
 
 
-def read_rtibuilder(source: Path, project: RtiProject, options: ConvertOptions) -> Layout:
+def read_rtibuilder(source: Path, folders: dict[str, Path], options: ConvertOptions) -> Layout:
     """Read the lights of an RTIBuilder project, given or its own, and find the photographs they name, by stem."""
-    lights_file = options.lights_file or project.lights_file()
+    lights_file = options.lights_file or find_project_lights(source, folders)
     stated = state_lights(source, lights_file, options)
     lights = stated.lights
     if all(file is None for file in lights.files):
-        what, remedy = "the lights file names no photographs", "Convert the folder of photographs with --lights"
-        refuse("layout-unknown", lights_file.name, what, remedy=remedy)
-    folder = project.photographs(lights)
+        remedy = "Convert the folder of photographs with --lights"
+        refuse("layout-unknown", lights_file.name, "the lights file names no photographs", remedy=remedy)
+    folder, others = find_project_photographs(source, folders, lights)
     layout = _with_lights(folder, stated, lights_file, options.mask or find_mask(source) or find_mask(folder))
     layout = _settled(layout, stated, lights_file, options)
-    note = project.note(lights_file, lights, folder)
+    what = f"an RTIBuilder project: the lights of {lights_file.name} and the photographs of {folder.name}"
+    found = f"the same photographs in {', '.join(others)}, not used" if others else ""
+    words = [str(folders[others[-1]]), "--lights", str(lights_file)] if others else []
+    remedy = f"For the last of those: ./nishiki convert {shlex.join(words)}" if others else ""
+    note = warning("project-folders", str(source), what, found=found, remedy=remedy)
     return replace(layout, name="RTIBuilder project", warnings=(note, *layout.warnings))
 
 

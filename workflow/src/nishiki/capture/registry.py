@@ -35,7 +35,7 @@ from nishiki.capture.photogrammetry import (
     read_metashape,
 )
 from nishiki.capture.relightable import Rendering, read_relightable, recognise_relightable
-from nishiki.capture.rti_projects import RtiProject
+from nishiki.capture.rti_projects import find_rti_project
 from nishiki.capture.turntable_layouts import (
     RoundLayout,
     cameras_of,
@@ -132,7 +132,7 @@ def read_mosaic(source: Path, fields: tuple[Field, ...], options: ConvertOptions
 
 LAYOUTS = (
     FolderLayout("fields", find_fields, read_mosaic),
-    FolderLayout("RTIBuilder project", lambda source, options: RtiProject.of(source), read_rtibuilder),
+    FolderLayout("RTIBuilder project", find_rti_project, read_rtibuilder),
     FolderLayout("lights file", find_lights_file, read_with_lights_file),
     FolderLayout(
         "DiLiGenT",

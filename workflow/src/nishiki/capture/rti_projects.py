@@ -17,18 +17,18 @@ spheres), `jpeg-exports` (the photographs that it worked on), and perhaps `cropp
 
 import math
 import re
-import shlex
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nishiki.capture.lights import Lights, lights_from_vectors
+from nishiki.capture.options import ConvertOptions
 from nishiki.capture.stated_lights import StatedLights
 from nishiki.formats.files import files_with, json_object, leads_out, read_text, same_name
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
-from nishiki.formats.problems import CaptureError, Problem, error, expect_one, refuse, warning
+from nishiki.formats.problems import CaptureError, Problem, error, expect_one, left_out, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading
 
 REMEDY = "Save the project again in Relight with its directions, or export a .lp file"
@@ -78,9 +78,9 @@ def read_relight(path: Path, kind: str | None = None, width_mm: float | None = N
         rows = [_vector(numbers[i : i + 3], path.name) for i in range(0, len(numbers), 3)]
         lights = lights_from_vectors([None] * len(rows), np.array(rows, float).reshape(-1, 3), file=path.name)
         return StatedLights(lights, pitch_mm=_positive(content, "pixelSizeInMM"))
-    stated = _of_dome(content, path, kind, width_mm)
-    lights = lights_from_vectors([None] * len(stated.vectors), stated.vectors, file=path.name, kind=stated.read_as)
-    return stated.lights(lights, _strengths(content, len(stated.vectors), path.name))
+    lamps = _of_dome(content, path, kind, width_mm)
+    count = len(lamps.vectors)
+    return lamps.state([None] * count, list(range(count)), _strengths(content, count, path.name), path.name)
 
 
 def _of_project(content: dict, images: list, path: Path, kind: str | None, width_mm: float | None) -> StatedLights:
@@ -99,9 +99,8 @@ def _of_project(content: dict, images: list, path: Path, kind: str | None, width
     if own and all(isinstance(each, dict) for each in own) and any(each.get(axis) for each in own for axis in "xyz"):
         dome = {"imageWidth": dome.get("imageWidth"), "directions": own}
     if not _vectors(dome.get("directions"), path.name).size and not _vectors(dome.get("positions3d"), path.name).size:
-        what, found = "a project without directions of its lamps", f"{len(taken)} photographs"
         remedy = "Find the lights in Relight and save it again, or give the directions with --lights FILE"
-        refuse("lights-unreadable", path.name, what, found=found, remedy=remedy)
+        refuse("lights-unreadable", path.name, "a project without directions of its lamps", remedy=remedy)
     lamps = _of_dome(dome, path, kind, width_mm)
     strengths = _strengths(dome, len(lamps.vectors), path.name)
     stated = taken if len(lamps.vectors) == len(taken) else list(range(len(images)))
@@ -111,27 +110,23 @@ def _of_project(content: dict, images: list, path: Path, kind: str | None, width
     dark = [i for i, vector in zip(stated, lamps.vectors, strict=True) if not vector.any()]
     used = [k for k, i in enumerate(stated) if i in taken and images[i].get("visible") is not False and i not in dark]
     notes = []
-    if dark:
-        what, found = "photographs without a direction were left out", ", ".join(names[i] for i in dark[:5])
-        notes.append(warning("photograph-unlisted", path.name, what, found=found))
-    if len(used) + len(dark) < len(images):
+    notes += left_out([names[i] for i in dark], path.name, "photographs without a direction")
+    if skipped := len(images) - len(used) - len(dark):
         what = "photographs that the project skips were left out"
-        notes.append(warning("photograph-unlisted", path.name, what, found=f"{len(images) - len(used) - len(dark)}"))
+        notes.append(warning("photograph-unlisted", path.name, what, found=f"{skipped}"))
     region, more = _crop(content, path.name)
     shifts, remarks = _shifts(content, [stated[k] for k in used], path.name)
     notes += [*more, *remarks]
     folder = content.get("folder")
     prefix = f"{folder.rstrip('/')}/" if isinstance(folder, str) and folder.strip("/") not in ("", ".") else ""
     files: list[str | None] = [f"{prefix}{names[stated[k]]}" for k in used]
-    lamps = lamps.of(used)
-    lights = lights_from_vectors(files, lamps.vectors, file=path.name, kind=lamps.read_as)
-    lights = replace(lights, warnings=(*lights.warnings, *notes))
-    stated_lights = lamps.lights(lights, None if strengths is None else strengths[used])
-    return replace(stated_lights, pitch_mm=_positive(content, "pixelSize"), region=region, shifts=shifts)
+    stated_lights = lamps.state(files, used, strengths, path.name)
+    lights = replace(stated_lights.lights, warnings=(*stated_lights.lights.warnings, *notes))
+    pitch_mm = _positive(content, "pixelSize")
+    return replace(stated_lights, lights=lights, pitch_mm=pitch_mm, region=region, shifts=shifts)
 
 
-@dataclass(frozen=True)
-class _DomeLamps:
+class _DomeLamps(NamedTuple):
     """Vectors (lamps, 3) of a dome, positions in mm or directions; width of the pictures in millimetres or 0."""
 
     vectors: np.ndarray
@@ -139,18 +134,14 @@ class _DomeLamps:
     width_mm: float
     directions: np.ndarray | None = None  # where vectors are positions that the photographs have to bear out, else None
 
-    @property
-    def read_as(self) -> str:
-        return self.kind if self.directions is None else "position_mm"
-
-    def of(self, chosen: list[int]) -> "_DomeLamps":
-        far = None if self.directions is None else self.directions[chosen]
-        return replace(self, vectors=self.vectors[chosen], directions=far)
-
-    def lights(self, lights: Lights, strengths: np.ndarray | None) -> StatedLights:
-        open_kind = self.directions is not None
-        stated = StatedLights(lights, self.kind, self.width_mm, 0.0, strengths)
-        return replace(stated, open_kind=open_kind, scaled=open_kind, rival=self.directions)
+    def state(self, files: list[str | None], used: list[int], strengths: np.ndarray | None, file: str) -> StatedLights:
+        """State the lamps that are used, of these photographs."""
+        far = None if self.directions is None else self.directions[used]
+        kind = self.kind if far is None else "position_mm"
+        lights = lights_from_vectors(files, self.vectors[used], file=file, kind=kind)
+        strengths = None if strengths is None else strengths[used]
+        stated = StatedLights(lights, self.kind, self.width_mm, intensities=strengths, rival=far)
+        return replace(stated, open_kind=far is not None, scaled=far is not None)
 
 
 def _of_dome(dome: dict, path: Path, kind: str | None, width_mm: float | None) -> _DomeLamps:
@@ -271,82 +262,51 @@ PHOTOGRAPHS = ("jpeg-exports", "cropped-files", "edited-captures", "original-cap
 """Folders that may hold the photographs, in the order in which they are looked through."""
 
 
-@dataclass(frozen=True)
-class RtiProject:
-    """A project's folders by name, as far as they are there."""
+def find_rti_project(source: Path, options: ConvertOptions) -> dict[str, Path] | None:
+    """Find the folders of a project by name, of which `assembly-files` or `jpeg-exports` is one; None without.
 
-    root: Path
-    folders: dict[str, Path]
+    None, too, where only the folder itself holds pictures: those of the project may be lost, or never were.
+    """
+    present = {path.name.casefold(): path for path in source.iterdir() if path.is_dir()}
+    known = (*PHOTOGRAPHS, ASSEMBLY, FINISHED)
+    folders = {name: present[name] for name in known if name in present and not leads_out(present[name], source)}
+    if not {ASSEMBLY, PHOTOGRAPHS[0]} & set(folders):
+        return None
+    filled = any(_stems_in(folders[name]) for name in PHOTOGRAPHS if name in folders)
+    return folders if filled or not _stems_in(source) else None
 
-    @classmethod
-    def of(cls, source: Path) -> "RtiProject | None":
-        """Open the project in a folder, known by `assembly-files` or `jpeg-exports`; None where there is neither.
 
-        None, too, where only the folder itself holds pictures: those of the project may be lost, or never were.
-        """
-        known = (*PHOTOGRAPHS, ASSEMBLY, FINISHED)
-        present = {path.name.casefold(): path for path in source.iterdir() if path.is_dir()}
-        folders = {name: present[name] for name in known if name in present and not leads_out(present[name], source)}
-        if not {ASSEMBLY, PHOTOGRAPHS[0]} & set(folders):
-            return None
-        filled = any(_stems_in(folders[name]) for name in PHOTOGRAPHS if name in folders)
-        return cls(source, folders) if filled or not _stems_in(source) else None
+def find_project_lights(source: Path, folders: dict[str, Path]) -> Path:
+    """Find the only `.lp` in `assembly-files`, or in the project's own folder. CaptureError (layout-unknown)."""
+    for place in (folders.get(ASSEMBLY, source), source):
+        files = files_with(place, (".lp",))
+        if one := expect_one(files, place, "several .lp files", f"Name one: --lights {next(iter(files), '')}"):
+            return one
+    what = f"an RTIBuilder project without a .lp file in {ASSEMBLY}"
+    refuse("layout-unknown", str(source), what, remedy=_recovery(folders, "Name one with --lights"))
 
-    def lights_file(self) -> Path:
-        """Find the only `.lp` in `assembly-files`, or in the project's own folder. CaptureError (layout-unknown)."""
-        places = [self.folders[ASSEMBLY]] if ASSEMBLY in self.folders else []
-        for place in (*places, self.root):
-            files = files_with(place, (".lp",))
-            remedy = f"Name one: --lights {next(iter(files), '')}"
-            if one := expect_one(files, place, "several .lp files", remedy):
-                return one
-        finished = self._finished()
-        remedy = f"Convert {finished}, from which pictures are rendered" if finished else "Name one with --lights"
-        what = "an RTIBuilder project without a .lp file"
-        refuse("layout-unknown", str(self.root), what, expected=f"one in {ASSEMBLY}", remedy=remedy)
 
-    def photographs(self, lights: Lights) -> Path:
-        """Find the folder that the lights file names, if it holds these photographs; else the first that does.
+def find_project_photographs(source: Path, folders: dict[str, Path], lights: Lights) -> tuple[Path, list[str]]:
+    """Find the folder that the lights file names, if it holds its photographs, else the first that does; and others.
 
-        CaptureError (photograph-missing) where none does.
-        """
-        counts = {}
-        for name in self._order(lights):
-            stems = _stems_in(self.folders[name])
-            counts[name] = sum(same_name(light) in stems for light in lights.names)
-            if counts[name] == len(lights.names):
-                return self.folders[name]
-        found = ", ".join(f"{count} in {name}" for name, count in counts.items()) or "no folder of photographs"
-        finished = self._finished()
-        remedy = f"Copy the photographs back, or convert {finished}" if finished else "Copy the photographs back"
-        what, expected = "an RTIBuilder project without its photographs", f"{len(lights.names)} that the .lp names"
-        refuse("photograph-missing", str(self.root), what, expected=expected, found=found, remedy=remedy)
+    CaptureError (photograph-missing) where none does.
+    """
+    named = [part.casefold() for file in lights.files if file for part in re.split(r"[\\/]", file)[-2:-1]]
+    asked = {same_name(light) for light in lights.names}
+    places = sorted((name for name in PHOTOGRAPHS if name in folders), key=lambda name: -named.count(name))
+    counts = {name: len(asked & _stems_in(folders[name])) for name in places}
+    whole = [name for name, count in counts.items() if count == len(asked)]
+    if whole:
+        return folders[whole[0]], whole[1:]
+    found = ", ".join(f"{count} in {name}" for name, count in counts.items()) or "no folder of photographs"
+    what = f"an RTIBuilder project without the {len(asked)} photographs that the .lp names"
+    refuse("photograph-missing", str(source), what, found=found, remedy=_recovery(folders, "Copy them back"))
 
-    def note(self, lights_file: Path, lights: Lights, chosen: Path) -> Problem:
-        """Describe what was taken to belong together, and what else there is."""
-        others = [
-            name
-            for name in reversed(PHOTOGRAPHS)
-            if name in self.folders
-            and self.folders[name] != chosen
-            and {same_name(light) for light in lights.names} <= _stems_in(self.folders[name])
-        ]
-        what = f"an RTIBuilder project: the lights of {lights_file.name} and the photographs of {chosen.name}"
-        found = f"the same photographs in {', '.join(others)}, not used" if others else ""
-        words = [str(self.folders[others[0]]), "--lights", str(lights_file)] if others else []
-        remedy = f"For those: ./nishiki convert {shlex.join(words)}" if words else ""
-        return warning("project-folders", str(self.root), what, found=found, remedy=remedy)
 
-    def _order(self, lights: Lights) -> list[str]:
-        """Folders of photographs: first the one that the lights file names most."""
-        named = [re.split(r"[\\/]", file)[-2:-1] for file in lights.files if file]
-        asked = [part[0].casefold() for part in named if part]
-        present = [name for name in PHOTOGRAPHS if name in self.folders]
-        return sorted(present, key=lambda name: -asked.count(name))
-
-    def _finished(self) -> Path | None:
-        place = self.folders.get(FINISHED)
-        return next(iter(files_with(place, (".rti", ".ptm"))), None) if place else None
+def _recovery(folders: dict[str, Path], remedy: str) -> str:
+    """Return a remedy, and the finished image of a project where there is one."""
+    finished = files_with(folders[FINISHED], (".rti", ".ptm")) if FINISHED in folders else []
+    return f"{remedy}, or convert {finished[0]}, from which pictures are rendered" if finished else remedy
 
 
 def _stems_in(folder: Path) -> set[str]:
