@@ -199,13 +199,6 @@ def test_newer_models_are_lenses_that_are_not_read(tmp_path, camera, kind):
     assert refused.value.problems[0].kind == "cameras-distorted"
 
 
-def test_the_division_model_without_distortion_is_a_pinhole(tmp_path):
-    write_model(tmp_path / "a", "binary", camera=(13, "DIVISION", [40.0, 41.0, 16.5, 11.0, 0.0]))
-    write_model(tmp_path / "b", "binary")
-    for ours, theirs in zip(read_colmap(tmp_path / "a").views, read_colmap(tmp_path / "b").views, strict=True):
-        np.testing.assert_array_equal(ours.matrix, theirs.matrix)
-
-
 def test_back_slashes_separate_folders_and_views_stand_in_the_order_of_the_turn(tmp_path):
     """Two cameras whose photographs alternate, as Windows names them, numbered without leading zeros."""
     views = [(f"cam{i % 2}\\{9 + i // 2}.png", *view[1:]) for i, view in enumerate(around(12))]

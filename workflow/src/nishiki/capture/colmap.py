@@ -11,7 +11,6 @@ import math
 import re
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -40,50 +39,27 @@ from nishiki.formats.text_tables import expect_rows, reading
 PLACES = (".", "sparse", "sparse/0")
 KINDS = (".txt", ".bin")
 REMEDY = "Export the model again, as text or binary"
-# Name, number of parameters, and how many of these come before the distortion, by COLMAP's number of the model; models
-# of another number are newer. The distortion begins with k1, k2, p1, p2, k3 of Brown's model as far as it goes; what
-# follows is another model's.
+# Name, number of parameters, and how many of these come before the distortion, by COLMAP's number of the model; 0 where
+# the model is none of Brown's, as are all of larger numbers. The distortion begins with k1, k2, p1, p2, k3 of Brown's
+# model as far as it goes; what follows is another model's.
 MODELS = (
     ("SIMPLE_PINHOLE", 3, 3),
     ("PINHOLE", 4, 4),
     ("SIMPLE_RADIAL", 4, 3),
     ("RADIAL", 5, 3),
     ("OPENCV", 8, 4),
-    ("OPENCV_FISHEYE", 8, 4),
+    ("OPENCV_FISHEYE", 8, 0),
     ("FULL_OPENCV", 12, 4),
-    ("FOV", 5, 4),
-    ("SIMPLE_RADIAL_FISHEYE", 4, 3),
-    ("RADIAL_FISHEYE", 5, 3),
-    ("THIN_PRISM_FISHEYE", 12, 4),
-    ("RAD_TAN_THIN_PRISM_FISHEYE", 16, 4),
-    ("SIMPLE_DIVISION", 4, 3),
-    ("DIVISION", 5, 4),
-    ("SIMPLE_FISHEYE", 3, 3),
-    ("FISHEYE", 4, 4),
-    ("EUCM", 6, 4),
-    ("EQUIRECTANGULAR", 2, 2),
 )
 BROWN = 5  # numbers of a lens that are read: k1, k2, p1, p2, k3
-OTHERS = ("FISHEYE", "FOV", "DIVISION", "EUCM", "EQUIRECTANGULAR")  # words of models that are not Brown's
 NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?(nan|inf)", re.IGNORECASE)
 HEADING = re.compile(rb"Number of images:\s*([0-9]{1,9})")
 
 
-@dataclass(frozen=True)
-class _Camera:
-    rows: int
-    columns: int
-    lens: Intrinsics
-
-
-@dataclass(frozen=True)
-class _Image:
-    """quaternion: w, x, y, z of the rotation from world to camera."""
-
-    name: str
-    camera: int
-    quaternion: tuple[float, ...]
-    translation: tuple[float, ...]
+Camera = tuple[tuple[int, int], Intrinsics]
+"""Rows and columns, and the lens."""
+Image = tuple[str, int, tuple[float, ...]]
+"""Name, number of the camera, and the pose: w, x, y, z of the rotation from world to camera, then the translation."""
 
 
 def colmap_folder(source: Path, options: ConvertOptions) -> Path | None:
@@ -112,26 +88,23 @@ def read_colmap(folder: Path, pictures: Pictures | None = None) -> Registration:
     return Registration(tuple(_view(image, cameras, file) for image in images), tuple(notes))
 
 
-def _view(image: _Image, cameras: dict[int, _Camera], file: str) -> RegisteredView:
+def _view(image: Image, cameras: dict[int, Camera], file: str) -> RegisteredView:
     from scipy.spatial.transform import Rotation
 
-    camera = cameras.get(image.camera)
-    if camera is None:
-        what = f"the photograph '{image.name}' names a camera that is not there"
-        refuse("cameras-unreadable", file, what, found=f"camera {image.camera}")
-    w, x, y, z = image.quaternion
-    if not np.isfinite([*image.quaternion, *image.translation]).all() or not any(image.quaternion):
-        refuse("camera-values", file, f"pose of the photograph '{image.name}'")
-    pose = np.column_stack([Rotation.from_quat([x, y, z, w]).as_matrix(), image.translation])
-    return RegisteredView.of(image.name, (camera.rows, camera.columns), camera.lens, pose)
+    name, camera, numbers = image
+    if camera not in cameras:
+        refuse("cameras-unreadable", file, f"the photograph '{name}' names the camera {camera}, which is not there")
+    if not np.isfinite(numbers).all() or not any(numbers[:4]):
+        refuse("camera-values", file, f"pose of the photograph '{name}'")
+    pose = np.column_stack([Rotation.from_quat(np.roll(numbers[:4], -1)).as_matrix(), numbers[4:]])
+    return RegisteredView.of(name, *cameras[camera], pose)
 
 
-def _camera(model: str, parameters: Sequence[float], rows: int, columns: int) -> _Camera:
+def _camera(model: str, parameters: Sequence[float], rows: int, columns: int) -> Camera:
     """CaptureError (cameras-distorted) where the camera has another distortion than Brown's."""
     plain = next((before for name, _, before in MODELS if name == model), 0)
     distortion = [float(value) for value in parameters[plain:]]
-    straight = "DIVISION" in model and not any(distortion)
-    if not plain or any(distortion[BROWN:]) or (any(word in model for word in OTHERS) and not straight):
+    if not plain or any(distortion[BROWN:]):
         what = f"the camera {model} of {columns} x {rows} pixels has a distortion that is not read"
         expected = "PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV"
         refuse("cameras-distorted", "cameras", what, expected=expected, remedy=UNDISTORT)
@@ -140,10 +113,10 @@ def _camera(model: str, parameters: Sequence[float], rows: int, columns: int) ->
     brown = tuple((distortion + [0.0] * BROWN)[:BROWN])
     if not (np.isfinite([fx, fy, cx, cy, *brown]).all() and min(fx, fy) > 0):
         raise ValueError(f"camera {model} with {' '.join(f'{value:g}' for value in parameters)}")
-    return _Camera(rows, columns, Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, distortion=brown))
+    return (rows, columns), Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, distortion=brown)
 
 
-def _text_cameras(content: bytes) -> dict[int, _Camera]:
+def _text_cameras(content: bytes) -> dict[int, Camera]:
     cameras = {}
     for line in _lines(content):
         number, model, columns, rows, *parameters = line.split()
@@ -154,7 +127,7 @@ def _text_cameras(content: bytes) -> dict[int, _Camera]:
     return cameras
 
 
-def _text_images(content: bytes, notes: list[Problem]) -> list[_Image]:
+def _text_images(content: bytes, notes: list[Problem]) -> list[Image]:
     """Lines `number quaternion translation camera name`, each followed by a line of triples for its points.
 
     Files that people and scripts write for known poses lack the lines of points, all or some: a line of points is
@@ -168,17 +141,15 @@ def _text_images(content: bytes, notes: list[Problem]) -> list[_Image]:
                 raise ValueError(f"a line of points without its photograph: {line[:60]}")
             points = True
         elif len(words) == 10 and all(map(_is_number, words[:9])):
-            numbers = tuple(map(float, words[1:8]))
-            images.append(_Image(words[9], int(words[8]), numbers[:4], numbers[4:]))
+            images.append((words[9], int(words[8]), tuple(map(float, words[1:8]))))
             points = False
         else:
             raise ValueError(f"neither a photograph nor points: {line[:60]}")
     stated = HEADING.search(content)
     if stated and int(stated[1]) != len(images):
-        what, remedy = "photographs", "If some are missing, export the model again; it may have been cut off"
-        expected = f"{int(stated[1])} as its heading says"
-        found = f"{len(images)}"
-        notes.append(warning("cameras-count", "images.txt", what, expected=expected, found=found, remedy=remedy))
+        what = f"expected {int(stated[1])} photographs as its heading says, found {len(images)}"
+        remedy = "If some are missing, export the model again; it may have been cut off"
+        notes.append(warning("cameras-count", "images.txt", what, remedy=remedy))
     return images
 
 
@@ -191,7 +162,7 @@ def _lines(content: bytes) -> list[str]:
     return [line for line in lines if line and not line.startswith("#")]
 
 
-def _binary_cameras(content: bytes) -> dict[int, _Camera]:
+def _binary_cameras(content: bytes) -> dict[int, Camera]:
     cameras, at = {}, 8
     for _ in range(_count(content)):
         number, model, columns, rows = struct.unpack_from("<iiQQ", content, at)
@@ -203,16 +174,16 @@ def _binary_cameras(content: bytes) -> dict[int, _Camera]:
     return cameras
 
 
-def _binary_images(content: bytes) -> list[_Image]:
+def _binary_images(content: bytes) -> list[Image]:
     images, at = [], 8
     for _ in range(_count(content)):
         _, *numbers, camera = struct.unpack_from("<i7di", content, at)
         end = content.index(b"\0", at + 64)
         (points,) = struct.unpack_from("<Q", content, end + 1)
-        images.append(_Image(content[at + 64 : end].decode(), camera, tuple(numbers[:4]), tuple(numbers[4:])))
+        images.append((content[at + 64 : end].decode(), camera, tuple(numbers)))
         at = end + 9 + 24 * points
         if at > len(content):
-            raise ValueError(f"the file ends before the {points} points of '{images[-1].name}'")
+            raise ValueError(f"the file ends before the {points} points of '{images[-1][0]}'")
     return images
 
 
@@ -318,8 +289,8 @@ def _lens(frame: dict, size: tuple[int, int], name: str) -> tuple[tuple[int, int
             raise ValueError(f"principal point {cx:g}, {cy:g} in a picture of {columns} x {rows} pixels")
         distortion = tuple(finite(frame.get(key, 0)) for key in BROWN_NAMES)
     except (ValueError, TypeError) as e:
-        what, remedy = "camera", "Give the photographs that the file was made for, or mend its numbers"
-        raise CaptureError(error("camera-values", name, what, found=str(e)[:120], remedy=remedy)) from e
+        remedy = "Give the photographs that the file was made for, or mend its numbers"
+        raise CaptureError(error("camera-values", name, "camera", found=str(e)[:120], remedy=remedy)) from e
     return (rows, columns), Intrinsics(fx=fx, fy=fy, cx=cx - CORNER, cy=cy - CORNER, distortion=distortion)
 
 

@@ -81,10 +81,9 @@ def read_bundler(path: Path, pictures: Pictures) -> Registration:
         count = int(lines[1].split()[0])
         expect_rows(count, "views", path.name, "cameras")
         if count != len(names):
-            expected, found = f"{count}, one a camera of {path.name}", f"{len(names)}"
             remedy = "Put the list of photographs that Bundler was given beside it (list.txt)"
-            what = "names of photographs"
-            refuse("photographs-count", path.name, what, expected=expected, found=found, remedy=remedy)
+            what = f"expected {count} names of photographs, one a camera, found {len(names)}"
+            refuse("photographs-count", path.name, what, remedy=remedy)
         cameras = []
         for i in range(count):
             words = b" ".join(lines[2 + LINES * i : 2 + LINES * (i + 1)]).split()
@@ -100,9 +99,8 @@ def read_bundler(path: Path, pictures: Pictures) -> Registration:
                 continue
             rows, columns = pictures.size(name, path.name)
             if 2 * x > columns + OUTSIDE or 2 * y > rows + OUTSIDE:
-                what, remedy = "points lie outside of the photograph", "Give the photographs that Bundler was given"
-                expected, found = f"at least {2 * x:.0f} x {2 * y:.0f} pixels", f"{columns} x {rows}"
-                problems.append(error("camera-values", name, what, expected=expected, found=found, remedy=remedy))
+                what = f"expected the photograph that Bundler was given, of {2 * x:.0f} x {2 * y:.0f} pixels or more"
+                problems.append(error("camera-values", name, what, found=f"{columns} x {rows}"))
             pose = GL @ np.column_stack([rigid(camera[3:12].reshape(3, 3)), camera[12:]])
             f, k1, k2 = camera[:3]
             lens = Intrinsics(fx=f, fy=f, cx=(columns - 1) / 2, cy=(rows - 1) / 2, distortion=(k1, k2, 0, 0, 0))
@@ -122,9 +120,8 @@ def _names(path: Path, folder: Path) -> list[str]:
     places += [p for p in files_with(path.parent, (".txt",)) if "list" in p.name.lower()]
     found = next((place for place in places if place.is_file()), None)
     if found is None:
-        what = "no list of the photographs"
-        remedy = "Put list.txt beside it: the photographs in the order of the cameras"
-        refuse("photographs-count", path.name, what, remedy=remedy)
+        what = "no list.txt of the photographs, in the order of the cameras, lies beside it"
+        refuse("photographs-count", path.name, what)
     with reading(found.name, "cameras"):
         text = read_bytes(found, "table_bytes").decode("utf-8-sig")
     # a name is followed by 0 and a focal length where that was known

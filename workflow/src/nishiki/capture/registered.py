@@ -13,10 +13,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from nishiki.capture.turntable_rules import Intrinsics
+from nishiki.errors import require
 from nishiki.formats.files import same_name, walk
 from nishiki.formats.images import read_header
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
-from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import reading
 from nishiki.geometry.camera import Camera, point_in_sight
 
@@ -78,36 +79,30 @@ class Pictures:
         """
         asked = [same_name(part) for part in re.split(r"[\\/]+", name) if part not in ("", ".", "..")]
         fits: dict[tuple[bool, int], list[Path]] = {}
-        for parts, path in self._listed:
-            whole = bool(asked) and parts[-1] == asked[-1]
-            if whole or (
-                asked and path.suffix and same_name(path.stem) in (asked[-1], same_name(Path(asked[-1]).stem))
-            ):
-                pairs = zip(reversed(parts[:-1]), reversed(asked[:-1]), strict=False)
-                alike = next(
-                    (i for i, (ours, theirs) in enumerate(pairs) if ours != theirs), min(len(parts), len(asked)) - 1
-                )
+        for parts, path in self._listed if asked else ():
+            whole = parts[-1] == asked[-1]
+            if whole or same_name(path.stem) in (asked[-1], same_name(Path(asked[-1]).stem)):
+                pairs = list(zip(parts[-2::-1], asked[-2::-1], strict=False))
+                alike = next((i for i, (ours, theirs) in enumerate(pairs) if ours != theirs), len(pairs))
                 fits.setdefault((whole, alike), []).append(path)
         best = fits[max(fits)] if fits else []
         for place in (self.folder / "images", self.folder):
             best = [path for path in best if path.parent == place] or best
         if len(best) > 1:
             found = ", ".join(str(path.relative_to(self.folder)) for path in best[:3])
-            what, remedy = f"several pictures may be the photograph '{name}'", "Move the others out of the folder"
-            refuse("photograph-ambiguous", str(self.folder), what, found=found, remedy=remedy)
+            what = f"several pictures may be the photograph '{name}': move the others out of the folder"
+            refuse("photograph-ambiguous", str(self.folder), what, found=found)
         return best[0] if best else None
 
     def paths(self, names: Sequence[str], file: str) -> list[Path]:
         """Find the picture of each name. CaptureError (photograph-missing) with every one that is not there."""
-        found = [self.find(name) for name in names]
-        remedy = f"Put it there, or take it out of {file}"
-        missing = [name for name, path in zip(names, found, strict=True) if path is None]
-        if missing:
-            raise CaptureError(
-                error("photograph-missing", file, f"no photograph '{name}' in {self.folder.name}", remedy=remedy)
-                for name in missing
-            )
-        return [path for path in found if path]
+        found = {name: self.find(name) for name in names}
+        raise_errors(
+            error("photograph-missing", file, f"no photograph '{name}' in {self.folder.name}")
+            for name, path in found.items()
+            if path is None
+        )
+        return [require(found[name]) for name in names]
 
     def size(self, name: str, file: str) -> tuple[int, int]:
         """Rows and columns of a photograph. CaptureError as `paths`, and those of reading a header."""
@@ -148,10 +143,7 @@ def aim_problems(poses: np.ndarray, file: str) -> list[Problem]:
     if aim is None or aim < NEAR:
         return []
     what = "the cameras do not look at one object: their lines of sight meet nowhere in front of them"
-    remedy = (
-        "If they stand around the object, the file has other axes or directions than such files have: "
-        "write it again with the program itself, or write cameras.csv by hand"
-    )
+    remedy = "If they stand around the object, the file has other axes than such files have: write it again"
     return [warning("cameras-outward", file, what, remedy=remedy)]
 
 
@@ -181,7 +173,6 @@ def positive(value: object, name: str) -> float:
 
 def whole(value: object) -> int:
     """Parse a whole number. ValueError where it is none."""
-    number = finite(value)
-    if number != int(number):
+    if not finite(value).is_integer():
         raise ValueError(f"'{str(value)[:40]}' where a whole number is expected")
-    return int(number)
+    return int(finite(value))
