@@ -84,14 +84,12 @@ def payload_of(root: Path) -> Path:
         description = payload / "capture.yaml"
         if description.is_file():
             if leads_out(description, root):
-                found, remedy = str(description.resolve()), "Copy the file itself into the capture folder"
-                what = "link out of the folder"
-                refuse("outside-folder", str(description), what, found=found, remedy=remedy)
+                what = f"link out of the folder, to {description.resolve()}: copy the file itself"
+                refuse("outside-folder", str(description), what)
             return payload
     if not any(root.iterdir()):
         refuse("folder-empty", str(root), "capture folder is empty")
-    remedy = "Make one from photographs and lights with the convert command, or write capture.yaml by hand"
-    refuse("capture-missing", str(root), "folder holds no capture.yaml", remedy=remedy)
+    refuse("capture-missing", str(root), "folder holds no capture.yaml", remedy=WHERE_IS_IT)
 
 
 AnyCapture = Capture | TurntableCapture | GoniometerCapture | MosaicCapture
@@ -225,8 +223,8 @@ def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> n
         names, *rows = [cells for _, cells in islice(table_rows(path, path.name), bound("lights") + 2)] or [[]]
     expect_rows(len(rows), "lights", path.name, "intensities")
     if sorted(names) != sorted(("light", *channels)):
-        found, expected = ",".join(names)[:80], f"light,{','.join(channels)}"
-        refuse("intensities-unreadable", path.name, "columns", expected=expected, found=found)
+        what = f"expected the columns light,{','.join(channels)}, found {','.join(names)[:80]}"
+        refuse("intensities-unreadable", path.name, what)
     table = np.full((len(lights.names), len(channels)), np.nan)
     problems = []
     for number, cells in enumerate(rows, start=2):
@@ -238,7 +236,7 @@ def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> n
             continue
         table[place] = [number_of(row.get(channel, "")) for channel in channels]
         if not all(0 < v < math.inf for v in table[place]):
-            problems.append(error("intensities-invalid", where, "intensity", expected="numbers above 0"))
+            problems.append(error("intensities-invalid", where, "expected numbers above 0"))
     missing = [lights.names[i] for i in np.flatnonzero(np.isnan(table).any(axis=1))]
     if missing and not problems:
         problems.append(error("intensities-light", path.name, f"no intensity for light {', '.join(missing[:5])}"))
@@ -254,14 +252,13 @@ def match_frames(frames: tuple[Frame, ...], lights: Lights, settings: CaptureFil
     whites = [f for f in frames if f.role == "white"]
     seen, boards = (Counter(lights.find(f.light) for f in group) for group in (observed, whites))
     for place, name in enumerate(lights.names):
-        for count, what in ((seen[place], "sample or check"), (boards[place], "white")):
+        for count, role in ((seen[place], "sample or check"), (boards[place], "white")):
             if count > 1:
-                found = f"{count} {what} frames under light '{name}'"
-                problems.append(error("light-repeated", "frames.csv", "one frame a light", found=found))
+                what = f"expected one {role} frame under light '{name}', found {count}"
+                problems.append(error("light-repeated", "frames.csv", what))
         if whites and seen[place] and boards[place] == 0:
             remedy = "Photograph the board under every light, or list no white frames at all"
-            what = f"light '{name}' has no white frame"
-            problems.append(error("white-missing", "frames.csv", what, remedy=remedy))
+            problems.append(error("white-missing", "frames.csv", f"light '{name}' has no white frame", remedy=remedy))
     problems += exposure_problems(frames)
     if whites and settings.lights.intensities:
         what = "white frames are used; lights.intensities is not"
@@ -279,11 +276,9 @@ def _band_problems(frames: tuple[Frame, ...], channels: tuple[str, ...]) -> list
         where = f"frames.csv row {frame.row}"
         of = f"{frame.role} frame" + (f" of light '{frame.light}'" * bool(frame.light))
         if listed and listed < set(channels):
-            found = ", ".join(name for name in channels if name not in listed)
-            what, remedy = f"{of} lacks a band", "Add its row to frames.csv"
-            problems.append(error("band-missing", where, what, found=f"none of {found}", remedy=remedy))
+            lacking = ", ".join(name for name in channels if name not in listed)
+            problems.append(error("band-missing", where, f"{of} has no row for the band {lacking}"))
         elif listed - set(channels):
-            found, expected = ", ".join(sorted(listed - set(channels))), ", ".join(channels)
-            what = f"{of} has a band that is not one of camera.channels"
-            problems.append(error("band-unknown", where, what, expected=expected, found=found))
+            what = f"{of} has a band that is not one of camera.channels: {', '.join(sorted(listed - set(channels)))}"
+            problems.append(error("band-unknown", where, what))
     return problems

@@ -106,8 +106,8 @@ def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
     for number, row in enumerate(rows, start=2):
         where = f"{table.name} row {number}"
         if len(row) != len(columns):
-            expected = f"{len(columns)} values"
-            problems.append(error("frames-unreadable", where, "wrong number of values", expected=expected))
+            what = f"expected {len(columns)} values, found {len(row)}"
+            problems.append(error("frames-unreadable", where, what))
             continue
         cells = dict(zip(columns, row, strict=True))
         frame = _frame(cells, table.parent, number, where, problems, roles)
@@ -117,10 +117,9 @@ def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
             unit = math.degrees(1) if radians else 1.0
             angles = tuple(_angle(cells, key, unit, where, problems) for key in ANGLE_COLUMNS)
             frame = replace(frame, angles_deg=angles)
-        if frame.file in seen:
+        if seen.setdefault(frame.file, number) != number:
             what = f"'{frame.file}' is listed twice (also row {seen[frame.file]})"
-            problems.append(error("frame-duplicate", where, what, remedy="Keep one row a photograph"))
-        seen.setdefault(frame.file, number)
+            problems.append(error("frame-duplicate", where, what))
         if cells.get("band"):
             frame = replace(frame, bands=(Band(tuple(cells["band"].split("+")), frame.file, frame.path),))
         frames.append(frame)
@@ -146,16 +145,16 @@ def _join_bands(frames: list[Frame], file: str, problems: list[Problem]) -> list
         if not bands and frame.role == "dark":
             bands = tuple(Band(channels, frame.file, frame.path) for channels in present)
         elif not bands:
-            what, remedy = "a row without a band among rows with one", "Name the band, as in camera.channels"
-            problems.append(error("band-empty", f"{file} row {frame.row}", what, remedy=remedy))
+            what = "a row without a band, one of camera.channels, among rows with one"
+            problems.append(error("band-empty", f"{file} row {frame.row}", what))
             continue
         key = (frame.role, frame.light, taken[frame.role, frame.light, bands[0].channels])
         taken.update((frame.role, frame.light, band.channels) for band in bands)
         first = joined.get(key)
         if first is not None and first.exposure_s != frame.exposure_s:
-            what, found = "exposure times of one photograph differ", f"{first.exposure_s:g} and {frame.exposure_s:g}"
+            what = f"exposure times of one photograph differ: {first.exposure_s:g} and {frame.exposure_s:g}"
             remedy = "Leave the column out: white boards of the same exposures, band by band, give the scale"
-            problems.append(error("band-exposure", f"{file} row {frame.row}", what, found=found, remedy=remedy))
+            problems.append(error("band-exposure", f"{file} row {frame.row}", what, remedy=remedy))
         joined[key] = replace(frame, bands=bands) if first is None else replace(first, bands=first.bands + bands)
     return list(joined.values())
 
@@ -176,12 +175,9 @@ def _check_columns(columns: list[str], file: str, known: tuple[str, ...]) -> Non
         near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
         remedy = f"Did you mean '{near[0]}'?" if near else f"Known columns: {', '.join(known)}"
         problems.append(error("unknown-column", file, f"unknown column '{name}'", remedy=remedy))
-    for name in ("file", "role"):
-        if name not in columns:
-            found = ",".join(columns)[:80]
-            problems.append(error("frames-unreadable", file, f"column '{name}' is missing", found=found))
-    if len(set(columns)) != len(columns):
-        problems.append(error("frames-unreadable", file, "a column appears twice", found=",".join(columns)[:80]))
+    if not {"file", "role"} <= set(columns) or len(set(columns)) != len(columns):
+        what = f"expected the columns file and role, each column once, found {','.join(columns)[:80]}"
+        problems.append(error("frames-unreadable", file, what))
     raise_errors(problems)
 
 
@@ -192,9 +188,7 @@ def _frame(
     if role not in roles:
         problems.append(error("role-unknown", where, "role", expected=" | ".join(roles), found=repr(role)))
     if roles is ROLES and role in LIT_ROLES and not light:
-        problems.append(
-            error("light-empty", where, f"a {role} frame needs its light", remedy="Name it as in the lights")
-        )
+        problems.append(error("light-empty", where, f"a {role} frame needs its light"))
     problems += label_problems(row.get("view", ""), "view", where)
     problems += label_problems(light_name(light), "light", where)
     exposure: dict[str, Any] = dict.fromkeys(EXPOSURE_COLUMNS)
@@ -228,9 +222,8 @@ def _round_about(frame: Frame, row: dict[str, str], payload: Path, where: str, p
     except CaptureError as e:
         problems.extend(e.problems)
     if outline and frame.role != "sample":
-        what = f"a {frame.role} frame has a silhouette"
-        remedy = "Give the silhouette in the row of a sample frame of the view"
-        problems.append(error("silhouette-role", where, what, found=outline, remedy=remedy))
+        what = f"a {frame.role} frame has the silhouette {outline}, which belongs to a sample frame of the view"
+        problems.append(error("silhouette-role", where, what))
     return replace(frame, polariser=state, silhouette=outline, silhouette_path=path)
 
 
@@ -253,14 +246,14 @@ def lamp_problems(frames: Iterable[Frame], lights: Lights, file: str) -> list[Pr
     frames, problems = list(frames), []
     for frame in frames:
         if frame.light and lights.find(frame.light) is None:
-            what, remedy = f"light '{frame.light}' is not in the lights", "Add it to the lights, or correct the name"
-            problems.append(error("frame-without-light", f"frames.csv row {frame.row}", what, remedy=remedy))
+            what = f"light '{frame.light}' is not in {file}"
+            problems.append(error("frame-without-light", f"frames.csv row {frame.row}", what))
     observed = {lights.find(f.light) for f in frames if f.role in ("sample", "check")}
-    for place, name in enumerate(lights.names):
-        if place not in observed:
-            what, remedy = f"light '{name}' has no photograph", "Add its row to frames.csv, or remove the light"
-            problems.append(error("light-without-frame", file, what, remedy=remedy))
-    return problems
+    return problems + [
+        error("light-without-frame", file, f"light '{name}' has no photograph in frames.csv")
+        for place, name in enumerate(lights.names)
+        if place not in observed
+    ]
 
 
 def exposure_problems(frames: Iterable[Frame]) -> list[Problem]:

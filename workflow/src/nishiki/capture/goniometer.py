@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from nishiki.artifacts.closed import Closed
-from nishiki.capture.frames import Frame, Photographed, exposure_problems, inside
+from nishiki.capture.frames import ANGLE_COLUMNS, Frame, Photographed, exposure_problems, inside
 from nishiki.capture.goniometer_tables import ReflectanceTable, in_radians, radians_problem, read_table
 from nishiki.capture.options import Azimuths, Values
 from nishiki.capture.schema_base import Positive, Session
@@ -116,12 +116,11 @@ FEWEST_NORMAL = 12  # views along the normal
 
 
 def goniometer_problems(frames: tuple[Frame, ...]) -> list[Problem]:
-    """Everything wrong with how the table's frames fit together."""
+    """List everything wrong with how the table's frames fit together."""
     samples, whites = ([f for f in frames if f.role == role] for role in ("sample", "white"))
     problems = [p for frame in frames for p in _angle_problems(frame)]
     if not samples:
-        remedy = "Photographs of the cloth have the role sample"
-        problems.append(error("samples-none", TABLE, "no photograph of the cloth", remedy=remedy))
+        problems.append(error("samples-none", TABLE, "no photograph of the cloth, of role sample"))
     if not whites:
         what = "no white frame: a reflectance is the cloth's light over that of a white board"
         remedy = "Photograph a diffuse white board in the cloth's place, at least once"
@@ -136,24 +135,23 @@ def goniometer_problems(frames: tuple[Frame, ...]) -> list[Problem]:
 
 
 def _angle_problems(frame: Frame) -> list[Problem]:
-    """Angles that a frame of this role needs or cannot have."""
+    """List angles that a frame of this role needs or cannot have."""
     where, (theta_i, phi_i, theta_r, phi_r) = f"{TABLE} row {frame.row}", frame.angles_deg
     if frame.role == "dark":
         return []
     if frame.role == "sample" and None in frame.angles_deg:
-        remedy = "Give theta_i_deg, phi_i_deg, theta_r_deg and phi_r_deg in degrees; phi is 0 where theta is 0"
-        return [error("angle-missing", where, "a sample frame needs its four angles", remedy=remedy)]
+        what = f"a sample frame needs its four angles, {', '.join(ANGLE_COLUMNS)}; phi is 0 where theta is 0"
+        return [error("angle-missing", where, what)]
     if theta_i is None or phi_i is None:
-        remedy = "Give theta_i_deg and phi_i_deg; the view may be left out, a board does not depend on it"
-        return [error("angle-missing", where, "a white frame needs the direction of its light", remedy=remedy)]
+        what = "a white frame needs theta_i_deg and phi_i_deg, the direction of its light"
+        return [error("angle-missing", where, what)]
     if (theta_r is None) != (phi_r is None):
-        remedy = "Give both theta_r_deg and phi_r_deg, or neither"
-        return [error("angle-missing", where, "half a direction of view", remedy=remedy)]
+        what = "half a direction of view: give both theta_r_deg and phi_r_deg, or neither"
+        return [error("angle-missing", where, what)]
     if frame.role == "white" and theta_i > STEEPEST_WHITE_DEG:
-        expected, found = f"at most {STEEPEST_WHITE_DEG:g} degrees", f"{theta_i:g}"
-        what = "the board is grazed by its light"
-        remedy = "Photograph it at a smaller theta_i_deg: the cosine of the angles brings it to the others"
-        return [error("white-grazing", where, what, expected=expected, found=found, remedy=remedy)]
+        what = f"the light grazes the board: theta_i_deg {theta_i:g} is above {STEEPEST_WHITE_DEG:g}"
+        remedy = "Photograph it at a smaller one: the cosine of the angles brings it to the others"
+        return [error("white-grazing", where, what, remedy=remedy)]
     return []
 
 
@@ -239,18 +237,14 @@ def examine_goniometer(
     named = {key: attempt(lambda f=file, k=key: inside(payload, f, f"capture.yaml {k}")) for key, file in block.files}
     path, table = named.get("goniometer.table"), None
     if block.table is not None:
-        table = (
-            attempt(lambda: read_table(path, block.table, values=block.values, azimuths=block.azimuths))
-            if path
-            else None
-        )
+        read = {"values": block.values, "azimuths": block.azimuths}
+        table = attempt(lambda: read_table(path, block.table, **read)) if path else None
         if table is None:
             return None, []
         problems = list(table.warnings)
         if (payload / "frames.csv").exists():
-            remedy = "Remove frames.csv, or goniometer.table from capture.yaml"
-            what = "photographs and a table of reflectances in one capture"
-            problems.append(error("frames-unexpected", "frames.csv", what, remedy=remedy))
+            what = "photographs beside goniometer.table: a capture has either"
+            problems.append(error("frames-unexpected", "frames.csv", what))
     elif frames is None:
         return None, []
     else:

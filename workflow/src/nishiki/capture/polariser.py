@@ -57,18 +57,15 @@ def state_problems(states: tuple[str, ...], file: str) -> list[Problem]:
     kinds = {parse_state(name).kind for name in states}
     if len(kinds) > 1:
         found = ", ".join(MEANS[kind] for kind in sorted(kinds))
-        remedy = "Give every sample frame a state of the same kind, or make two captures"
-        return [error("polariser-mixed", file, "polariser states of several kinds", found=found, remedy=remedy)]
+        return [error("polariser-mixed", file, "polariser states of several kinds in one capture", found=found)]
     if kinds == {"circular"} and len(states) == 1:
-        other = "on" if states[0] == "off" else "off"
-        remedy = f"Photograph every view with the polariser {other} too, or leave the column empty"
-        return [error("polariser-pair", file, f"polariser only '{states[0]}'", expected="off and on", remedy=remedy)]
+        what = f"expected every view with the polariser off and on, or no states, found only '{states[0]}'"
+        return [error("polariser-pair", file, what)]
     if kinds == {"linear"}:
         angles = {round(parse_state(name).angles_deg[0] % 180, 3) % 180 for name in states}
         if len(angles) < FEWEST_ANGLES:
-            expected, found = f"at least {FEWEST_ANGLES}, half a turn apart counting once", f"{len(angles)}"
-            what, remedy = "analyser angles are too few to separate reflection", "Photograph 0, 45, 90 and 135 degrees"
-            return [warning("polariser-few", file, what, expected=expected, found=found, remedy=remedy)]
+            what = f"{len(angles)} analyser angles, half a turn apart counting once, are too few to separate reflection"
+            return [warning("polariser-few", file, what, remedy="Photograph 0, 45, 90 and 135 degrees")]
     return []
 
 
@@ -79,8 +76,7 @@ def state_warnings(photographs: Sequence[Path], states: Sequence[str], source: s
     """
     values = [read_coarse(path, COARSE, "linear") for path in photographs]
     if len({value.shape for value in values}) > 1:
-        what = "named as states of one view, but of different sizes"
-        refuse("states-contradicted", source, what, remedy=NO_SERIES)
+        refuse("states-contradicted", source, "named as states of one view, but of different sizes", remedy=NO_SERIES)
     stack = np.array([value.ravel() for value in values])
     varied = stack[stack.std(axis=1) > 0]
     if len(varied) > 1 and (alike := float(np.median(np.corrcoef(varied)))) < LEAST_ALIKE:

@@ -13,6 +13,7 @@ from nishiki.formats.text_tables import refusal
 
 MANIFEST, TAG_MANIFEST = "manifest-sha256.txt", "tagmanifest-sha256.txt"
 TAGS = ("bagit.txt", "bag-info.txt", MANIFEST)
+RESTORE = "Restore it from a backup; a sealed capture must stay as it was"
 BAGIT = "BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n"
 
 
@@ -162,8 +163,8 @@ def _clear_half(half: Path) -> None:
     tag_files = {f".{name}.part" for name in (*TAGS, TAG_MANIFEST)} | {*TAGS, TAG_MANIFEST}
     strange = sorted({path.name for path in half.iterdir()} - tag_files)
     if strange:
-        remedy = "It may hold another capture: check it, move it away and seal again"
-        refuse("seal-occupied", str(half), "folder exists already", found=", ".join(strange[:5]), remedy=remedy)
+        what = "folder exists already and may hold another capture: move it away"
+        refuse("seal-occupied", str(half), what, found=", ".join(strange[:5]))
     for path in half.iterdir():
         path.unlink()
     half.rmdir()
@@ -180,14 +181,14 @@ def expect_sealed(path: Path, name: str, digests: dict[str, str]) -> None:
     """CaptureError (seal-changed, seal-foreign) unless the file is as it was sealed; no digests: nothing to prove."""
     if not digests:
         return
-    remedy = "Restore the file from a backup; a sealed capture must stay as it was"
     if name not in digests:
-        refuse("seal-foreign", name, "not listed in the manifest", remedy=remedy)
+        refuse("seal-foreign", name, "not listed in the manifest", remedy=RESTORE)
     digest = sha256_of(path)
     if digest != digests[name]:
         expected = f"sha256 {digests[name][:12]}..."
-        what = "changed after sealing"
-        refuse("seal-changed", name, what, expected=expected, found=f"{digest[:12]}...", remedy=remedy)
+        refuse(
+            "seal-changed", name, "changed after sealing", expected=expected, found=f"{digest[:12]}...", remedy=RESTORE
+        )
 
 
 def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
@@ -205,12 +206,10 @@ def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
         present = {p.relative_to(root).as_posix(): p for p in payload_files(root / "data")}
     except CaptureError as e:
         return list(e.problems)
-    remedy = "Restore it from a backup; a sealed capture must stay as it was"
     for name in sorted(set(listed) - set(present)):
-        problems.append(error("seal-missing", name, "listed in the manifest but missing", remedy=remedy))
+        problems.append(error("seal-missing", name, "listed in the manifest but missing", remedy=RESTORE))
     for name in sorted(set(present) - set(listed)):
-        what = "not listed in the manifest"
-        problems.append(error("seal-foreign", name, what, remedy="Remove it, or make a new capture that holds it"))
+        problems.append(error("seal-foreign", name, "not listed in the manifest", remedy="Make a new capture with it"))
     for name in sorted(set(listed) & set(present)) if digests else ():
         try:
             expect_sealed(present[name], name, listed)
@@ -223,7 +222,7 @@ def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
             return [*problems, *e.problems]
         for name, digest in tags.items():
             if not (root / name).is_file() or sha256_of(root / name) != digest:
-                problems.append(error("seal-changed", name, "file of the seal changed after sealing", remedy=remedy))
+                problems.append(error("seal-changed", name, "file of the seal changed after sealing", remedy=RESTORE))
     return problems
 
 
@@ -242,9 +241,6 @@ def _write_tags(bag: Path, payload: Path, progress: Callable[[str], None] | None
 def _refuse_links(root: Path) -> None:
     """Refuse links: even one inside the folder may break when the bag is copied."""
     links = [name for name, entry in walk(root) if entry.is_symlink()]
-    if links:
-        remedy = "Replace each link by a copy of its file"
-        raise CaptureError(
-            [error("seal-link", name, "link in a sealed capture, or one to be sealed", remedy=remedy) for name in links]
-        )
+    what = "link in a sealed capture, or one to be sealed: replace it by a copy of its file"
+    raise_errors(error("seal-link", name, what) for name in links)
     payload_files(root)
