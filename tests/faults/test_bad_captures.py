@@ -196,7 +196,7 @@ BROKEN = {
     "photograph listed twice": (text("frames.csv", "frames/L02.png", "frames/L01.png"), "frame-duplicate", "twice"),
     "unknown role": (text("frames.csv", "sample,L02", "smaple,L02"), "role-unknown", "smaple"),
     "unknown column": (text("frames.csv", "exposure_s", "exposures"), "unknown-column", "did you mean 'exposure_s'"),
-    "column missing": (text("frames.csv", "file,role", "view,role"), "frames-unreadable", "'file'"),
+    "column missing": (text("frames.csv", "file,role", "view,role"), "frames-unreadable", "columns file and role"),
     "value missing in a row": (text("frames.csv", "sample,L02,", "sample"), "frames-unreadable", "row 4"),
     "light of a frame missing": (text("frames.csv", "sample,L02", "sample,"), "light-empty", "row 4"),
     "exposure of zero": (text("frames.csv", "sample,L02,", "sample,L02,0"), "exposure-invalid", "above 0"),

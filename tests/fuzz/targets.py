@@ -28,7 +28,7 @@ from nishiki.capture.photogrammetry import read_bundler, read_meshroom, read_met
 from nishiki.capture.registry import read_source
 from nishiki.capture.relightable import SUFFIXES, open_relightable
 from nishiki.capture.rti_projects import read_relight
-from nishiki.capture.schema import geometry_named, read_capture_file
+from nishiki.capture.schema import read_capture_file
 from nishiki.capture.seal import manifest_text, read_manifest
 from nishiki.capture.tables import read_cameras, read_curves, read_points
 from nishiki.capture.turntable_rules import read_intrinsics
@@ -175,7 +175,7 @@ def yaml(data: bytes) -> None:
     else:
         folder = place() / "capture"
         paused(lambda: folder.mkdir(exist_ok=True))
-        geometry_named(put("capture/capture.yaml", content))
+        put("capture/capture.yaml", content)
         examine(folder)
         read_capture_file(folder / "capture.yaml")
 

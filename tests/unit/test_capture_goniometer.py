@@ -184,7 +184,7 @@ BROKEN = {
     "table and regions": (regions(table="t.csv"), "wrong-value", "no regions"),
     "table missing": (block(table="t.csv"), "image-missing", "t.csv"),
     "table and photographs": (lambda f: (shutil.copy(make_table(f.parent / "t") / "reflectances.csv", f / "t.csv"),
-                                         edit_goniometer(f, table="t.csv")), "frames-unexpected", "Remove frames.csv"),
+                                         edit_goniometer(f, table="t.csv")), "frames-unexpected", "goniometer.table"),
     "regions missing": (block(regions="r.png"), "image-missing", "r.png"),
     "file outside": (block(regions="../r.png"), "outside-folder", "goniometer.regions"),
 }  # fmt: skip

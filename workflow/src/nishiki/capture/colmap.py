@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.options import ConvertOptions
 from nishiki.capture.registered import (
     CORNER,
     GL,
@@ -62,8 +61,8 @@ Image = tuple[str, int, tuple[float, ...]]
 """Name, number of the camera, and the pose: w, x, y, z of the rotation from world to camera, then the translation."""
 
 
-def colmap_folder(source: Path, options: ConvertOptions) -> Path | None:
-    """Where the reconstruction of a folder of photographs lies: in it, in `sparse` or in `sparse/0`; or None."""
+def colmap_folder(source: Path) -> Path | None:
+    """Find the reconstruction of a folder of photographs: in it, in `sparse` or in `sparse/0`; None without."""
     for place in PLACES:
         if any(all((source / place / f"{part}{kind}").is_file() for part in ("cameras", "images")) for kind in KINDS):
             return source / place
@@ -204,11 +203,10 @@ SAME_ANGLE = 0.01  # relative difference of a focal length and an angle of view 
 MIDDLE = (0.2, 0.8)  # where principal points lie, of the picture's sides
 
 
-def transforms_file(source: Path, options: ConvertOptions) -> Path | None:
-    """`transforms.json` of a folder, else the first part of a set in parts; None without."""
+def transforms_file(source: Path) -> Path | None:
+    """Find `transforms.json` of a folder, else the first part of a set in parts; None without."""
     names = {path.name: path for path in files_with(source, (".json",))}
-    parts = [path for name, path in names.items() if name.startswith(PARTS)]
-    return names.get(NAME, parts[0] if parts else None)
+    return names.get(NAME, next((path for name, path in names.items() if name.startswith(PARTS)), None))
 
 
 def read_transforms(path: Path, pictures: Pictures) -> Registration:

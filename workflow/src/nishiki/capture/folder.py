@@ -14,7 +14,6 @@ from nishiki.capture.frames import (
     DIALECTS,
     Frame,
     Photographed,
-    dialect_of,
     exposure_problems,
     inside,
     lamp_problems,
@@ -23,8 +22,8 @@ from nishiki.capture.frames import (
 from nishiki.capture.goniometer import GoniometerCapture, GoniometerFile, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.mosaic import MosaicCapture, examine_mosaic, is_mosaic
-from nishiki.capture.schema import LOST_BY_FIT, NAMED_ILLUMINANTS, CaptureFile, geometry_named, read_capture_file
-from nishiki.capture.schema_base import Session
+from nishiki.capture.schema import LOST_BY_FIT, NAMED_ILLUMINANTS, CaptureFile, check_settings
+from nishiki.capture.schema_base import Session, read_mapping
 from nishiki.capture.tables import Curves, read_curves
 from nishiki.capture.turntable import TurntableCapture, examine_turntable
 from nishiki.capture.turntable_rules import TurntableFile
@@ -154,16 +153,20 @@ def examine(root: Path) -> tuple[AnyCapture | None, list[Problem]]:
     payload = attempt(lambda: payload_of(root))
     if payload is None:
         return None, problems
-    settings = attempt(lambda: read_capture_file(payload / "capture.yaml"))
-    geometry = settings.geometry if settings else geometry_named(payload / "capture.yaml")
-    geometry = geometry if geometry in tuple(DIALECTS) else dialect_of(payload / "frames.csv")
+    parsed = attempt(lambda: read_mapping(payload / "capture.yaml"))
+    if parsed is None:
+        return None, problems
+    settings = attempt(lambda: check_settings(parsed, "capture.yaml"))
+    geometry = parsed.get("geometry", "plane")
     listed = not (isinstance(settings, GoniometerFile) and settings.goniometer.table)  # a table has no photographs
     frames: tuple[Frame, ...] | None = ()
     if listed:
         table = payload / "frames.csv"
         if table.is_symlink():  # it must lie in the folder itself
             table = attempt(lambda: inside(payload, "frames.csv", "capture folder"))
-        frames = attempt(lambda: read_frames(table, geometry=geometry)) if table else None
+        frames = (
+            attempt(lambda: read_frames(table, geometry=geometry)) if table and geometry in tuple(DIALECTS) else None
+        )
     if settings is None:
         return None, problems
 

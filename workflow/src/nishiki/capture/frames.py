@@ -159,16 +159,6 @@ def _join_bands(frames: list[Frame], file: str, problems: list[Problem]) -> list
     return list(joined.values())
 
 
-def dialect_of(table: Path) -> str:
-    """Guess the geometry of a frames.csv, plane or goniometer, where capture.yaml does not state it."""
-    try:
-        with reading(table.name, "frames"):
-            _, heading = next(table_rows(table, table.name), (0, []))
-    except CaptureError:
-        return "plane"
-    return "goniometer" if ANGLE_COLUMNS[0] in heading or RADIAN_COLUMNS[0] in heading else "plane"
-
-
 def _check_columns(columns: list[str], file: str, known: tuple[str, ...]) -> None:
     problems = []
     for name in [c for c in columns if c not in known][:MOST_NAMED]:

@@ -22,7 +22,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from nishiki.capture.options import ConvertOptions
 from nishiki.capture.registered import (
     CORNER,
     GL,
@@ -37,35 +36,12 @@ from nishiki.capture.registered import (
 )
 from nishiki.capture.turntable_rules import Intrinsics
 from nishiki.formats.files import files_with, read_bytes, read_text
-from nishiki.formats.problems import Problem, error, expect_one, left_out, raise_errors, refuse, warning
+from nishiki.formats.problems import Problem, error, left_out, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading
 
-HEADING = b"# Bundle file"
 LINES = 5  # of a camera
 POINTS = 1000  # that are compared with the sizes of the photographs
 OUTSIDE = 1.0  # pixels by which a point may lie outside of its photograph
-
-
-def _with_marks(folder: Path, suffix: str, marks: tuple[bytes, ...], *, first: bool = False) -> list[Path]:
-    """Files of a folder with a suffix that hold all marks in their head; first: begin with the first of them."""
-    found = []
-    for path in files_with(folder, (suffix,)) if folder.is_dir() else ():
-        with path.open("rb") as stream:
-            head = stream.read(HEAD)
-        if all(mark in head for mark in marks) and (not first or head.startswith(marks[0])):
-            found.append(path)
-    return found
-
-
-def bundler_file(source: Path, options: ConvertOptions) -> Path | None:
-    """Find the only file of Bundler's in a folder or in `bundle`. CaptureError (layout-unknown) where several are."""
-    for folder in (source, source / "bundle"):
-        found = _with_marks(folder, ".out", (HEADING,), first=True)
-        named = [path for path in found if path.name == "bundle.out"] or found
-        what, remedy = "several files of Bundler", "Keep the last one that it wrote, or call it bundle.out"
-        if one := expect_one(named, source, what, remedy):
-            return one
-    return None
 
 
 def read_bundler(path: Path, pictures: Pictures) -> Registration:
@@ -155,17 +131,6 @@ DISTORTIONS = {
 }
 
 
-def meshroom_file(source: Path, options: ConvertOptions) -> Path | None:
-    """`cameras.sfm` in a folder of photographs, else the only `.sfm` there; None without.
-
-    CaptureError (layout-unknown) where there are several and none of this name.
-    """
-    files = files_with(source, (".sfm",))
-    named = [path for path in files if path.name == "cameras.sfm"] or files
-    remedy = "Keep the one that StructureFromMotion wrote, or call it cameras.sfm"
-    return expect_one(named, source, "several .sfm files", remedy)
-
-
 def read_meshroom(path: Path, pictures: Pictures | None = None) -> Registration:
     """Read the photographs that have a pose.
 
@@ -245,12 +210,6 @@ OTHERS = ("k4", "p3", "p4")  # of the distortion, beyond Brown's five numbers
 TERMS = ("f", "fx", "fy", "cx", "cy", "b1", "b2", "skew", "k1", "k2", "k3", "p1", "p2", *OTHERS)
 FAR = 1e4  # distance from the world's origin, in extents of the cameras: geocentric coordinates
 METASHAPE_REMEDY = "Export the cameras again (File, Export, Export Cameras, Agisoft XML)"
-
-
-def metashape_file(source: Path, options: ConvertOptions) -> Path | None:
-    """Find the only XML file with a chunk's sensors and cameras. CaptureError (layout-unknown) where several are."""
-    what, remedy = "several files of Metashape's cameras", "Keep the one that belongs to these photographs"
-    return expect_one(_with_marks(source, ".xml", (b"<chunk", b"<sensors")), source, what, remedy)
 
 
 def read_metashape(path: Path, pictures: Pictures | None = None) -> Registration:

@@ -26,29 +26,23 @@ from nishiki.capture.layouts import (
 )
 from nishiki.capture.mosaic import NAME, TABLE, Field, is_capture, is_mosaic, read_fields
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.photogrammetry import (
-    bundler_file,
-    meshroom_file,
-    metashape_file,
-    read_bundler,
-    read_meshroom,
-    read_metashape,
-)
+from nishiki.capture.photogrammetry import read_bundler, read_meshroom, read_metashape
+from nishiki.capture.registered import Pictures, Registration
 from nishiki.capture.relightable import Rendering, read_relightable, recognise_relightable
 from nishiki.capture.rti_projects import find_rti_project
 from nishiki.capture.turntable_layouts import (
     RoundLayout,
-    cameras_of,
     find_camera_list,
     find_matrices,
     find_states,
+    place_registered,
     read_middlebury,
     read_numbered,
     read_series,
 )
 from nishiki.formats.files import Refused, bound, files_with, leads_out
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
-from nishiki.formats.problems import CaptureError, name_some, refuse
+from nishiki.formats.problems import CaptureError, expect_one, name_some, refuse
 
 UNKNOWN = "no lamps found, nor cameras"
 
@@ -89,14 +83,47 @@ class FolderLayout:
     files: bool = False  # whether a source may be a file
 
 
-CAMERAS: tuple[tuple[str, Callable, Callable], ...] = (
+HEAD_BYTES = 1 << 16
+"""Of a file of cameras, in which it tells what it is."""
+
+
+def file_of_cameras(suffix: str, *marks: bytes, name: str = "", places: tuple[str, ...] = (".",)) -> Callable:
+    """Make what finds the only file with a suffix and with these marks in its head; one of this name comes first."""
+
+    def find(source: Path) -> Path | None:
+        for folder in filter(Path.is_dir, (source / place for place in places)):
+            found = []
+            for path in files_with(folder, (suffix,)):
+                with path.open("rb") as stream:
+                    head = stream.read(HEAD_BYTES)
+                found += [path] if all(mark in head for mark in marks) else []
+            named = [path for path in found if path.name == name] or found
+            remedy = f"Keep the one of these photographs{f', or call it {name}' if name else ''}"
+            if one := expect_one(named, source, f"several files {suffix} of cameras", remedy):
+                return one
+        return None
+
+    return find
+
+
+CAMERAS: tuple[tuple[str, Callable[[Path], Path | None], Callable[[Path, Pictures], Registration]], ...] = (
     ("COLMAP", colmap_folder, read_colmap),
-    ("Meshroom", meshroom_file, read_meshroom),
+    ("Meshroom", file_of_cameras(".sfm", name="cameras.sfm"), read_meshroom),
     ("transforms.json", transforms_file, read_transforms),
-    ("Metashape", metashape_file, read_metashape),
-    ("Bundler", bundler_file, read_bundler),
+    ("Metashape", file_of_cameras(".xml", b"<chunk", b"<sensors"), read_metashape),
+    ("Bundler", file_of_cameras(".out", b"# Bundle file", name="bundle.out", places=(".", "bundle")), read_bundler),
 )
 """Programs whose cameras are read: name, what finds their file or folder, and what reads it."""
+
+
+def cameras_of(program: str, find: Callable, read: Callable[[Path, Pictures], Registration]) -> FolderLayout:
+    """Make the entry of folders whose cameras a program found."""
+
+    def read_registered(source: Path, cameras: Path, options: ConvertOptions) -> RoundLayout:
+        pictures = Pictures(source)
+        return place_registered(source, program, cameras.name, read(cameras, pictures), pictures)
+
+    return FolderLayout(f"cameras of {program}", lambda source, options: find(source), read_registered)
 
 
 def find_fields(source: Path, options: ConvertOptions) -> tuple[Field, ...] | None:
@@ -140,7 +167,7 @@ LAYOUTS = (
         read_diligent,
     ),
     FolderLayout("mirror spheres", find_spheres, read_with_spheres),
-    *(FolderLayout(f"cameras of {name}", find, cameras_of(name, read)) for name, find, read in CAMERAS),
+    *(cameras_of(*program) for program in CAMERAS),
     FolderLayout("list of cameras", find_camera_list, read_middlebury),
     FolderLayout("camera matrices", find_matrices, read_numbered),
     FolderLayout("polarisation series", find_states, read_series),

@@ -9,7 +9,6 @@ from nishiki.artifacts.closed import Closed
 from nishiki.capture.goniometer import GoniometerFile
 from nishiki.capture.schema_base import Count, Positive, Session, read_mapping, validate
 from nishiki.capture.turntable_rules import TurntableFile
-from nishiki.formats.problems import CaptureError
 
 NAMED_ILLUMINANTS = ("A", "D50", "D55", "D65", "E", *(f"F{i}" for i in range(1, 13)))
 LOST_BY_FIT = (
@@ -51,18 +50,14 @@ def read_capture_file(path: Path) -> CaptureFile | TurntableFile | GoniometerFil
 
     Kinds: yaml-missing, yaml-invalid, unknown-key, missing-key, wrong-value.
     """
-    parsed = read_mapping(path)
+    return check_settings(read_mapping(path), path.name)
+
+
+def check_settings(parsed: dict, file: str) -> CaptureFile | TurntableFile | GoniometerFile:
+    """Parse the keys and values of a capture.yaml by its geometry. CaptureError: those of `validate`."""
     geometry = parsed.get("geometry")
     if geometry == "turntable":
-        return validate(TurntableFile, parsed, path.name)
+        return validate(TurntableFile, parsed, file)
     if geometry == "goniometer":
-        return validate(GoniometerFile, parsed, path.name)
-    return validate(CaptureFile, parsed, path.name)
-
-
-def geometry_named(path: Path) -> str | None:
-    """Read the geometry that a capture.yaml names, even where the rest is unusable; None where it names none."""
-    try:
-        return read_mapping(path).get("geometry")
-    except CaptureError:
-        return None
+        return validate(GoniometerFile, parsed, file)
+    return validate(CaptureFile, parsed, file)

@@ -2,7 +2,6 @@
 
 import io
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -21,7 +20,17 @@ from nishiki.formats.files import bound, files_with, read_text
 from nishiki.formats.images import read_header
 from nishiki.formats.matlab import read_matlab
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
-from nishiki.formats.problems import CaptureError, Problem, error, expect_one, left_out, raise_errors, refuse, warning
+from nishiki.formats.problems import (
+    CaptureError,
+    Problem,
+    error,
+    expect_one,
+    left_out,
+    name_some,
+    raise_errors,
+    refuse,
+    warning,
+)
 from nishiki.formats.text_tables import expect_rows, number_of, reading
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.turn import order_round, turn_of
@@ -58,16 +67,6 @@ class RoundLayout(SourcePhotographs):
             f"{len(set(self.states))} polariser states" if self.matrices is None else f"{len(self.matrices)} cameras"
         )
         return f"{self.count} photographs, {known}"
-
-
-def cameras_of(program: str, read: Callable[[Path, Pictures], Registration]) -> Callable[..., RoundLayout]:
-    """Make the reader of a folder whose cameras a program found; `read` gets the cameras' file and the pictures."""
-
-    def read_registered(source: Path, cameras: Path, options: ConvertOptions) -> RoundLayout:
-        pictures = Pictures(source)
-        return _registered(source, program, cameras.name, read(cameras, pictures), pictures)
-
-    return read_registered
 
 
 def find_camera_list(source: Path, options: ConvertOptions) -> Path | None:
@@ -131,9 +130,8 @@ def _matrices_in(path: Path) -> np.ndarray | None:
     problems = []
     for i, cell in enumerate(cells):
         if np.shape(cell) != (3, 4) or np.asarray(cell).dtype.kind not in "fiu":
-            found = " x ".join(map(str, np.shape(cell)))
-            where = f"{path.name} P{{{i + 1}}}"
-            problems.append(error("camera-values", where, "camera matrix", expected="3 x 4 numbers", found=found))
+            what = f"expected a matrix of 3 x 4 numbers, found {' x '.join(map(str, np.shape(cell)))}"
+            problems.append(error("camera-values", f"{path.name} P{{{i + 1}}}", what))
     raise_errors(problems)
     expect_rows(len(cells), "views", path.name, "cameras")
     return np.array(cells, np.float64).reshape(-1, 3, 4)
@@ -152,9 +150,8 @@ def read_numbered(source: Path, stored: tuple[Path, np.ndarray], options: Conver
         photographs = photographs[:-1]
         matrices = matrices[: len(photographs)]
     if len(photographs) != len(matrices):
-        expected, found = f"{len(matrices)}, one a matrix of {path.name}", f"{len(photographs)}"
-        remedy = "Move other pictures away"
-        refuse("photographs-count", str(source), "photographs", expected=expected, found=found, remedy=remedy)
+        what = f"expected {len(matrices)} photographs, one a matrix of {path.name}, found {len(photographs)}"
+        refuse("photographs-count", str(source), what)
     what = "matrices have no file names: given to the photographs in the natural order of their names"
     found = f"{photographs[0].name} ... {photographs[-1].name}"
     notes.append(warning("cameras-in-order", path.name, what, found=found))
@@ -191,8 +188,7 @@ def read_middlebury(source: Path, path: Path, options: ConvertOptions) -> RoundL
         values = np.array([number_of(cell) for cell in cells[1:]])
         if len(values) != 21 or np.isnan(values).any():
             found = f"{len(values)} values" if len(values) != 21 else "a value that is no number"
-            expected = "a name and 21 numbers"
-            problems.append(error("camera-values", where, "camera", expected=expected, found=found))
+            problems.append(error("camera-values", where, f"expected a name and 21 numbers, found {found}"))
             continue
         if cells[0] not in present:
             problems.append(error("photograph-missing", where, f"no photograph '{cells[0]}'"))
@@ -202,32 +198,29 @@ def read_middlebury(source: Path, path: Path, options: ConvertOptions) -> RoundL
         with np.errstate(over="ignore", invalid="ignore"):  # told where the matrix is looked at
             matrices.append(intrinsics @ np.column_stack([rotation, translation]))
     if int(lines[0][0]) != len(lines) - 1:
-        expected, found = f"{lines[0][0]} as its first line says", f"{len(lines) - 1}"
-        problems.append(error("cameras-count", path.name, "cameras", expected=expected, found=found))
+        what = f"expected {lines[0][0]} cameras as its first line says, found {len(lines) - 1}"
+        problems.append(error("cameras-count", path.name, what))
     raise_errors(problems)
     extra = [p.name for p in photographs_in(source) if p not in photographs]
     notes = left_out(extra, str(source), "pictures that the cameras do not name")
     return _turntable("turntable with a list of cameras", photographs, np.array(matrices), path.name, notes)
 
 
-def _registered(source: Path, program: str, file: str, found: Registration, pictures: Pictures) -> RoundLayout:
-    """Photographs that a program found the cameras of, in the natural order of their names."""
+def place_registered(source: Path, program: str, file: str, found: Registration, pictures: Pictures) -> RoundLayout:
+    """Place the photographs that a program found the cameras of, in the natural order of their names."""
     placed = zip(pictures.paths([view.name for view in found.views], file), found.views, strict=True)
     ordered = sorted(placed, key=lambda each: natural_parts(str(each[0])))
     photographs, views = [path for path, _ in ordered], [view for _, view in ordered]
     if len(set(photographs)) != len(views):
         twice = next(path.name for path in photographs if photographs.count(path) > 1)
-        what = "two cameras of one photograph"
-        remedy = f"Give the photographs names of their own before {program} is run"
-        refuse("photograph-repeats", file, what, found=twice, remedy=remedy)
+        refuse("photograph-repeats", file, f"two cameras of {program} of one photograph", found=twice)
     problems = []
     for view, path in zip(views, photographs, strict=True):
         problems += source_problems(path, source)
         header = read_header(path)
         if (header.rows, header.columns) != (view.rows, view.columns):
-            expected, size = f"{view.columns} x {view.rows}", f"{header.columns} x {header.rows}"
-            what, remedy = "not the size that its camera has", f"Give the photographs that {program} was given"
-            problems.append(error("camera-values", path.name, what, expected=expected, found=size, remedy=remedy))
+            what = f"not the photograph that {program} was given, of {view.columns} x {view.rows} pixels"
+            problems.append(error("camera-values", path.name, what, found=f"{header.columns} x {header.rows}"))
     raise_errors(problems)
     folders = dict.fromkeys(path.parent for path in photographs)
     extra = [path.name for folder in folders for path in photographs_in(folder) if path not in photographs]
@@ -280,13 +273,13 @@ def read_series(source: Path, photographs: list[Path], options: ConvertOptions) 
     calibrations = sorted(files_with(source, (".mat",)), key=natural_key)
     generators, analysers = ({angles[k] for angles in (parse_state(s).angles_deg for s in states)} for k in (0, 1))
     if len(states) != len(generators) * len(analysers):
-        expected, found = f"{len(generators)} x {len(analysers)} states", f"{len(states)}"
-        what = "not every generator angle was photographed with every analyser angle"
-        notes.append(warning("states-incomplete", str(source), what, expected=expected, found=found))
+        what = (
+            f"{len(states)} states of {len(generators)} generator and {len(analysers)} analyser angles: not all pairs"
+        )
+        notes.append(warning("states-incomplete", str(source), what))
     if len(calibrations) > 1:
-        found = ", ".join(p.name for p in calibrations)
-        what, remedy = "several calibration files; none was taken along", "Put the right one into turntable.calibration"
-        notes.append(warning("calibration-several", str(source), what, found=found, remedy=remedy))
+        what = "several calibration files, of which none was taken along for turntable.calibration"
+        notes.append(warning("calibration-several", str(source), what, found=name_some(p.name for p in calibrations)))
     calibration = calibrations[0] if len(calibrations) == 1 else None
     chosen, ordered = tuple(photographs[i] for i in order), tuple(states[i] for i in order)
     views = ("",) * len(states)
