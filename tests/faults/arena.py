@@ -11,9 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import yaml
+from benchmarks.cut_mosaic import cut_capture
 
 PROJECT = Path(__file__).resolve().parents[2]
 PRESETS = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
+PAINTING_IN_FIELDS = ("--rows", "320", "--columns", "400", "--rings", "1", "--ring-lights", "6")
 SMALL = {
     "render": {"pictures": [{"name": "daylight"}], "sequences": [{"name": "moving-light", "frames": 2, "columns": 48}]},
     "cloth_render": {"view": {"rows": 48, "columns": 48}, "supersampling": 1},
@@ -122,14 +124,19 @@ def digest(path: Path) -> str:
 
 
 def make_arena(folder: Path, geometries: tuple[str, ...]) -> Arena:
-    """Simulate the scenes, run them undisturbed, and keep what came out."""
+    """Simulate the scenes, `mosaic` and those of PRESETS, run them undisturbed, and keep what came out."""
     folder.mkdir(parents=True, exist_ok=True)
     arena = Arena(folder, geometries)
-    rows = "".join(f"{name}\tcaptures/{name}\tcaptures/{name}-truth\n" for name in geometries)
+    truths = {name: "" if name == "mosaic" else f"captures/{name}-truth" for name in geometries}
+    rows = "".join(f"{name}\tcaptures/{name}\t{truth}\n" for name, truth in truths.items())
     (folder / "scenes.tsv").write_text("scene\tcapture\ttruth\n" + rows)
     (folder / "config.yaml").write_text(yaml.safe_dump({"scenes": "scenes.tsv", "results": "results", **SMALL}))
     for name in geometries:
         capture = f"captures/{name}"
+        if name == "mosaic" and not (folder / capture).is_dir():
+            whole = (folder / "captures/whole", folder / "captures/whole-truth")
+            expect(arena.nishiki("simulate", "--output", whole[0], "--truth", whole[1], *PAINTING_IN_FIELDS))
+            cut_capture(whole[0], folder / capture, grid=(2, 2), overlap=0.3, seed=1)
         if not (folder / capture).is_dir():
             arguments = ("--output", capture, "--truth", f"{capture}-truth", "--preset", PRESETS[name])
             expect(arena.nishiki("simulate", *arguments))

@@ -1,4 +1,4 @@
-"""The three chains on this machine and through a real Slurm on it: the jobs that Slurm ran, and digests side by side.
+"""Three chains and a mosaic on this machine and through a real Slurm on it: the jobs that Slurm ran, and digests.
 
     python tests/slurm/compare.py                  print; exit status 0 where all artifacts have the same bytes
     python tests/slurm/compare.py --page           write docs/notes/slurm-run.md too
@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(PROJECT / "workflow/src"), str(PROJECT / "tests/faults"), str(PROJECT / "tests/slurm")]
+sys.path[:0] = [str(PROJECT / part) for part in ("", "workflow/src", "tests/faults", "tests/slurm")]
 
 from arena import PRESETS, Arena, environment, make_arena  # noqa: E402
 from cluster import QUICK, Unavailable, cluster, install_plugin  # noqa: E402
@@ -69,8 +69,8 @@ def page(log: str, jobs: str, local: dict, other: dict) -> str:
     lines = [
         "# A run through Slurm, and the same run without it",
         "",
-        "Written by `python tests/slurm/compare.py --page`: small simulated scenes of the three chains, first on one",
-        "machine by itself, then through a Slurm of two nodes that `tests/slurm/start.sh` started there.",
+        "Written by `python tests/slurm/compare.py --page`: small simulated scenes of the three chains and a mosaic,",
+        "first on one machine by itself, then through a Slurm of two nodes that `tests/slurm/start.sh` started there.",
         "",
         f"**{equal} of {len(local)} artifacts have the same bytes**; through Slurm they came in {len(numbers)} jobs.",
         "Digests are those of the manifests, which list every file with its own digest.",
@@ -114,7 +114,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = options.folder or Path(temporary)
-        arena = make_arena(folder / "arena", tuple(PRESETS))
+        arena = make_arena(folder / "arena", (*PRESETS, "mosaic"))
         shutil.rmtree(arena.results, ignore_errors=True)
         try:
             log, jobs = through_slurm(arena, folder)
