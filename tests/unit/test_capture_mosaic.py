@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from captures import CHANNELS, RING, make_capture, write_frame
+from relightable_images import rgb_file, write_relight
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import examine, load_capture
@@ -152,6 +153,17 @@ def test_a_table_beside_the_folders_names_the_fields_and_their_positions(tmp_pat
     fields = load_capture(tmp_path / "capture").fields
     assert [(field.name, field.position_mm) for field in fields] == [("b", (10.5, 0.0)), ("a", None)]
     assert is_capture(tmp_path / "capture")
+
+
+def test_relightable_images_become_fields(tmp_path):
+    (tmp_path / "wall/right").mkdir(parents=True)
+    write_relight(tmp_path / "wall/left", "hsh", "rgb", 27)
+    (tmp_path / "wall/right/object.ptm").write_bytes(rgb_file()[0])
+    made = convert(tmp_path / "wall", tmp_path / "capture", fields=True)
+    capture = load_capture(tmp_path / "capture")
+    assert made.geometry == capture.geometry == "mosaic"
+    assert [each.settings.rendered_from for each in capture.captures] == ["relight/info.json", "object.ptm"]
+    assert {problem.kind for problem in made.warnings} >= {"rendered"}
 
 
 @pytest.mark.parametrize(

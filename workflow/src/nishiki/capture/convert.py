@@ -28,7 +28,8 @@ def write_mosaic(folder: Path, layout: MosaicLayout, source: Path, options: Conv
     rows, notes = [",".join(COLUMNS)], []
     for field, each in zip(layout.fields, layout.layouts, strict=True):
         place = replace(field, place=f"fields/{field.name}")
-        notes += within(place, [*each.warnings, *write_plane(folder / place.place, each, field.path, layout.options)])
+        told = WRITERS[type(each)](folder / place.place, each, field.path, layout.options)
+        notes += within(place, [*each.warnings, *told])
         rows.append(",".join([field.name, place.place, *(f"{each:.10g}" for each in field.position_mm or ())]))
     (folder / TABLE).write_text("".join(f"{row}{',,' * (row.count(',') == 1)}\n" for row in rows), encoding="utf-8")
     return notes

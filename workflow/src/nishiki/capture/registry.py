@@ -16,6 +16,7 @@ from nishiki.capture.frames import SourcePhotographs
 from nishiki.capture.layout_writers import MeasuredTable, read_measurements, recognise_table
 from nishiki.capture.layouts import (
     DIRECTIONS,
+    RELIGHTABLE,
     Layout,
     find_lights_file,
     find_spheres,
@@ -51,9 +52,9 @@ UNKNOWN = "no lamps found, nor cameras"
 class MosaicLayout(SourcePhotographs):
     """Fields of a mosaic, each with the layout of its folder."""
 
-    photographs: tuple[Path, ...]  # of all fields
+    photographs: tuple[Path, ...]  # of all fields; none of relightable images
     fields: tuple[Field, ...]
-    layouts: tuple[Layout, ...]
+    layouts: tuple[Layout | Rendering, ...]
     options: ConvertOptions  # for each field
     name = "fields"
     geometry = "mosaic"
@@ -132,7 +133,8 @@ def find_fields(source: Path, options: ConvertOptions) -> tuple[Field, ...] | No
         return read_fields(source)
     if not options.fields:
         return None
-    folders = [each for each in sorted(source.iterdir()) if each.is_dir() and files_with(each, IMAGE_SUFFIXES)]
+    kinds = IMAGE_SUFFIXES.union(RELIGHTABLE)
+    folders = [each for each in sorted(source.iterdir()) if each.is_dir() and files_with(each, kinds)]
     unusable = [each.name for each in folders if not NAME.fullmatch(each.name)]
     if unusable:
         expected, remedy = "letters, digits, _ and single -", f"Rename it, or name its field in {TABLE}: field,path"
@@ -150,10 +152,10 @@ def read_mosaic(source: Path, fields: tuple[Field, ...], options: ConvertOptions
     layouts = []
     for field in fields:
         layout = read_source(field.path, options)
-        if not isinstance(layout, Layout):
-            refuse("fields-differ", field.place, "not photographs of a plane under several lamps", found=layout.name)
+        if not isinstance(layout, Layout | Rendering):
+            refuse("fields-differ", field.place, "neither photographs of a plane nor relightable", found=layout.name)
         layouts.append(layout)
-    photographs = tuple(path for layout in layouts for path in layout.photographs)
+    photographs = tuple(path for layout in layouts for path in getattr(layout, "photographs", ()))
     return MosaicLayout(photographs, fields, tuple(layouts), options)
 
 
