@@ -256,7 +256,8 @@ def expect_connected(fields: Sequence[Field], used: Sequence[Overlap], overlaps:
     raise UserError(
         f"{len(lost)} of {len(fields)} fields are not connected to the others by an overlap that can be relied on: "
         f"{', '.join(lost[:12])}. {'Overlaps not used: ' + '; '.join(doubts[:6]) + '. ' if doubts else ''}Remedy: "
-        "photograph fields that overlap them by 15 % or more where the surface has texture; where an ornament repeats, "
+        "photograph fields that overlap them by 15 % or more where the surface has texture, turned by less than 4 "
+        "degrees against them; where an ornament repeats, "
         "state the positions in fields.csv (and pixel_pitch_mm in each capture.yaml); or leave these fields out of it."
     )
 
