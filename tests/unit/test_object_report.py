@@ -28,15 +28,7 @@ from nishiki.stages.report import ObjectReportSettings
 from nishiki.stages.report.capture import facts_of_object
 from nishiki.stages.report.object import at_a_glance, facts, sentences, turn_plot
 from nishiki.stages.report.object import rows as rows_of_mesh
-from nishiki.stages.report.object_reflection import (
-    GAP,
-    averaged,
-    bytes_bars,
-    packed,
-    parameter_figures,
-    rate_curve,
-    sheet,
-)
+from nishiki.stages.report.object_reflection import bytes_bars, parameter_figures, rate_curve
 from nishiki.stages.residual import ResidualSettings
 from nishiki.stages.texels import TexelsSettings
 
@@ -275,66 +267,11 @@ def test_parameters_round_trip(inputs):
     assert np.all(part.sigma == np.float32(0.2))
 
 
-def test_pieces_do_not_overlap_on_the_sheet():
-    rng = np.random.default_rng(0)
-    boxes = [(int(r), int(c)) for r, c in rng.integers(1, 70, (40, 2))]
-    places, height, width = packed(boxes)
-    covered = np.zeros((height + GAP, width + GAP), int)
-    for (row, column), (rows, columns) in zip(places, boxes, strict=True):
-        assert column + columns <= width
-        assert row + rows <= height
-        covered[row : row + rows + GAP, column : column + columns + GAP] += 1
-    assert covered.max() == 1
-    assert (covered > 0).mean() > 0.7
-
-
-def test_sheet_holds_every_tile_once():
-    made, left_out = sheet(lambda tile: np.full((8, 8, 1), float(tile + 1)), atlas(), 21)
-    for tile in (0, 1):
-        assert (made == tile + 1).sum() == 49
-    assert np.isfinite(made).sum() == 98
-    assert left_out.pieces == 0
-    small, _ = sheet(lambda tile: np.full((8, 8, 1), float(tile + 1)), atlas(), 9)
-    assert small.shape[1] <= 9
-    assert set(np.unique(small[np.isfinite(small)])) == {1, 2}
-
-
-def test_sheet_without_specks_and_empty_room():
-    """Of a tile, one corner and single texels are known."""
-
-    def read(tile):
-        values = np.full((64, 64, 2), np.nan)
-        values[5:35, 20:60] = 1.0
-        values[50::6, ::6] = 2.0
-        return values
-
-    made, left_out = sheet(read, atlas(64), 500)
-    assert made.shape[:2] in {(60 + GAP, 40), (30, 80 + GAP)}
-    assert set(np.unique(made[np.isfinite(made)])) == {1}
-    assert left_out.pieces == 2 * 3 * 11
-    assert left_out.share == pytest.approx(66 / (66 + 2400))
-
-
 def test_sheets_of_gloss_only_where_there_is_any():
     parameters = np.full((6, 9, 7), 0.2, np.float32)
     assert len(parameter_figures(parameters)) == 3
     parameters[..., 3:6] = 0
     assert len(parameter_figures(parameters)) == 1
-
-
-def test_a_sheet_of_nothing():
-    made, left_out = sheet(lambda tile: np.full((8, 8, 3), np.nan), atlas(), 21)
-    assert made.shape[:2] == (1, 1)
-    assert left_out.pieces == 0
-
-
-def test_averages_leave_out_what_is_not_known():
-    values = np.arange(49.0).reshape(7, 7, 1)
-    np.testing.assert_allclose(averaged(values, 1), values.mean(), rtol=1e-6)
-    values[0] = np.nan
-    np.testing.assert_allclose(averaged(values, 1)[0, 0, 0], np.nanmean(values), rtol=1e-6)
-    assert averaged(values, 7).shape == (7, 7, 1)
-    assert np.isnan(averaged(np.full((7, 7, 2), np.nan), 3)).all()
 
 
 def test_drawings():

@@ -1,20 +1,17 @@
 """Export: files of the draped cloth for other programs, and how far its material there is from the fitted model.
 
 For base colour c, alpha = roughness^2, anisotropy strength s, weight w and colour k of the specular reflection, index
-1.5, sheen colour e and alpha_s = sheen roughness^2 (glTF 2.0, appendix B; KHR_materials_specular, _anisotropy, _sheen):
+1.5 (glTF 2.0, appendix B; KHR_materials_specular, _anisotropy):
 
-    f  = e D_s V_s + m [ (1 - max F) c / pi + F D V ],     m = 1 - max e  max(E(n.i), E(n.o))
-    F  = w (F0 + (1 - F0) (1 - o.h)^5),                    F0 = min(0.04 k, 1)
+    f  = (1 - max F) c / pi + F D V,    F  = w (F0 + (1 - F0) (1 - o.h)^5),    F0 = min(0.04 k, 1)
     D V: anisotropic Trowbridge-Reitz with Smith's masking; alpha_t = alpha + (1 - alpha) s^2 along, alpha across
-    D_s = (2 + 1 / alpha_s) (sin h)^(1 / alpha_s) / (2 pi),    V_s = 1 / (4 (n.i + n.o - n.i n.o)),    E: its albedo
-
-D_s: Estevez and Kulla (2017), Production friendly microfacet sheen BRDF; V_s: Neubelt and Pettineo (2013), Crafting a
-next-gen material pipeline for The Order: 1886, the visibility that three.js, Babylon.js and Filament use.
 """
 
 import json
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import product
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +24,6 @@ from nishiki.brdf.cloth.interface import halves, only_above
 from nishiki.brdf.half_vector_table import HalfVectorTable
 from nishiki.brdf.slopes import anisotropic_lobe
 from nishiki.colour.colour import decode, delta_e_2000, srgb_encode, srgb_matrix, xyz_to_lab
-from nishiki.errors import require
 from nishiki.formats.merl import bsdf_bytes
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.formats.textured_surface import Glb
@@ -45,35 +41,29 @@ from nishiki.stages.render.cloth import DrapedCloth, draped_cloth, lights_of
 NORMAL_REFLECTANCE = 0.04  # of index 1.5, what a viewer takes where the file says nothing
 PAIRS = 1500
 """Of light and view in the fit."""
-LEAST = np.array([0, 0, 0, 0.05, 0.0, 0, 0, 0, 0, 0, 0, 0, 0.15])
-MOST = np.array([1, 1, 1, 1.0, 1.0, 1, 25, 25, 25, 1, 1, 1, 1.0])
+LEAST = np.array([0, 0, 0, 0.05, 0.0, 0, 0, 0, 0])
+MOST = np.array([1, 1, 1, 1.0, 1.0, 1, 25, 25, 25])
 """Bounds of the parameters, in the order of `of_parameters`."""
 STARTS = ((0.35, 0.7), (0.6, 0.4))
 """Roughness and anisotropy strength from which the fit sets out, along either yarn."""
-WORTH = 0.02
-"""Part of the root mean square error by which sheen has to lower it, to be kept;"""
-NOTHING = 1e-8
-"""and mean squared error, a hundredth of a step of 8 bits, that is none."""
 
 
 @dataclass(frozen=True)
 class GltfCloth:
-    """base, specular_colour, sheen_colour (3,): linear sRGB; along_warp: the rougher direction is the warp's."""
+    """base, specular_colour (3,): linear sRGB; along_warp: the rougher direction is the warp's."""
 
     base: np.ndarray
     roughness: float
     anisotropy: float
     weight: float
     specular_colour: np.ndarray
-    sheen_colour: np.ndarray
-    sheen_roughness: float
     along_warp: bool
     channels: int = 3
 
     @classmethod
     def of_parameters(cls, x: np.ndarray, along_warp: bool) -> "GltfCloth":
-        """Return base, roughness, anisotropy, weight, specular colour, sheen colour, sheen roughness (13,)."""
-        return cls(x[:3], float(x[3]), float(x[4]), float(x[5]), x[6:9], x[9:12], float(x[12]), along_warp)
+        """Return base, roughness, anisotropy, weight, specular colour (9,)."""
+        return cls(x[:3], float(x[3]), float(x[4]), float(x[5]), x[6:9], along_warp)
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """Return (..., 3) 1 / sr for unit vectors (..., 3) in the frame weft, warp, normal; 0 below the horizon."""
@@ -85,13 +75,7 @@ class GltfCloth:
         x, y = (across, along) if self.along_warp else (along, across)
         gloss = anisotropic_lobe(g.h, incident, outgoing, x, y)[..., None]
         body = (1 - fresnel.max(axis=-1, keepdims=True)) * self.base / np.pi
-        f = body + fresnel * gloss
-        if self.sheen_colour.any():
-            most = self.sheen_colour.max()
-            sheen = charlie(g.h[..., 2], g.cos_i, g.cos_r, self.sheen_roughness)
-            lost = np.maximum(*(sheen_albedo(cosine, self.sheen_roughness) for cosine in (g.cos_i, g.cos_r)))
-            f = self.sheen_colour * sheen[..., None] + np.maximum(1 - most * lost, 0)[..., None] * f
-        return only_above(g.above, f)
+        return only_above(g.above, body + fresnel * gloss)
 
     def as_dict(self) -> dict:
         """Its numbers, as plain values."""
@@ -109,11 +93,6 @@ class GltfCloth:
                 "anisotropyRotation": np.pi / 2 if self.along_warp else 0.0,
             },
         }
-        if self.sheen_colour.any():
-            extensions["KHR_materials_sheen"] = {
-                "sheenColorFactor": self.sheen_colour.tolist(),
-                "sheenRoughnessFactor": self.sheen_roughness,
-            }
         return {
             "pbrMetallicRoughness": {
                 "baseColorFactor": [*self.base.tolist(), 1.0],
@@ -123,27 +102,6 @@ class GltfCloth:
             "doubleSided": True,
             "extensions": extensions,
         }
-
-
-def charlie(cos_h: np.ndarray, cos_i: np.ndarray, cos_r: np.ndarray, roughness: float) -> np.ndarray:
-    """Return D_s V_s of the sheen, 1 / sr."""
-    exponent = 1 / roughness**2
-    sine = np.sqrt(np.maximum(1 - cos_h**2, 0))
-    visible = 1 / (4 * np.maximum(cos_i + cos_r - cos_i * cos_r, 1e-9))
-    return (2 + exponent) * sine**exponent / (2 * np.pi) * visible
-
-
-def sheen_albedo(cosines: np.ndarray, roughness: float) -> np.ndarray:
-    """E: share of the light from a direction that a white sheen reflects; linear between 24 cosines."""
-    nodes = (np.arange(24) + 0.5) / 24
-    squares, turns = (np.arange(32) + 0.5) / 32, (np.arange(32) + 0.5) / 32 * np.pi
-    sine, cosine = np.sqrt(squares)[:, None], np.sqrt(1 - squares)[:, None]
-    light = [sine * np.cos(turns), sine * np.sin(turns), cosine + 0 * turns]
-    view = np.sqrt(1 - nodes**2)[:, None, None]
-    middle = nodes[:, None, None] + light[2]
-    cos_h = middle / np.sqrt((view + light[0]) ** 2 + light[1] ** 2 + middle**2)
-    values = np.pi * charlie(cos_h, nodes[:, None, None], light[2], roughness).mean(axis=(1, 2))
-    return np.interp(cosines, nodes, values)
 
 
 def shone(brdf: Brdf, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
@@ -172,40 +130,25 @@ def pairs(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def fitted_cloth(brdf: Brdf, *, count: int = PAIRS) -> GltfCloth:
     """Fit the material whose coded brightness over all lights and views is nearest to a BRDF's, in the mean square.
 
-    count: pairs of light and view. Sheen is left out where it brings less than `WORTH`.
+    count: pairs of light and view.
     """
-    incident, outgoing = pairs(count, 0)
-    true = shone(brdf, incident, outgoing)
-    plain = min((_fit(true, incident, outgoing, warp, sheen=False) for warp in (False, True)), key=lambda fit: fit[1])
-    full = _fit(true, incident, outgoing, plain[0].along_warp, sheen=True)
-    return full[0] if full[1] < (1 - WORTH) ** 2 * plain[1] - NOTHING * true.size else plain[0]
-
-
-def _fit(
-    true: np.ndarray, incident: np.ndarray, outgoing: np.ndarray, along_warp: bool, *, sheen: bool
-) -> tuple[GltfCloth, float]:
-    """Return the material and its sum of squared errors against coded values (n, 3)."""
     from scipy.optimize import least_squares
 
-    free = np.ones(len(LEAST), bool)
-    free[9:] = sheen
+    incident, outgoing = pairs(count, 0)
+    true = shone(brdf, incident, outgoing)
     colour = np.clip(np.median(true, axis=0) / 12.92, 0.002, 0.9)  # a guess: dark, where the coding is linear
-    best: tuple[GltfCloth, float] | None = None
-    for roughness, anisotropy in STARTS:
-        x = np.array([*colour, roughness, anisotropy, 0.8, 1, 1, 1, *(0.05 * sheen,) * 3, 0.5])
-
-        def material(values: np.ndarray, x: np.ndarray = x) -> GltfCloth:
-            all_values = x.copy()
-            all_values[free] = values
-            return GltfCloth.of_parameters(all_values, along_warp)
-
+    fits = []
+    for along_warp, (roughness, anisotropy) in product((False, True), STARTS):
+        material = partial(GltfCloth.of_parameters, along_warp=along_warp)
         solved = least_squares(
-            lambda values, made=material: (shone(made(values), incident, outgoing) - true).ravel(),
-            x[free], bounds=(LEAST[free], MOST[free]), x_scale=0.1, max_nfev=60,
-        )  # fmt: skip
-        if best is None or 2 * solved.cost < best[1]:
-            best = material(solved.x), float(2 * solved.cost)
-    return require(best)
+            lambda x, made=material: (shone(made(x), incident, outgoing) - true).ravel(),
+            [*colour, roughness, anisotropy, 0.8, 1, 1, 1],
+            bounds=(LEAST, MOST),
+            x_scale=0.1,
+            max_nfev=60,
+        )
+        fits.append((solved.cost, material(solved.x)))
+    return min(fits, key=itemgetter(0))[1]
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,12 @@
 """The sections of an object's page on its texels: parameters as sheets of charts, cost of the residual."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.atlas.atlas import Atlas
+from nishiki.atlas.quality import atlas_picture
 from nishiki.atlas.store import ATLAS
 from nishiki.brdf.texels.parameters import ParameterMaps, TexelFlag
 from nishiki.report.numbers import figure, percent
@@ -21,10 +20,6 @@ LIGHTING = {
     "position": "lamps at known places",
     "environment": "not stated; an irradiance over the normal was fitted",
 }
-Place = tuple[int, int]
-"""Row and column of a pixel."""
-SPECK = 0.001  # of all texels: smaller pieces are a thirtieth of a sheet wide, at most
-GAP = 2  # pixels between pieces
 
 
 def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest: int) -> Section | None:
@@ -53,18 +48,12 @@ def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest:
             f"strength of the highlight at {filled} of the texels, everything at {unseen} that no view shows",
         ),
     ]
-    atlas = Atlas.load(texels.path(ATLAS))
-    parameters, left_out = sheet(read, atlas, widest)
     intro = (
         "At every texel: diffuse reflection by Lambert's law, and a highlight by the simplified Torrance-Sparrow "
-        "model. The sheets show the pieces of the surface beside each other, the largest first."
+        "model. The sheets show the charts of the surface beside each other."
     )
-    if left_out.pieces:
-        intro += (
-            f" {figure(left_out.pieces)} pieces too small to show, with {percent(100 * left_out.share)} of the texels, "
-            "are left out."
-        )
-    figures = parameter_figures(parameters)
+    parameters = np.stack([read(tile) for tile in range(maps.tiles)])
+    figures = parameter_figures(atlas_picture(Atlas.load(texels.path(ATLAS)), parameters, width=widest))
     if len(figures) == 1:
         intro += " No texel has a highlight in this fit, so that there are no sheets of its strength and width."
     return Section("model", "Reflection", [intro, Figures(figures, 3), Facts(facts)])
@@ -86,96 +75,6 @@ def parameter_figures(parameters: np.ndarray) -> list[Figure]:
         width = scalar_picture(np.degrees(parameters[..., -1]), sea(), unit="degrees")
         figures.append(Figure("Width of the highlight", "sigma of every texel: the larger, the duller.", width))
     return figures
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """Pieces of the surface that a sheet does not show: how many, and their share of the texels."""
-
-    pieces: int
-    share: float
-
-
-def sheet(read: Callable[[int], np.ndarray], atlas: Atlas, widest: int) -> tuple[np.ndarray, LeftOut]:
-    """Return (rows, columns, n) float32 sheet of what read(tile) gives, (T, T, n) with NaN where there is nothing.
-
-    Charts are cut to their connected pieces, which are packed by their bounding boxes. Tiles are averaged down to whole
-    pixels, NaN left out, so that the sheet is at most `widest` pixels wide if it can be.
-    """
-    cells = sum(int(rows) * int(columns) for _, rows, columns in atlas.chart_grid)
-    side = min(atlas.size - 1, max(1, int(3 * widest / np.sqrt(max(cells, 1)))))  # packing leaves out what is empty
-    while True:
-        pieces, left_out = _pieces(read, atlas, side)
-        places, height, width = packed([piece.shape[:2] for piece in pieces])
-        if width <= widest or side == 1:
-            break
-        side = max(1, min(side - 1, side * widest // width))
-    depth = pieces[0].shape[-1] if pieces else 1
-    out = np.full((height, width, depth), np.nan, np.float32)
-    for piece, (top, left) in zip(pieces, places, strict=True):
-        out[top : top + piece.shape[0], left : left + piece.shape[1]] = piece
-    return out, left_out
-
-
-def _pieces(read: Callable[[int], np.ndarray], atlas: Atlas, side: int) -> tuple[list[np.ndarray], LeftOut]:
-    """List connected pieces of charts (rows, columns, n), tiles averaged to `side` pixels; specks are left out."""
-    import cv2
-
-    pieces, sizes = [], []
-    for number in range(len(atlas.chart_grid)):
-        picture = _chart_picture(read, atlas, number, side)
-        known = np.isfinite(picture).all(axis=-1)
-        _, labels, boxes, _ = cv2.connectedComponentsWithStats(known.astype(np.uint8))
-        for label, (left, top, width, height, size) in enumerate(boxes.tolist()):
-            if label and size:
-                box = np.s_[top : top + height, left : left + width]
-                pieces.append(np.where((labels[box] == label)[..., None], picture[box], np.nan))
-                sizes.append(size)
-    if not pieces:
-        return [], LeftOut(0, 0.0)
-    least = min(SPECK * sum(sizes), max(sizes))
-    shown = [piece for piece, size in zip(pieces, sizes, strict=True) if size >= least]
-    small = [size for size in sizes if size < least]
-    return shown, LeftOut(len(small), sum(small) / sum(sizes))
-
-
-def _chart_picture(read: Callable[[int], np.ndarray], atlas: Atlas, chart: int, side: int) -> np.ndarray:
-    """Return (rows, columns, n) of one chart's tiles beside each other."""
-    _, rows, columns = (int(value) for value in atlas.chart_grid[chart])
-    out = None
-    for tile in np.flatnonzero(atlas.tile_chart == chart):
-        row, column = (int(value) for value in atlas.tile_place[tile])
-        small = averaged(read(int(tile))[: atlas.size - 1, : atlas.size - 1], side)
-        if out is None:
-            out = np.full((rows * side, columns * side, small.shape[-1]), np.nan, np.float32)
-        out[row * side : (row + 1) * side, column * side : (column + 1) * side] = small
-    return np.full((side, side, 1), np.nan, np.float32) if out is None else out
-
-
-def packed(boxes: list[tuple[int, int]]) -> tuple[list[Place], int, int]:
-    """Place boxes (rows, columns) on shelves, tallest first; return places (top, left), height and width."""
-    area = sum((rows + GAP) * (columns + GAP) for rows, columns in boxes)
-    wide = max([int(np.ceil(np.sqrt(1.3 * area))), *(columns for _, columns in boxes)] or [1])
-    places: list[Place] = [(0, 0)] * len(boxes)
-    top = left = height = width = 0
-    for k in sorted(range(len(boxes)), key=lambda k: (-boxes[k][0], k)):
-        rows, columns = boxes[k]
-        if left and left + columns > wide:
-            top, left, height = top + height + GAP, 0, 0
-        places[k] = (top, left)
-        width, height = max(width, left + columns), max(height, rows)
-        left += columns + GAP
-    return places, max(top + height, 1), max(width, 1)
-
-
-def averaged(values: np.ndarray, side: int) -> np.ndarray:
-    """Return (side, side, n) means over areas of values (t, t, n), t >= side; NaN where nothing is known."""
-    edges = np.arange(side + 1) * values.shape[0] // side
-    known = np.isfinite(values).all(axis=-1, keepdims=True)
-    sums, count = np.where(known, values, 0).astype(np.float64), known.astype(np.float64)
-    for axis in (0, 1):
-        sums, count = (np.add.reduceat(a, edges[:-1], axis=axis) for a in (sums, count))
-    return np.where(count > 0, sums / np.maximum(count, 1), np.nan).astype(np.float32)
 
 
 def three(values: np.ndarray) -> np.ndarray:
