@@ -32,8 +32,7 @@ def exported(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kintsugi, "model_textures", lambda *_: model)
         patch.setattr(kintsugi, "against_photographs", lambda _, __, found: asked.update(found) or {})
-        reported = kintsugi.write_kintsugi(context, surface)
-    assert sorted(reported["files"]) == sorted(f"exports/kintsugi/{each.name}" for each in folder.rglob("*.*"))
+        kintsugi.write_kintsugi(context, surface)
     return SimpleNamespace(look=look, model=model, folder=folder / "exports/kintsugi", shown=asked)
 
 

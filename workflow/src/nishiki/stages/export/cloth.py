@@ -247,7 +247,6 @@ def write_gltf(context: Context, cloth: ExportedCloth) -> dict:
     extras = {**context.stamp, "unit": unit, "region": cloth.region, "model": cloth.model}
     glb.write(context.output.path("exports/cloth.glb"), generator=software(context), extras=extras)
     return {
-        "files": ["exports/cloth.glb"],
         "vertices": len(mesh.vertices),
         "faces": len(mesh.triangles),
         "material": material.as_dict(),
@@ -264,10 +263,8 @@ def write_mitsuba(context: Context, cloth: ExportedCloth) -> dict:
     stamp = {f"nishiki.{name}": text for name, text in context.stamp.items()}
     about: dict[str, Any] = {"stamp": stamp, "unit": "m" if shown.mesh is None else "of the file"}
     write_ply(folder / "cloth.ply", surface.mesh, **about, uv=cloth.draped.uv, attributes={"weft": surface.weft})
-    names = ["cloth.ply", "brdf.npz", "scene.json", "nishiki_cloth.py"]
     if shown.paper > 0:
         write_ply(folder / "paper.ply", paper_below(surface.mesh.vertices, azimuth=azimuth).mesh, **about)
-        names.append("paper.ply")
     (table,) = BrdfTable.of(cloth.brdf)
     np.savez_compressed(folder / "brdf.npz", codes=table.codes, largest=table.largest, steps=STEPS, edge=EDGE)
     facts = {
@@ -286,11 +283,7 @@ def write_mitsuba(context: Context, cloth: ExportedCloth) -> dict:
     }
     (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
     (folder / "nishiki_cloth.py").write_text(Path(mitsuba_cloth.__file__).read_text(encoding="utf-8"))
-    return {
-        "files": [f"exports/mitsuba/{name}" for name in names],
-        "vertices": len(surface.mesh.vertices),
-        "against_model": errors(cloth, table),
-    }
+    return {"vertices": len(surface.mesh.vertices), "against_model": errors(cloth, table)}
 
 
 def camera_of(cloth: ExportedCloth) -> Camera:
@@ -319,7 +312,7 @@ def write_bsdf(context: Context, cloth: ExportedCloth) -> dict:
     table = HalfVectorTable.of(lambda light, eye: three_channels(cloth.brdf.evaluate(light, eye)))
     described = f"{context.stamp['scene']}, {cloth.region}, {cloth.model}; x weft, y warp; {software(context)}"
     context.output.path("exports/cloth.bsdf").write_bytes(bsdf_bytes(table.arrays(described)))
-    return {"files": ["exports/cloth.bsdf"], "against_model": errors(cloth, table)}
+    return {"against_model": errors(cloth, table)}
 
 
 WRITERS = {"gltf": write_gltf, "mitsuba": write_mitsuba, "bsdf": write_bsdf}

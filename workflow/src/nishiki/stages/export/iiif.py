@@ -65,8 +65,7 @@ def write_iiif(context: Context, scene: ExportedScene) -> dict:
             write_iiif_image(folder / name, f"{address}/{name}", picture, Path(scratch), QUALITY)
             psnr_db[name] = tiles_psnr_db(folder / name, picture)
     write_manifest(folder, manifest(context, scene, address))
-    paths = sorted(path.relative_to(context.output.folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    return {"files": paths, "address": address, "jpeg_psnr_db": psnr_db}
+    return {"address": address, "jpeg_psnr_db": psnr_db}
 
 
 def tiles_psnr_db(folder: Path, picture: np.ndarray) -> float:

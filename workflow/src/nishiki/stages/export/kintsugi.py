@@ -35,7 +35,7 @@ def write_gltf(context: Context, surface: ObjectSurface) -> dict:
     add_object(glb, context, surface, lambda _, picture: glb.texture(png_bytes(picture), mime="image/png"))
     extras = {**context.stamp, "unit": surface.unit}
     glb.write(context.output.path("exports/object.glb"), generator=software(context), extras=extras)
-    return {"files": ["exports/object.glb"], "vertices": len(surface.mesh.positions), **surface.losses("gltf")}
+    return {"vertices": len(surface.mesh.positions), **surface.losses("gltf")}
 
 
 def add_object(
@@ -134,11 +134,10 @@ def write_kintsugi(context: Context, surface: ObjectSurface) -> dict:
     look = surface.look
     model = model_textures(look.decoded, look.layout)
     basis = LobeBasis.of(model["ks"] / look.scale, model["sigma"][..., 0])
-    glb, files = Glb(extensions=set(EXTENSIONS)), []
+    glb = Glb(extensions=set(EXTENSIONS))
 
     def put(name: str, data: bytes) -> str:
         context.output.path(f"{FOLDER}/{name}").write_bytes(data)
-        files.append(f"{FOLDER}/{name}")
         return name
 
     def texture(name: str, picture: np.ndarray) -> int:
@@ -162,7 +161,6 @@ def write_kintsugi(context: Context, surface: ObjectSurface) -> dict:
     }
     found = against_photographs(context, look, asked)
     return {
-        "files": [f"{FOLDER}/object.glb", *files],
         "vertices": len(surface.mesh.positions),
         **look.figures(),
         "kinds": {name: {"psnr_db": figures} for name, figures in found.items()},

@@ -211,12 +211,7 @@ def write_gltf(context: Context, surface: PaintingSurface) -> dict:
     glb.add_mesh(attributes, mesh.triangles, number, name=context.stamp["scene"])
     extras = {**context.stamp, "unit": surface.unit}
     glb.write(context.output.path("exports/painting.glb"), generator=software(context), extras=extras)
-    return {
-        "files": ["exports/painting.glb"],
-        "vertices": len(mesh.positions),
-        "faces": len(mesh.triangles),
-        **surface.losses("gltf"),
-    }
+    return {"vertices": len(mesh.positions), "faces": len(mesh.triangles), **surface.losses("gltf")}
 
 
 def gloss_properties(glb: Glb, gloss: RegionGloss) -> tuple[dict, dict]:

@@ -57,7 +57,6 @@ def write_normals(context: Context, scene: ExportedScene) -> dict:
             pitch_mm=scene.pitch_mm,
         )
     return {
-        "files": ["exports/normals.tif", "exports/normals.exr"],
         "largest_deg": largest,
         "rms_deg": (squares / count) ** 0.5 if count else 0.0,
     }
@@ -90,7 +89,6 @@ def write_height(context: Context, scene: ExportedScene) -> dict:
     )
     step, vertices, faces = write_ply(context, scene)
     return {
-        "files": ["exports/height.tif", "exports/height.ply"],
         "pixels_a_vertex": step * step,
         "vertices": vertices,
         "faces": faces,
@@ -159,7 +157,7 @@ def write_albedo(context: Context, scene: ExportedScene) -> dict:
         pitch_mm=scene.pitch_mm,
         icc=icc_profile(ROMM),
     )
-    return {"files": ["exports/albedo.tif"], "clipped": clipped / max(count, 1), "colour_from": how}
+    return {"clipped": clipped / max(count, 1), "colour_from": how}
 
 
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
@@ -203,7 +201,4 @@ def write_spectral(context: Context, scene: ExportedScene) -> dict:
             envi.write(spectra)
             outside += int(np.count_nonzero((spectra < 0) | (spectra > 1)))
             count += spectra.shape[-1] * int(np.count_nonzero(known))
-    return {
-        "files": ["exports/spectra.exr", "exports/spectra.img", "exports/spectra.hdr"],
-        "outside": outside / max(count, 1),
-    }
+    return {"outside": outside / max(count, 1)}

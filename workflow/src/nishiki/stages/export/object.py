@@ -69,9 +69,7 @@ def write_iiif(context: Context, _surface: ObjectSurface) -> dict:
         found.add(views.index(place), drawn, seen, valid[shown.covered])
     content = manifest_of(context, address, canvases)
     write_manifest(folder, {**content, "behavior": [BEHAVIOR], "viewingDirection": "left-to-right"})
-    paths = sorted(path.relative_to(context.output.folder).as_posix() for path in folder.rglob("*") if path.is_file())
     return {
-        "files": paths,
         "address": address,
         "views": len(canvases),
         "jpeg_psnr_db": {name: float(np.mean(each)) for name, each in kept.items()},

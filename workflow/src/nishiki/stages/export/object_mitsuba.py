@@ -31,7 +31,6 @@ def write_mitsuba(context: Context, surface: ObjectSurface) -> dict:
     folder = context.output.path("exports/mitsuba/scene.json").parent
     figures = write_folder(folder, look, surface.mesh, parameters, unit=unit, stamp=context.stamp)
     return {
-        "files": sorted(f"exports/mitsuba/{path.relative_to(folder)}" for path in folder.rglob("*") if path.is_file()),
         **look.figures(),
         **figures,
         "kinds": {name: {"psnr_db": found} for name, found in errors(context, look, parameters).items()},

@@ -15,14 +15,20 @@ def write_formats(context: Context, writers: Mapping[str, Callable[[], dict[str,
     Parameters
     ----------
     writers : mapping of str to callable
-        The registry of a kind of scene: each entry writes one format and returns its `files` and what it loses.
+        The registry of a kind of scene: each entry writes one format into `exports` and returns what it loses.
 
     Returns
     -------
-    dict: `losses`, what every writer returned; `bytes`, the size of every file.
+    dict: `losses`, by format its `files` and what its writer returned; `bytes`, the size of every file.
     """
-    losses = {name: writers[name]() for name in context.progress.over(context.settings.formats, "format")}
-    sizes = {file: context.output.path(file).stat().st_size for each in losses.values() for file in each["files"]}
+    losses: dict[str, dict[str, Any]] = {}
+    sizes: dict[str, int] = {}
+    for name in context.progress.over(context.settings.formats, "format"):
+        lost, folder = writers[name](), context.output.folder
+        paths = {path.relative_to(folder).as_posix(): path for path in sorted((folder / "exports").rglob("*"))}
+        made = {file: path.stat().st_size for file, path in paths.items() if path.is_file() and file not in sizes}
+        losses[name] = {"files": list(made), **lost}
+        sizes |= made
     return {"losses": losses, "bytes": sizes}
 
 
@@ -68,11 +74,11 @@ def write_usd(context: Context, surface: ExportedSurface) -> dict:
     mesh, file = surface.mesh, f"exports/{surface.stem}.usdz"
     facts = {**context.stamp, "unit": surface.unit}
     write_usdz(context.output.path(file), mesh, surface.look_of("usd"), name=context.stamp["scene"], facts=facts)
-    return {"files": [file], "vertices": len(mesh.positions), "faces": len(mesh.triangles), **surface.losses("usd")}
+    return {"vertices": len(mesh.positions), "faces": len(mesh.triangles), **surface.losses("usd")}
 
 
 def write_mtlx(context: Context, surface: ExportedSurface) -> dict:
     """Write an OpenPBR material in a MaterialX document, for the meshes of `gltf` and `usd`; return its error."""
     path = context.output.path(f"exports/materialx/{surface.stem}.mtlx")
-    files = write_materialx(path, surface.look_of("materialx"), facts=context.stamp)
-    return {"files": [f"exports/materialx/{name}" for name in files], **surface.losses("materialx")}
+    write_materialx(path, surface.look_of("materialx"), facts=context.stamp)
+    return surface.losses("materialx")

@@ -49,7 +49,7 @@ def write(context: Context, scene: ExportedScene) -> dict:
     fitted = frames.fit_lights(hold_out)
     photographs = Photographs(frames, scene)
     samples: dict[type, tuple[np.ndarray, np.ndarray]] = {}
-    kinds, files = {}, []
+    kinds = {}
     for kind in settings.kinds:
         folder = context.output.path(f"exports/relight_{kind}/info.json").parent
         seen = GridPictures(frames, scene, fitted) if kind == "bilinear" else photographs
@@ -74,10 +74,7 @@ def write(context: Context, scene: ExportedScene) -> dict:
             kinds[name] = {"planes": model.planes, "psnr_db": psnr_db}
         kinds[kind] |= {"width": getattr(model, "width", None), "ridge": getattr(model, "ridge", None)}
         write_layers(folder, scene, context)
-        files += sorted(
-            path.relative_to(context.output.folder).as_posix() for path in folder.rglob("*") if path.is_file()
-        )
-    return {"files": files, "kinds": kinds}
+    return {"kinds": kinds}
 
 
 def model_of(kind: str, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, *, planes: int) -> LightModel:

@@ -47,12 +47,7 @@ def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
     (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
     (folder / "nishiki_paint.py").write_text(Path(mitsuba_paint.__file__).read_text(encoding="utf-8"))
     clipped = sum(int(np.count_nonzero(scene.srgb(rows) < 0)) for rows in scene.bands())
-    names = ("scene.json", "nishiki_paint.py", "relief.ply", "flat.ply", *(f"{name}.exr" for name in textures))
-    return {
-        "files": [f"exports/mitsuba/{name}" for name in names],
-        "vertices": count,
-        "clipped": clipped / (3 * scene.shape[0] * scene.shape[1]),
-    }
+    return {"vertices": count, "clipped": clipped / (3 * scene.shape[0] * scene.shape[1])}
 
 
 def model_textures(scene: ExportedScene) -> dict[str, Texture]:
@@ -103,17 +98,15 @@ def write_merl(context: Context, scene: ExportedScene) -> dict:
     beta, gamma, index, lost = (getattr(scene.gloss, name) for name in GLOSS.values())
     labels = scene.regions(slice(0, scene.shape[0])) if len(index) > 1 else None
     light, view = merl_directions()
-    files, spreads = [], []
+    spreads = []
     for region in range(len(index)):
         colour, shading, spread = mean_body(scene, labels, region)
         if colour is None:
             continue
         brdf = brdf_of(light, view, colour, shading, beta[region], gamma[region], index[region], lost[region])
-        file = f"exports/merl/region-{region}.binary"
-        context.output.path(file).write_bytes(merl_bytes(brdf))
-        files.append(file)
+        context.output.path(f"exports/merl/region-{region}.binary").write_bytes(merl_bytes(brdf))
         spreads.append(spread)
-    return {"files": files, "colour_spread": spreads}
+    return {"colour_spread": spreads}
 
 
 def mean_body(
