@@ -42,7 +42,7 @@ import relight_planes as relight
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.formats.picture_tiles import jpeg_bytes
 from nishiki.observations.plane import Observations
-from nishiki.stages.export.light_models import OpenLimeModel, PrincipalModel, TabulatedModel
+from nishiki.stages.export.light_models import PrincipalModel, TabulatedModel
 from nishiki.stages.export.photographs import GridPictures, Photographs
 from nishiki.stages.export.relight import SAMPLES, StoredModel, model_of
 from nishiki.stages.export.scene import ExportedScene
@@ -129,6 +129,18 @@ def scene_of(data: Path, folder: Path, name: str) -> Scene:
     )
 
 
+class OpenLimeModel(PrincipalModel):
+    """rbf as OpenLIME 1.2 shows it: `width` is not looked at, the Gaussians are as wide as the lights are far apart."""
+
+    def weights(self, light: np.ndarray) -> np.ndarray:
+        """Return exp(-8 d^2 / m) of distances d, with m their mean weighted by exp(-2 d); sum 1."""
+        distances = np.linalg.norm(self.lights - light, axis=1)
+        near = np.exp(-2 * distances)
+        mean = distances @ near / near.sum()
+        weights = np.exp(-8 * distances**2 / max(mean, 1e-9))
+        return weights / weights.sum()
+
+
 def ours(scene: Scene, kind: str, planes: int) -> Made:
     """By the stage export."""
     seen = scene.photographs
@@ -143,7 +155,7 @@ def ours(scene: Scene, kind: str, planes: int) -> Made:
     codes = stored.codes(model.fit(values, valid)).T
     shown, table = [model.transfer], []
     if isinstance(model, PrincipalModel):
-        shown.append(OpenLimeModel.like(model).transfer)
+        shown.append(OpenLimeModel(**vars(model)).transfer)
     if isinstance(model, TabulatedModel):
         table = np.concatenate([model.mean_code[None], model.codes]).ravel().tolist()
     return Made(

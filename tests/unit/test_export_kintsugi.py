@@ -98,13 +98,12 @@ def decibels(a, b):
     return -10 * np.log10(np.mean((encode(np.clip(a, 0, 1), "srgb") - encode(np.clip(b, 0, 1), "srgb")) ** 2))
 
 
-@pytest.mark.parametrize("way", ["by the viewer's shader", "by the Builder's formulas"])
-def test_the_files_as_read_show_what_the_loss_is_reckoned_with(exported, way):
+def test_the_files_as_read_show_what_the_loss_is_reckoned_with(exported):
     reader = Reader(exported.folder)
     for view in range(4):
         points = SeenPoints.of(exported.look, view)
-        theirs = exported.look.scale * reader.light(points, viewer="viewer" in way)
-        np.testing.assert_allclose(theirs, exported.shown[way](points), rtol=1e-4, atol=1e-6)
+        theirs = exported.look.scale * reader.light(points, viewer=True)
+        np.testing.assert_allclose(theirs, exported.shown["kintsugi"](points), rtol=1e-4, atol=1e-6)
 
 
 def test_the_files_show_our_model(exported):

@@ -75,10 +75,6 @@ class PlaneCode:
         """Return uint8 codes."""
         return np.clip(np.rint((values - self.low) * (TOP / (self.high - self.low))), 0, TOP).astype(np.uint8)
 
-    def decode(self, codes: np.ndarray) -> np.ndarray:
-        """Return float32 values."""
-        return (self.low + codes * ((self.high - self.low) / TOP)).astype(np.float32)
-
 
 @dataclass(frozen=True)
 class PrincipalCode:
@@ -110,15 +106,6 @@ class PrincipalCode:
         """Return one array of codes a plane."""
         values = (vectors - self.mean.astype(np.float32)) @ self.projections.astype(np.float32)
         return [plane.encode(values[..., k]) for k, plane in enumerate(self.planes)]
-
-    def decode(self, codes: list[np.ndarray]) -> np.ndarray:
-        """Return float32 vectors."""
-        out = (
-            np.broadcast_to(self.mean.astype(np.float32), (*np.shape(codes[0]), len(self.mean))) if codes else self.mean
-        )
-        for plane, component, values in zip(self.planes, self.components, codes, strict=True):
-            out = out + plane.decode(values)[..., None] * component.astype(np.float32)
-        return out
 
     def backwards(self) -> "PrincipalCode":
         """Return the same with the axes of the smallest spread first."""
@@ -176,11 +163,6 @@ class ColourCode:
         u, rest = self._split(coefficients)
         return [self.lightness.encode(u), *self.chroma.encode(rest)]
 
-    def decode(self, codes: list[np.ndarray]) -> np.ndarray:
-        """Return float32 coefficients."""
-        u = self.lightness.decode(codes[0])[..., None]
-        return u**3 * self.direction.astype(np.float32) + u * u * self.chroma.decode(codes[1:])
-
     def described(self) -> dict[str, Any]:
         """For the manifest."""
         return {"direction": self.direction.tolist(), "top": self.lightness.high, **self.chroma.described()}
@@ -216,13 +198,6 @@ class NormalCode:
         t = np.interp(_stereographic(normals), curve, nodes)
         codes = np.rint((t + 1) * (EVEN_TOP / 2)).astype(np.uint8)
         return [codes[..., 0], codes[..., 1]]
-
-    def decode(self, codes: list[np.ndarray]) -> np.ndarray:
-        """Return float32 unit normals."""
-        t = np.stack(codes, axis=-1).astype(np.float32) * np.float32(2 / EVEN_TOP) - 1
-        s = np.float32(self.width) * t * (np.float32(self.fineness) + np.float32(1 - self.fineness) * t * t)
-        square = (s * s).sum(axis=-1, keepdims=True)
-        return np.concatenate([2 * s, 1 - square], axis=-1) / (1 + square)
 
     def described(self) -> dict[str, Any]:
         """For the manifest."""

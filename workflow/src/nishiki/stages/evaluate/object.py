@@ -80,24 +80,15 @@ class Work:
 
     def light(self, light: int) -> list:
         """Return rows of all views under one light."""
-        shots, labels = [], []
-        for view in range(len(self.decoded.views)):
-            if view in self.without:
-                shots.append(self.renderer.predicted(view, light=light))
-                labels.append((view, INTERPOLATED))
-            else:
-                shots.append(self.renderer.captured(view, light=light))
-                labels.append((view, DECODED))
-        views = range(len(self.decoded.views))
+        views, shown = range(len(self.decoded.views)), self.renderer
+        shots = [(shown.predicted if view in self.without else shown.captured)(view, light=light) for view in views]
         models = self.model.render(self.model.captured(view, light=light) for view in views)
-        rows, gathered, current = [], {}, 0
-        pictures = self.context.progress.through(self.renderer.render(shots), len(shots), "picture")
-        for (view, label), picture in zip(labels, pictures, strict=True):
-            if view != current:
-                rows += self.judge(current, light, {**gathered, MODEL: next(models)})
-                gathered, current = {}, view
-            gathered[label] = picture
-        return rows + self.judge(current, light, {**gathered, MODEL: next(models)})
+        pictures = self.context.progress.through(shown.render(shots), len(shots), "picture")
+        rows = []
+        for view, picture, model in zip(views, pictures, models, strict=True):
+            label = INTERPOLATED if view in self.without else DECODED
+            rows += self.judge(view, light, {label: picture, MODEL: model})
+        return rows
 
     def judge(self, view: int, light: int, made: dict[str, ObjectPicture]) -> list:
         """Return rows of one observation; its pictures side by side where they are to be shown."""

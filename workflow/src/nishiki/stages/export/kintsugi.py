@@ -155,11 +155,7 @@ def write_kintsugi(context: Context, surface: ObjectSurface) -> dict:
     add_object(glb, context, surface, texture, extras=extras)
     document = {**context.stamp, "unit": surface.unit}
     glb.write(context.output.path(f"{FOLDER}/object.glb"), generator=software(context), extras=document)
-    asked = {
-        "by the Builder's formulas": shown_by(look, basis, viewer=False),
-        "by the viewer's shader": shown_by(look, basis, viewer=True),
-    }
-    found = against_photographs(context, look, asked)
+    found = against_photographs(context, look, {"kintsugi": viewed(look, basis)})
     return {
         "vertices": len(surface.mesh.positions),
         **look.figures(),
@@ -167,17 +163,26 @@ def write_kintsugi(context: Context, surface: ObjectSurface) -> dict:
     }
 
 
-def shown_by(look: ObjectLook, basis: LobeBasis, *, viewer: bool) -> Shown:
-    """Return what these textures show of seen points: by the shader of the viewer, or by the Builder's formulas."""
-    colour, reflected = decode(look.colour / 255, "srgb"), viewer_gloss if viewer else builder_gloss
+def viewed(look: ObjectLook, basis: LobeBasis) -> Shown:
+    """Return what the viewer's shader shows of seen points with these textures.
+
+    Its masking G = 0.5 / max(0.05, n.v sqrt(S(l)^2 + n.l S(v))) is, on a smooth surface, by sqrt(2 n.l / (n.l + n.v))
+    too strong: 1.41 with the lamp at the camera. Fresnel's rise is that from 0.04 to 1.
+    """
+    colour = decode(look.colour / 255, "srgb")
 
     def shown(points: SeenPoints) -> np.ndarray:
         body = sample(colour, points.places)
         weights, roughness = (sample(each, points.places) / 255 for each in (basis.weights, look.roughness[..., None]))
         irradiance, strength = points.factors()
-        cosines = points.cosines()
-        gloss = reflected(distribution(basis.tables, weights, cosines[0]), roughness[:, 0], cosines)
-        return look.scale * (body * irradiance + np.pi * gloss * strength[:, None])
+        cos_phi, cos_i, cos_r, cos_q = points.cosines()
+        found = distribution(basis.tables, weights, cos_phi)
+        grazing = found.mean(axis=1, keepdims=True) / NORMAL_REFLECTANCE
+        rising = found + (grazing - found) * ((1 - cos_q) ** 5)[:, None]
+        light, view = (each**2 + roughness[:, 0] ** 4 * (1 - each**2) for each in (cos_i, cos_r))  # S^2
+        masking = 0.5 / np.maximum(cos_r * np.sqrt(light + cos_i * np.sqrt(view)), 0.05)
+        gloss = rising * (masking * cos_i * strength)[:, None]
+        return look.scale * (body * irradiance + np.pi * gloss)
 
     return shown
 
@@ -190,28 +195,3 @@ def distribution(tables: np.ndarray, weights: np.ndarray, cos_phi: np.ndarray) -
     share = np.minimum(place - before, 1)
     padded = np.pad(tables, ((0, 0), (0, 0), (0, 2)))
     return np.einsum("nb,bcn->nc", weights, padded[..., before] * (1 - share) + padded[..., before + 1] * share)
-
-
-def builder_gloss(found: np.ndarray, roughness: np.ndarray, cosines: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Return (n, 3) f n.l of the gloss, 1 / sr, of D (n, 3): masking of Smith, correlated by height, in G."""
-    _, cos_i, cos_r, _ = cosines
-    light, view = (np.sqrt(_square(cosine, roughness)) for cosine in (cos_i, cos_r))
-    return found * (0.5 / np.maximum(cos_r * light + cos_i * view, 1e-9) * cos_i)[:, None]
-
-
-def viewer_gloss(found: np.ndarray, roughness: np.ndarray, cosines: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Shade by the viewer's shader: Fresnel's rise from 0.04 to 1, and one root over both terms of the masking.
-
-    G = 0.5 / max(0.05, n.v sqrt(S(l)^2 + n.l S(v))) is, on a smooth surface, by sqrt(2 n.l / (n.l + n.v)) too strong:
-    1.41 with the lamp at the camera.
-    """
-    _, cos_i, cos_r, cos_q = cosines
-    grazing = found.mean(axis=1, keepdims=True) / NORMAL_REFLECTANCE
-    rising = found + (grazing - found) * ((1 - cos_q) ** 5)[:, None]
-    root = np.sqrt(_square(cos_i, roughness) + cos_i * np.sqrt(_square(cos_r, roughness)))
-    return rising * (0.5 / np.maximum(cos_r * root, 0.05) * cos_i)[:, None]
-
-
-def _square(cosine: np.ndarray, roughness: np.ndarray) -> np.ndarray:
-    """Return S^2 of a direction; roughness is the square root of alpha."""
-    return cosine**2 + roughness**4 * (1 - cosine**2)

@@ -202,18 +202,6 @@ def coded_components(components: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (np.rint(components * span[:, None, None]) + 127).astype(np.uint8), span
 
 
-class OpenLimeModel(PrincipalModel):
-    """rbf as OpenLIME 1.2 shows it: `width` is not looked at, the Gaussians are as wide as the lights are far apart."""
-
-    def weights(self, light: np.ndarray) -> np.ndarray:
-        """Return exp(-8 d^2 / m) of distances d, with m their mean weighted by exp(-2 d); sum 1."""
-        distances = np.linalg.norm(self.lights - light, axis=1)
-        near = np.exp(-2 * distances)
-        mean = distances @ near / near.sum()
-        weights = np.exp(-8 * distances**2 / max(mean, 1e-9))
-        return weights / weights.sum()
-
-
 def chosen_ridge(design: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:
     """Return the ridge of RIDGES with the smallest squared error of lights left out one at a time (closed form)."""
     whole = valid.all(axis=0)

@@ -20,7 +20,6 @@ from nishiki.stages.export.light_models import (
     GridModel,
     HarmonicModel,
     LightModel,
-    OpenLimeModel,
     PrincipalModel,
     TabulatedModel,
 )
@@ -60,16 +59,13 @@ def write(context: Context, scene: ExportedScene) -> dict:
         stored = StoredModel.of(model, frames.directions[fitted], *chosen)
         with tempfile.TemporaryDirectory(dir=context.output.folder) as scratch:
             stored.write(folder, Path(scratch), seen, fitted, context)
-        shown = {kind: model}
-        if isinstance(model, PrincipalModel):
-            shown["rbf in OpenLIME 1.2"] = OpenLimeModel(**vars(model))
-        errors = stored.errors(stored.decoded(folder, frames), photographs, hold_out, shown)
+        errors = {kind: stored.errors(stored.decoded(folder, frames), photographs, hold_out)}
         if kind == "ptm" and settings.single_file:
             exact = StoredModel(model, np.full(model.planes, 255.0), np.zeros(model.planes))
             coefficients = read_ptm(folder / PTM)
             written = ((band, coefficients(band)) for band in frames.bands())
             rows = ((band, values.reshape(*values.shape[:2], -1).transpose(2, 0, 1)) for band, values in written)
-            errors |= exact.errors(rows, photographs, hold_out, {"ptm file": model})
+            errors["ptm file"] = exact.errors(rows, photographs, hold_out)
         for name, psnr_db in errors.items():
             kinds[name] = {"planes": model.planes, "psnr_db": psnr_db}
         kinds[kind] |= {"width": getattr(model, "width", None), "ridge": getattr(model, "ridge", None)}
@@ -113,9 +109,9 @@ class StoredModel:
         values = coefficients / self.scale[:, None] + self.bias[:, None]
         return np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
-    def transfer(self, model: LightModel, lights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def transfer(self, lights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return o (3 n, 1) and T (3 n, planes), float32: a viewer shows o + T codes under unit vectors (n, 3)."""
-        transfers = [model.transfer(light) for light in lights]
+        transfers = [self.model.transfer(light) for light in lights]
         offsets = np.concatenate([offset for offset, _ in transfers])
         weights = np.concatenate([each.T for _, each in transfers])
         offsets = offsets - weights @ (self.bias * self.scale)
@@ -192,41 +188,32 @@ class StoredModel:
                 yield slice(top, top + codes.shape[1]), codes
 
     def errors(
-        self,
-        decoded: Iterator[DecodedRows],
-        photographs: Photographs,
-        hold_out: Collection[str],
-        models: dict[str, LightModel],
-    ) -> dict[str, dict[str, dict[str, float]]]:
-        """Return the PSNR of what viewers show of decoded codes against the coded photographs, by model and group.
+        self, decoded: Iterator[DecodedRows], photographs: Photographs, hold_out: Collection[str]
+    ) -> dict[str, dict[str, float]]:
+        """Return the PSNR of what viewers show of decoded codes against the coded photographs, by group of lights.
 
         Of large pictures some rows of each part are compared, about CHECKED pixels in all.
         """
         frames = photographs.frames
         fitted, checked = frames.fit_lights(hold_out), frames.check_lights(hold_out)
         lights = np.concatenate([fitted, checked])
-        transfers = {name: self.transfer(model, frames.directions[lights]) for name, model in models.items()}
+        offset, weights = self.transfer(frames.directions[lights])
 
-        def compare(part: DecodedRows) -> list[dict[str, CodedErrors]]:
+        def compare(part: DecodedRows) -> list[CodedErrors]:
             count = max(round(part[1].shape[1] * min(CHECKED / math.prod(frames.shape), 1)), 1)
             rows, codes = slice(part[0].start, part[0].start + count), part[1][:, :count]
             found = []
             for strip, values, valid in photographs.strips(rows, lights):
                 here = codes[:, strip.start - rows.start : strip.stop - rows.start]
-                here = here.reshape(len(codes), -1).astype(np.float32)
-                shown = {
-                    name: (weights @ here + offset).reshape(values.shape)
-                    for name, (offset, weights) in transfers.items()
-                }
-                found.append({name: CodedErrors.of_strip(each, values, valid) for name, each in shown.items()})
+                shown = weights @ here.reshape(len(codes), -1).astype(np.float32) + offset
+                found.append(CodedErrors.of_strip(shown.reshape(values.shape), values, valid))
             return found
 
-        errors = {name: CodedErrors(len(lights)) for name in models}
-        for found in itertools.chain.from_iterable(in_threads(compare, decoded)):
-            for name, each in found.items():
-                errors[name].include(each)
+        errors = CodedErrors(len(lights))
+        for each in itertools.chain.from_iterable(in_threads(compare, decoded)):
+            errors.include(each)
         groups = {"fitted": slice(0, len(fitted))} | ({"check": slice(len(fitted), None)} if len(checked) else {})
-        return {name: {group: each.decibels(part) for group, part in groups.items()} for name, each in errors.items()}
+        return {group: errors.decibels(part) for group, part in groups.items()}
 
 
 def write_layers(folder: Path, scene: ExportedScene, context: Context) -> None:

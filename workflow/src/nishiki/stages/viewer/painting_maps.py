@@ -98,15 +98,6 @@ class PaintingCode:
         planes += self.shading.encode(content[..., 3 + self.channels :]) if self.shading else []
         return [*planes, np.where(known, values[..., -1], UNKNOWN_REGION).astype(np.uint8)]
 
-    def decode(self, planes: list[np.ndarray]) -> np.ndarray:
-        """(rows, columns, 3 + K + terms) normals, coefficients and terms of planes of codes, without the region."""
-        colours = 1 + len(self.colour.chroma.planes)
-        parts = [self.normal.decode(planes[:2]), self.colour.decode(planes[2 : 2 + colours])]
-        if self.shading:
-            terms = self.shading.decode(planes[2 + colours :])
-            parts.append(np.broadcast_to(terms, (*parts[0].shape[:-1], terms.shape[-1])))
-        return np.concatenate(parts, axis=-1)
-
     def described(self) -> dict[str, Any]:
         """For the manifest."""
         return {
