@@ -193,13 +193,22 @@ def read_json(artifact: Artifact | None, name: str) -> dict[str, Any] | None:
     return None if data is None else json.loads(data)
 
 
-def film(artifact: Artifact, file: str, heading: str, caption: str, largest_mb: float) -> Figure | str:
+def film(artifact: Artifact, file: str, heading: str, caption: str, largest_mb: float) -> Block:
     """Return a film of the artifact; a sentence that names it where it is too large or of another kind."""
     data = artifact.path(file).read_bytes()
     kind = next((mime for ending, mime in FILMS.items() if file.endswith(ending)), None)
     if kind is None or len(data) > largest_mb * 1e6:
         return f"{heading} is too large for this page: {artifact.stage}/{artifact.key}/{file}. {caption}"
-    return Figure(heading, caption, video=f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}")
+    source = f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
+    return Figures([Figure(heading, caption, video=source)])
+
+
+def film_and_notes(render: Artifact, heading: str, largest_mb: float) -> list[Block]:
+    """Return the one film of an artifact, if there is any, and what the stage noted."""
+    video = render.diagnostics.get("video") or {}
+    caption = f"{figure(video.get('frames'))} frames."
+    films = [film(render, video["file"], heading, caption, largest_mb)] if video else []
+    return [*films, *(Note([note]) for note in render.diagnostics.get("notes") or [])]
 
 
 STATES = {"finished": "finished", "unfinished": "not finished", "failed": "failed", "refused": "cannot be planned"}

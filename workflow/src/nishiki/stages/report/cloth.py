@@ -13,11 +13,10 @@ from nishiki.report.page import (
     Fold,
     Heading,
     Metric,
-    Note,
     Section,
     Table,
     contents,
-    film,
+    film_and_notes,
     read_json,
 )
 from nishiki.report.pictures import file_picture
@@ -84,21 +83,10 @@ def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> S
     if render is None:
         return None
     groups: dict[str, list[Figure]] = {"lights": [], "dyes": [], "others": []}
-    diagnostics, named = render.diagnostics, []
-    for name in diagnostics.get("pictures") or {}:
-        data = contents(render, f"{name}.png")
-        if data is not None:
-            group, heading, caption = words(name)
-            groups[group].append(Figure(heading, caption, file_picture(data, widest)))
-    video = diagnostics.get("video") or {}
-    if video.get("file") in render.manifest["files"]:
-        moving = film(render, video["file"], "The film", f"{figure(video['frames'])} frames.", video_mb)
-        if isinstance(moving, Figure):
-            groups["others"].append(moving)
-        else:
-            named.append(moving)
-    if not any(groups.values()) and not named:
-        return None
+    diagnostics = render.diagnostics
+    for name in diagnostics["pictures"]:
+        group, heading, caption = words(name)
+        groups[group].append(Figure(heading, caption, file_picture(render.path(f"{name}.png").read_bytes(), widest)))
     model = ", ".join(filter(None, (model_name(diagnostics.get("model", "")), diagnostics.get("region"))))
     from_file = (diagnostics.get("surface") or {}).get("kind") == "file"
     shown = (
@@ -114,10 +102,8 @@ def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> S
         blocks += [heading, Figures(groups["lights"], 3)]
     if groups["dyes"]:
         blocks += [Heading(f"In {dyes} dye{'s' * (dyes > 1)}", "the same gloss over each"), Figures(groups["dyes"], 3)]
-    if groups["others"]:
-        blocks.append(Figures(groups["others"]))
-    notes = [Note([note]) for note in diagnostics.get("notes") or []]
-    return Section("rendered", "The cloth", [*blocks, *named, *notes])
+    blocks += [Figures(groups["others"]), *film_and_notes(render, "The film", video_mb)]
+    return Section("rendered", "The cloth", blocks)
 
 
 def words(name: str) -> tuple[str, str, str]:

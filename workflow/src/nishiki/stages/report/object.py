@@ -18,11 +18,10 @@ from nishiki.report.page import (
     Figures,
     Heading,
     Metric,
-    Note,
     Section,
     Table,
     contents,
-    film,
+    film_and_notes,
     read_json,
 )
 from nishiki.report.pictures import bright_picture, encoded, file_picture
@@ -92,21 +91,13 @@ def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> S
     """Return pictures of at most `widest` pixels across; None where there are none."""
     if render is None:
         return None
-    items, others = [], []
-    for name in list(render.diagnostics.get("pictures") or {})[:MOST_PICTURES]:
-        data = contents(render, f"{name}.png")
-        if data is not None:
-            picture, note = bright_picture(data, widest)
-            items.append(Figure(words(name), note, picture))
-    video = render.diagnostics.get("video") or {}
-    if video.get("file") in render.manifest["files"]:
-        shown = film(render, video["file"], "The turn", f"{figure(video['frames'])} frames.", video_mb)
-        (items if isinstance(shown, Figure) else others).append(shown)
-    if not items and not others:
-        return None
-    notes = [Note([note]) for note in render.diagnostics.get("notes") or []]
+    items = []
+    for name in list(render.diagnostics["pictures"])[:MOST_PICTURES]:
+        picture, note = bright_picture(render.path(f"{name}.png").read_bytes(), widest)
+        items.append(Figure(words(name), note, picture))
     intro = "Pictures computed from the decoded record: mesh, reflection model and residual."
-    return Section("rendered", "Rendered", [intro, Figures(items, 3), *others, *notes])
+    blocks = [intro, Figures(items, 3), *film_and_notes(render, "The turn", video_mb)]
+    return Section("rendered", "Rendered", blocks)
 
 
 def words(name: str) -> str:

@@ -10,7 +10,7 @@ from nishiki.artifacts.stage import Context
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.observations.plane import Observations
 from nishiki.report.numbers import figure, plain
-from nishiki.report.page import Block, Cell, Figure, Figures, Metric, Note, Section, Table, contents, film, read_json
+from nishiki.report.page import Block, Cell, Figure, Figures, Metric, Section, Table, film, film_and_notes, read_json
 from nishiki.report.pictures import Ruler, block_of, class_picture, file_picture, ruler
 from nishiki.report.scene_page import Head, text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart
@@ -243,40 +243,34 @@ def appearance_section(render: Artifact | None, widest: int, video_mb: float, ru
     """Return pictures of at most `widest` pixels across, None without any; ruler : below those seen from the front."""
     if render is None:
         return None
-    reported = render.diagnostics.get("pictures") or {}
-    items, others, named = [], [], []
-    for entry in render.settings["pictures"]:
-        data = contents(render, f"{entry['name']}.png")
-        if data is None:
-            continue
-        if len(items) == MOST_PICTURES:
-            named.append(f"render/{render.key}/{entry['name']}.png")
-            continue
-        exposure = (reported.get(entry["name"]) or {}).get("exposure")
-        caption = f"{describe(entry)} {exposed(exposure, chosen=entry.get('exposure') == 'auto')}".strip()
+    reported, pictures = render.diagnostics["pictures"], render.settings["pictures"]
+    items = []
+    for entry in pictures[:MOST_PICTURES]:
+        exposure = exposed(reported[entry["name"]]["exposure"], chosen=entry["exposure"] == "auto")
+        picture = file_picture(render.path(f"{entry['name']}.png").read_bytes(), widest)
         scale = ruler if entry["view"]["kind"] == "frontal" else None
-        picture = file_picture(data, widest)
-        items.append(Figure(entry["name"].replace("-", " ").capitalize(), caption, picture, ruler=scale))
-    for entry in render.settings["sequences"]:
-        facts = reported.get(entry["name"]) or {}
-        if facts.get("file") in render.manifest["files"]:
-            moves = f"The {entry['moves']} goes round at {entry['elevation_deg']:g}° above the plane."
-            caption = f"{moves} {exposed(facts.get('exposure'), chosen=True)}".strip()
-            shown = film(render, facts["file"], entry["name"].replace("-", " ").capitalize(), caption, video_mb)
-            (items if isinstance(shown, Figure) else others).append(shown)
-    if named:
-        others.append(f"Also made: {', '.join(named)}.")
-    if not items and not others:
-        return None
+        items.append(Figure(in_words(entry["name"]), f"{describe(entry)} {exposure}", picture, ruler=scale))
     intro = (
         "Pictures computed from the record, under lights that need not have been there. They show the object as an eye "
         "adapted to the light would see it: white balance by the lamp, exposure by the picture (each caption states "
         "it). The EXR files hold the linear values."
     )
-    notes = [Note([note]) for note in render.diagnostics.get("notes") or []]
     if render.diagnostics.get("balanced_by_object"):
         intro += " Without a white board the light parts of the object are taken as grey and as light."
-    return Section("appearance", "Appearance", [intro, Figures(items), *others, *notes])
+    blocks: list[Block] = [intro, Figures(items)]
+    for entry in render.settings["sequences"]:
+        facts = reported[entry["name"]]
+        moves = f"The {entry['moves']} goes round at {entry['elevation_deg']:g}° above the plane."
+        caption = f"{moves} {exposed(facts['exposure'], chosen=True)}"
+        blocks.append(film(render, facts["file"], in_words(entry["name"]), caption, video_mb))
+    if more := [f"render/{render.key}/{entry['name']}.png" for entry in pictures[MOST_PICTURES:]]:
+        blocks.append(f"Also made: {', '.join(more)}.")
+    return Section("appearance", "Appearance", [*blocks, *film_and_notes(render, "", video_mb)])
+
+
+def in_words(name: str) -> str:
+    """Return the name of a picture as a heading."""
+    return name.replace("-", " ").capitalize()
 
 
 def describe(picture: dict[str, Any]) -> str:
@@ -288,10 +282,8 @@ def describe(picture: dict[str, Any]) -> str:
     return f"{' and '.join(lights) or 'no lamp'}{ambient}, {seen}."
 
 
-def exposed(exposure: float | None, *, chosen: bool) -> str:
+def exposed(exposure: float, *, chosen: bool) -> str:
     """Return what a caption says of the exposure; chosen: from the picture itself."""
-    if exposure is None:
-        return ""
     why = ", chosen from the picture" if chosen else ""
     return f"Exposure {plain(exposure, 2)}{why} (1: a white that faces the lamp is white)."
 
