@@ -257,7 +257,7 @@ def test_parts_of_the_weave():
     assert "gloss" in rows["k_s"][3]
     assert notes({}) == []
     told = notes({"identifiability": {"free": ["l_warp · r_warp", "k_s^0.3 · index"]}, "at_bounds": ["flank_weft"]})
-    assert ["index" in told[0], "flanks" in told[1], len(told)] == [True, True, 2]
+    assert ["index" in told[0], "flank_weft" in told[1], len(told)] == [True, True, 2]
     expect_facts(section_words({"theta_a": np.pi / 4, "n": 1.0}), "45.0°")
     expect_facts(section_words({"theta_a": np.pi / 4, "n": 4.0}), "45.0°", 4)
     values = {"theta_r_deg": [10.0, 20.0], "measured": [0.1, 0.2], "gloss": [0.05, 0.1], "body": [0.05, 0.1]}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.artifacts.maps import shrink
-from nishiki.colour.colour import decode, srgb_encode, srgb_matrix
+from nishiki.colour.colour import decode, srgb_encode
 from nishiki.report.numbers import plain
 
 # Control points in CIELAB (D65): hue and chroma only steer; lightness is replaced by an even ramp.
@@ -29,9 +29,7 @@ def sea() -> np.ndarray:
 
 def balance() -> np.ndarray:
     """Return (256, 3) uint8, blue over a light grey to red: for signed errors, where the middle is none."""
-    t = np.linspace(0, 1, 256)
-    lab = np.stack([np.interp(t, [0, 0.5, 1], _BALANCE[:, k]) for k in range(3)], axis=1)
-    return np.round(255 * srgb_encode(_rgb_of(lab))).astype(np.uint8)
+    return _table(_BALANCE, even=False)
 
 
 def coloured(values: np.ndarray, table: np.ndarray, low: float, high: float) -> np.ndarray:
@@ -49,22 +47,15 @@ def hexadecimal(colour: np.ndarray) -> str:
     return "#{:02x}{:02x}{:02x}".format(*(int(c) for c in colour))
 
 
-def _table(points: np.ndarray) -> np.ndarray:
+def _table(points: np.ndarray, *, even: bool = True) -> np.ndarray:
+    """Return sRGB codes (256, 3) of a line through CIELAB colours (n, 3); even: in lightness."""
+    import cv2
+
     t = np.linspace(0, 1, 256)
-    at = np.linspace(0, 1, len(points))
-    lab = np.stack([np.interp(t, at, points[:, k]) for k in range(3)], axis=1)
-    lab[:, 0] = np.interp(t, [0, 1], points[[0, -1], 0])
-    return np.round(255 * srgb_encode(_rgb_of(lab))).astype(np.uint8)
-
-
-def _rgb_of(lab: np.ndarray) -> np.ndarray:
-    """Return linear sRGB of CIELAB relative to D65, CIE 015:2018 eq. 8.11-8.16."""
-    fy = (lab[:, 0] + 16) / 116
-    f = np.stack([fy + lab[:, 1] / 500, fy, fy - lab[:, 2] / 200], axis=1)
-    limit = 6 / 29
-    white = np.linalg.solve(srgb_matrix(), np.ones(3))
-    xyz = np.where(f > limit, f**3, 3 * limit**2 * (f - 4 / 29)) * white
-    return xyz @ srgb_matrix().T
+    lab = np.stack([np.interp(t, np.linspace(0, 1, len(points)), column) for column in points.T], axis=1)
+    if even:
+        lab[:, 0] = np.linspace(*points[[0, -1], 0], 256)
+    return np.round(255 * cv2.cvtColor(np.float32(lab[None]), cv2.COLOR_LAB2RGB)[0]).astype(np.uint8)
 
 
 @dataclass(frozen=True)

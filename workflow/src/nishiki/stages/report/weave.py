@@ -43,8 +43,6 @@ YARN_MEANINGS = {
 }
 MOST_ALIKE = 4
 """Other weaves that are named as explaining the measurements as well."""
-MAIN_POWER = 0.5
-"""Power from which a parameter is named as part of a combination."""
 ANGLES = ("theta_a", "contact")
 MOST_WEAK = 3
 """Combinations of parameters named as badly determined."""
@@ -179,24 +177,13 @@ def parameters(region: dict[str, Any], at_bounds: Sequence[str] = ()) -> list[li
     rows: list[list[Cell]] = []
     for name, value in (region.get("parameters") or {}).items():
         stem, _, plane = name.rpartition("_")
-        kind = stem if plane in PLANES else name
+        kind, where = (stem, f", {plane}") if plane in PLANES else (name, "")
         low, high = (region.get("intervals") or {}).get(name) or (None, None)
         factor = 180 / np.pi if kind in ANGLES else 1.0
         values: list[Cell] = [None if v is None else factor * v for v in (value, low, high)]
-        meaning = words_of(name)
-        if name in at_bounds:
-            meaning += "; ended at a bound: not determined"
-        rows.append([name, *values, meaning])
+        meaning = MEANINGS[kind] + where if kind in MEANINGS else ""
+        rows.append([name, *values, meaning + "; ended at a bound: not determined" * (name in at_bounds)])
     return rows
-
-
-def words_of(name: str) -> str:
-    """Return a parameter of the sections in words."""
-    stem, _, plane = name.rpartition("_")
-    kind = stem if plane in PLANES else name
-    if kind not in MEANINGS:
-        return ""
-    return MEANINGS[kind] + (f", {plane}" if plane in PLANES else "")
 
 
 def curve(values: dict[str, Any], plane: str) -> Figure:
@@ -212,43 +199,21 @@ def curve(values: dict[str, Any], plane: str) -> Figure:
 
 
 def notes(entry: dict[str, Any]) -> list[str]:
-    """Return what the data cannot tell of the sections."""
+    """Return what the data cannot tell of the sections, by the names of the table's parameters."""
     identifiability = entry.get("identifiability") or {}
     texts = []
     free = identifiability.get("free") or []  # products of powers; of lengths alone, no common scale is ever known
-    parts = {text: [factor.split("^")[0].rpartition("_")[0] for factor in text.split(" · ")] for text in free}
-    if others := [text for text in free if not set(parts[text]) <= {"l", "r", "m"}]:
-        texts.append(f"The sections are the same for any value of {'; '.join(map(in_words, others))}.")
+    lengths = {"l", "r", "m"}
+    others = [text for text in free if {each.split("^")[0].rpartition("_")[0] for each in text.split(" · ")} - lengths]
+    if others:
+        texts.append(f"The sections are the same for any value of {'; '.join(others)}.")
     pairs = list(zip(identifiability.get("weak") or [], identifiability.get("weak_error") or [], strict=True))
     if pairs:
         combinations = "; ".join(
-            f"{in_words(name)} ({'not determined' if error > 1 else f'to {100 * error:.2g} %'})"
+            f"{name} ({'not determined' if error > 1 else f'to {100 * error:.2g} %'})"
             for name, error in pairs[:MOST_WEAK]
         )
         texts.append(f"Least well determined in the sections, as one standard deviation: {combinations}.")
     if entry.get("at_bounds"):
-        texts.append(f"Ended at a bound, so not determined: {', '.join(map(bound_words, entry['at_bounds']))}.")
+        texts.append(f"Ended at a bound, so not determined: {', '.join(entry['at_bounds'])}.")
     return texts
-
-
-def in_words(product: str) -> str:
-    """Return the parameters of a product of powers that have the largest powers."""
-    powers = {}
-    for factor in product.split(" · "):
-        name, _, power = factor.partition("^")
-        powers[name] = abs(float(power or 1))
-    main = [name for name, power in powers.items() if power >= MAIN_POWER]
-    return " together with ".join(words_of(name).removesuffix(", degrees") or name for name in main)
-
-
-def bound_words(unknown: str) -> str:
-    """Return an unknown of the search in words."""
-    stem, _, plane = unknown.rpartition("_")
-    words = {
-        "flank": "share of the straight flanks",
-        "humps": "share of flat top or contacts",
-        "log_width": "width of the gloss",
-    }
-    if unknown == "log_f0":
-        return MEANINGS["index"]
-    return f"{words.get(stem, MEANINGS.get(stem, stem).removesuffix(', degrees'))}, {plane}"
