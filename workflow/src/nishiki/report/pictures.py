@@ -55,7 +55,7 @@ def _table(points: np.ndarray, *, even: bool = True) -> np.ndarray:
     lab = np.stack([np.interp(t, np.linspace(0, 1, len(points)), column) for column in points.T], axis=1)
     if even:
         lab[:, 0] = np.linspace(*points[[0, -1], 0], 256)
-    return np.round(255 * cv2.cvtColor(np.float32(lab[None]), cv2.COLOR_LAB2RGB)[0]).astype(np.uint8)
+    return np.asarray(np.round(255 * cv2.cvtColor(np.float32(lab[None]), cv2.COLOR_LAB2RGB)[0]), np.uint8)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ ones (docs/notes/stages/normals.md). So the user decides by giving a map; what i
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -92,22 +92,12 @@ def find_given(frames: Observations, facets: Facets, step: int, path: Path) -> t
     horizontal, vertical = (
         "".join("+-"[int(v < 0)] + "xyz"[k] for k, v in enumerate(row) if v) for row in AXES[first][:2]
     )
-    described = {
+    return candidates[first], {
         "axes": {"x": horizontal, "y": vertical},
         "apart_median_deg": float(np.degrees(np.median(angles(turned[first], own)[known]))),
         "correlation": float(like[first]),
         "correlation_next_axes": float(like[second]),
-        "left_out_given": None,
-        "left_out_own": None,
     }
-    from nishiki.model_selection.relighting import FOLDS
-    from nishiki.photometric.interreflection import left_out_errors
-
-    if len(facets.directions) > FOLDS + 2:
-        of_given = replace(facets, fit=lambda *samples: (turned[first], known, facets.fit(*samples)[2]))
-        described["left_out_own"] = float(left_out_errors(facets, None, FOLDS).mean())
-        described["left_out_given"] = float(left_out_errors(of_given, None, FOLDS).mean())
-    return candidates[first], described
 
 
 def _read(frames: Observations, path: Path) -> tuple[np.ndarray, float]:

@@ -141,10 +141,6 @@ def _of_given(given: dict[str, Any]) -> list[Block]:
         f"them by {like:.2f} (with the next best axes by {following:.2f}). Light is predicted "
         "with those of the photographs."
     ]
-    if given["left_out_own"] is not None:
-        rows = [("given", given["left_out_given"]), ("from the photographs", given["left_out_own"])]
-        note = "Mean error of lamps left out (white is 1) by Lambert's law: it shows wrong axes, but not small errors."
-        blocks.append(Table(("Normals", "error"), rows, "lr", note))
     return blocks
 
 
