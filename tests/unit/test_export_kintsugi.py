@@ -15,7 +15,7 @@ from nishiki.colour.colour import decode, encode
 from nishiki.stages.export import kintsugi
 from nishiki.stages.export.kintsugi import LobeBasis, lobes
 from nishiki.stages.export.object_look import object_mesh, sample
-from nishiki.stages.export.object_surface import SeenPoints
+from nishiki.stages.export.object_surface import ObjectSurface, SeenPoints
 
 STAMP = {"version": "1", "scene": "ball", "key": "0123456789ab"}
 
@@ -27,7 +27,10 @@ def exported(tmp_path_factory):
     folder = tmp_path_factory.mktemp("kintsugi")
     (folder / "exports/kintsugi").mkdir(parents=True)
     context.stamp, context.output = STAMP, SimpleNamespace(path=lambda file: folder / file)
-    surface = SimpleNamespace(look=look, mesh=object_mesh(context, look), unit="metres")
+    gltf_look = ObjectSurface.gltf_look.fget(SimpleNamespace(look=look))
+    surface = SimpleNamespace(
+        look=look, gltf_look=gltf_look, mesh=object_mesh(context, look), unit="metres", context=context
+    )
     asked = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kintsugi, "model_textures", lambda *_: model)

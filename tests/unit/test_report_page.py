@@ -128,9 +128,12 @@ def others(root: Path, ingest: Artifact) -> dict[str, Artifact]:
         import cv2
 
         picture = random.integers(0, 255, (rows, columns, 3)).astype(np.uint8)
-        writer.path("daylight.png").write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+        names = [picture.name for picture in RenderSettings().pictures]
+        for name in names:
+            writer.path(f"{name}.png").write_bytes(cv2.imencode(".png", picture)[1].tobytes())
         writer.path("moving-light.mp4").write_bytes(b"0" * 3_000_000)
-        return {"pictures": {"moving-light": {"file": "moving-light.mp4"}}, "notes": []}
+        film = {"moving-light": {"file": "moving-light.mp4", "exposure": 1.0}}
+        return {"pictures": {name: {"exposure": 1.5} for name in names} | film, "notes": []}
 
     made = ((HeightSettings, height), (SpectraSettings, spectra), (BrdfSettings, brdf), (RenderSettings, render))
     return {settings.STAGE: artifact(root, settings(), fill) for settings, fill in made}

@@ -1,4 +1,4 @@
-"""An object as binary glTF, alone and for Kintsugi 3D Viewer, whose gloss is a sum of weighted tables.
+"""An object as glTF for Kintsugi 3D Viewer, whose gloss is a sum of weighted tables.
 
 Reflectance there (source: the shader BasisIBR-ORM of the viewer, and the serialiser of its Builder):
 
@@ -11,9 +11,7 @@ Our lobe K_s / n.v exp(-phi^2 / (2 sigma^2)), relative to a white that faces the
 masking. The tables are such lobes of eight widths, and the weights of a texel the least squares of its own lobe.
 """
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -21,56 +19,10 @@ from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import decode, srgb_encode
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.formats.textured_surface import Glb
-from nishiki.stages.export.object_look import INDEX, NORMAL_REFLECTANCE, ObjectLook, coded, sample
+from nishiki.stages.export.object_look import NORMAL_REFLECTANCE, ObjectLook, coded, sample
 from nishiki.stages.export.object_mitsuba import model_textures
 from nishiki.stages.export.object_surface import ObjectSurface, SeenPoints, Shown, against_photographs
-from nishiki.stages.export.registry import software
-
-EXTENSIONS = ("KHR_materials_ior", "KHR_materials_specular")
-
-
-def write_gltf(context: Context, surface: ObjectSurface) -> dict:
-    """Write `object.glb`; return its error against photographs."""
-    glb = Glb(extensions=set(EXTENSIONS))
-    add_object(glb, context, surface, lambda _, picture: glb.texture(png_bytes(picture), mime="image/png"))
-    extras = {**context.stamp, "unit": surface.unit}
-    glb.write(context.output.path("exports/object.glb"), generator=software(context), extras=extras)
-    return {"vertices": len(surface.mesh.positions), **surface.losses("gltf")}
-
-
-def add_object(
-    glb: Glb,
-    context: Context,
-    surface: ObjectSurface,
-    texture: Callable[[str, np.ndarray], int],
-    *,
-    extras: Mapping[str, Any] | None = None,
-) -> None:
-    """Add mesh and material of the object; texture: number of a named picture; extras: of the material."""
-    mesh, look = surface.mesh, surface.look
-    attributes = {
-        "POSITION": glb.vertices(mesh.positions, bounds=True),
-        "NORMAL": glb.vertices(mesh.normals),
-        "TEXCOORD_0": glb.vertices(mesh.texture),
-    }
-    nothing, full = np.zeros_like(look.roughness), np.full_like(look.roughness, 255)
-    pictures = {
-        "albedo": look.colour,
-        "orm": np.stack([full, look.roughness, nothing], axis=-1),
-        "strength": np.stack([full, full, full, look.specular], axis=-1),
-    }
-    colour, roughness, strength = ({"index": texture(*each)} for each in pictures.items())
-    material = glb.add(
-        "materials",
-        pbrMetallicRoughness={"baseColorTexture": colour, "metallicRoughnessTexture": roughness, "metallicFactor": 0},
-        extensions={
-            "KHR_materials_ior": {"ior": INDEX},
-            "KHR_materials_specular": {"specularTexture": strength, "specularColorFactor": [look.factor] * 3},
-        },
-        extras=extras,
-    )
-    glb.add_mesh(attributes, mesh.triangles, material, name=context.stamp["scene"])
-
+from nishiki.stages.export.registry import add_surface, software
 
 FOLDER = "exports/kintsugi"
 TABLES = "basisFunctions.csv"
@@ -134,7 +86,7 @@ def write_kintsugi(context: Context, surface: ObjectSurface) -> dict:
     look = surface.look
     model = model_textures(look.decoded, look.layout)
     basis = LobeBasis.of(model["ks"] / look.scale, model["sigma"][..., 0])
-    glb = Glb(extensions=set(EXTENSIONS))
+    glb = Glb()
 
     def put(name: str, data: bytes) -> str:
         context.output.path(f"{FOLDER}/{name}").write_bytes(data)
@@ -152,7 +104,7 @@ def write_kintsugi(context: Context, surface: ObjectSurface) -> dict:
         "basisFunctionsUri": put(TABLES, basis.text().encode("ascii")),
         "specularWeights": {"stride": 4, "textures": [{"index": each} for each in weights]},
     }
-    add_object(glb, context, surface, texture, extras=extras)
+    add_surface(glb, surface, texture, extras=extras)
     document = {**context.stamp, "unit": surface.unit}
     glb.write(context.output.path(f"{FOLDER}/object.glb"), generator=software(context), extras=document)
     found = against_photographs(context, look, {"kintsugi": viewed(look, basis)})

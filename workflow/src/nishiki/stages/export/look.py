@@ -1,21 +1,20 @@
-"""How a painting looks to formats of scenes: displaced plane, textures, gloss by region; binary glTF."""
+"""How a painting looks to formats of scenes: displaced plane, textures, gloss by region."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from nishiki.artifacts.maps import shrink
 from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import decode, encode, srgb_encode
-from nishiki.formats.picture_tiles import png_bytes
-from nishiki.formats.textured_surface import Glb, SurfaceLook, TexturedMesh
+from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.gloss import PaintingGloss, RegionGloss, painting_gloss
 from nishiki.stages.export.photographs import CodedErrors, Photographs
-from nishiki.stages.export.registry import ExportedSurface, software
+from nishiki.stages.export.registry import ExportedSurface, GltfLook
 from nishiki.stages.export.scene import ExportedScene, reliefs
 
 FIGURES = {"roughness": "roughness", "specular": "strength", "ior": "index", "metallic": "metallic"}
@@ -107,16 +106,22 @@ class PaintingSurface(ExportedSurface):
         """Return textures and material as a format takes them."""
         return self.look.surface(getattr(self.look.gloss, name))
 
-    def losses(self, name: str) -> dict:
-        """Return what the diagnostics say of a format, its files left out."""
-        figures = self.look.figures(getattr(self.look.gloss, name))
-        return {**figures, "kinds": {name: {"psnr_db": self._errors[name]}}}
+    @property
+    def gltf_look(self) -> GltfLook:
+        """Return the look in the words of glTF."""
+        look, gloss = self.look, self.look.gloss.gltf
+        material = gloss.materials[0]
+        weight = float(material.weight) if gloss.weight is None else gloss.weight
+        factor, index = float(material.factor), material.index
+        return GltfLook(look.colours, gloss.roughness, weight, factor, index, gloss.metallic, look.normals)
 
-    @cached_property
-    def _errors(self) -> dict[str, dict]:
-        """PSNR of every format that is asked for; the photographs are read once."""
-        asked = {name: getattr(self.look.gloss, name) for name in self.formats}
-        return errors(self.context, self.scene, self.look, asked)
+    def figures(self, name: str) -> dict:
+        """Return what the diagnostics say of a format besides its error."""
+        return self.look.figures(getattr(self.look.gloss, name))
+
+    def errors(self, formats: list[str]) -> dict[str, dict]:
+        """Return PSNR of formats."""
+        return errors(self.context, self.scene, self.look, {name: getattr(self.look.gloss, name) for name in formats})
 
 
 class TexelMaps(NamedTuple):
@@ -183,49 +188,3 @@ def errors(
         for name, gloss in glosses.items():
             result[name][group] = found[id(gloss)].decibels()
     return result
-
-
-def write_gltf(context: Context, surface: PaintingSurface) -> dict:
-    """Write `painting.glb`; return the error of its material against photographs."""
-    mesh, look = surface.mesh, surface.look
-    glb = Glb(extensions={"KHR_materials_ior", "KHR_materials_specular"})
-    tangents = np.broadcast_to(np.array([1, 0, 0, 1], np.float32), (len(mesh.positions), 4))
-    attributes = {
-        "POSITION": glb.vertices(mesh.positions, bounds=True),
-        "NORMAL": glb.vertices(mesh.normals),
-        "TANGENT": glb.vertices(tangents),
-        "TEXCOORD_0": glb.vertices(mesh.texture),
-    }
-    colours = {"index": glb.texture(png_bytes(look.colours), mime="image/png")}
-    normals = {"index": glb.texture(png_bytes(look.normals), mime="image/png")}
-    roughness, specular = gloss_properties(glb, look.gloss.gltf)
-    number = glb.add(
-        "materials",
-        pbrMetallicRoughness={"baseColorTexture": colours, **roughness},
-        normalTexture=normals,
-        extensions={
-            "KHR_materials_ior": {"ior": look.gloss.gltf.materials[0].index},
-            "KHR_materials_specular": specular,
-        },
-    )
-    glb.add_mesh(attributes, mesh.triangles, number, name=context.stamp["scene"])
-    extras = {**context.stamp, "unit": surface.unit}
-    glb.write(context.output.path("exports/painting.glb"), generator=software(context), extras=extras)
-    return {"vertices": len(mesh.positions), "faces": len(mesh.triangles), **surface.losses("gltf")}
-
-
-def gloss_properties(glb: Glb, gloss: RegionGloss) -> tuple[dict, dict]:
-    """Properties of roughness and of KHR_materials_specular: textures where they differ from texel to texel."""
-    material, roughness, weight, metallic = gloss.materials[0], gloss.roughness, gloss.weight, gloss.metallic
-    rough: dict[str, Any] = {"roughnessFactor": roughness, "metallicFactor": metallic}
-    specular: dict[str, Any] = {"specularFactor": float(material.weight)}
-    if isinstance(roughness, np.ndarray):
-        several = isinstance(metallic, np.ndarray)
-        blue = metallic if several else np.zeros_like(roughness)
-        picture = np.stack([np.zeros_like(roughness), roughness, blue], axis=-1)
-        rough = {"metallicRoughnessTexture": {"index": glb.texture(png_bytes(picture), mime="image/png")}}
-        rough["metallicFactor"] = 1.0 if several else metallic
-    if weight is not None:
-        alpha = np.stack([*[np.full_like(weight, 255)] * 3, weight], axis=-1)
-        specular = {"specularTexture": {"index": glb.texture(png_bytes(alpha), mime="image/png")}}
-    return rough, {**specular, "specularColorFactor": [float(material.factor)] * 3}

@@ -1,6 +1,6 @@
 """The surface of an object for formats of scenes, and what a viewer shows of it against the photographs."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,9 +14,9 @@ from nishiki.evaluate.object_photographs import Photographs
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.geometry.visibility import rasterise
 from nishiki.render.display import three_channels
-from nishiki.stages.export.object_look import METRES, ObjectLook, object_look, object_mesh, sample
+from nishiki.stages.export.object_look import INDEX, METRES, ObjectLook, object_look, object_mesh, sample
 from nishiki.stages.export.photographs import CodedErrors
-from nishiki.stages.export.registry import ExportedSurface
+from nishiki.stages.export.registry import ExportedSurface, GltfLook
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,6 @@ class SeenPoints:
 
 Shown = Callable[[SeenPoints], np.ndarray]
 """Linear values (n, 3) that a program shows of seen points."""
-
-
-def errors(context: Context, look: ObjectLook, formats: Sequence[str]) -> dict[str, dict[str, dict[str, float]]]:
-    """Return PSNR of the stored textures against photographs, as some of `gltf`, `usd` and `materialx` take them."""
-    asked = {name: shown_in(look, name) for name in formats}
-    return against_photographs(context, look, asked)
 
 
 def shown_in(look: ObjectLook, name: str) -> Shown:
@@ -147,10 +141,16 @@ class ObjectSurface(ExportedSurface):
         """Return textures and material as a format takes them; the gloss has one strength in USD."""
         return (self.look.of_one_strength() if name == "usd" else self.look).surface()
 
-    def losses(self, name: str) -> dict:
-        """Return what the diagnostics say of a format, its files left out."""
-        return {**self.look.figures(), "kinds": {name: {"psnr_db": self._errors[name]}}}
+    @property
+    def gltf_look(self) -> GltfLook:
+        """Return the look in the words of glTF."""
+        look = self.look
+        return GltfLook(look.colour, look.roughness, look.specular, look.factor, INDEX)
 
-    @cached_property
-    def _errors(self) -> dict[str, dict[str, dict[str, float]]]:
-        return errors(self.context, self.look, self.formats)
+    def figures(self, name: str) -> dict:
+        """Return what the diagnostics say of any format."""
+        return self.look.figures()
+
+    def errors(self, formats: list[str]) -> dict[str, dict]:
+        """Return PSNR of the stored textures against photographs, as the formats take them."""
+        return against_photographs(self.context, self.look, {name: shown_in(self.look, name) for name in formats})

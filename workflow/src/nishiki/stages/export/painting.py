@@ -5,8 +5,8 @@ from functools import partial
 from nishiki.artifacts.stage import Context
 from nishiki.stages.export import maps, relight, renderers
 from nishiki.stages.export.iiif import write_iiif
-from nishiki.stages.export.look import PaintingSurface, write_gltf
-from nishiki.stages.export.registry import write_formats, write_mtlx, write_usd
+from nishiki.stages.export.look import PaintingSurface
+from nishiki.stages.export.registry import write_formats, write_gltf, write_mtlx, write_usd
 from nishiki.stages.export.scene import ExportedScene
 
 OF_MAPS = {

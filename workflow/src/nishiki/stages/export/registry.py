@@ -1,11 +1,16 @@
-"""The formats that a scene is exported to: how each is written, and the two that paintings and objects share."""
+"""The formats that a scene is exported to: how each is written, and those that paintings and objects share."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from nishiki.artifacts.stage import Context
-from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
+from nishiki.formats.picture_tiles import png_bytes
+from nishiki.formats.textured_surface import Glb, SurfaceLook, TexturedMesh
 from nishiki.formats.usd import write_materialx, write_usdz
 
 
@@ -37,10 +42,27 @@ def software(context: Context) -> str:
     return f"Nishiki {context.stamp['version']}"
 
 
+@dataclass(frozen=True)
+class GltfLook:
+    """Textures and constants of a material of glTF 2.0 with KHR_materials_ior and KHR_materials_specular."""
+
+    colour: np.ndarray  # (rows, columns, 3) uint8 ndarray: base colour, sRGB
+    # roughness, weight, metallic: float or (rows, columns) uint8 ndarray, of which 255 is 1; weight: specularFactor
+    roughness: float | np.ndarray
+    weight: float | np.ndarray
+    factor: float  # specularColorFactor, of each channel
+    index: float  # of refraction
+    metallic: float | np.ndarray = 0.0
+    normals: np.ndarray | None = None  # (rows, columns, 3) uint8 ndarray: tangent space, y up, (n + 1) / 2
+
+
 class ExportedSurface(ABC):
     """Mesh, look and errors, each made when the first format asks for it; stem: name of the files."""
 
     stem: str
+
+    def __init__(self, context: Context):
+        self.context = context
 
     @property
     @abstractmethod
@@ -52,21 +74,76 @@ class ExportedSurface(ABC):
     def unit(self) -> str:
         """Return what a length of 1 in a file means."""
 
+    @property
+    @abstractmethod
+    def gltf_look(self) -> GltfLook:
+        """Return the look in the words of glTF."""
+
     @abstractmethod
     def look_of(self, name: str) -> SurfaceLook:
-        """Return the look that a format can hold."""
+        """Return the look that USD or MaterialX can hold."""
 
     @abstractmethod
+    def figures(self, name: str) -> dict:
+        """Return what the diagnostics say of a format besides its files and its error."""
+
+    @abstractmethod
+    def errors(self, formats: list[str]) -> dict[str, dict]:
+        """Return PSNR against photographs of these formats."""
+
+    @cached_property
+    def _errors(self) -> dict[str, dict]:
+        # the photographs are read once for all formats
+        return self.errors([name for name in ("gltf", "usd", "materialx") if name in self.context.settings.formats])
+
     def losses(self, name: str) -> dict:
         """Return the diagnostics of a format besides its files."""
+        return {**self.figures(name), "kinds": {name: {"psnr_db": self._errors[name]}}}
 
-    def __init__(self, context: Context):
-        self.context = context
 
-    @property
-    def formats(self) -> list[str]:
-        """Formats of this look that are asked for."""
-        return [name for name in ("gltf", "usd", "materialx") if name in self.context.settings.formats]
+def write_gltf(context: Context, surface: ExportedSurface) -> dict:
+    """Write mesh and material as binary glTF; return the error of its material."""
+    glb = Glb()
+    add_surface(glb, surface, lambda _, picture: glb.texture(png_bytes(picture), mime="image/png"))
+    extras = {**context.stamp, "unit": surface.unit}
+    glb.write(context.output.path(f"exports/{surface.stem}.glb"), generator=software(context), extras=extras)
+    mesh = surface.mesh
+    return {"vertices": len(mesh.positions), "faces": len(mesh.triangles), **surface.losses("gltf")}
+
+
+def add_surface(
+    glb: Glb, surface: ExportedSurface, texture: Callable[[str, np.ndarray], int], *, extras: dict | None = None
+) -> None:
+    """Add mesh and material; texture: adds a named picture and returns its number; extras: of the material."""
+    mesh, look = surface.mesh, surface.gltf_look
+    attributes = {
+        "POSITION": glb.vertices(mesh.positions, bounds=True),
+        "NORMAL": glb.vertices(mesh.normals),
+        "TEXCOORD_0": glb.vertices(mesh.texture),
+    }
+    material: dict[str, Any] = {"extras": extras}
+    pbr: dict[str, Any] = {"baseColorTexture": {"index": texture("albedo", look.colour)}}
+    if look.normals is not None:
+        attributes["TANGENT"] = glb.vertices(np.broadcast_to([1.0, 0.0, 0.0, 1.0], (len(mesh.positions), 4)))
+        material["normalTexture"] = {"index": texture("normals", look.normals)}
+    if isinstance(look.roughness, np.ndarray):
+        several = isinstance(look.metallic, np.ndarray)
+        blue = look.metallic if several else np.zeros_like(look.roughness)
+        picture = np.stack([np.full_like(look.roughness, 255), look.roughness, blue], axis=-1)
+        pbr |= {"metallicRoughnessTexture": {"index": texture("orm", picture)}}
+        pbr["metallicFactor"] = 1.0 if several else look.metallic
+    else:
+        pbr |= {"roughnessFactor": look.roughness, "metallicFactor": look.metallic}
+    specular: dict[str, Any] = {"specularColorFactor": [look.factor] * 3}
+    if isinstance(look.weight, np.ndarray):
+        alpha = np.stack([*[np.full_like(look.weight, 255)] * 3, look.weight], axis=-1)
+        specular["specularTexture"] = {"index": texture("strength", alpha)}
+    else:
+        specular["specularFactor"] = look.weight
+    extensions = {"KHR_materials_ior": {"ior": look.index}, "KHR_materials_specular": specular}
+    glb.extensions |= set(extensions)
+    number = glb.add("materials", pbrMetallicRoughness=pbr, extensions=extensions, **material)
+    glb.add_mesh(attributes, mesh.triangles, number, name=surface.context.stamp["scene"])
 
 
 def write_usd(context: Context, surface: ExportedSurface) -> dict:
