@@ -107,15 +107,13 @@ def main() -> None:
     parser.add_argument(
         "--bits", type=float, nargs="*", default=[0.15, 0.3, 0.55], help="bits a pixel of residual and parameters"
     )
-    parser.add_argument("--steps", type=float, nargs="*", help="instead: quantiser steps, one pass each")
     parser.add_argument("--methods", nargs="*", choices=tuple(VARIANTS), default=tuple(VARIANTS))
     parser.add_argument("--domain", choices=("both", "texels", "pictures"), default="both")
     parser.add_argument("--work", type=Path, help="keep the coded objects in this folder")
     parser.add_argument("--no-codecs", action="store_true", help="only this system's own variants")
     parser.add_argument("--every", type=int, default=1, help="domain texels: of so many patches one")
     options = parser.parse_args()
-    target, amounts = ("step", options.steps) if options.steps else ("bits_per_pixel", options.bits)
-    asked = Asked(tuple(options.methods), target, tuple(amounts))
+    asked = Asked(tuple(options.methods), tuple(options.bits))
     name = options.object or options.data.resolve().name
     with tempfile.TemporaryDirectory() as folder:
         work = options.work or Path(folder)

@@ -30,15 +30,13 @@ VARIANTS = {
     "image_based": {"model": False},
     "wavelet_2d": {"model": False, "view_transform": "none"},
 }
-COARSER = {"image_based": 1.2, "wavelet_2d": 1.6}  # steps that give about the same bytes
 
 
 @dataclass(frozen=True)
 class Asked:
-    """methods: names of VARIANTS; target: bits_per_pixel or step; amounts: of the target."""
+    """methods: names of VARIANTS; amounts: bits a pixel."""
 
     methods: tuple[str, ...]
-    target: str
     amounts: tuple[float, ...]
 
 
@@ -94,8 +92,7 @@ def coded_objects(inputs: dict[str, Artifact], work: Path, asked: Asked) -> Iter
     """Run the residual stage for every variant and target: (method, amount asked for, inputs with its artifact)."""
     for method in asked.methods:
         for amount in asked.amounts:
-            factor = COARSER.get(method, 1.0) if asked.target == "step" else 1.0
-            chosen = {"target": asked.target, "amount": factor * amount, "tolerance": 0.05, **VARIANTS[method]}
+            chosen = {"target": "bits_per_pixel", "amount": amount, **VARIANTS[method]}
             folders = [str(inputs[name].folder) for name in ("ingest", "mesh", "cameras", "texels", "object_brdf")]
             command = [sys.executable, str(PROJECT / "scripts/stage.py"), "residual", "--settings", json.dumps(chosen)]
             target = work / f"{method}-{amount}"

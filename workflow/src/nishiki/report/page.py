@@ -15,6 +15,9 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.report.numbers import figure
 from nishiki.report.pictures import PagePicture, Ruler
 
+MOST_PICTURES = 8  # of one kind on a page
+LONGEST_TABLE = 20
+"""Rows from which a table is folded."""
 Cell = str | float | None
 """Content of a table's cell: text as it is, a number to three significant digits, None as a dash."""
 

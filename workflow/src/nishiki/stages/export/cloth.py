@@ -34,11 +34,10 @@ from nishiki.render.cloth.scene import EDGE, STEPS, Brdf, BrdfTable, ClothScene
 from nishiki.render.cloth.studio import MARGIN, Lighting, RenderVariant, framed, paper_below, render
 from nishiki.render.display import three_channels
 from nishiki.stages.export import mitsuba_cloth
-from nishiki.stages.export.registry import software, write_formats
+from nishiki.stages.export.registry import NORMAL_REFLECTANCE, software, write_formats
 from nishiki.stages.render import ClothRenderSettings
 from nishiki.stages.render.cloth import DrapedCloth, draped_cloth, lights_of
 
-NORMAL_REFLECTANCE = 0.04  # of index 1.5, what a viewer takes where the file says nothing
 PAIRS = 1500
 """Of light and view in the fit."""
 LEAST = np.array([0, 0, 0, 0.05, 0.0, 0, 0, 0, 0])

@@ -24,11 +24,11 @@ from nishiki.brdf.slopes import isotropic_lobe, widened_roughness
 from nishiki.brdf.torrance_sparrow import MIRROR, specular
 from nishiki.colour.colour import encode
 from nishiki.render.plane.scene import Gloss
+from nishiki.stages.export.registry import INDEX
 
 ROUGHNESS = np.geomspace(1, 0.05, 90)
 STRENGTH = np.append(0, np.geomspace(1e-3, 20, 120))
 """Grid of the fit: roughness, and the factor of the reflectance at normal incidence (weight where below 1)."""
-USUAL_INDEX = 1.5  # of a metal's material, of which nothing shows it, where there is no dielectric beside it
 ANGLES = np.radians(np.arange(0.5, 75, 1))  # of the light from the normal, seen along the normal
 
 
@@ -142,7 +142,7 @@ def coded_errors(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: floa
     return errors
 
 
-MATTE = GltfMaterial(1.0, 0.0, 1.5)
+MATTE = GltfMaterial(1.0, 0.0, INDEX)
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def painting_gloss(
     beta, gamma, index = fitted.beta, fitted.gamma, fitted.refractive_index
     labels = labels if len(beta) > 1 else None
     metal = (index >= MIRROR).astype(float)
-    common = float(USUAL_INDEX if metal.all() else index.min())
+    common = float(INDEX if metal.all() else index.min())  # nothing shows that of a metal
     errors, counts = [], []
     for region in range(len(beta)):
         texels = known if labels is None else known & (labels == region)

@@ -19,10 +19,10 @@ from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import decode, srgb_encode
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.formats.textured_surface import Glb
-from nishiki.stages.export.object_look import NORMAL_REFLECTANCE, ObjectLook, coded, sample
+from nishiki.stages.export.object_look import ObjectLook, coded, sample
 from nishiki.stages.export.object_mitsuba import model_textures
 from nishiki.stages.export.object_surface import ObjectSurface, SeenPoints, Shown, against_photographs
-from nishiki.stages.export.registry import add_surface, software
+from nishiki.stages.export.registry import NORMAL_REFLECTANCE, add_surface, software
 
 FOLDER = "exports/kintsugi"
 TABLES = "basisFunctions.csv"

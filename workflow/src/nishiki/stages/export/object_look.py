@@ -23,6 +23,7 @@ from nishiki.colour.colour import srgb_encode
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.stages.export.registry import NORMAL_REFLECTANCE
 
 GAP = 2  # texels between two charts
 
@@ -85,8 +86,6 @@ def sample(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 ALPHA_PER_SIGMA = float(np.sqrt(2 * np.log(2) / (np.sqrt(2) - 1)))
-INDEX = 1.5  # of refraction, that of glTF
-NORMAL_REFLECTANCE = ((INDEX - 1) / (INDEX + 1)) ** 2
 METRES: dict[Any, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 PRIOR = 0.04  # squared irradiance that the model's own albedo counts as
 LEAST_ALPHA = 0.03**2  # roughness below which viewers show nothing of distant lamps

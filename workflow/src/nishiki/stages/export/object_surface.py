@@ -14,9 +14,9 @@ from nishiki.evaluate.object_photographs import Photographs
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.geometry.visibility import rasterise
 from nishiki.render.display import three_channels
-from nishiki.stages.export.object_look import INDEX, METRES, ObjectLook, object_look, object_mesh, sample
+from nishiki.stages.export.object_look import METRES, ObjectLook, object_look, object_mesh, sample
 from nishiki.stages.export.photographs import CodedErrors
-from nishiki.stages.export.registry import ExportedSurface, GltfLook
+from nishiki.stages.export.registry import INDEX, ExportedSurface, GltfLook
 
 
 @dataclass(frozen=True)

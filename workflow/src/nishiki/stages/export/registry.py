@@ -13,6 +13,9 @@ from nishiki.formats.picture_tiles import png_bytes
 from nishiki.formats.textured_surface import Glb, SurfaceLook, TexturedMesh
 from nishiki.formats.usd import write_materialx, write_usdz
 
+INDEX = 1.5  # of refraction, what a viewer of glTF takes where the file says nothing
+NORMAL_REFLECTANCE = ((INDEX - 1) / (INDEX + 1)) ** 2
+
 
 def write_formats(context: Context, writers: Mapping[str, Callable[[], dict[str, Any]]]) -> dict[str, Any]:
     """Write every format that the settings name.

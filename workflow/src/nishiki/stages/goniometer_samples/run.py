@@ -23,8 +23,6 @@ from nishiki.goniometry.table import ReflectanceSet, write_reflectances
 from nishiki.observations.goniometer_store import Measurements
 from nishiki.report.svg import GRID, INK, PALETTE, SOFT, Drawing
 
-LISTED = 60  # directions of light whose coverage is among the diagnostics; all are in the artifact
-
 
 def run(context: Context) -> dict:
     """Read every photograph's window, divide by the board, average repeats, complete the hemisphere."""
@@ -142,7 +140,6 @@ def diagnostics(
         "boards": readings.rules if readings else None,
         "pixels": int(np.median(readings.pixels[readings.valid])) if readings else None,
         "saturated": int((readings.saturated > 0).any(axis=1).sum()) if readings else 0,
-        "coverage": [light.as_dict() for light in covered[:LISTED]],
     }
     if made:
         report |= {

@@ -8,7 +8,7 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.capture.schema_base import OBJECT_FACTS
 from nishiki.formats.problems import error_text
 from nishiki.report.numbers import degrees, figure, percent
-from nishiki.report.page import Block, Figure, Figures, Fold, Note, Section, Table
+from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Note, Section, Table
 from nishiki.report.svg import bars, lights_plot
 
 FACTS = (
@@ -19,8 +19,6 @@ FACTS = (
     ("rights", "Rights"),
     ("notes", "Notes"),
 )
-LONGEST_TABLE = 20
-"""Photographs from which their table is folded."""
 SATURATION = (
     "Share of the object that is saturated, by light. Such samples enter no fit. Highlights that saturate are normal; "
     "several per cent mean too long an exposure."

@@ -1,7 +1,6 @@
 """The sections of a cloth's page on its reflection: discs of all views, lobes, and errors of the models."""
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from nishiki.render.cloth.models import ClothModels
 from nishiki.report.numbers import figure
 from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
 from nishiki.report.pictures import PagePicture, Scale, coloured, encoded, heat, hexadecimal
-from nishiki.report.svg import DASHES, GRID, INK, PALETTE, SOFT, Curve, Drawing, chart, outline
+from nishiki.report.svg import GRID, INK, PALETTE, SOFT, Curve, Drawing, chart, outline
 
 INCIDENCES_DEG = (0, 30, 60)
 AZIMUTHS = {"warp": np.pi / 2, "weft": 0.0}
@@ -21,10 +20,10 @@ STEEPEST_DEG = 80
 DISC = 168
 """Pixels along a side of a view disc."""
 MODEL_NAMES = {
-    "bard_linear": "BARD, linear",
-    "bard_great_circle": "BARD, great circle",
     "yarns": "interlaced yarns",
     "yarn_facets": "facets on yarns",
+    "bard_great_circle": "BARD, great circle",
+    "bard_linear": "BARD, linear",
 }
 
 
@@ -159,9 +158,6 @@ def lobes_plot(parts: list[Lobe], *, width: int = 520, height: int = 330) -> str
     return drawing.finish()
 
 
-CURVES_OF = ("yarns", "yarn_facets", "bard_great_circle")
-"""Models whose curves are drawn beside those of the default one."""
-MOST_CURVES = 4  # told apart by colour
 INTRODUCTION = (
     "Predicted against measured reflectance on measurements that no fit has seen. The error is the root mean square of "
     "the difference over that of the measured values, weighted by the cosine of the view's angle and by the solid "
@@ -238,8 +234,7 @@ def curves_section(evaluation: dict[str, Any] | None, region: str) -> Section | 
     if evaluation is None or not evaluation["regions"].get(region, {}).get("curves"):
         return None
     facts, default = evaluation["regions"][region], evaluation["default"]
-    ordered = dict.fromkeys([default, *CURVES_OF, *facts["models"]])
-    models = [model for model in ordered if model in facts["models"]][:MOST_CURVES]
+    models = sorted(facts["models"], key=lambda model: model != default)
     items = []
     for curve in facts["curves"]:
         plane = f"azimuth {curve['plane']}" if curve["plane"].endswith("°") else curve["plane"]
@@ -250,37 +245,21 @@ def curves_section(evaluation: dict[str, Any] | None, region: str) -> Section | 
     return Section("curves", "Measured and predicted", [intro, Figures(items)])
 
 
-@dataclass(frozen=True)
-class Line:
-    """How a model is drawn in all charts of a page."""
-
-    colour: str
-    dashed: bool
-    dash: str = DASHES[0]
-
-
-def lines_of(models: list[str], default: str) -> dict[str, Line]:
-    """Give each model a line, no two alike: the default one is solid in the first colour, the others are dashed."""
-    ordered = [default] * (default in models) + [model for model in models if model != default]
-    first = int(default in models)
-    colours = len(PALETTE)
-    return {
-        model: Line(PALETTE[k % colours], k >= first, DASHES[min(k // colours, len(DASHES) - 1)])
-        for k, model in enumerate(ordered)
-    }
+def lines_of(models: Sequence[str], default: str) -> dict[str, dict[str, Any]]:
+    """Give each model a colour; the default one is solid, the others are dashed."""
+    return {model: {"colour": PALETTE[k % len(PALETTE)], "dashed": model != default} for k, model in enumerate(models)}
 
 
 def error_chart(models: dict[str, dict], default: str) -> str:
     """Relative error against the light's incidence on a logarithmic axis that holds every value, one line a model."""
-    lines = lines_of(list(models), default)
+    lines = lines_of(sorted(models, key=lambda model: model != default), default)
     curves: list[Curve] = []
     for model, parts in models.items():
         points = sorted((float(angle), part["rms_rel"]) for angle, part in parts.items() if part["rms_rel"] > 0)
         if points:
             x, y = np.array(points).T
-            line = lines[model]
-            curves.append(Curve(model_name(model), x, y, **asdict(line)))
-            curves.append(Curve("", x, y, colour=line.colour, dots=True))
+            curves.append(Curve(model_name(model), x, y, **lines[model]))
+            curves.append(Curve("", x, y, colour=lines[model]["colour"], dots=True))
     if not curves:
         return ""
     ends = [x for curve in curves for x in (curve.x.min(), curve.x.max())]
@@ -298,7 +277,7 @@ def plane_chart(curve: dict, models: list[str], default: str) -> str:
     drawn = lines_of(models, default)
     angle, measured = np.array(curve["theta_r_deg"]), np.array(curve["measured"])
     lines = [
-        Curve(model_name(model), angle, np.array(values), **asdict(drawn[model]))
+        Curve(model_name(model), angle, np.array(values), **drawn[model])
         for model in models
         if (values := curve["predicted"].get(model)) is not None
     ]

@@ -9,15 +9,13 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import shrink
 from nishiki.colour.colour import xyz_to_srgb_linear
 from nishiki.evaluate.camera_colour import CameraColour
-from nishiki.report.page import Block, Figure, Figures, Fold, Metric, Note, Section, Table, read_json
+from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Metric, Note, Section, Table, read_json
 from nishiki.report.pictures import block_of, brightened, brightening, colour_picture
 from nishiki.report.scene_page import Head
 from nishiki.stages.report.capture import about_capture
 from nishiki.stages.report.headline import headline
 from nishiki.stages.report.painting_surface import PageMaps
 
-LONGEST_TABLE = 20
-"""Rows from which a table is folded."""
 FIT_PX, SEAM_DE, SEAM_DEG = 0.5, 2.0, 2.0
 """Residual, colour difference and angle between fields from which a headline warns."""
 FIELDS = "Outlines of the fields over the joined reflectance; each pixel is a mean of the fields that show it."

@@ -11,6 +11,7 @@ from nishiki.formats.stored import load_arrays
 from nishiki.geometry.camera import load_cameras
 from nishiki.report.numbers import figure, percent
 from nishiki.report.page import (
+    MOST_PICTURES,
     Block,
     Cell,
     Facts,
@@ -82,9 +83,6 @@ def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Metric]:
         ((diagnostics.get("mesh") or {}).get("triangles"), "", "triangles"),
     ]
     return [Metric(*tile) for tile in tiles if tile[0] is not None]
-
-
-MOST_PICTURES = 6  # on the page
 
 
 def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> Section | None:
@@ -178,14 +176,11 @@ def views_section(evaluation: dict[str, Any] | None) -> Section | None:
     ])  # fmt: skip
 
 
-MOST_SEPARATED = 2  # pictures on the page
-
-
 def separation_section(polarise: Artifact | None, widest: int) -> Section | None:
     """Return what the polarisers separated, with the first pictures that the stage drew."""
     if polarise is None:
         return None
-    shown = list((polarise.diagnostics.get("pictures") or {}).items())[:MOST_SEPARATED]
+    shown = list((polarise.diagnostics.get("pictures") or {}).items())[:MOST_PICTURES]
     items = [
         Figure(f"View {view}: all light, diffuse, specular", "", file_picture(contents(polarise, file), widest))
         for file, view in shown

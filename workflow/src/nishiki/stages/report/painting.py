@@ -10,7 +10,19 @@ from nishiki.artifacts.stage import Context
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.observations.plane import Observations
 from nishiki.report.numbers import figure, plain
-from nishiki.report.page import Block, Cell, Figure, Figures, Metric, Section, Table, film, film_and_notes, read_json
+from nishiki.report.page import (
+    MOST_PICTURES,
+    Block,
+    Cell,
+    Figure,
+    Figures,
+    Metric,
+    Section,
+    Table,
+    film,
+    film_and_notes,
+    read_json,
+)
 from nishiki.report.pictures import Ruler, block_of, class_picture, file_picture, ruler
 from nishiki.report.scene_page import Head, text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart
@@ -90,7 +102,6 @@ def run(context: Context) -> dict:
     )
 
 
-MOST_CHARTS = 6  # on the page
 INTRODUCTION = (
     "What is left of the observations after the diffuse part is taken off, over the angle between the normal and the "
     "half vector of light and view. A Torrance-Sparrow lobe is fitted to it; where the dots leave the curve at large "
@@ -181,7 +192,7 @@ def gloss_section(
         rest = (region["refractive_index"], region.get("samples"), region.get("residual"), flags)
         for lobe, (beta, gamma) in enumerate(zip(region["beta"], region["gamma"], strict=True), 1):
             rows.append([name, lobe, beta, gamma, None if gamma is None else float(np.degrees(gamma)), *rest])
-        if region.get("profile") and len(charts) < MOST_CHARTS:
+        if region.get("profile") and len(charts) < MOST_PICTURES:
             charts += _profile_charts(region["profile"], name)
     head = ("Region", "lobe", "β", "γ, rad", "γ, degrees", "n", "samples", "residual", "flags")
     caption = (
@@ -234,9 +245,6 @@ def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
     )
     heading = name.capitalize()
     return [Figure(heading, LINEAR, svg=linear), Figure(f"{heading}, logarithmic", LOGARITHMIC, svg=logarithmic)]
-
-
-MOST_PICTURES = 8  # on the page
 
 
 def appearance_section(render: Artifact | None, widest: int, video_mb: float, ruler: Ruler | None) -> Section | None:

@@ -41,11 +41,7 @@ YARN_MEANINGS = {
     "rough_along_weft": "roughness of the weft along its fibres",
     "rough_across_weft": "roughness of the weft across its fibres",
 }
-MOST_ALIKE = 4
-"""Other weaves that are named as explaining the measurements as well."""
 ANGLES = ("theta_a", "contact")
-MOST_WEAK = 3
-"""Combinations of parameters named as badly determined."""
 PLANES = ("weft", "warp")
 
 
@@ -132,9 +128,7 @@ def summary(entry: dict[str, Any]) -> str:
         f"hemisphere, a {best} explains it best; it leaves {100 * yarns['rms_rel']:.1f} % unexplained."
     )
     if others:
-        named = " or ".join(f"a {other}" for other in others[:MOST_ALIKE])
-        more = f" ({len(others) - MOST_ALIKE} more)" if len(others) > MOST_ALIKE else ""
-        first += f" The measurements do not tell it from {named}{more}."
+        first += f" The measurements do not tell it from {' or '.join(f'a {other}' for other in others)}."
     return first
 
 
@@ -210,8 +204,7 @@ def notes(entry: dict[str, Any]) -> list[str]:
     pairs = list(zip(identifiability.get("weak") or [], identifiability.get("weak_error") or [], strict=True))
     if pairs:
         combinations = "; ".join(
-            f"{name} ({'not determined' if error > 1 else f'to {100 * error:.2g} %'})"
-            for name, error in pairs[:MOST_WEAK]
+            f"{name} ({'not determined' if error > 1 else f'to {100 * error:.2g} %'})" for name, error in pairs
         )
         texts.append(f"Least well determined in the sections, as one standard deviation: {combinations}.")
     if entry.get("at_bounds"):

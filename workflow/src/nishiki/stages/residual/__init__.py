@@ -25,11 +25,10 @@ LIMITS = (
 class ResidualSettings(Guarded, stage="residual", version=8, limits=LIMITS):
     """What the reflection model does not explain, as wavelet coefficients."""
 
-    target: Literal["bits_per_pixel", "bytes", "total_bytes", "psnr", "kept", "kept_of_all", "step"] = Field(
+    target: Literal["bits_per_pixel", "bytes", "total_bytes", "psnr"] = Field(
         "bits_per_pixel",
         description="what `amount` means: bits for each object pixel of each picture; bytes of the store; bytes of "
-        "all that a renderer needs (mesh, charts, cameras and lamps too); dB inside the silhouette; coefficients kept "
-        "as a fraction of the visible samples, or of all; the quantiser step itself",
+        "all that a renderer needs (mesh, charts, cameras and lamps too); dB inside the silhouette",
     )
     amount: float = Field(0.5, gt=0, description="the target's value; parameters and start states count")
     sufficient: Literal["auto", "never"] = Field(

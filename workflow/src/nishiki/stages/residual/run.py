@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 
@@ -45,7 +46,6 @@ SEARCH_TILES = 16  # on which the step is sought before the first pass over all
 SEARCH_SHARE = 0.25  # of the tiles: with fewer in all, a search on some saves nothing
 FIRST_STEP = 0.08  # of the quantiser, from which the search sets out
 PARAMETER_SHARE = 1.2  # parameter steps against those of equal effect on pictures
-OF_BYTES = ("bits_per_pixel", "bytes", "total_bytes")  # targets
 COARSER = 5
 """Factor on the step of texels beside pictures: left-out views of a jug have 26.5 dB with 10 kB and with 57 kB."""
 SEARCH_VIEWS = 6  # on which the step of pictures is sought
@@ -96,7 +96,7 @@ def run(context: Context) -> dict:
     else:
         goal = goal_of(settings, counts, others, texels.tiles)
         start, slope, expected = first_step(run_pass, piloted, settings, goal)
-        coarse, by_bytes = None, not alone and settings.target in OF_BYTES
+        coarse, by_bytes = None, not alone and settings.target != "psnr"
         photographed = picture_source(context, texels, source.kept) if by_bytes else None
         if photographed is not None:
             strayed = pack_strayed([strayed_parts(mesh, *view, photographed) for view in enumerate(cameras)])
@@ -104,7 +104,8 @@ def run(context: Context) -> dict:
             pictures = carried((photographed, scene, design, effort), settings, start, room - coarse.bytes, expected)
         encoded, alike = coarse, expected  # decibels of texels of as many bytes
         if pictures is None or expected is None or point_of(pictures).psnr_db < expected + UNSURE_DB:
-            encoded = search(run_pass, settings, goal, start, slope)
+            value = partial(measured, target=settings.target)
+            encoded = find_step(run_pass, value, goal, start=start, passes=settings.passes, slope=slope)
             alike = point_of(encoded).psnr_db
             if pictures is not None and point_of(pictures).psnr_db > alike:
                 encoded = coarse
@@ -177,9 +178,7 @@ def carried(
         found = piloted.at_step(step)
         return one_pass(photographed, scene, found, effort, threads=threads(), tiles=tiles, earlier=earlier)
 
-    def value(point: Point) -> float:
-        return math.log(max(1, point.bytes))
-
+    value = partial(measured, target="bytes")
     tiles = piloted.sample(SEARCH_VIEWS)
     share = len(tiles) / sum(refined is not None for refined in piloted.refined)
     sampled = find_step(
@@ -275,10 +274,7 @@ def goal_of(settings: ResidualSettings, counts: dict[str, int], others: dict[str
     amounts = {
         "bits_per_pixel": settings.amount * counts["pixels"] / 8,
         "bytes": settings.amount,
-        "kept": settings.amount * counts["visible"],
-        "kept_of_all": settings.amount * counts["samples"],
         "total_bytes": settings.amount - sum(others.values()) - frame_bytes(tiles),
-        "step": 1.0,
     }
     if amounts[settings.target] <= 0:
         sizes = ", ".join(f"{name} {size}" for name, size in others.items())
@@ -294,7 +290,7 @@ def measured(point: Point, target: str) -> float:
     """Return what a target is about, as a number that falls with the step."""
     if target == "psnr":
         return point.psnr_db / DECIBELS
-    return math.log(max(1, point.kept if target.startswith("kept") else point.bytes))
+    return math.log(max(1, point.bytes))
 
 
 def first_step(run_pass, piloted: Pilot, settings: ResidualSettings, goal: float) -> tuple[float, float, float | None]:
@@ -303,14 +299,12 @@ def first_step(run_pass, piloted: Pilot, settings: ResidualSettings, goal: float
     Third, the decibels that these reach; None where none are tried.
     """
     seen = sum(refined is not None for refined in piloted.refined)
-    if settings.target == "step":
-        return settings.amount, SLOPE, None
     if settings.passes == 1 or SEARCH_TILES > SEARCH_SHARE * seen:
         return FIRST_STEP, SLOPE, None
     tiles = piloted.sample(SEARCH_TILES)
     sampled = find_step(
         lambda step, earlier: run_pass(step, earlier, tiles),
-        lambda point: measured(point, settings.target),
+        partial(measured, target=settings.target),
         goal,
         start=FIRST_STEP,
         passes=settings.passes,
@@ -319,23 +313,6 @@ def first_step(run_pass, piloted: Pilot, settings: ResidualSettings, goal: float
     values = [measured(point, settings.target) - goal for point in sampled.curve]
     slope = slope_of([point.step for point in sampled.curve], values)
     return sampled.design.step, slope, point_of(sampled).psnr_db
-
-
-def search(run_pass, settings: ResidualSettings, goal: float, start: float, slope: float) -> EncodedObject:
-    """Search the pass that meets the target; a given step is solved for twice, from the first solution."""
-    if settings.target == "step":
-        passes = [run_pass(start)]
-        if settings.passes > 1:
-            passes.append(run_pass(start, passes[0]))
-        return replace(passes[-1], curve=[point_of(encoded) for encoded in passes])
-    return find_step(
-        run_pass,
-        lambda point: measured(point, settings.target),
-        goal,
-        start=start,
-        passes=settings.passes,
-        slope=slope,
-    )
 
 
 def diagnostics(encoded: EncodedObject, counts: dict[str, int]) -> dict:

@@ -16,8 +16,8 @@ from nishiki.render.cloth.scene import Brdf, BrdfTable, Surface
 from nishiki.render.cloth.studio import Studio, Viewpoint, studio, tubes
 from nishiki.render.cloth.surfaces import read_drape, sheet, swatch
 from nishiki.report.viewer.page import Blocks, pack_arrays, write_page
-from nishiki.stages.render import MeshSettings
-from nishiki.stages.render.cloth import surface_from_file
+from nishiki.stages.render import ClothRenderSettings, MeshSettings
+from nishiki.stages.render.cloth import FINEST_SIDE, surface_from_file
 
 PAGE = Path(__file__).with_suffix(".js")
 
@@ -69,10 +69,6 @@ def write_cloth(
     return {**write_page(blocks, manifest, PAGE), "shape_bytes": shape_bytes, "models": len(chosen)}
 
 
-SIDE = 193
-"""Points along a side of the draped cloth, as `cloth_render` draws it."""
-PAPER = 0.14
-"""Reflectance of the paper below, as `cloth_render` has it."""
 POSITION_STEPS = 1 << 16
 """Steps of a place in an extent of the cloth."""
 SIZE = (600, 800)
@@ -81,13 +77,13 @@ SIZE = (600, 800)
 
 def draped() -> Studio:
     """Return the cloth over a ball."""
-    return on_paper(sheet(read_drape(), side=SIDE)[0])
+    return on_paper(sheet(read_drape(), side=FINEST_SIDE)[0])
 
 
 def on_paper(surface: Surface) -> Studio:
     """Return a surface on paper without a wall: it is seen from all sides."""
     view = Viewpoint(np.radians(21), np.radians(12), 2.2, *SIZE)
-    return studio([surface], [], view, level=1.0, reflectance=PAPER, wall=False)
+    return studio([surface], [], view, level=1.0, reflectance=ClothRenderSettings().paper, wall=False)
 
 
 def flat() -> Studio:
@@ -98,7 +94,7 @@ def flat() -> Studio:
 def cylinders() -> Studio:
     """Three cylinders: warp upright, oblique and around."""
     view = Viewpoint(np.radians(12), 0.0, 2.6, *SIZE)
-    return studio(tubes(), [], view, level=1.0, reflectance=PAPER, wall=False, margin=1.1)
+    return studio(tubes(), [], view, level=1.0, reflectance=ClothRenderSettings().paper, wall=False, margin=1.1)
 
 
 SHAPES: dict[str, Callable[[], Studio]] = {"drape": draped, "flat": flat, "cylinders": cylinders}
