@@ -189,7 +189,7 @@ class Stage:
     wants: Callable[[Any], tuple[str, ...]] = lambda settings: ()
     uses: tuple[str, ...] = ()
     lacks: Callable[[SceneFacts, Any], str | None] = lambda facts, settings: None
-    needs_colour: bool = False
+    needs_colour: bool = True
     looks_at: Parts = lambda facts, settings, asked: ()
     filled: Callable[[Any, Any], dict[str, Any]] = lambda block, settings: {}
     libraries: tuple[str, ...] = ("numpy", "numba", "zarr")

@@ -32,7 +32,6 @@ PAINTING = Stage(
     settings=BrdfSettings,
     does="Torrance-Sparrow parameters",
     requires=("ingest", "normals"),
-    needs_colour=True,
     libraries=ARRAYS,
     cost=lambda facts: Cost(mib=260, tiles=0.9, seconds=2.2, us_per_pixel=6, us_per_sample=0.02),
 )
@@ -95,7 +94,6 @@ OBJECT = Stage(
     does="Lambert and Torrance-Sparrow parameters of every texel",
     geometry="turntable",
     requires=("ingest", "texels"),
-    needs_colour=True,
     libraries=ARRAYS,
     # with polarisers diffuse and specular part
     cost=lambda facts: Cost(
@@ -158,7 +156,6 @@ CLOTH = Stage(
     geometry="goniometer",
     requires=("goniometer_samples",),
     wants=lambda settings: ("weave",) * (not {"auto", "yarns"}.isdisjoint((settings.model, *settings.compare))),
-    needs_colour=True,
     looks_at=lambda facts, settings, asked: ("oblique",) * bool(settings["cloth_brdf"].oblique),
     libraries=("numpy", "scipy", "numba"),
     deliverables=("*.npz", "*.csv"),

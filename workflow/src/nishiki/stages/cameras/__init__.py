@@ -70,6 +70,7 @@ STAGE = Stage(
     does="where each view was taken from",
     geometry="turntable",
     requires=("ingest",),
+    needs_colour=False,
     lacks=lambda facts, settings: (
         None if facts.has_poses else "the capture has no camera matrices, no board pictures and no correspondences"
     ),

@@ -31,7 +31,6 @@ PAINTING = Stage(
         if facts.truth_sha256 or facts.check_lights or settings.hold_out
         else "there is no truth, the capture has no check lights and no light is held out (set hold_out)"
     ),
-    needs_colour=True,
     looks_at=lambda facts, settings, asked: ("check",),
     libraries=ARRAYS,
     cost=lambda facts: (
@@ -76,7 +75,6 @@ OBJECT = Stage(
     product="evaluate",
     requires=("ingest", "mesh", "cameras", "texels", "object_brdf", "residual"),
     wants=lambda settings: ("polarise",),
-    needs_colour=True,
     looks_at=photographs_or_states,
     libraries=(*ARRAYS, "pywavelets", OPENCV, "dracopy", "imagecodecs"),
     cost=lambda facts: Cost(mib=380, bytes_per_sample=90, seconds=5, us_per_sample=3),
@@ -103,7 +101,6 @@ CLOTH = Stage(
         if facts.measurements > facts.frontal or facts.truth_sha256
         else "the light stood at the normal of the cloth in every measurement: none is left to compare with"
     ),
-    needs_colour=True,
     looks_at=lambda facts, settings, asked: ("oblique",),
     libraries=("numpy", "scipy", "numba"),
     deliverables=("*.csv",),

@@ -98,7 +98,6 @@ STAGE = Stage(
     does="photographs by direction to reflectance, over the whole hemisphere",
     geometry="goniometer",
     requires=("ingest",),
-    needs_colour=True,
     # Asked for by name the reflectances themselves are wanted, all of them. A light within normal_deg counts as along
     # the normal, where ingest would take it for oblique.
     looks_at=lambda facts, settings, asked: (

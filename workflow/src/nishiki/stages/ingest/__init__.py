@@ -78,6 +78,7 @@ STAGE = Stage(
     settings=IngestSettings,
     does="photographs to linear, white-normalised observations",
     geometry=None,
+    needs_colour=False,
     libraries=(*ARRAYS, OPENCV, "OpenEXR", "rawpy"),
     idle={
         "rawpy": only_files(RAW_SUFFIXES, "camera raw"),

@@ -118,7 +118,6 @@ STAGE = Stage(
     does="the surface, from a file, range scans or silhouettes",
     geometry="turntable",
     requires=("ingest", "cameras"),
-    needs_colour=True,
     looks_at=_looks_at,
     libraries=(*ARRAYS, OPENCV, "scikit-image", "trimesh", "pymeshlab"),
     idle={

@@ -92,7 +92,6 @@ STAGE = Stage(
     requires=("ingest",),
     wants=lambda settings: ("separate",),
     filled=lambda block, settings: {"given_sha256": digest_of(block.given, "normals.given")} if block.given else {},
-    needs_colour=True,  # normals from luminance alone are others, so that they would depend on the products
     libraries=ARRAYS,
     cost=lambda facts: (  # with few lights the gloss is fitted together with the normals
         Cost(mib=560, tiles=2.2, bytes_per_pixel=8, seconds=8, us_per_pixel=9, us_per_sample=0.02)

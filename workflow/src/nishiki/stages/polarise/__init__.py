@@ -125,7 +125,6 @@ STAGE = Stage(
     lacks=lambda facts, settings: (
         no_method(facts, settings) if len(facts.states) > 1 else "the photographs show one polariser state only"
     ),
-    needs_colour=True,
     looks_at=lambda facts, settings, asked: ("photographs", "states", "white_states"),
     libraries=(*ARRAYS, OPENCV),
     deliverables=("*.png", "*.exr"),

@@ -95,7 +95,6 @@ PAINTING = Stage(
     of_mosaics=True,
     requires=("normals",),
     wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
-    needs_colour=True,
     filled=lambda block, settings: {
         "curves_sha256": {
             table: digest_of(table, "illuminant")
@@ -172,7 +171,6 @@ OBJECT = Stage(
     geometry="turntable",
     product="render",
     requires=("ingest", "mesh", "cameras", "texels", "object_brdf", "residual"),
-    needs_colour=True,
     libraries=(*ARRAYS, "pywavelets", "OpenEXR", OPENCV, "av"),
     idle={"av": no_film("object_render", "film")},
     deliverables=("*.png", "*.exr", "*.mp4", "*.webp"),
@@ -276,7 +274,6 @@ CLOTH = Stage(
     geometry="goniometer",
     product="render",
     requires=("cloth_brdf",),
-    needs_colour=True,
     filled=lambda block, settings: with_digest_of_mesh(block.mesh, "cloth_render"),
     libraries=("numpy", "scipy", "numba", "trimesh", "OpenEXR", OPENCV, "av"),
     idle={

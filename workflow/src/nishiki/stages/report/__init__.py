@@ -43,6 +43,7 @@ OBJECT = Stage(
     product="report",
     requires=("ingest",),
     wants=lambda settings: ("polarise",),
+    needs_colour=False,
     uses=(
         "cameras",
         "mesh",

@@ -53,7 +53,6 @@ STAGE = Stage(
     geometry="turntable",
     requires=("ingest", "mesh", "cameras", "texels", "object_brdf"),
     wants=lambda settings: ("polarise",),
-    needs_colour=True,
     looks_at=photographs_or_states,
     libraries=(*ARRAYS, OPENCV, "pywavelets", "dracopy"),
     cost=lambda facts: Cost(mib=340, bytes_per_sample=22, seconds=14, us_per_sample=20),

@@ -51,7 +51,6 @@ STAGE = Stage(
     does="lights that show only diffuse reflection",
     requires=("ingest",),
     lacks=no_method,
-    needs_colour=True,
     filled=lambda block, settings: {"lights": settings.normals.lights},
     cost=lambda facts: Cost(mib=300, tiles=2.0, seconds=2.5, us_per_pixel=2, us_per_sample=0.12),
     scatter=True,

@@ -63,7 +63,6 @@ STAGE = Stage(
     of_mosaics=True,
     requires=("ingest", "normals"),
     lacks=_no_spectra,
-    needs_colour=True,
     filled=lambda block, settings: (
         {} if block.training == "synthetic" else {"training_sha256": digest_of(block.training, "spectra.training")}
     ),

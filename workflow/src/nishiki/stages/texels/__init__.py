@@ -53,7 +53,6 @@ STAGE = Stage(
     geometry="turntable",
     requires=("ingest", "cameras", "mesh"),
     wants=lambda settings: ("polarise",),
-    needs_colour=True,
     looks_at=photographs_or_states,
     libraries=(*ARRAYS, OPENCV),
     # with polarisers all light, diffuse and specular part

@@ -26,7 +26,6 @@ PAINTING = Stage(
     requires=("ingest", "normals"),
     wants=lambda settings: ("height", "spectra", "brdf"),
     uses=("evaluate",),
-    needs_colour=True,
     libraries=("numpy", "numba", "jinja2", "zarr", OPENCV),
     threads=1,
     cost=lambda facts: Cost(  # a row of tiles of each level, as wide as the picture
@@ -48,7 +47,6 @@ OBJECT = Stage(
     geometry="turntable",
     product="viewer",
     requires=("ingest", "mesh", "cameras", "texels", "object_brdf", "residual"),
-    needs_colour=True,
     libraries=(*ARRAYS, "pywavelets", "jinja2", OPENCV),
     threads=1,
     cost=lambda facts: Cost(mib=270, seconds=4),
@@ -71,7 +69,6 @@ CLOTH = Stage(
     geometry="goniometer",
     product="viewer",
     requires=("ingest", "cloth_brdf"),
-    needs_colour=True,
     filled=lambda block, settings: (
         with_digest_of_mesh(block.mesh, "cloth_viewer")
         if block.mesh

@@ -69,7 +69,6 @@ STAGE = Stage(
     geometry="goniometer",
     requires=("goniometer_samples",),
     lacks=lambda facts, settings: None if facts.frontal else "no measurement has its light at the normal of the cloth",
-    needs_colour=True,
     libraries=("numpy", "scipy", "numba", OPENCV),
     deliverables=("*.ply", "*.png", "*.svg"),
     cost=lambda facts: Cost(mib=480, seconds=60),
