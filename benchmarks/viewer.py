@@ -28,7 +28,7 @@ from nishiki.artifacts.artifact import open_artifact  # noqa: E402
 from nishiki.render.cloth.models import ClothModels  # noqa: E402
 from nishiki.render.display import encoded  # noqa: E402
 from nishiki.render.object.decoded_object import DecodedObject  # noqa: E402
-from nishiki.stages.viewer.cloth import SHAPES  # noqa: E402
+from nishiki.stages.viewer.cloth import surfaces  # noqa: E402
 
 STATES = {
     "D65 45°": {"lamps": [lamp(90, 45)], "ambient": 0.05},
@@ -178,7 +178,7 @@ def measured_cloth(folder: Path) -> list[dict]:
     current, rows = folder / "current", []
     models = ClothModels(open_artifact(current / "cloth_brdf", contents=False).folder)
     others = [f"{models.regions[0]}-{name}" for name in models.names(models.regions[0]) if name != models.default]
-    states = [(shape, name, state) for shape in SHAPES for name, state in CLOTH_STATES.items()]
+    states = [(shape, name, state) for shape in surfaces(None) for name, state in CLOTH_STATES.items()]
     states += [("drape", name, {**CLOTH_STATES["35°"], "options": {"material": name}}) for name in others]
     with viewer_pages.opened(current / "cloth_viewer/index.html", width=1000, height=700) as page:
         for shape, name, state in states:
@@ -188,7 +188,7 @@ def measured_cloth(folder: Path) -> list[dict]:
             expected, cloth = viewer_pages.cloth_rendered(models, state, shape)
             errors = viewer_pages.difference(shown, expected)[cloth]
             rows.append({"shape": shape, "state": name, "mean": errors.mean(), "p99": np.percentile(errors, 99)})
-        for shape in SHAPES:
+        for shape in surfaces(None):
             page.set(**CLOTH_STATES["35°"], options={"shape": shape})
             frame = f"""() => {{
               const start = performance.now();

@@ -11,7 +11,7 @@ from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.cloth.models import ClothModels, dyed
 from nishiki.render.cloth.scene import Brdf, Surface
-from nishiki.render.cloth.studio import ClothPicture, Lighting, Viewpoint, linear_colour, studio, tubes, turning
+from nishiki.render.cloth.studio import ClothPicture, Lighting, Studio, Viewpoint, linear_colour, studio, tubes, turning
 from nishiki.render.cloth.surfaces import from_direction, from_texture, read_drape, read_surface, sheet
 from nishiki.render.display import DisplayImage, developed, exposure_for
 from nishiki.render.output import write_exr, write_png, write_video
@@ -78,6 +78,13 @@ def room(settings: ClothRenderSettings) -> dict:
     return {"level": settings.around, "reflectance": settings.paper}
 
 
+def in_view(settings: ClothRenderSettings, surface: Surface, rows: int, columns: int, *, wall: bool = True) -> Studio:
+    """Return the surface under its lamps, before the camera of the settings."""
+    elevation, azimuth = np.radians((settings.view.elevation_deg, settings.view.azimuth_deg))
+    place = Viewpoint(elevation, azimuth, settings.view.distance, rows, columns)
+    return studio([surface], lights_of(settings), place, wall=wall, **room(settings))
+
+
 BRIGHTEST = 0.95
 """Share of the display's white that the bright parts of the pictures may reach."""
 
@@ -88,26 +95,25 @@ def run(context: Context) -> dict:
     models = ClothModels(context.inputs["cloth_brdf"].folder)
     brdf = models.brdf(settings.region or models.regions[0], settings.model or None)
     draped = draped_cloth(settings)
-    surface = draped.surface
-    view = settings.view
-    elevation, azimuth = np.radians((view.elevation_deg, view.azimuth_deg))
-    place = Viewpoint(elevation, azimuth, view.distance, view.rows, view.columns)
-    stage = studio([surface], lights_of(settings), place, **room(settings))
+    surface, view = draped.surface, settings.view
+    stage = in_view(settings, surface, view.rows, view.columns)
     cloths = dyed(brdf, {name: linear_colour(colour) for name, colour in settings.dyes.items()})
-    named, takes = {}, []
+    takes = {}
     if settings.as_measured:
-        named |= {"drape": len(takes)}
-        takes.append(stage.take(brdf))
+        takes["drape"] = stage.take(brdf)
         for k, name in enumerate(settings.lights):
-            named[f"drape-light-{name}"] = len(takes)
-            takes.append(stage.take(brdf, tuple(float(k == other) for other in range(len(settings.lights)))))
-    for name, cloth in cloths.items():
-        named[f"drape-dye-{name}"] = len(takes)
-        takes.append(stage.take(cloth))
+            alone = tuple(float(k == other) for other in range(len(settings.lights)))
+            takes[f"drape-light-{name}"] = stage.take(brdf, alone)
+    takes |= {f"drape-dye-{name}": stage.take(cloth) for name, cloth in cloths.items()}
     context.progress.tell(f"{len(takes)} pictures of {view.columns} x {view.rows} pixels")
-    made = stage.render(takes, supersampling=settings.supersampling, shadows=settings.shadows) if takes else []
-    exposure = exposed(settings, [made[k] for name, k in named.items() if not name.startswith("drape-light-")])
-    pictures = {name: save(context, name, made[k], exposure) for name, k in named.items()}
+    rendered = (
+        stage.render(list(takes.values()), supersampling=settings.supersampling, shadows=settings.shadows)
+        if takes
+        else []
+    )
+    made = dict(zip(takes, rendered, strict=True))
+    exposure = exposed(settings, [each for name, each in made.items() if not name.startswith("drape-light-")])
+    pictures = {name: save(context, name, picture, exposure) for name, picture in made.items()}
     if settings.swatches:
         context.progress.tell("cylinders")
         pictures |= swatches(context, brdf, cloths)
@@ -185,11 +191,7 @@ def frames_of(context: Context, surface: Surface, brdf: Brdf):
     settings, block = context.settings, context.settings.film
     rows = round(block.columns * settings.view.rows / settings.view.columns)
     rows += rows % 2
-    view = settings.view
-
-    elevation, azimuth = np.radians((view.elevation_deg, view.azimuth_deg))
-    place = Viewpoint(elevation, azimuth, view.distance, rows, block.columns)
-    stage = studio([surface], lights_of(settings), place, wall=False, **room(settings))
+    stage = in_view(settings, surface, rows, block.columns, wall=False)
     exposure = None
     for angle in turning(block.frames):
         now = stage.turned(angle) if block.moves == "turn" else stage.lit_from(angle)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -75,37 +76,23 @@ SIZE = (600, 800)
 """Of the picture that the first view of a surface fills."""
 
 
-def draped() -> Studio:
-    """Return the cloth over a ball."""
-    return on_paper(sheet(read_drape(), side=FINEST_SIDE)[0])
-
-
-def on_paper(surface: Surface) -> Studio:
-    """Return a surface on paper without a wall: it is seen from all sides."""
-    view = Viewpoint(np.radians(21), np.radians(12), 2.2, *SIZE)
-    return studio([surface], [], view, level=1.0, reflectance=ClothRenderSettings().paper, wall=False)
-
-
-def flat() -> Studio:
-    """Return a flat sample that faces the eye, weft to the right."""
-    return studio([swatch(1.0, 1.0)], [], Viewpoint(0.0, 0.0, 2.2, *SIZE), level=1.0, reflectance=0.0)
-
-
-def cylinders() -> Studio:
-    """Three cylinders: warp upright, oblique and around."""
-    view = Viewpoint(np.radians(12), 0.0, 2.6, *SIZE)
-    return studio(tubes(), [], view, level=1.0, reflectance=ClothRenderSettings().paper, wall=False, margin=1.1)
-
-
-SHAPES: dict[str, Callable[[], Studio]] = {"drape": draped, "flat": flat, "cylinders": cylinders}
-FILE = "file"
-"""Name of the surface of a file, whose unit of length nobody knows."""
+def on_paper(cloths: list[Surface], view: Viewpoint, **more: Any) -> Studio:
+    """Return surfaces on paper without a wall: they are seen from all sides."""
+    return studio(cloths, [], view, level=1.0, reflectance=ClothRenderSettings().paper, wall=False, **more)
 
 
 def surfaces(mesh: MeshSettings | None) -> dict[str, Callable[[], Studio]]:
-    """Return what the page shows, by name; the surface of a file first."""
-    own = {} if mesh is None else {FILE: lambda: on_paper(surface_from_file(mesh).surface)}
-    return own | SHAPES
+    """Return what the page shows, by name; the surface of a file, whose unit of length nobody knows, first.
+
+    drape: over a ball; flat: a sample that faces the eye, weft to the right; cylinders: warp upright, oblique, around.
+    """
+    above = Viewpoint(np.radians(21), np.radians(12), 2.2, *SIZE)
+    own = {} if mesh is None else {"file": lambda: on_paper([surface_from_file(mesh).surface], above)}
+    return own | {
+        "drape": lambda: on_paper([sheet(read_drape(), side=FINEST_SIDE)[0]], above),
+        "flat": lambda: studio([swatch(1.0, 1.0)], [], Viewpoint(0.0, 0.0, 2.2, *SIZE), level=1.0, reflectance=0.0),
+        "cylinders": lambda: on_paper(tubes(), Viewpoint(np.radians(12), 0.0, 2.6, *SIZE), margin=1.1),
+    }
 
 
 @dataclass(frozen=True)
