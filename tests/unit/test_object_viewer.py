@@ -55,14 +55,14 @@ def test_surface_is_that_of_mesh_and_atlas(decoded):
 
 def test_the_page_holds_the_coded_streams_byte_for_byte(decoded):
     residual, parts = decoded.residual, list(stream_parts(decoded))
-    assert [part.name.split("-")[0] for part in parts] == ["parameters", "residual"]
+    assert [part["name"].split("-")[0] for part, _ in parts] == ["parameters", "residual"]
     whole = np.asarray(open_array(residual.path)[:]).tobytes()
     streams = whole[head_length(whole) :]
     at = {"parameters": 0, "residual": 0}
     for tile in range(residual.tiles):
-        for part, length in zip(parts, (residual.stored(tile)[0], sum(residual.stored(tile)[1:])), strict=True):
-            name = part.name.split("-")[0]
-            assert part.data[at[name] : at[name] + length] == streams[:length]
+        for (part, data), length in zip(parts, (residual.stored(tile)[0], sum(residual.stored(tile)[1:])), strict=True):
+            name = part["name"].split("-")[0]
+            assert data[at[name] : at[name] + length] == streams[:length]
             streams, at[name] = streams[length:], at[name] + length
     assert streams == b""
 

@@ -12,8 +12,11 @@ from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import display_map, displayed_colours
+from nishiki.evaluate.prediction import light_of
+from nishiki.observations.parcels import point_mm
+from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
-from nishiki.render.plane.scene import Gloss
+from nishiki.render.plane.scene import Gloss, Light
 from nishiki.render.plane.shade import PlaneMaps
 from nishiki.report.page import read_json
 from nishiki.threads import strips
@@ -180,3 +183,18 @@ def each_map(model: PlaneMaps, change: Callable[[np.ndarray], np.ndarray]) -> Pl
     maps = {name: each for name, each in model._asdict().items() if name != "gloss" and each is not None}
     changed: dict[str, Any] = {name: change(each) for name, each in maps.items()}
     return model._replace(**changed)
+
+
+def captured_lamp(frames: Observations, number: int, angular_radius: float = 0.0) -> Light:
+    """Return the lamp of a captured light, at its position where the capture gives one; its radius in radians."""
+    rows, columns = frames.shape
+    position, centre = None, None
+    if frames.positions_mm is not None:
+        position, centre = frames.positions_mm[number], point_mm(frames, (rows - 1) / 2, (columns - 1) / 2)
+    return light_of(
+        frames.directions[number],
+        position,
+        centre=centre,
+        white_board=frames.white_board,
+        angular_radius=angular_radius,
+    )

@@ -16,7 +16,6 @@ from nishiki.evaluate.maps import Pool, height_error, normal_errors, reflectance
 from nishiki.evaluate.prediction import (
     PredictedLight,
     channel_colour,
-    light_of,
     predict_light,
     seen_from,
     spectral_colour,
@@ -25,11 +24,10 @@ from nishiki.evaluate.relighting import LightComparison, PreviewPair, truth_diff
 from nishiki.evaluate.tables import COLUMNS, headlines, planned_truth, rows_of, write_tables
 from nishiki.evaluate.truth import Truth, truth_from
 from nishiki.formats.stored import load_arrays, open_group
-from nishiki.observations.parcels import point_mm
 from nishiki.observations.plane import Observations
 from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shade import PlaneMaps, cast_shadows
-from nishiki.stages.painting_maps import PaintingMaps
+from nishiki.stages.painting_maps import PaintingMaps, captured_lamp
 
 DARK_SHARE = 0.25  # of a region, that is scored apart
 LARGEST_LEVEL_ERROR = 0.1  # relative, of the light of a part under any lamp, beyond which no level is stated
@@ -207,7 +205,7 @@ def one_light(
     """
     frames, name = scene.frames, scene.frames.lights[j]
     height = scene.relief if context.settings.cast_shadows and scene.casts_shadows else None
-    light = lamp(context, scene, j)
+    light = captured_lamp(frames, j, float(np.radians(context.settings.lamp_diameter_deg / 2)))
     visibility = None if height is None else cast_shadows(height, [light], pitch=scene.pitch).visibility
     known_truth = truth.check(name)
     comparison = LightComparison.of(frames.shape, scene.camera)
@@ -257,19 +255,6 @@ def one_light(
     out.write(f"de00_{j:03d}", comparison.de00_map, unit="CIEDE2000", light=name, nan=f"not compared: classes_{j:03d}")
     out.write(f"classes_{j:03d}", comparison.classes, meaning={str(k): v for k, v in NAMES.items()}, light=name)
     return score, comparison.de00_map, sums
-
-
-def lamp(context: Context, scene: EvaluatedScene, j: int) -> Light:
-    """Return the lamp of a light, at its position where the capture gives one."""
-    frames = scene.frames
-    position, centre = None, None
-    if frames.positions_mm is not None:
-        position = frames.positions_mm[j]
-        centre = point_mm(frames, (frames.shape[0] - 1) / 2, (frames.shape[1] - 1) / 2)
-    radius = float(np.radians(context.settings.lamp_diameter_deg / 2))
-    return light_of(
-        frames.directions[j], position, centre=centre, white_board=frames.white_board, angular_radius=radius
-    )
 
 
 def colours_for(scene: EvaluatedScene) -> dict:

@@ -5,8 +5,8 @@ integer arithmetic; mesh and charts come as integers, wavelets as sparse matrice
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,10 +40,10 @@ def write_object(decoded: DecodedObject, blocks: Blocks, about: dict, *, without
     described = pack_arrays(decoder_arrays(decoded))
     blocks.add("object", described)
     streams, coded_bytes = [], 0
-    for part in stream_parts(decoded):
-        blocks.add(part.name, part.data)
-        streams.append({"name": part.name, "first": part.first, "stop": part.stop})
-        coded_bytes += len(part.data)
+    for part, data in stream_parts(decoded):
+        blocks.add(part["name"], data)
+        streams.append(part)
+        coded_bytes += len(data)
     manifest = {"format": 1, "chain": "object", **about, "streams": streams}
     sizes = write_page(blocks, manifest | object_manifest(decoded, without=without), PAGE)
     return {
@@ -56,16 +56,6 @@ def write_object(decoded: DecodedObject, blocks: Blocks, about: dict, *, without
 
 CHART_STEPS = 256  # steps of a texel: places on the charts are rounded to these
 PART_BYTES = 256 << 10  # of the streams of several tiles that are loaded together
-
-
-@dataclass(frozen=True)
-class StreamPart:
-    """The streams of one kind of the tiles first .. stop - 1: parameters (0), or the residual's."""
-
-    name: str
-    first: int
-    stop: int
-    data: bytes
 
 
 def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
@@ -158,15 +148,18 @@ def plane_arrays(name: str, plane: Plane) -> dict[str, np.ndarray]:
     return arrays
 
 
-def stream_parts(decoded: DecodedObject) -> Iterator[StreamPart]:
-    """Yield the coded streams, byte for byte, in parts that are loaded one by one: parameters first."""
+def stream_parts(decoded: DecodedObject) -> Iterator[tuple[dict[str, Any], bytes]]:
+    """Yield the coded streams of the tiles first .. stop - 1, byte for byte, in parts that are loaded one by one.
+
+    First come the parameters' streams (0), then the residual's.
+    """
     residual = decoded.residual
     for kind, streams in (("parameters", slice(0, 1)), ("residual", slice(1, None))):
         first, held = 0, []
         for tile in range(residual.tiles):
             held.append(b"".join(residual.stream(tile, n) for n in range(len(residual.stored(tile)))[streams]))
             if sum(map(len, held)) >= PART_BYTES or tile + 1 == residual.tiles:
-                yield StreamPart(f"{kind}-{first}", first, tile + 1, b"".join(held))
+                yield {"name": f"{kind}-{first}", "first": first, "stop": tile + 1}, b"".join(held)
                 first, held = tile + 1, []
 
 

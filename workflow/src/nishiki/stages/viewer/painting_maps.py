@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.colour.colour import srgb_matrix
-from nishiki.evaluate.prediction import light_of, predict_light
-from nishiki.observations.parcels import point_mm
+from nishiki.evaluate.prediction import predict_light
 from nishiki.observations.plane import Observations
 from nishiki.progress import Progress
 from nishiki.render.plane.shade import PlaneMaps, entering
@@ -27,7 +26,7 @@ from nishiki.report.viewer.encoding import (
 )
 from nishiki.report.viewer.page import Blocks
 from nishiki.report.viewer.pyramid import filled
-from nishiki.stages.painting_maps import PaintingMaps, each_map
+from nishiki.stages.painting_maps import PaintingMaps, captured_lamp, each_map
 from nishiki.threads import strips
 
 SAMPLES = 60_000
@@ -149,17 +148,8 @@ def photographs_of(
     photographs = np.concatenate(observed, axis=1)
     model = sampled_model(maps, frames, first, step)
     pitch = (frames.pixel_pitch_mm or 1.0) * step
-    positions = frames.positions_mm
-    centre = None if positions is None else point_mm(frames, (rows - 1) / 2, (columns - 1) / 2)
-    predicted = np.stack([
-        predict_light(
-            model,
-            light_of(frames.directions[j], None if positions is None else positions[j], centre=centre,
-                     white_board=frames.white_board),
-            pitch=pitch,
-        ).channels.mean(axis=-1)
-        for j in range(count)
-    ])  # fmt: skip
+    lamps = (captured_lamp(frames, j) for j in range(count))
+    predicted = np.stack([predict_light(model, lamp, pitch=pitch).channels.mean(axis=-1) for lamp in lamps])
     pair = np.stack([photographs, predicted])
     white = float(max(np.nan_to_num(pair).max(), 1e-6))
     codes = np.rint(np.sqrt(np.clip(np.nan_to_num(pair), 0, None) / white) * TOP)
