@@ -28,7 +28,7 @@ from nishiki.stages.report import ObjectReportSettings
 from nishiki.stages.report.capture import facts_of_object
 from nishiki.stages.report.object import at_a_glance, facts, sentences, turn_plot
 from nishiki.stages.report.object import rows as rows_of_mesh
-from nishiki.stages.report.object_reflection import bytes_bars, parameter_figures, rate_curve
+from nishiki.stages.report.object_reflection import bytes_bars, parameter_figures
 from nishiki.stages.residual import ResidualSettings
 from nishiki.stages.texels import TexelsSettings
 
@@ -285,10 +285,6 @@ def test_drawings():
     assert turn_plot(np.zeros((1, 3)), ["a"], set()).startswith("<svg")
     assert "total" not in bytes_bars({"total": 10, "residual": 4})
     assert bytes_bars({}) == ""
-    drawing = rate_curve(residual_of(None))
-    assert drawing.count("<circle") == 3 + 1 + 2  # tried, the model, the legend
-    assert rate_curve({**residual_of(None), "model_psnr_db": None}) == ""
-    assert rate_curve({**residual_of(None), "curve": []}) == ""
 
 
 def test_sections_of_little():

@@ -30,11 +30,11 @@ from nishiki.report.pictures import (
     sea,
 )
 from nishiki.report.scene_page import conditions, flat, settings_rows, text
-from nishiki.report.svg import Axis, Curve, bars, chart, legend_places, lights_plot, ticks
+from nishiki.report.svg import Axis, Curve, bars, chart, lights_plot, ticks
 from nishiki.stages.render import RenderSettings
 from nishiki.stages.report.painting import choices, describe, exposed, gloss_section, verdict
 from nishiki.stages.report.painting_prediction import chosen, signed_difference, signed_end
-from nishiki.stages.report.painting_surface import _of_places, _widest_place, spread_out
+from nishiki.stages.report.painting_surface import _of_places, spread_out
 from nishiki.stages.separate import SeparateSettings
 
 
@@ -167,22 +167,6 @@ def test_a_chart_is_well_formed_whatever_the_names():
     assert chart([], x_label="x", y_label="y", title="empty").startswith("<svg")
 
 
-def test_a_legend_keeps_inside_the_drawing_and_apart_from_the_curves():
-    labels = ["measured", "facets on yarns", "BARD, great circle", "anisotropic GGX", "Ashikhmin-Shirley"]
-    places = legend_places(labels, 60, 400)
-    assert [row for _, row in places] == sorted(row for _, row in places)
-    for (left, row), (right, next_row), label in zip(places, places[1:], labels, strict=False):
-        assert left == 60 or row == next_row or left + 6 * len(label) < 400
-        assert next_row > row or left + 6 * len(label) < right
-    curves = [Curve(label, np.arange(3), np.arange(3.0)) for label in labels]
-    svg = chart(curves, x_label="x", y_label="y", title="t", size=(412, 300))
-    texts = [t for t in ElementTree.fromstring(svg).iter("text") if t.text in labels]
-    lowest = max(float(text.attrib["y"]) for text in texts)
-    lines = [p.attrib["d"] for p in ElementTree.fromstring(svg).iter("path") if p.attrib["stroke-width"] == "1.8"]
-    assert len(lines) == len(labels)
-    assert all(float(point.split()[1]) > lowest for line in lines for point in line[1:].split("L"))
-
-
 def test_points_outside_a_chart_are_not_drawn():
     curve = Curve("", np.array([0.5, 0.5, 5.0]), np.array([0.5, 9.0, 0.5]), dots=True)
     svg = chart([curve], x_label="x", y_label="y", title="t", x_range=(0, 1), y_range=(0, 1))
@@ -245,20 +229,6 @@ def test_a_number_reads_back_to_its_digits_and_never_shows_an_e(value, digits, p
     assert back == pytest.approx(value, rel=0.51 * 10.0 ** (1 - digits), abs=0)
 
 
-def test_a_map_of_one_value_becomes_a_sentence():
-    values = np.full((40, 50), 12.0)
-    assert scalar_picture(values, sea(), unit="lights").even.split()[0] == "12"
-    values[0, 0] = 9
-    even = scalar_picture(values, sea(), unit="lights")
-    assert (even.even.split()[0], even.source) == ("12", "")
-    values[:3] = 9
-    assert scalar_picture(values, sea(), unit="lights").source
-    classes, key = np.zeros((40, 50)), {0: ("#102030", "no flag"), 1: ("#fefdfc", "flag")}
-    assert class_picture(classes, key).even.startswith("no flag")
-    classes[0, :3] = 1
-    assert class_picture(classes, key).source
-
-
 @pytest.mark.parametrize(
     ("columns", "pitch", "percent", "label"),
     [(1000, 0.1, 20.0, "20 mm"), (4000, 1.0, 25.0, "1 m"), (640, 0.0004, 19.53125, "50 µm"), (100, None, None, None)],
@@ -278,13 +248,6 @@ def test_marks_stand_at_the_places_whose_spectra_are_drawn():
     assert [text for _, _, text in marks] == [str(k + 1) for k in range(len(charts))]
     for chart_, (x, y, number) in zip(charts, marks, strict=True):
         assert chart_.heading == f"{number}: row {int(y) * 4 + 2}, column {int(x) * 4 + 2}"
-
-
-def test_a_region_is_marked_where_it_is_widest():
-    inside = np.zeros((20, 30), bool)
-    inside[4, :] = True
-    inside[8:17, 10:19] = True
-    assert _widest_place(inside) == (14.5, 12.5)
 
 
 def test_the_signed_difference_is_the_luminance_of_what_was_predicted_too_much():

@@ -39,10 +39,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture, drawing or film with its caption. A map of one value is shown as a sentence instead.
+    """A picture, drawing or film with its caption.
 
     picture, svg, video : one of them, video as data URI; ruler : scale bar below the picture; swatch : #rrggbb before
-    the heading; link : page that a click on the picture opens.
+    the heading.
     """
 
     heading: str
@@ -52,7 +52,6 @@ class Figure:
     video: str = ""
     ruler: Ruler | None = None
     swatch: str = ""
-    link: str = ""
 
 
 @dataclass(frozen=True)

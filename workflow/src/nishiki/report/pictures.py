@@ -73,8 +73,7 @@ class PagePicture:
     """Hold a picture inside the page.
 
     `source` is a data URI; columns, rows its size; scale its colour bar, or None; key: (colour, meaning) of a map of
-    classes; even: what to say in place of a picture of one flat colour; marks: (x, y, text), numbered places in pixels
-    of the picture.
+    classes; marks: (x, y, text), numbered places in pixels of the picture.
     """
 
     source: str
@@ -82,12 +81,9 @@ class PagePicture:
     rows: int
     scale: Scale | None = None
     key: tuple[tuple[str, str], ...] = ()
-    even: str = ""
     marks: tuple[tuple[float, float, str], ...] = ()
 
 
-EVEN_PERCENTILES, EVEN_SHARE = (0.25, 99.75), 0.9995
-EVERYWHERE, ALMOST_EVERYWHERE = "everywhere on the object", "almost everywhere on the object"
 RULER_SHARE = 0.3
 """Longest scale bar, as a share of the width of the picture."""
 
@@ -153,24 +149,13 @@ def scalar_picture(values: np.ndarray, table: np.ndarray, *, unit: str, low=None
     high = float(np.percentile(known, 99)) if high is None and known.size else float(high or 1.0)
     if not high > low:
         high = low + 1.0
-    if even := _even(values, unit, digits):
-        return PagePicture("", values.shape[1], values.shape[0], even=even)
     stops = tuple(hexadecimal(colour) for colour in table[:: 255 // 5])
     scale = Scale(plain(low, digits), plain(high, digits), unit, stops)
     return encoded(coloured(values, table, low, high), scale=scale)
 
 
 def class_picture(classes: np.ndarray, key: dict[int, tuple[str, str]]) -> PagePicture:
-    """Picture of classes (rows, columns); key: class -> (#rrggbb, meaning); other values in the colour of missing.
-
-    No picture, but a sentence, where (almost) all pixels are of one class.
-    """
-    shares = {value: np.count_nonzero(classes == value) for value in key}
-    total = max(1, sum(shares.values()))
-    most = max(shares, key=lambda value: shares[value])
-    if shares[most] >= EVEN_SHARE * total:
-        where = EVERYWHERE if shares[most] == total else ALMOST_EVERYWHERE
-        return PagePicture("", classes.shape[1], classes.shape[0], even=f"{key[most][1]} {where}")
+    """Picture of classes (rows, columns); key: class -> (#rrggbb, meaning); other values in the colour of missing."""
     codes = np.empty((*classes.shape, 3), np.uint8)
     codes[...] = MISSING
     for value, (colour, _) in key.items():
@@ -256,15 +241,3 @@ def _shrunk(data: bytes, widest: int) -> np.ndarray:
     linear = decode(codes[..., ::-1] / np.float32(255), "srgb")
     small = shrink(lambda rows: linear[rows], codes.shape[:2], block)
     return np.round(255 * srgb_encode(small)).astype(np.uint8)
-
-
-def _even(values: np.ndarray, unit: str, digits: int) -> str:
-    """Return what a caption says in place of a map that shows one value; empty where the map has something to show."""
-    known = values[np.isfinite(values)]
-    if not known.size:
-        return ""
-    low, high = (plain(float(v), digits) for v in np.percentile(known, EVEN_PERCENTILES))
-    if low != high:
-        return ""
-    ends = {plain(float(v), digits) for v in (known.min(), known.max())}
-    return f"{low} {unit} {EVERYWHERE if len(ends) == 1 else ALMOST_EVERYWHERE}"

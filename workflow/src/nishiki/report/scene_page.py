@@ -17,7 +17,6 @@ from nishiki.report.page import (
     Cell,
     EmbeddedPage,
     Facts,
-    Figures,
     Fold,
     Listing,
     Metric,
@@ -79,7 +78,7 @@ def write_scene_page(
     if viewer:
         address, summary = f"{viewer}/index.html", "move lamps or the object, zoom, measure, compare: loaded at a click"
         frame = Section("viewer", "Look for yourself", [EmbeddedPage(address, "Viewer", summary)], "Viewer")
-        shown = [frame, *(open_viewer(section, address) for section in shown[:1]), *shown[1:]]
+        shown = [frame, *shown]
     page = Page(
         title=settings.title or head.title or stamp["scene"],
         subtitle=Markup("Scene <code>{}</code>, {}.").format(stamp["scene"], head.about),
@@ -105,19 +104,6 @@ def write_scene_page(
         "about": head.about,
         "figures": [dataclasses.asdict(tile) for tile in head.tiles],
     }
-
-
-def open_viewer(section: Section, address: str) -> Section:
-    """Return the section with a first picture that opens the viewer at a click."""
-    blocks = list(section.blocks)
-    for place, block in enumerate(blocks):
-        if isinstance(block, Figures) and block.items and block.items[0].picture:
-            first = block.items[0]
-            caption = f"Click: the viewer. {first.caption}"
-            first = dataclasses.replace(first, link=address, caption=caption)
-            blocks[place] = dataclasses.replace(block, items=[first, *block.items[1:]])
-            break
-    return dataclasses.replace(section, blocks=blocks)
 
 
 def closing_sections(

@@ -16,8 +16,8 @@ INK, SOFT, GRID, PAPER = "#22262b", "#6b7178", "#e3e3df", "#fff"
 FONT = "Source Sans 3,Segoe UI,Roboto,Arial,sans-serif"
 LEFT, BOTTOM = 66, 44
 """Room for the labels of the axes, pixels."""
-LEGEND_ROW, LEGEND_LINE, LEGEND_LETTER = 17, 20, 6.2
-"""Height of a row of a legend, length of its lines, mean width of a letter of 11 pixels; pixels."""
+LEGEND_ROW, LEGEND_LINE = 17, 20
+"""Height of a row of a legend, length of its lines, pixels."""
 
 
 class Drawing:
@@ -178,8 +178,8 @@ def chart(
     width, height = size
     x = Axis(*(x_range or _range([curve.x for curve in curves])), LEFT, width - 12)
     low, high = y_range or _range([curve.y for curve in curves], zero=True)
-    legend = legend_places([curve.label for curve in curves if curve.label], x.start, x.end)
-    above = LEGEND_ROW * (1 + max((row for _, row in legend), default=-1))
+    named = [curve for curve in curves if curve.label]
+    above = LEGEND_ROW * len(named)
     y = Axis(low, high, above + height - BOTTOM, above + 10, logarithmic)
     drawing = Drawing(width, above + height, title)
     draw_axes(drawing, x, y, x_label, y_label)
@@ -195,27 +195,15 @@ def chart(
         else:  # a line runs to the edge
             commands = outline(np.where(inside, across, np.nan), np.clip(up, y.end - margin, y.start + margin))
             drawing.path(commands, stroke=curve.colour, width=1.8, dashed=curve.dashed, dash=curve.dash)
-    for curve, (left, row) in zip((curve for curve in curves if curve.label), legend, strict=True):
+    for row, curve in enumerate(named):
         at = 8 + LEGEND_ROW * row
         if curve.dots:
-            drawing.circle(left + LEGEND_LINE / 2, at, 2.6, fill=curve.colour)
+            drawing.circle(LEFT + LEGEND_LINE / 2, at, 2.6, fill=curve.colour)
         else:
-            commands = f"M{left:.1f} {at}h{LEGEND_LINE}"
+            commands = f"M{LEFT} {at}h{LEGEND_LINE}"
             drawing.path(commands, stroke=curve.colour, width=2, dashed=curve.dashed, dash=curve.dash)
-        drawing.text(left + LEGEND_LINE + 5, at + 4, curve.label, size=11)
+        drawing.text(LEFT + LEGEND_LINE + 5, at + 4, curve.label, size=11)
     return drawing.finish()
-
-
-def legend_places(labels: Sequence[str], start: float, end: float) -> list[tuple[float, int]]:
-    """Left end and row of each entry of a legend between two pixels: side by side, in as few rows as hold them."""
-    places, left, row = [], start, 0
-    for label in labels:
-        width = LEGEND_LINE + 5 + LEGEND_LETTER * len(label)
-        if left > start and left + width > end:
-            left, row = start, row + 1
-        places.append((left, row))
-        left += width + 14
-    return places
 
 
 def _range(arrays: list[np.ndarray], *, zero: bool = False) -> tuple[float, float]:

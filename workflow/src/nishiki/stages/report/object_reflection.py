@@ -12,7 +12,7 @@ from nishiki.brdf.texels.parameters import ParameterMaps, TexelFlag
 from nishiki.report.numbers import figure, percent
 from nishiki.report.page import Block, Facts, Figure, Figures, Fold, Section, Table
 from nishiki.report.pictures import brightened, brightening, colour_picture, scalar_picture, sea
-from nishiki.report.svg import PALETTE, Curve, bars, chart
+from nishiki.report.svg import bars
 
 LIGHTING = {
     "camera": "a lamp beside the camera",
@@ -139,12 +139,6 @@ def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any]
     items = []
     if drawing := bytes_bars(parts):
         items.append(Figure("Where the bytes go", "Everything that a renderer needs.", svg=drawing))
-    if drawing := rate_curve(residual):
-        caption = (
-            "Parameters and residual together: the model alone, and the steps that the allocation tried on its way to "
-            "the target. Nothing was measured between them."
-        )
-        items.append(Figure("Quality against bytes", caption, svg=drawing))
     rows = [(_part_name(name), size) for name, size in parts.items()]
     blocks: list[Block] = [intro, Facts(facts), Figures(items), Fold("Bytes", "by part", [Table((), rows, "lr")])]
     return Section("residual", "Residual", blocks)
@@ -155,34 +149,6 @@ def bytes_bars(parts: dict[str, int]) -> str:
     rows = sorted(((size, name) for name, size in parts.items() if name not in SUMS), key=lambda row: (-row[0], row[1]))
     labels = [_part_name(name) for _, name in rows]
     return bars([size / 1000 for size, _ in rows], labels, title="bytes by part", unit="kB") if rows else ""
-
-
-def rate_curve(residual: dict[str, Any]) -> str:
-    """Draw PSNR against bytes of the model and of the settings tried; empty where either is missing."""
-    tried = sorted(
-        (point["bytes"] / 1000, point["psnr_db"])
-        for point in residual.get("curve") or []
-        if point.get("psnr_db") is not None
-    )
-    alone, parameters = residual.get("model_psnr_db"), (residual.get("bytes") or {}).get("parameters")
-    if not tried or alone is None or parameters is None:
-        return ""
-    kilobytes, quality = np.array(tried).T
-    curves = [
-        Curve("with residual", kilobytes, quality, dots=True),
-        Curve("", kilobytes, quality),
-        Curve("model alone", np.array([parameters / 1000]), np.array([alone]), colour=PALETTE[1], dots=True),
-    ]
-    low, high = min(alone, quality.min()), max(alone, quality.max())
-    room = max(0.08 * (high - low), 0.5)
-    return chart(
-        curves,
-        x_label="kB",
-        y_label="PSNR, dB",
-        title="quality against bytes",
-        x_range=(0, 1.05 * kilobytes.max()),
-        y_range=(low - room, high + room),
-    )
 
 
 def _part_name(name: str) -> str:

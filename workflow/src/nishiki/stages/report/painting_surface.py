@@ -34,7 +34,7 @@ from nishiki.report.pictures import (
     scalar_picture,
     sea,
 )
-from nishiki.report.svg import DASHES, INK, PALETTE, SOFT, Curve, chart
+from nishiki.report.svg import DASHES, PALETTE, SOFT, Curve, chart
 
 # From harmless to grave: later ones win where a block of pixels has several.
 CLASSES = (
@@ -193,7 +193,6 @@ def _height(page: PageMaps, shape: tuple[int, int], block: int, known: np.ndarra
 
 
 CURVES = 9  # on the page
-LEAST_SHARE = 0.002  # of the pixels, of a region that is drawn
 ILLUMINANTS = {"D65": "daylight, D65", "A": "incandescent, A", "FL11": "fluorescent of three narrow bands, FL11"}
 UNDER_D65 = "CIEDE2000 of the diffuse reflectance under D65, not under the lamp of the capture."
 EXPECTED_ERROR = "for surfaces like those of the training set; light patches are colours unlike any of them."
@@ -231,17 +230,7 @@ def colour_section(page: PageMaps, *, camera: CameraColour, expected_de00: dict[
     sigma = shrink(lambda rows: masked(spectra, "sigma", rows), shape, block)
     profile = np.array(spectra.attributes("sigma")["profile"])
     truth = page.evaluation.get("reflectance") or {}
-    if truth.get("regions"):
-        labels = None
-        if evaluated is not None and "regions" in evaluated:
-            labels = np.asarray(evaluated.read("regions"))[block // 2 :: block, block // 2 :: block]
-        curves, marks = _of_regions(truth["regions"], truth["region_names"], labels)
-        numbered = ", each numbered in the picture above where it is widest" if marks else ""
-        means = "mean of the estimated spectra, and of the true ones (dashed)"
-        about = f"Regions that differ most in colour{numbered}: {means}."
-    else:
-        curves, marks = _of_places(small, xyz, basis, sigma[..., None] * profile, block)
-        about = PLACES
+    curves, marks = _of_places(small, xyz, basis, sigma[..., None] * profile, block)
     items = [_diffuse(xyz_to_srgb_linear(xyz), "from the spectra of the pixels, under D65", marks, ruler)]
     if evaluated is not None and "reflectance_de00" in evaluated:
         difference = shrink(lambda rows: evaluated.read("reflectance_de00", rows), shape, block)
@@ -251,7 +240,7 @@ def colour_section(page: PageMaps, *, camera: CameraColour, expected_de00: dict[
     items.append(Figure("Expected error of the spectra", EXPECTED_ERROR, picture))
     blocks: list[Block] = [Figures(items)]
     if curves:
-        blocks += [Heading("Spectra"), f"{about} {VARNISH}", Figures(curves, 3)]
+        blocks += [Heading("Spectra"), f"{PLACES} {VARNISH}", Figures(curves, 3)]
     return Section("colour", "Colour", [*blocks, *_tables(expected_de00, truth)])
 
 
@@ -300,37 +289,6 @@ def spread_out(points: np.ndarray, count: int, first: int) -> list[int]:
     return chosen
 
 
-def _of_regions(regions: list[dict], names: list[str], labels: np.ndarray | None) -> tuple[list[Figure], tuple]:
-    """Return charts of regions that differ most in colour, the largest first; regions of a few pixels are left out.
-
-    labels : (rows, columns) region of each pixel of the picture, or None. The marks stand where the regions are widest.
-    """
-    total = sum(region["pixels"] for region in regions)
-    large = sorted((r for r in regions if r["pixels"] >= LEAST_SHARE * total), key=lambda r: (-r["pixels"], r["label"]))
-    lamp = illuminant("D65")
-    lab = xyz_to_lab(xyz_from_spectra(lamp, np.array([r["truth"] for r in large])), white_xyz(lamp))
-    charts, marks = [], []
-    for number, k in enumerate(sorted(spread_out(lab, CURVES, 0)), 1):
-        region = large[k]
-        label = names[region["label"]] if region["label"] < len(names) else f"region {region['label']}"
-        curves = [(region["estimate"], False), (region["truth"], True)]
-        note = f"{region['pixels']} pixels, rms {region['rmse']:.3f}."
-        if labels is not None and (labels == region["label"]).any():
-            label = f"{number}: {label}"
-            marks.append((*_widest_place(labels == region["label"]), str(number)))
-        charts.append(_spectrum_chart(label, note, curves))
-    return charts, tuple(marks)
-
-
-def _widest_place(inside: np.ndarray) -> tuple[float, float]:
-    """Return (x, y) of the pixel of a region (rows, columns) bool that is farthest from its edge."""
-    import cv2
-
-    depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    row, column = np.unravel_index(int(depth.argmax()), depth.shape)
-    return column + 0.5, row + 0.5
-
-
 def _of_places(
     small: np.ndarray, xyz: np.ndarray, basis: np.ndarray, sigma: np.ndarray, block: int
 ) -> tuple[list[Figure], tuple]:
@@ -351,29 +309,25 @@ def _of_places(
     for number, k in enumerate(spread_out(lab[usual], CURVES, int(np.argmin(middle[usual]))), 1):
         i, j = int(rows[usual[k]]), int(columns[usual[k]])
         place = f"{number}: row {i * block + block // 2}, column {j * block + block // 2}"
-        charts.append(_spectrum_chart(place, "", [(small[i, j].astype(float) @ basis, False)], sigma[i, j]))
+        charts.append(_spectrum_chart(place, small[i, j].astype(float) @ basis, sigma[i, j]))
         marks.append((j + 0.5, i + 0.5, str(number)))
     return charts, tuple(marks)
 
 
-def _spectrum_chart(label: str, note: str, curves: list[tuple[Any, bool]], sigma: np.ndarray | None = None) -> Figure:
-    """Draw spectra, dashed where they are true, and about the first its expected error (61,)."""
-    swatch = srgb_encode(xyz_to_srgb_linear(xyz_from_spectra(illuminant("D65"), np.asarray(curves[0][0], float))))
-    drawn = [
-        Curve("", WAVELENGTHS_NM, np.asarray(values, float), INK if dashed else PALETTE[1], dashed)
-        for values, dashed in curves
-    ]
-    top = max(1.0, *(float(np.max(curve.y)) for curve in drawn))
-    if sigma is not None:
-        edges = (drawn[0].y - sigma, drawn[0].y + sigma)
-        drawn += [Curve("", WAVELENGTHS_NM, edge, SOFT, dashed=True, dash=DASHES[1]) for edge in edges]
+def _spectrum_chart(label: str, spectrum: np.ndarray, sigma: np.ndarray) -> Figure:
+    """Draw a spectrum (61,) between its expected errors (61,)."""
+    swatch = srgb_encode(xyz_to_srgb_linear(xyz_from_spectra(illuminant("D65"), spectrum)))
+    edges = (spectrum - sigma, spectrum + sigma)
     svg = chart(
-        drawn,
+        [
+            Curve("", WAVELENGTHS_NM, spectrum, PALETTE[1]),
+            *(Curve("", WAVELENGTHS_NM, edge, SOFT, dashed=True, dash=DASHES[1]) for edge in edges),
+        ],
         x_label="wavelength, nm",
         y_label="reflectance",
         title=f"reflectance of {label}",
         x_range=(400, 700),
-        y_range=(0.0, top * 1.02),
+        y_range=(0.0, max(1.0, float(np.max(spectrum))) * 1.02),
         size=(330, 220),
     )
-    return Figure(label, note, svg=svg, swatch=hexadecimal(np.round(255 * swatch)))
+    return Figure(label, svg=svg, swatch=hexadecimal(np.round(255 * swatch)))
