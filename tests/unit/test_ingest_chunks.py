@@ -11,7 +11,7 @@ from refusals import refused
 from zarr.codecs import ZstdCodec
 
 from nishiki.errors import UserError
-from nishiki.formats.stored import open_bands
+from nishiki.formats.stored import open_group
 from nishiki.formats.zarr_store import BandedGroup, read_chunk, write_chunk
 
 
@@ -55,12 +55,28 @@ def test_the_array_library_reads_what_is_written_in_bands(tmp_path, dtype, compr
     assert dict(stored.attrs) == {"stamp": {"scene": "x"}, "pitch": None}
 
 
+@pytest.mark.parametrize("chunks", [(8, 6, 3), (1, 4, 3), (7, 4, 2)])
+def test_any_part_of_what_the_array_library_wrote_is_read(tmp_path, chunks):
+    values = np.random.default_rng(3).normal(size=(21, 6, 3)).astype("float32")
+    values[8:16] = 0  # chunks of zeros have no file
+    stored = zarr.create_group(tmp_path / "a.zarr")
+    stored.create_array("map", shape=values.shape, chunks=chunks, dtype="float32")[...] = values
+    array = open_group(tmp_path / "a.zarr")["map"]
+    for key in (..., 3, slice(3, 17), (4, slice(1, 5)), (slice(0, 0),), (20, 5, 2), (slice(None), 3, slice(1, None))):
+        np.testing.assert_array_equal(array[key], values[key])
+    for wrong in (slice(None, None, 2), slice(None, None, -1)):
+        with refused(ValueError, "a.zarr"):
+            array[wrong]
+    with pytest.raises(IndexError):
+        array[21]
+
+
 def test_bands_that_the_array_library_wrote_are_read(tmp_path):
     values = np.random.default_rng(3).normal(size=(21, 6)).astype("float32")
     stored = zarr.create_group(tmp_path / "a.zarr", attributes={"format": 1})
     packers = [ZstdCodec(level=1, checksum=True)]
     stored.create_array("map", shape=(21, 6), chunks=(8, 6), dtype="float32", compressors=packers)[...] = values
-    group = open_bands(tmp_path / "a.zarr")
+    group = open_group(tmp_path / "a.zarr")
     assert group.attrs == {"format": 1}
     assert "map" in group
     assert "other" not in group

@@ -347,7 +347,7 @@ def save_picture(path: str | Path, linear: np.ndarray, *, exposure: float = 1.0)
     Raises
     ------
     nishiki.errors.UserError
-        For another ending and another shape.
+        For another ending, another shape, and values that are not finite.
 
     Examples
     --------
@@ -360,8 +360,9 @@ def save_picture(path: str | Path, linear: np.ndarray, *, exposure: float = 1.0)
 
     path, values = Path(path), np.asarray(linear, np.float32)
     values = np.repeat(values[..., None], 3, axis=-1) if values.ndim == 2 else values
-    if values.ndim != 3 or values.shape[2] != 3:
-        raise UserError(f"picture: expected shape (rows, columns, 3) or (rows, columns), found {np.shape(linear)}")
+    if values.ndim != 3 or values.shape[2] != 3 or not np.isfinite(values).all():
+        expected = "finite values of shape (rows, columns, 3) or (rows, columns)"
+        raise UserError(f"picture: expected {expected}, found {np.shape(linear)}")
     if path.suffix == ".png":
         write_png(path, encoded(values * np.float32(exposure)).pixels, stamp={})
     elif path.suffix == ".exr":

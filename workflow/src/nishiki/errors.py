@@ -20,6 +20,10 @@ class UserError(Exception):
         return "\n".join(printable(line) for line in super().__str__().split("\n"))
 
 
+class NotFinite(Exception):
+    """A stage wrote a NaN or an infinity: a defect of the program, not of the input."""
+
+
 def require(value: T | None) -> T:
     """Return a value that earlier checks promise; ValueError, which is a bug, where it is missing."""
     if value is None:

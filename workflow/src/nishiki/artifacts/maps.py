@@ -23,7 +23,7 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.provenance import file_digest
 from nishiki.errors import UserError
-from nishiki.formats.stored import open_bands
+from nishiki.formats.stored import open_group
 from nishiki.formats.zarr_store import BandedArray, BandedGroup
 
 STORE = "maps.zarr"
@@ -64,7 +64,7 @@ class Maps:
     """The maps of one artifact, for reading."""
 
     def __init__(self, folder: Path):
-        self.group = open_bands(Path(folder) / STORE)
+        self.group = open_group(Path(folder) / STORE)
 
     def __contains__(self, name: str) -> bool:
         return name in self.group

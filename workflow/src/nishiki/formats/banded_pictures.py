@@ -2,8 +2,8 @@
 
 TIFF: a strip a band, deflate, with unit, scale (33550 and 33922: GeoTIFF, OGC 19-008r4), profile and a value for no
 data (42113: GDAL). OpenEXR (File Layout, Academy Software Foundation): scan lines in ZIP blocks of 16, each split into
-even and odd bytes, differenced, and packed by zlib; the library in use takes and gives whole pictures only. ENVI: a
-header in text, and float32 samples by rows, in each row by bands (BIL).
+even and odd bytes, differenced, and packed by zlib; the library takes whole pictures only. ENVI: a header in text, and
+float32 samples by rows, in each row by bands (BIL).
 """
 
 import struct
@@ -12,9 +12,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
+
+from nishiki.errors import NotFinite
+from nishiki.threads import in_threads, strips
 
 
 class EnviWriter:
@@ -200,7 +203,7 @@ class ExrWriter:
         self._waiting = np.empty((0, columns, len(names)), np.float32)
         self._row = 0
         self._offsets: list[int] = []
-        self._file: BinaryIO = open(path, "wb")
+        self._path, self._file = path, open(path, "wb")
         self._file.write(_header([names[k] for k in self._order], rows, columns, attributes))
         self._table = self._file.tell()
         self._file.write(bytes(8 * -(-rows // BLOCK_ROWS)))
@@ -216,68 +219,35 @@ class ExrWriter:
                 self._finish()
 
     def write(self, band: np.ndarray) -> None:
-        """Write the next rows (r, columns, channels)."""
-        values = np.concatenate([self._waiting, np.asarray(band, np.float32)])
-        blocks = len(values) // BLOCK_ROWS
-        for number in range(blocks):
-            self._block(values[number * BLOCK_ROWS : (number + 1) * BLOCK_ROWS])
-        self._waiting = values[blocks * BLOCK_ROWS :]
+        """Write the next rows (r, columns, channels). NotFinite, which is a defect, where one of them is not."""
+        band = np.asarray(band, np.float32)
+        if not np.isfinite(band).all():
+            raise NotFinite(f"{self._path}: values that are not finite below row {self._row}")
+        values = np.concatenate([self._waiting, band])
+        whole = len(values) // BLOCK_ROWS * BLOCK_ROWS
+        self._put(values[:whole])
+        self._waiting = values[whole:]
 
-    def _block(self, rows: np.ndarray) -> None:
+    def _put(self, values: np.ndarray) -> None:
+        """Write rows in blocks, the last of which may be lower."""
+        for rows, stored in in_threads(self._packed, [values[part] for part in strips(len(values), BLOCK_ROWS)]):
+            self._offsets.append(self._file.tell())
+            self._file.write(struct.pack("<ii", self._row, len(stored)) + stored)
+            self._row += rows
+
+    def _packed(self, rows: np.ndarray) -> tuple[int, bytes]:
         raw = np.ascontiguousarray(rows[..., self._order].transpose(0, 2, 1), "<f4").tobytes()
         data = np.frombuffer(raw, np.uint8)
         split = np.concatenate([data[::2], data[1::2]])  # even bytes before odd ones, each less the one before, + 128
         split[1:] = np.diff(split) + np.uint8(128)
-        packed = zlib.compress(split.tobytes(), 4)
-        self._offsets.append(self._file.tell())
-        stored = packed if len(packed) < len(raw) else raw
-        self._file.write(struct.pack("<ii", self._row, len(stored)) + stored)
-        self._row += len(rows)
+        return len(rows), min(zlib.compress(split.tobytes(), 4), raw, key=len)
 
     def _finish(self) -> None:
-        if len(self._waiting):
-            self._block(self._waiting)
+        self._put(self._waiting)
         if self._row != self._shape[0]:
             raise ValueError(f"expected {self._shape[0]} rows, found {self._row}")
         self._file.seek(self._table)
         self._file.write(struct.pack(f"<{len(self._offsets)}Q", *self._offsets))
-
-
-def read_blocks(path: Path) -> Iterator[np.ndarray] | None:
-    """Read the blocks (rows, channels, columns) of a file that `ExrWriter` wrote; None for files of another kind."""
-    with open(path, "rb") as file:
-        magic, version = struct.unpack("<ii", file.read(8))
-        if magic != MAGIC or version & ~LONG_NAMES != VERSION:
-            return None
-        header: dict[str, bytes] = {}
-        while name := _text(file):
-            _text(file)
-            (size,) = struct.unpack("<i", file.read(4))
-            header[name] = file.read(size)
-        start = file.tell()
-    types, place, channels = [], 0, header["channels"]
-    while channels[place]:
-        place = channels.index(b"\0", place) + 1
-        types.append(struct.unpack_from("<i", channels, place)[0])
-        place += 16
-    if header["compression"] != bytes([ZIP]) or set(types) != {FLOAT}:
-        return None
-    left, top, right, bottom = struct.unpack("<4i", header["dataWindow"])
-    return _blocks(path, start, bottom - top + 1, len(types), right - left + 1)
-
-
-def _blocks(path: Path, start: int, rows: int, channels: int, columns: int) -> Iterator[np.ndarray]:
-    count = -(-rows // BLOCK_ROWS)
-    with open(path, "rb") as file:
-        file.seek(start)
-        offsets = struct.unpack(f"<{count}Q", file.read(8 * count))
-        for number, offset in enumerate(offsets):
-            file.seek(offset)
-            _, size = struct.unpack("<ii", file.read(8))
-            high = min(BLOCK_ROWS, rows - number * BLOCK_ROWS)
-            data = file.read(size)
-            raw = data if size == 4 * high * channels * columns else _summed(zlib.decompress(data))
-            yield np.frombuffer(raw, "<f4").reshape(high, channels, columns)
 
 
 def _header(names: Sequence[str], rows: int, columns: int, attributes: Mapping[str, Attribute]) -> bytes:
@@ -307,21 +277,3 @@ def _attribute(value: Attribute) -> tuple[str, bytes]:
     if isinstance(value, int | float):
         return "float", struct.pack("<f", value)
     return "chromaticities", struct.pack("<8f", *value)
-
-
-def _summed(packed: bytes) -> bytes:
-    """Invert the differences of `_block`."""
-    split = np.frombuffer(packed, np.uint8).copy()
-    split[1:] -= np.uint8(128)
-    split = np.add.accumulate(split, dtype=np.uint8)
-    data = np.empty_like(split)
-    half = (len(split) + 1) // 2
-    data[::2], data[1::2] = split[:half], split[half:]
-    return data.tobytes()
-
-
-def _text(file: BinaryIO) -> str:
-    letters = bytearray()
-    while (letter := file.read(1)) not in (b"\0", b""):
-        letters += letter
-    return letters.decode("utf-8")

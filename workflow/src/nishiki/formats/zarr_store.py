@@ -1,16 +1,15 @@
 """A group of arrays in Zarr format 3, and their chunks, written and read without the array library.
 
 A chunk is its bytes, little-endian, optionally compressed with zstd, followed by their CRC-32C: what Zarr's codecs
-`bytes`, `zstd` and `crc32c` make. What is written here any Zarr library reads, and the other way round as long as the
-chunks of an array are bands of whole rows (tested). Importing the library takes a third of the start of a stage, and
-reading through it three times as long for the thousands of large chunks of a capture.
+`bytes`, `zstd` and `crc32c` make. What is written here any Zarr library reads, and the other way round (tested).
+Importing the library takes a third of the start of a stage, and reading through it three times as long for the
+thousands of large chunks of a capture.
 """
 
-import io
 import json
-import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -19,10 +18,11 @@ import google_crc32c
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.formats.files import read_json
+from nishiki.formats.files import expect_memory, read_json
 
 ZSTD_LEVEL = 1  # the quickest
 CHECKSUM_BYTES = 4  # of CRC-32C
+PACKED_BYTES = 1 << 10  # by which zstd makes small chunks larger at most
 REMEDY = "Run the stage that made it again"
 
 
@@ -51,49 +51,41 @@ def write_chunk(path: Path, values: np.ndarray, *, compression: str) -> None:
 
 
 def read_chunk(path: Path, shape: tuple, dtype: np.dtype, *, compression: str, checksum: bool = True) -> np.ndarray:
-    """Read one chunk and verify its checksum; UserError where it is missing or damaged.
+    """Read one chunk and verify its checksum; UserError where it is missing, damaged, or of another size.
 
-    checksum: whether a CRC-32C ends it; a zstd frame may have one of its own instead.
+    checksum: whether a CRC-32C ends it; a zstd frame may have one of its own instead. Whatever the file holds, memory
+    is bounded by the shape.
     """
-    with _opened(path) as file:
-        payload, end = file.read(max(os.fstat(file.fileno()).st_size - CHECKSUM_BYTES * checksum, 0)), file.read()
-    if checksum:
-        _expect_checksum(payload, end, path)
+    kind = np.dtype(dtype).newbyteorder("<")
+    size = int(np.prod(shape)) * kind.itemsize
+    try:
+        with path.open("rb") as file:
+            content = np.frombuffer(file.read(size * (1 + (compression == "zstd")) + PACKED_BYTES), np.uint8)
+    except FileNotFoundError as e:
+        raise UserError(f"{path}: part of a stored array is missing. {REMEDY}") from e
+    payload = content[: len(content) - CHECKSUM_BYTES] if checksum else content
+    if checksum and google_crc32c.value(payload) != int.from_bytes(content[-CHECKSUM_BYTES:], "little"):
+        raise UserError(f"{path}: part of a stored array is damaged (checksum differs). {REMEDY}")
+    found = len(payload) if compression == "none" else _stated_size(payload[:18].tobytes())
+    if found != size:
+        raise UserError(f"{path}: part of a stored array has {found} bytes, expected {size}. {REMEDY}")
     if compression == "zstd":
         from numcodecs.zstd import Zstd
 
         try:
-            payload = Zstd().decode(payload)
-        except RuntimeError as error:
+            payload = Zstd().decode(payload, np.empty(size, np.uint8))
+        except (RuntimeError, ValueError) as error:
             raise UserError(f"{path}: part of a stored array is damaged ({error}). {REMEDY}") from None
-    values = np.frombuffer(payload, np.dtype(dtype).newbyteorder("<"))
-    if values.size != np.prod(shape):
-        raise UserError(f"{path}: {values.size} values, expected {tuple(shape)}. {REMEDY}")
-    return values.reshape(shape)
+    return payload.view(kind).reshape(shape)
 
 
-def read_chunk_into(path: Path, values: np.ndarray) -> None:
-    """Read one chunk that is not compressed into a contiguous array of its size; otherwise as `read_chunk`."""
-    payload = values.reshape(-1).view(np.uint8)
-    with _opened(path) as file:
-        length, end = file.readinto(payload.data), file.read()
-    if length != len(payload):
-        raise UserError(f"{path}: {length} bytes, expected {len(payload)}. {REMEDY}")
-    _expect_checksum(payload, end, path)
-    if values.dtype != values.dtype.newbyteorder("<"):
-        values.byteswap(inplace=True)
-
-
-def _opened(path: Path) -> io.FileIO:
-    try:
-        return path.open("rb", buffering=0)
-    except FileNotFoundError as e:
-        raise UserError(f"{path}: part of a stored array is missing. {REMEDY}") from e
-
-
-def _expect_checksum(payload: Any, end: bytes, path: Path) -> None:
-    if len(end) != CHECKSUM_BYTES or google_crc32c.value(payload) != int.from_bytes(end, "little"):
-        raise UserError(f"{path}: part of a stored array is damaged (checksum differs). {REMEDY}")
+def _stated_size(start: bytes) -> int | None:
+    """Bytes that a zstd frame with these first bytes says it unpacks to (RFC 8878, 3.1.1.1); None if it does not."""
+    if len(start) < 6:
+        return None
+    single, flag = start[4] >> 5 & 1, start[4] >> 6
+    first, count = 6 - single + (0, 1, 2, 4)[start[4] & 3], (single, 2, 4, 8)[flag]
+    return int.from_bytes(start[first : first + count], "little") + 256 * (flag == 1) if count else None
 
 
 METADATA = "zarr.json"
@@ -101,7 +93,7 @@ METADATA = "zarr.json"
 
 @dataclass(frozen=True)
 class BandedArray:
-    """One array; the first axis is divided into chunks, the others are whole.
+    """One array: any part of it is read; it is written in bands of whole rows, each a chunk.
 
     folder; shape; chunks: shape of a chunk; dtype; compression: 'none' | 'zstd'; checksum: whether a CRC-32C ends each
     chunk; attrs: what is said of the array.
@@ -135,29 +127,49 @@ class BandedArray:
         """Number of axes."""
         return len(self.shape)
 
-    def path(self, band: int) -> Path:
-        """File of a chunk."""
-        return self.folder.joinpath("c", str(band), *["0"] * (self.ndim - 1))
+    def path(self, *place: int) -> Path:
+        """File of a chunk by its place in the grid; axes that are left out have one chunk."""
+        return self.folder.joinpath("c", *map(str, place), *["0"] * (self.ndim - len(place)))
 
-    def __getitem__(self, rows: slice | Any) -> np.ndarray:
-        """Read some rows (a slice of step 1), or all (...)."""
-        if self.chunks[1:] != self.shape[1:]:
-            raise ValueError(f"{self.folder}: chunks of {self.chunks} are no bands of whole rows in {self.shape}")
-        start, stop = self._range(rows)
-        values = np.empty((stop - start, *self.shape[1:]), self.dtype)
-        step = self.chunks[0]
-        for band in range(start // step, -(-stop // step) if stop > start else 0):
-            top = band * step
-            chunk = read_chunk(
-                self.path(band), self.chunks, self.dtype, compression=self.compression, checksum=self.checksum
-            )
-            first, last = max(start, top), min(stop, top + step)
-            values[first - start : last - start] = chunk[first - top : last - top]
-        return values
+    def places(self, ranges: Sequence[range] | None = None) -> Iterable[tuple[int, ...]]:
+        """Places in the grid of the chunks that hold these indices of each axis, or of all."""
+        spans = zip(ranges or map(range, self.shape), self.chunks, strict=True)
+        return product(*(range(each.start // size, -(-each.stop // size) if each else 0) for each, size in spans))
+
+    def chunk(self, place: tuple[int, ...]) -> np.ndarray:
+        """Read the chunk at a place of the grid. UserError where it is missing or damaged.
+
+        Zarr libraries leave out chunks of zeros, ours does not.
+        """
+        path = self.path(*place)
+        if not self.checksum and not path.is_file():
+            return np.zeros(self.chunks, self.dtype)
+        return read_chunk(path, self.chunks, self.dtype, compression=self.compression, checksum=self.checksum)
+
+    def __getitem__(self, key: Any) -> np.ndarray:
+        """Read a part: an index or a slice of step 1 for each of the first axes, or all (...)."""
+        keys = () if key is ... else key if isinstance(key, tuple) else (key,)
+        slices = [each if isinstance(each, slice) else slice(each, each + 1) for each in keys]
+        slices += [slice(None)] * (self.ndim - len(keys))
+        ranges = [range(length)[each] for length, each in zip(self.shape, slices, strict=True)]
+        if any(each.step != 1 for each in ranges):
+            raise ValueError(f"{self.folder}: {key} is no index or slice of step 1")
+        values = np.zeros([len(each) for each in ranges], self.dtype)
+        expect_memory(values.nbytes, str(self.folder))
+        starts = [each.start for each in ranges]
+        for place in self.places(ranges):
+            corner = [number * size for number, size in zip(place, self.chunks, strict=True)]
+            ends = [first + size for first, size in zip(corner, self.chunks, strict=True)]
+            both = [
+                (max(each.start, first), min(each.stop, end))
+                for each, first, end in zip(ranges, corner, ends, strict=True)
+            ]
+            values[_within(both, starts)] = self.chunk(place)[_within(both, corner)]
+        return values[tuple(slice(None) if isinstance(each, slice) else 0 for each in keys)]
 
     def __setitem__(self, rows: slice | Any, values: np.ndarray) -> None:
         """Write whole chunks: rows from the start of one on, to the end of one or of the array."""
-        start, stop = self._range(rows)
+        start, stop, _ = (slice(None) if rows is ... else rows).indices(self.shape[0])
         step = self.chunks[0]
         if start % step or (stop % step and stop != self.shape[0]):
             raise ValueError(f"{self.folder}: rows {start} to {stop} are no whole chunks of {step} rows")
@@ -168,11 +180,9 @@ class BandedArray:
                 part = np.concatenate([part, np.zeros((step - len(part), *self.shape[1:]), self.dtype)])
             write_chunk(self.path(top // step), part, compression=self.compression)
 
-    def _range(self, rows: slice | Any) -> tuple[int, int]:
-        start, stop, step = (slice(None) if rows is ... else rows).indices(self.shape[0])
-        if step != 1:
-            raise ValueError(f"{self.folder}: rows {rows} are no slice of step 1")
-        return start, max(start, stop)
+
+def _within(parts: Sequence[tuple[int, int]], origin: Sequence[int]) -> tuple[slice, ...]:
+    return tuple(slice(start - first, stop - first) for (start, stop), first in zip(parts, origin, strict=True))
 
 
 class BandedGroup:

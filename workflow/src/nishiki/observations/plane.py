@@ -7,8 +7,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nishiki.formats.stored import open_bands, open_made_by, understood
-from nishiki.formats.zarr_store import chunk_path, read_chunk, read_chunk_into
+from nishiki.formats.stored import open_made_by, understood
+from nishiki.formats.zarr_store import chunk_path, read_chunk
 from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid, positions
 from nishiki.observations.linearise import StoredArrays
 from nishiki.threads import in_threads, over_rows, strips
@@ -32,7 +32,7 @@ class Observations(StoredArrays):
         """Open `frames.zarr`, or the folder that holds it. UserError where it is none."""
         path = Path(folder)
         path = path if path.name.endswith(".zarr") else path / STORE
-        group, stored = open_made_by("ingest", path, "ingested frames", FORMAT, open_bands)
+        group, stored = open_made_by("ingest", path, "ingested frames", FORMAT)
         self.path = path
         with understood(path):
             self._codes = group["codes"]
@@ -170,14 +170,10 @@ class Observations(StoredArrays):
                 continue
             inner = slice(max(start - top, 0), min(stop - top, self.band_rows))
             outer = slice(top + inner.start - start, top + inner.stop - start)
-            compression = self.attributes["compression"]
-            aligned = (inner.stop - inner.start, right - left) == chunk[:2] and compression == "none"
             for j, light in enumerate(chosen):
                 path = chunk_path(self.path / "codes", int(light), number)
-                if aligned:
-                    read_chunk_into(path, codes[j, outer])
-                else:
-                    codes[j, outer] = read_chunk(path, chunk, self.dtype, compression=compression)[inner, left:right]
+                stored = read_chunk(path, chunk, self.dtype, compression=self.attributes["compression"])
+                codes[j, outer] = stored[inner, left:right]
         return codes, start
 
     @cached_property

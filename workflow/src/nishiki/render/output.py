@@ -7,13 +7,14 @@ name first, then renamed.  EXR and PNG bytes depend on the values alone: no date
 import os
 import struct
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from nishiki.errors import OF_THE_MACHINE, UserError
+from nishiki.errors import UserError
+from nishiki.formats.banded_pictures import ExrWriter
 from nishiki.packages import install_command
 from nishiki.render.display import normals_as_colours
 
@@ -39,33 +40,21 @@ def write_exr(
     """
     if colours not in _CHROMATICITIES:
         raise UserError(f"EXR colours: expected xyz or srgb, found {colours!r}; choose one of the two")
-    channels = {name: np.ascontiguousarray(linear[..., k], np.float32) for k, name in enumerate("RGB")}
-    if coverage is not None:
-        channels["A"] = np.ascontiguousarray(coverage, np.float32)
-    _write_exr(path, {"chromaticities": _CHROMATICITIES[colours], "whiteLuminance": 100.0}, channels, stamp)
+    values = linear if coverage is None else np.concatenate([linear, coverage[..., None]], axis=-1)
+    header = {"chromaticities": _CHROMATICITIES[colours], "whiteLuminance": 100.0}
+    _write_exr(path, values, "RGBA"[: values.shape[-1]], stamp, header)
 
 
 def write_normals_exr(path: Path, normals: np.ndarray, *, stamp: Mapping[str, str]) -> None:
     """Write unit normals (rows, columns, 3) as float32 channels N.X, N.Y, N.Z: x right, y up, z out of the surface."""
-    channels = {f"N.{n}": np.ascontiguousarray(normals[..., k], np.float32) for k, n in enumerate("XYZ")}
-    _write_exr(path, {}, channels, stamp)
+    _write_exr(path, normals, ("N.X", "N.Y", "N.Z"), stamp, {})
 
 
-def _write_exr(path: Path, header: dict, channels: dict, stamp: Mapping[str, str]) -> None:
-    import OpenEXR
-
-    attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
-    for name, text in stamp.items():
-        attributes[f"nishiki.{name}"] = str(text)
+def _write_exr(path: Path, values: np.ndarray, names: Sequence[str], stamp: Mapping[str, str], header: dict) -> None:
     unfinished = _unfinished(path)
-    with OpenEXR.File(attributes, channels) as file:
-        try:
-            file.write(str(unfinished))
-        except RuntimeError as error:  # the library tells the system's reason in words only
-            number = next((number for number in OF_THE_MACHINE if os.strerror(number) in str(error)), None)
-            if number is None:
-                raise
-            raise OSError(number, os.strerror(number), str(path)) from None
+    attributes = header | {f"nishiki.{name}": str(text) for name, text in stamp.items()}
+    with ExrWriter(unfinished, names, *values.shape[:2], attributes) as exr:
+        exr.write(values)
     os.replace(unfinished, path)
 
 
