@@ -242,12 +242,7 @@ class Coded:
             with self._lock:
                 held = self._chunk
             if held[0] != number:
-                try:
-                    held = number, self._array[number * size : (number + 1) * size].tobytes()
-                except ValueError as error:
-                    raise UserError(
-                        f"{self.path}: chunk {number} is damaged ({error}). Remedy: run residual again"
-                    ) from None
+                held = number, self._array[number * size : (number + 1) * size].tobytes()
                 with self._lock:
                     self._chunk = held
             low = max(start - number * size, 0)

@@ -21,7 +21,7 @@ from nishiki.formats.files import Refused, expect_bound, expect_memory, open_reg
 from nishiki.formats.zarr_store import METADATA, BandedArray, BandedGroup
 
 TYPES = frozenset("bool int8 int16 int32 int64 uint8 uint16 uint32 uint64 float16 float32 float64".split())
-PACKERS = ([], ["zstd"], ["crc32c"], ["zstd", "crc32c"])
+PACKERS: tuple[list[str], ...] = ([], ["zstd"], ["crc32c"], ["zstd", "crc32c"])
 """Codecs after `bytes`."""
 OPTIONS = frozenset(("endian", "level", "checksum"))
 OLD = frozenset((".zarray", ".zgroup", ".zattrs", ".zmetadata"))

@@ -205,6 +205,10 @@ class BandedGroup:
         self.attrs = MappingProxyType({**self.attrs, **attributes})
         _write_group(self.folder, dict(self.attrs))
 
+    def names(self) -> list[str]:
+        """Names of its arrays."""
+        return sorted(path.parent.name for path in self.folder.glob(f"*/{METADATA}"))
+
     def __contains__(self, name: str) -> bool:
         return (self.folder / name / METADATA).is_file()
 

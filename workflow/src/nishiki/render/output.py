@@ -53,7 +53,7 @@ def write_normals_exr(path: Path, normals: np.ndarray, *, stamp: Mapping[str, st
 def _write_exr(path: Path, values: np.ndarray, names: Sequence[str], stamp: Mapping[str, str], header: dict) -> None:
     unfinished = _unfinished(path)
     attributes = header | {f"nishiki.{name}": str(text) for name, text in stamp.items()}
-    with ExrWriter(unfinished, names, *values.shape[:2], attributes) as exr:
+    with ExrWriter(unfinished, names, values.shape[0], values.shape[1], attributes) as exr:
         exr.write(values)
     os.replace(unfinished, path)
 

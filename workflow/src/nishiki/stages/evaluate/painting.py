@@ -112,7 +112,7 @@ def read_truth(context: Context, frames: Observations) -> Truth:
     if (path / "truth.zarr").is_dir():
         group = open_group(path / "truth.zarr")
         return truth_from(
-            {name: group[name] for name in group.array_keys()},
+            {name: group[name] for name in group.names()},
             shape=frames.shape,
             attributes=dict(group.attrs),
             region=region,
