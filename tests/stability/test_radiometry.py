@@ -13,31 +13,22 @@ from nishiki.errors import UserError
 from nishiki.formats.coding import LINEAR, SRGB
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.block_kernels import block_levels
-from nishiki.observations.blocks import block_edges, cells, positions
-from nishiki.observations.linearise import check_linearity, code_table, saturation_code, straight_scale
-from nishiki.observations.plane_decode import decode, view_values
+from nishiki.observations.blocks import block_edges, picture_edges
+from nishiki.observations.linearise import check_linearity, code_table, saturation_code
+from nishiki.observations.plane_decode import ANY_CODE, decode_codes
 from nishiki.observations.reference import white_field
 from nishiki.photometric.light_selection import METHODS, select_diffuse
 
 
 def decoded(codes, gain, dark, *, reduced=False, saturated=None):
     """Observations and validity of codes (lights, rows, columns, channels) with fields of one node or more."""
-    lights, rows, columns, channels = codes.shape
+    _, rows, columns, channels = codes.shape
     table = code_table(codes.dtype, LINEAR) if codes.dtype.kind == "u" else np.zeros(2, np.float32)
     edges = [block_edges(n, n // g) for n, g in zip((rows, columns), gain.shape[1:3], strict=True)]
-    lower, weights = positions(edges[0], 0, rows)
-    _, across = positions(edges[1], 0, columns)
-    out = np.empty((lights, rows, columns, 1 if reduced else channels), np.float32)
-    valid = np.empty((lights, rows, columns), bool)
     top = saturation_code(codes.dtype, None) if saturated is None else codes.dtype.type(saturated)
     low = codes.dtype.type(0) if codes.dtype.kind == "u" else np.float32(-np.inf)
-    fields = (np.ascontiguousarray(np.broadcast_to(f, gain.shape), dtype=np.float32) for f in (gain, dark))
-    decode(
-        0, len(codes) * rows,
-        codes, (table, straight_scale(table, codes.dtype), top, low), (*fields, np.ones((rows, columns), np.uint8)),
-        (lower, weights, cells(edges[1], 0, columns), across), (0, channels, reduced), (out, valid),
-    )  # fmt: skip
-    return out, valid
+    fields = gain, np.asarray(dark), np.ones((rows, columns), np.uint8)
+    return decode_codes(codes, (table, top, low), fields, edges, channels=(0, channels, reduced))
 
 
 @pytest.mark.slow
@@ -78,16 +69,11 @@ def test_views_of_any_size():
     wrong = 0
     table = code_table(np.uint8, SRGB)
     codes = np.random.default_rng(1).integers(1, 200, (6, 8, 3)).astype(np.uint8)
-    rows, weights, columns = np.zeros(6, np.int64), np.zeros(6, np.float32), np.zeros(8, np.float32)
     for gain, dark in ((np.inf, 0), (np.nan, 0), (3e38, 0), (0, 0), (1, np.nan), (1, np.inf), (1, 1e30), (2, 0.01)):
-        out, valid = np.empty((6, 8, 3), np.float32), np.empty((6, 8), bool)
-        fields = (np.full((1, 1, 3), f, np.float32) for f in (gain, dark))
-        usable = np.ones((6, 8), np.uint8)
+        fields = (np.full((1, 1, 1, 3), f, np.float32) for f in (gain, dark))
+        edges, usable = picture_edges((6, 8), 16), np.ones((6, 8), np.uint8)
         with np.errstate(over="ignore"):
-            view_values(
-                codes, (table, np.float32(0), np.uint8(255)), tuple(fields), (rows, weights, np.array([0, 8]), columns),
-                usable, out, valid,
-            )  # fmt: skip
+            out, valid = decode_codes(codes[None], (table, np.uint8(255), ANY_CODE), (*fields, usable), edges)
         wrong += int((~np.isfinite(out)).sum()) + int(valid.any() != (gain == 2))
     return wrong
 

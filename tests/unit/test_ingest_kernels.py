@@ -12,8 +12,8 @@ from nishiki.formats.coding import LINEAR, SRGB
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.block_kernels import block_levels, count_outliers
 from nishiki.observations.blocks import block_edges, blocks_around, cells, edges_between, on_one_grid, positions
-from nishiki.observations.linearise import check_linearity, code_table, saturation_code
-from nishiki.observations.plane_decode import count_unusable, decode, to_luma
+from nishiki.observations.linearise import check_linearity, code_table, count_unusable, saturation_code, to_luma
+from nishiki.observations.plane_decode import decode_codes
 from nishiki.observations.reference import white_field
 
 RNG = np.random.default_rng(7)
@@ -92,19 +92,11 @@ def reference_decode(codes, table, gain, dark, row_edges, column_edges, usable, 
     return (values if channel is None else values.mean(axis=3)), valid
 
 
-def run_decode(codes, table, gain, dark, row_edges, column_edges, usable, saturated, clip, channel, scale=0.0):
-    n, m, channels = codes.shape[1:]
-    first, last = (channel, channel + 1) if isinstance(channel, int) else (0, channels)
-    out = np.full((*codes.shape[:3], last - first if channel is None else 1), np.nan, np.float32)
-    valid = np.empty(codes.shape[:3], bool)
+def run_decode(codes, table, gain, dark, row_edges, column_edges, usable, saturated, clip, channel):
+    first, last = (channel, channel + 1) if isinstance(channel, int) else (0, codes.shape[3])
     kind = codes.dtype.type
-    rows, row_weights = positions(row_edges, 0, n)
-    _, column_weights = positions(column_edges, 0, m)
-    decode(
-        0, len(codes) * n, codes, (table, np.float32(scale), kind(saturated), kind(clip)), (gain, dark, usable),
-        (rows, row_weights, cells(column_edges, 0, m), column_weights), (first, last, channel is not None),
-        (out, valid),
-    )  # fmt: skip
+    coding, channels = (table, kind(saturated), kind(clip)), (first, last, channel is not None)
+    out, valid = decode_codes(codes, coding, (gain, dark, usable), (row_edges, column_edges), channels=channels)
     return (out if channel is None else out[..., 0]), valid
 
 
@@ -129,23 +121,11 @@ def test_decoding_equals_its_definition(dtype, channels, flat):
     usable = (RNG.random((n, m)) < 0.9).astype(np.uint8)
     settings = (codes, table, gain, dark, row_edges, column_edges, usable, saturated, clip)
     for channel in (None, "mean", channels - 1):
-        values, valid = run_decode(*settings, channel, scale=1.0 if dtype is np.float32 else 0.0)
+        values, valid = run_decode(*settings, channel)
         expected, expected_valid = reference_decode(*settings, channel)
         np.testing.assert_array_equal(valid, expected_valid)
         assert np.isfinite(values).all()
         np.testing.assert_allclose(values[valid], expected[valid], rtol=1e-5, atol=2e-6)
-
-
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_a_straight_table_and_a_scale_are_the_same(dtype):
-    codes = RNG.integers(0, np.iinfo(dtype).max + 1, (2, 9, 13, 3)).astype(dtype)
-    table = code_table(dtype, LINEAR)
-    ones = np.ones((2, 1, 1, 3), np.float32)
-    edges = np.array([0, 9]), np.array([0, 13])
-    settings = (codes, table, ones, 0 * ones, *edges, np.ones((9, 13), np.uint8), np.iinfo(dtype).max, 0, None)
-    looked_up, _ = run_decode(*settings)
-    multiplied, _ = run_decode(*settings, scale=table[1])
-    np.testing.assert_allclose(multiplied, looked_up, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("dtype", "channels"), [(np.uint8, 1), (np.uint16, 3), (np.float32, 2)])

@@ -17,9 +17,9 @@ from refusals import refused
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.formats.coding import LINEAR, SRGB
-from nishiki.observations.blocks import grid_of, picture_edges
-from nishiki.observations.linearise import code_table, straight_scale
-from nishiki.observations.plane_decode import view_values
+from nishiki.observations.blocks import picture_edges
+from nishiki.observations.linearise import code_table
+from nishiki.observations.plane_decode import ANY_CODE, decode_codes
 from nishiki.observations.views import Views, decode, encode
 from nishiki.observations.views_store import write_views
 from nishiki.stages.ingest import IngestSettings
@@ -306,11 +306,8 @@ def test_kernel_is_the_obvious_formula(dtype, nodes, encoding):
         table, saturated = code_table(dtype, SRGB if encoding == "srgb" else LINEAR), 0.9 * top
         linear = table[codes].astype(np.float64)
     usable = (rng.random(shape) > 0.1).astype(np.uint8)
-    out, valid = np.empty((*shape, 2), np.float32), np.empty(shape, bool)
-    places = grid_of(grid, shape, edges)
-    scale = straight_scale(table, dtype)
-    assert (scale > 0) == (encoding == "linear" or dtype == np.float32)
-    view_values(codes, (table, scale, dtype(saturated)), (gain, dark), places, usable, out, valid)
+    coding = table, dtype(saturated), ANY_CODE
+    (out,), (valid,) = decode_codes(codes[None], coding, (gain[None], dark[None], usable), edges)
 
     def interpolated(field):
         if nodes == "one":

@@ -79,17 +79,6 @@ def on_one_grid(gain: np.ndarray, dark: np.ndarray) -> tuple[np.ndarray, np.ndar
     return np.ascontiguousarray(gain, np.float32), np.ascontiguousarray(dark, np.float32)
 
 
-def grid_of(
-    nodes: tuple[int, int], shape: tuple[int, int], edges: Edges
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, row weights, cells and column weights of a whole picture (see `view_values`) for a field of these nodes."""
-    if nodes == (1, 1):
-        edges = np.array([0, shape[0]]), np.array([0, shape[1]])
-    rows, row_weights = positions(edges[0], 0, shape[0])
-    _, column_weights = positions(edges[1], 0, shape[1])
-    return rows, row_weights, cells(edges[1], 0, shape[1]), column_weights
-
-
 def picture_edges(shape: tuple[int, int], block: int) -> Edges:
     """Edges of the blocks of a picture."""
     return block_edges(shape[0], block), block_edges(shape[1], block)

@@ -27,7 +27,7 @@ from nishiki.observations.blocks import CHECK_BLOCK, block_edges
 from nishiki.observations.consistency import Judgement, ReducedPhotographs, judgement_problems
 from nishiki.observations.frames import FrameReader, unusable_coding
 from nishiki.observations.goniometer_check import look_at_windows, table_problems
-from nishiki.observations.plane_decode import count_unusable
+from nishiki.observations.linearise import count_unusable
 from nishiki.observations.plane_store import frame_problems
 from nishiki.observations.polariser_check import silhouette_problems, turntable_content_problems
 from nishiki.observations.reference import DarkField, board_field, measure_darks

@@ -17,8 +17,7 @@ from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.coding import Coding
 from nishiki.formats.images import Region, read_codes, read_header
 from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
-from nishiki.observations.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code
-from nishiki.observations.plane_decode import to_luma
+from nishiki.observations.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code, to_luma
 from nishiki.observations.region import region_of
 from nishiki.observations.resampling import move_codes, region_behind, subtract_light
 

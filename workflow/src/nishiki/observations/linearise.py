@@ -1,12 +1,13 @@
 """From stored codes to linear light, and whether the camera really is linear."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
 
 from nishiki.formats.coding import Curve
+from nishiki.threads import strips
 
 DEFAULT_SATURATION = 0.995  # of full scale
 LUMA_WEIGHTS = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, the weights of a JPEG's luma plane
@@ -25,17 +26,6 @@ def code_table(dtype: np.dtype, curve: Curve, bits: int | None = None) -> np.nda
     return curve.decode(codes).astype(np.float32)
 
 
-def straight_scale(table: np.ndarray, dtype: np.dtype) -> np.float32:
-    """Linear value of one code where the table is a straight line (faster than looking it up), otherwise 0.
-
-    1 for float codes, which are linear as they are.
-    """
-    if np.dtype(dtype).kind == "f":
-        return np.float32(1.0)
-    straight = np.arange(len(table)) * (table[-1].astype(np.float64) / (len(table) - 1))
-    return np.float32(straight[1] if np.allclose(table, straight, rtol=1e-6, atol=0) else 0.0)
-
-
 class StoredArrays:
     """Read what ingest stores beside the codes of photographs, of any geometry, each array at its first use."""
 
@@ -46,11 +36,6 @@ class StoredArrays:
     def lut(self) -> np.ndarray:
         """Linear value by code; two zeros for float samples."""
         return np.asarray(self._group["lut"][...]) if self.dtype.kind == "u" else np.zeros(2, np.float32)
-
-    @cached_property
-    def scale(self) -> np.float32:
-        """Linear value of one code, see `straight_scale`."""
-        return straight_scale(self.lut, self.dtype)
 
     @cached_property
     def gain(self) -> np.ndarray:
@@ -81,6 +66,35 @@ def saturation_code(dtype: np.dtype, fraction: float | None, bits: int | None = 
     if np.dtype(dtype).kind == "f":
         return np.float32(np.inf if fraction is None else fraction)
     return np.dtype(dtype).type(np.ceil((fraction or DEFAULT_SATURATION) * full_scale(dtype, bits)))
+
+
+def count_unusable(
+    codes: np.ndarray, usable: np.ndarray, saturated: np.number, clip: np.number
+) -> tuple[int, int, int, int, float]:
+    """Pixels of one frame inside the mask that are: saturated in any channel, at the clip in all, not finite; in all.
+
+    codes (rows, columns, channels); usable (rows, columns) uint8; saturated, clip: in the codes' own type.
+    Returns these four counts and the largest code (of the whole frame).
+    """
+    inside, brightest = usable != 0, reduce(np.fmax, np.moveaxis(codes, 2, 0))
+    broken = codes.dtype.kind == "f" and inside & ~np.isfinite(codes).all(axis=2)
+    kinds = (inside & (brightest >= saturated), inside & (brightest <= clip), broken, inside)
+    hot, cold, bad, within = (int(np.count_nonzero(kind)) for kind in kinds)
+    return hot, cold, bad, within, float(brightest.max())
+
+
+def to_luma(codes: np.ndarray, saturated: np.number, full: float, weights: np.ndarray, rounding: float) -> np.ndarray:
+    """Luma (rows, columns, 1) of codes (rows, columns, channels) in their own type; `full` where one is saturated.
+
+    A mean would hide that one channel was clipped, so such pixels are given a code that counts as saturated.
+    rounding: 0.5 for integer codes, 0.0 for float.
+    """
+    out = np.empty((*codes.shape[:2], 1), codes.dtype)
+    for band in strips(len(codes)):
+        channels = np.moveaxis(codes[band], 2, 0)
+        luma = sum((weight * channel for weight, channel in zip(weights, channels, strict=True)), rounding)
+        out[band, :, 0] = np.where(reduce(np.fmax, channels) >= saturated, full, luma)
+    return out
 
 
 @dataclass(frozen=True)

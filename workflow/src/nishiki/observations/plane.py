@@ -9,9 +9,9 @@ import numpy as np
 
 from nishiki.formats.stored import open_made_by, understood
 from nishiki.formats.zarr_store import chunk_path, read_chunk
-from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid, positions
+from nishiki.observations.blocks import Edges, edges_between
 from nishiki.observations.linearise import StoredArrays
-from nishiki.threads import in_threads, over_rows, strips
+from nishiki.threads import in_threads, strips
 
 STORE, FORMAT = "frames.zarr", 1  # name and version of the file; readers refuse others
 STRIP_BYTES = 8 << 20
@@ -131,26 +131,16 @@ class Observations(StoredArrays):
         channel: Literal["mean"] | int | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Decode codes of these lights whose first row and column are these into values and validity; see `read`."""
-        from nishiki.observations.plane_decode import decode  # names and masks alone need no compiled code
+        from nishiki.observations.plane_decode import decode_codes  # names and masks alone need no compiled code
 
-        first, last = self._channel_range(channel)
         rows, width = codes.shape[1:3]
-        gain, dark = on_one_grid(self.gain[chosen], self.dark if len(self.dark) == 1 else self.dark[chosen])
-        edges = self.edges
-        if gain.shape[1:3] == (1, 1):
-            edges = tuple(np.array([0, n]) for n in self.shape)
-        place_rows, row_weights = positions(edges[0], start, start + rows)
-        _, column_weights = positions(edges[1], left, left + width)
-        between = cells(edges[1], left, left + width)
         usable = self._usable[start : start + rows, left : left + width]
-        out = np.empty((*codes.shape[:3], last - first if channel is None else 1), np.float32)
-        valid = np.empty(codes.shape[:3], bool)
-        codes = np.ascontiguousarray(codes)
-        over_rows(
-            decode, len(codes) * rows, codes, (self.lut, self.scale, *self.limits), (gain, dark, usable),
-            (place_rows, row_weights, between, column_weights), (first, last, channel is not None), (out, valid),
-        )  # fmt: skip
-        return (out if channel is None else out[..., 0]), valid
+        fields = self.gain[chosen], self.dark if len(self.dark) == 1 else self.dark[chosen], usable
+        channels = (*self._channel_range(channel), channel is not None)
+        values, valid = decode_codes(
+            codes, (self.lut, *self.limits), fields, self.edges, corner=(start, left), channels=channels
+        )
+        return (values if channel is None else values[..., 0]), valid
 
     def codes(
         self, band: slice, *, lights: np.ndarray | None = None, columns: slice | None = None

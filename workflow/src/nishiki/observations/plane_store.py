@@ -16,8 +16,8 @@ from nishiki.observations.blocks import bands_with_object, edges_between, rows_o
 from nishiki.observations.consistency import ReducedPhotographs
 from nishiki.observations.corrections import find_corrections
 from nishiki.observations.frames import FrameReader
+from nishiki.observations.linearise import count_unusable
 from nishiki.observations.plane import FORMAT, STORE
-from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import measure_darks, measure_gains, measure_room
 from nishiki.observations.region import chosen, object_mask, region_around, region_numbers, window_of
 from nishiki.observations.resampling import subtract_room

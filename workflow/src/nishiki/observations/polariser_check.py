@@ -12,7 +12,7 @@ from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning
 from nishiki.observations.blocks import CHECK_BLOCK, picture_edges
 from nishiki.observations.frames import FrameReader
-from nishiki.observations.plane_decode import count_unusable
+from nishiki.observations.linearise import count_unusable
 from nishiki.observations.reference import measure_darks
 from nishiki.observations.store_parts import RepeatedFiles, Tick, as_errors
 from nishiki.observations.turntable_coherence import Pictures, capture_problems

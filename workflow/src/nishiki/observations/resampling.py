@@ -17,7 +17,6 @@ import numpy as np
 from nishiki.formats.images import Region
 from nishiki.formats.zarr_store import chunk_path, write_chunk
 from nishiki.observations.blocks import field_rows
-from nishiki.observations.linearise import straight_scale
 from nishiki.observations.plane import Observations
 from nishiki.photometric.lambert_fit import solve_normals
 from nishiki.threads import strips
@@ -90,7 +89,8 @@ def subtract_light(codes: np.ndarray, light: np.ndarray, table: np.ndarray, satu
         return np.where(codes >= saturated, codes, np.maximum(codes - light, 0)).astype(codes.dtype)
     out, middles = np.empty_like(codes), (table[1:] + table[:-1]) / 2
     coded = np.searchsorted(middles, np.linspace(0, table[-1], FINE_CODES)) if len(table) < FINE_CODES else None
-    scale = straight_scale(table, codes.dtype)
+    straight = np.linspace(0, table[-1], len(table))  # much faster than a search
+    scale = np.float32(straight[1]) if np.allclose(table, straight, rtol=1e-6, atol=0) else np.float32(0)
     for band in strips(len(codes)):
         part = codes[band]
         linear = np.clip(table[part] - light[band], 0, table[-1])

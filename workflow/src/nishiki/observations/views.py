@@ -11,7 +11,7 @@ from nishiki.colour.colour import decode, encode
 from nishiki.errors import UserError
 from nishiki.formats.stored import open_made_by, understood
 from nishiki.formats.zarr_store import chunk_path, read_chunk
-from nishiki.observations.blocks import grid_of, on_one_grid, picture_edges
+from nishiki.observations.blocks import picture_edges
 from nishiki.observations.linearise import StoredArrays
 
 __all__ = ["Views", "decode", "encode"]
@@ -69,17 +69,15 @@ class Views(StoredArrays):
         without polariser, else full scale at the longest exposure time. Valid: finite, no defect, gain known, saturated
         in no channel; code 0 is a valid measurement. A saturated sample keeps its value; what cannot be formed is 0.
         """
-        from nishiki.observations.plane_decode import view_values  # who asks for cameras alone needs no compiled code
+        from nishiki.observations.plane_decode import ANY_CODE, decode_codes  # cameras alone need no compiled code
 
         frame = self.index(view, state=state, light=light)
         codes = self.codes(view, state=state, light=light)
         gain = self.gain[frame // (len(self.views) * len(self.states))] * np.float32(self.attributes["scale"][frame])
-        fields = on_one_grid(gain, self.dark[frame if len(self.dark) > 1 else 0])
+        fields = gain[None], self.dark[frame if len(self.dark) > 1 else 0][None], self._usable
         edges = picture_edges(self.shape, self.attributes["white_block"])
-        grid = grid_of(fields[0].shape[:2], self.shape, edges)
-        out, valid = np.empty(codes.shape, np.float32), np.empty(self.shape, bool)
-        view_values(codes, (self.lut, self.scale, self._saturated), fields, grid, self._usable, out, valid)
-        return out, valid
+        (values,), (valid,) = decode_codes(codes[None], (self.lut, self._saturated, ANY_CODE), fields, edges)
+        return values, valid
 
     def codes(self, view: str | int, *, state: str | None = None, light: str | None = None) -> np.ndarray:
         """Read stored codes (rows, columns, channels) of one photograph, in the camera's own type."""

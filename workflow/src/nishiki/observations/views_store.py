@@ -16,10 +16,10 @@ from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
 from nishiki.formats.problems import Problem, refuse
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.block_kernels import count_outliers
-from nishiki.observations.blocks import Edges, grid_of, on_one_grid, picture_edges
+from nishiki.observations.blocks import Edges, picture_edges
 from nishiki.observations.frames import FrameReader
-from nishiki.observations.linearise import LUMA_WEIGHTS, straight_scale
-from nishiki.observations.plane_decode import count_unusable, view_values
+from nishiki.observations.linearise import LUMA_WEIGHTS, count_unusable
+from nishiki.observations.plane_decode import ANY_CODE, decode_codes
 from nishiki.observations.reference import DEAD, DarkField, measure_darks, white_field
 from nishiki.observations.region import chosen
 from nishiki.observations.store_parts import (
@@ -117,18 +117,16 @@ def mean_boards(
     Saturated samples keep their values: they are the best that is known of the board there.
     """
     rows, columns = reader.rows, reader.columns
-    usable, one_code = np.ones((rows, columns), np.uint8), straight_scale(reader.table, reader.dtype)
+    usable = np.ones((rows, columns), np.uint8)
     for light, state in keys:
         frames = tuple(f for f in reader.capture.frames_of("white") if (f.light, f.polariser) == (light, state))
         total = np.zeros((rows, columns, len(reader.names)), np.float32)
-        part, valid = np.empty_like(total), np.empty((rows, columns), bool)
         gain = whites.gain[reader.capture.light_names.index(light)]
         for frame, codes in reader.read_all(frames):
             scale = np.float32(whites.longest / frame.exposure if whites.longest else 1.0)
-            fields = on_one_grid(gain * scale, darks.at(frame.exposure_s))
-            grid = grid_of(fields[0].shape[:2], (rows, columns), edges)
-            view_values(codes, (reader.table, one_code, reader.saturated), fields, grid, usable, part, valid)
-            total += part
+            fields = (gain * scale)[None], darks.at(frame.exposure_s)[None], usable
+            (values,), _ = decode_codes(codes[None], (reader.table, reader.saturated, ANY_CODE), fields, edges)
+            total += values
             tick(frame.file)
         yield total / np.float32(len(frames))
 

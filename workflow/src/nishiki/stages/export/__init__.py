@@ -103,7 +103,7 @@ PAINTING = Stage(
     requires=("ingest", "normals"),
     wants=_wanted,
     looks_at=lambda facts, settings, asked: ("check",),
-    libraries=(*ARRAYS, "OpenEXR", OPENCV, "usd-core", "materialx"),
+    libraries=(*ARRAYS, OPENCV, "usd-core", "materialx"),
     idle={"usd-core": no_format("export", "usd"), "materialx": no_format("export", "materialx")},
     deliverables=("exports",),
     cost=lambda facts: Cost(mib=620, bytes_per_pixel=40, seconds=5, us_per_pixel=20, us_per_sample=0.5),

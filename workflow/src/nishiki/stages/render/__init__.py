@@ -101,7 +101,7 @@ PAINTING = Stage(
             for table in sorted(table for table in illuminants(block) if table.lower().endswith(".csv"))
         }
     },
-    libraries=(*ARRAYS, "OpenEXR", OPENCV, "av"),
+    libraries=(*ARRAYS, OPENCV, "av"),
     idle={"av": no_film("render", "sequences")},
     deliverables=("*.png", "*.exr", "*.mp4", "*.webp"),
     cost=lambda facts: Cost(
@@ -171,7 +171,7 @@ OBJECT = Stage(
     geometry="turntable",
     product="render",
     requires=("ingest", "mesh", "cameras", "texels", "object_brdf", "residual"),
-    libraries=(*ARRAYS, "pywavelets", "OpenEXR", OPENCV, "av"),
+    libraries=(*ARRAYS, "pywavelets", OPENCV, "av"),
     idle={"av": no_film("object_render", "film")},
     deliverables=("*.png", "*.exr", "*.mp4", "*.webp"),
     cost=lambda facts: Cost(mib=270, bytes_per_sample=70, seconds=4, us_per_sample=9.5),
@@ -275,7 +275,7 @@ CLOTH = Stage(
     product="render",
     requires=("cloth_brdf",),
     filled=lambda block, settings: with_digest_of_mesh(block.mesh, "cloth_render"),
-    libraries=("numpy", "scipy", "numba", "trimesh", "OpenEXR", OPENCV, "av"),
+    libraries=("numpy", "scipy", "numba", "trimesh", OPENCV, "av"),
     idle={
         "av": no_film("cloth_render", "film"),
         "trimesh": lambda facts, settings: None if settings["cloth_render"].mesh else "no mesh file is draped",
