@@ -74,12 +74,12 @@ def test_a_capture_that_is_not_there_is_told_with_the_way_to_one(capsys, project
 def three_scenes(project, monkeypatch):
     """A table of three scenes, the second of which has no capture; what a run asks of Snakemake is not done."""
 
-    def facts(scene, results):
+    def facts(scene):
         if scene.name == "wing":
             raise UserError(f"scene {scene.name!r}: no such capture folder")
         return PLANE
 
-    monkeypatch.setattr("nishiki.engine.workflow.remembered_facts", facts)
+    monkeypatch.setattr("nishiki.engine.workflow.scene_facts", facts)
     monkeypatch.setattr("nishiki.commands.inspecting.expect_packages", lambda flow: None)
     rows = "".join(f"{name}\tcaptures/{name}\tnormals\n" for name in ("jar", "wing", "bowl"))
     (project / "table.tsv").write_text("scene\tcapture\tproducts\n" + rows)

@@ -2,7 +2,7 @@
 
 A scene is finished where each stage of its plan has an artifact under its key that is whole, was made by the present
 code with the present libraries and from the upstream artifacts that stand there, and where the publication names
-exactly these artifacts. Settings, products, truth and capture decide the keys; the facts cache sees their changes.
+exactly these artifacts. Settings, products, truth and capture decide the keys.
 
 Nothing is deleted: a folder that is set aside keeps its files under `<key>.set-aside-<digest>`, for whoever wants to
 know what happened; `./nishiki prune` lists it.

@@ -15,7 +15,7 @@ from nishiki.artifacts.provenance import (
     program_of,
     scene_of_field,
 )
-from nishiki.engine.facts import remembered_facts
+from nishiki.engine.facts import scene_facts
 from nishiki.engine.plan import Plan, PlannedStage, make_plan
 from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project, scene_with_exports
 from nishiki.engine.scheduling import Scheduling
@@ -111,7 +111,7 @@ class Workflow(Scheduling):
     def _facts(self, scene: Scene) -> SceneFacts:
         place = (scene.capture, scene.truth)
         if place not in self._known_facts:  # scenes may share a capture
-            self._known_facts[place] = remembered_facts(scene, self.project.results)
+            self._known_facts[place] = scene_facts(scene)
         return self._known_facts[place]
 
     def _plan(self, name: str) -> Plan:
