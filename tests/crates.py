@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from archives import write_scene
 
+from nishiki.archive.crate import PackedScene
 from nishiki.archive.crate_audit import CrateAudit, audit_crate
-from nishiki.archive.pack import PackedScene, pack
+from nishiki.archive.pack import pack
 from nishiki.archive.survey import Damage
 from nishiki.artifacts.provenance import stage_program
 from nishiki.capture.seal import capture_digest, seal
@@ -48,7 +50,7 @@ def scene_to_pack(folder: Path) -> tuple[PackedScene, Path]:
 
 def packed(scene: tuple[PackedScene, Path], target: Path, *, with_capture: bool = True) -> str:
     """The crate made; digest of its manifest."""
-    return pack(scene[0], scene[1], target, with_capture=with_capture, tell=lambda *_: None)
+    return pack(replace(scene[0], with_capture=with_capture), scene[1], target, tell=lambda *_: None)
 
 
 def audit(path: Path) -> tuple[list[Damage], CrateAudit]:

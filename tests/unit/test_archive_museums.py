@@ -1,5 +1,7 @@
 """The records of a crate for museums: LIDO 1.1 and the CIDOC CRM, by their structure, their vocabulary and readers."""
 
+from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree as XML
 
 import pytest
@@ -9,7 +11,7 @@ from npm_packages import npm_folder
 from rdflib.namespace import RDF, RDFS
 from refusals import expect_facts, refused
 
-from nishiki.archive.crate import METADATA, TECHNIQUES, Digitisation, PackedStage, capture_method, is_address
+from nishiki.archive.crate import METADATA, TECHNIQUES, PackedScene, PackedStage, capture_method, is_address
 from nishiki.archive.crate_metadata import _rights_id
 from nishiki.archive.museums import CONTEXT, crm_graph, lido_text
 from nishiki.archive.pack import _json
@@ -48,11 +50,12 @@ STAGES.append(packed_stage("report", ["ingest", "normals", "height"]))
 
 
 def digitised(about=None, method=None):
-    return Digitisation("scene", "0.1.0", "cd" * 32, {**ABOUT, **(about or {})}, METHOD | (method or {}), STAGES)
+    said = {**ABOUT, **(about or {})}
+    return PackedScene("scene", "0.1.0", [], Path("capture"), "cd" * 32, said, {}, {}, METHOD | (method or {}), STAGES)
 
 
 def nothing_said():
-    return Digitisation("scene", "0.1.0", "cd" * 32, dict.fromkeys(ABOUT), {"geometry": "plane"}, STAGES)
+    return replace(digitised(), about=dict.fromkeys(ABOUT), method={"geometry": "plane"})
 
 
 def record(scene):

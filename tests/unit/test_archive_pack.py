@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 
 import crate_profile
 import pytest
@@ -10,7 +11,7 @@ from crates import ABOUT, audit, packed, scene_to_pack
 from refusals import expect_facts, refused
 
 from nishiki.archive.crate import MANIFEST, manifest_text, parse_manifest_text
-from nishiki.archive.pack import PackedScene, write_zip
+from nishiki.archive.pack import write_zip
 from nishiki.artifacts.provenance import file_digest
 from nishiki.commands.archiving import expect_outside
 from nishiki.errors import UserError
@@ -158,7 +159,7 @@ def test_the_shapes_of_the_profile_find_nothing(made):
 
 
 def test_a_capture_that_says_nothing_of_people_can_be_packed(scene, tmp_path):
-    bare = PackedScene(**{**scene[0].__dict__, "about": dict.fromkeys(ABOUT)})
+    bare = replace(scene[0], about=dict.fromkeys(ABOUT))
     packed((bare, scene[1]), tmp_path / "crate")
     assert audit(tmp_path / "crate")[0] == []
     described = (tmp_path / "crate/ro-crate-metadata.json").read_text()

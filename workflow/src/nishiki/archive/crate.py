@@ -2,14 +2,14 @@
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date as Date
 from datetime import datetime, timedelta
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
-from nishiki.artifacts.artifact import is_inside
+from nishiki.artifacts.artifact import Artifact, is_inside
 from nishiki.artifacts.provenance import canonical, stage_program
 from nishiki.capture.schema_base import Session
 from nishiki.errors import UserError
@@ -253,17 +253,21 @@ def capture_method(described: Session) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Digitisation:
-    """One digitised scene."""
+class PackedScene:
+    """Collect the contents of a crate: one digitised scene."""
 
-    scene: str  # scene, version: name of the scene; version of this program
-    version: str
-    digest: str  # SHA-256 of the seal of the capture
+    name: str
+    version: str  # of this program
+    artifacts: list[Artifact]  # in the order of the flow
+    capture: Path  # the sealed folder
+    digest: str  # of the capture
     # what capture.yaml says under the keys of `ABOUT`; None or empty where nothing is said
     about: dict[str, str | None]
-    # `geometry`, `camera` (its model) and `pixel_pitch_mm` of capture.yaml; None where nothing is said
-    method: dict[str, Any]
-    stages: list[PackedStage]  # in the order of the flow
+    facts: dict[str, Any]  # further facts of the plan as plain data
+    does: dict[str, str]  # purposes of the stages
+    method: dict[str, Any] = field(default_factory=dict)  # how the capture was made (`capture_method`)
+    stages: list[PackedStage] = field(default_factory=list)  # the artifacts as they are packed
+    with_capture: bool = True
 
     def said(self, key: str) -> str:
         """Return the value of capture.yaml under a key of `about`; empty where it is missing."""

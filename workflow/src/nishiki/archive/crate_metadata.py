@@ -3,13 +3,12 @@
 A function of what is packed: the same artifacts give the same bytes. https://www.researchobject.org/workflow-run-crate
 """
 
-from dataclasses import dataclass
-
 from nishiki.archive.crate import (
     BIOSCHEMAS,
     METADATA,
     PROJECT_LICENCE,
     Entity,
+    PackedScene,
     PackedStage,
     ended,
     ids,
@@ -36,32 +35,22 @@ MUSEUM_STANDARDS = {LIDO: "LIDO 1.1", CIDOC_CRM: "CIDOC Conceptual Reference Mod
 MAIN, LOCK = "code/Snakefile", "code/uv.lock"
 
 
-@dataclass(frozen=True)
-class PackedCapture:
-    """The capture as it is packed. about: what capture.yaml says under the keys of `ABOUT`."""
-
-    digest: str
-    about: dict[str, str | None]
-    included: bool
-    files: int
-    bytes: int
-
-
-def metadata(scene: str, version: str, capture: PackedCapture, stages: list[PackedStage], others: list[str]) -> Entity:
-    """Build the whole description. stages: in the order of the flow; others: names of further files of the crate."""
+def metadata(scene: PackedScene, others: list[str]) -> Entity:
+    """Build the whole description; others: names of further files of the crate."""
+    stages = scene.stages
     profiles = ids([RO_CRATE, WORKFLOW])
     graph = [
         {"@id": METADATA, "@type": "CreativeWork", "about": {"@id": "./"}, "conformsTo": profiles},
-        _root(scene, capture, stages, others),
+        _root(scene, others),
         *(
             {"@id": name, "@type": "CreativeWork", "name": title, "version": number}
             for name, (title, number) in PROFILES.items()
         ),
-        *_people_and_rights(capture),
-        *_workflow(version, stages, locked=LOCK in others),
-        *_capture(capture, stages),
+        *_people_and_rights(scene),
+        *_workflow(scene, locked=LOCK in others),
+        _capture(scene),
         *(entity for number, stage in enumerate(stages) for entity in stage_entities(stage, number)),
-        *_workflow_run(scene, stages, locked=LOCK in others),
+        *_workflow_run(scene, locked=LOCK in others),
         *library_entities(stages),
         *(_other(name) for name in others),
     ]
@@ -82,32 +71,31 @@ def last_end(stages: list[PackedStage]) -> str:
     return max(ended(stage) for stage in stages)
 
 
-def _root(scene: str, capture: PackedCapture, stages: list[PackedStage], others: list[str]) -> Entity:
-    about = capture.about
+def _root(scene: PackedScene, others: list[str]) -> Entity:
+    stages = scene.stages
     root = {
         "@id": "./",
         "@type": "Dataset",
-        "name": about.get("title") or scene,
-        "description": f"Scene {scene}: from photographs under controlled light to the appearance of an object. "
+        "name": scene.said("title") or scene.name,
+        "description": f"Scene {scene.name}: from photographs under controlled light to the appearance of an object. "
         f"{len(stages)} results with everything that they were made from, each under a key that follows from its "
         "settings and from the keys of what it was made from.",
         "datePublished": last_end(stages),
-        "license": {"@id": _rights_id(about.get("rights"))},
+        "license": {"@id": _rights_id(scene.said("rights"))},
         "conformsTo": ids(PROFILES),
         "mainEntity": {"@id": MAIN},
         "hasPart": ids(["capture/", MAIN, "code/", *_scripts(stages), *(stage.folder for stage in stages), *others]),
         "mentions": ids(["#run", "#engine-run", *(f"#run-{stage.name}" for stage in stages)]),
     }
-    if about.get("creator"):
+    if scene.said("creator"):
         root["author"] = {"@id": "#creator"}
-    if _says_of_object(about):
+    if _says_of_object(scene):
         root["about"] = {"@id": "#object"}
     return root
 
 
-def _people_and_rights(capture: PackedCapture) -> list[Entity]:
-    about = capture.about
-    rights = about.get("rights")
+def _people_and_rights(scene: PackedScene) -> list[Entity]:
+    rights = scene.said("rights")
     entities: list[Entity] = [
         {
             "@id": _rights_id(rights),
@@ -119,56 +107,56 @@ def _people_and_rights(capture: PackedCapture) -> list[Entity]:
         },
         {"@id": PROJECT_LICENCE, "@type": "CreativeWork", "name": "BSD 3-Clause License"},
     ]
-    if about.get("creator"):
-        entities.append({"@id": "#creator", "@type": "Person", "name": about["creator"]})
-    if _says_of_object(about):
-        entities.append(_object(about))
+    if scene.said("creator"):
+        entities.append({"@id": "#creator", "@type": "Person", "name": scene.said("creator")})
+    if _says_of_object(scene):
+        entities.append(_object(scene))
     return entities
 
 
-def _says_of_object(about: dict[str, str | None]) -> bool:
-    return any(about.get(key) for key in ("object_id", *OBJECT_FACTS))
+def _says_of_object(scene: PackedScene) -> bool:
+    return any(scene.said(key) for key in ("object_id", *OBJECT_FACTS))
 
 
-def _object(about: dict[str, str | None]) -> Entity:
+def _object(scene: PackedScene) -> Entity:
     """Describe the object; properties that schema.org has for works of art alone are given in words."""
     entity: Entity = {"@id": "#object", "@type": "Thing"}
-    entity["name"] = about.get("title") or about.get("object_id") or "Object"
-    if about.get("object_id"):
-        entity["identifier"] = about["object_id"]
-    facts = [f"{label}: {about[key]}" for key, label in OBJECT_FACTS.items() if about.get(key)]
+    entity["name"] = scene.said("title") or scene.said("object_id") or "Object"
+    if scene.said("object_id"):
+        entity["identifier"] = scene.said("object_id")
+    facts = [f"{label}: {scene.said(key)}" for key, label in OBJECT_FACTS.items() if scene.said(key)]
     if facts:
         entity["description"] = ". ".join(facts)
     return entity
 
 
-def _rights_id(rights: str | None) -> str:
-    return rights if rights and is_address(rights) else "#rights"
+def _rights_id(rights: str) -> str:
+    return rights if is_address(rights) else "#rights"
 
 
-def _capture(capture: PackedCapture, stages: list[PackedStage]) -> list[Entity]:
+def _capture(scene: PackedScene) -> Entity:
     what = "The sealed capture: a BagIt bag (RFC 8493) with the photographs, lights, cameras and tables."
     without = "The manifest of the sealed capture (BagIt, RFC 8493): names and SHA-256; the files are kept elsewhere."
-    about = capture.about
     entity: Entity = {
         "@id": "capture/",
         "@type": "Dataset",
         "name": "Capture",
-        "description": what if capture.included else without,
-        "identifier": f"sha256:{capture.digest}",
-        "license": {"@id": _rights_id(about.get("rights"))},
+        "description": what if scene.with_capture else without,
+        "identifier": f"sha256:{scene.digest}",
+        "license": {"@id": _rights_id(scene.said("rights"))},
         "exampleOfWork": {"@id": "#parameter-capture"},
     }
-    if about.get("date"):
-        entity["dateCreated"] = about["date"]
-    if about.get("creator"):
+    if scene.said("date"):
+        entity["dateCreated"] = scene.said("date")
+    if scene.said("creator"):
         entity["creator"] = {"@id": "#creator"}
-    if about.get("notes"):
-        entity["disambiguatingDescription"] = about["notes"]
-    return [entity]
+    if scene.said("notes"):
+        entity["disambiguatingDescription"] = scene.said("notes")
+    return entity
 
 
-def _workflow(version: str, stages: list[PackedStage], *, locked: bool) -> list[Entity]:
+def _workflow(scene: PackedScene, *, locked: bool) -> list[Entity]:
+    stages = scene.stages
     code = "The workflow's code" + (", and the lock of all libraries" if locked else "")
     return [
         {
@@ -176,7 +164,7 @@ def _workflow(version: str, stages: list[PackedStage], *, locked: bool) -> list[
             "@type": ["File", "SoftwareSourceCode", "ComputationalWorkflow", "HowTo"],
             "name": "Nishiki",
             "description": "From photographs under controlled light to the appearance of an object",
-            "version": version,
+            "version": scene.version,
             "license": {"@id": PROJECT_LICENCE},
             "conformsTo": {"@id": f"{BIOSCHEMAS}ComputationalWorkflow/1.0-RELEASE"},
             "encodingFormat": "text/plain",
@@ -210,13 +198,14 @@ def _parameter(name: str, example: str) -> Entity:
     }
 
 
-def _workflow_run(scene: str, stages: list[PackedStage], *, locked: bool) -> list[Entity]:
+def _workflow_run(scene: PackedScene, *, locked: bool) -> list[Entity]:
+    stages = scene.stages
     engine = {"softwareVersion": f"the version in {LOCK}"} if locked else {}  # an installation has no lock
     return [
         {
             "@id": "#run",
             "@type": "CreateAction",
-            "name": f"Digitisation of {scene}",
+            "name": f"Digitisation of {scene.name}",
             "description": "All stages of the scene. They may have run in several sessions.",
             "instrument": {"@id": MAIN},
             "object": {"@id": "capture/"},

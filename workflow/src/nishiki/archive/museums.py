@@ -13,7 +13,7 @@ out. https://www.cidoc-crm.org https://www.cidoc-crm.org/crmdig
 from typing import Any
 from xml.etree import ElementTree as XML
 
-from nishiki.archive.crate import METADATA, Digitisation, Entity, PackedStage, days_of, ended, ids, is_address, started
+from nishiki.archive.crate import METADATA, Entity, PackedScene, PackedStage, days_of, ended, ids, is_address, started
 from nishiki.artifacts.provenance import canonical
 
 LIDO = "lido.xml"
@@ -22,7 +22,7 @@ NAMES = {"URI": "00099", "LOCAL": "00100", "INVENTORY_NUMBER": "00113", "ITEM": 
 """Numbers in the terminology of LIDO: kinds of identifiers, and the record of a single object."""
 
 
-def lido_text(scene: Digitisation) -> str:
+def lido_text(scene: PackedScene) -> str:
     """Write the record as XML, by the template `lido.xml.j2`.
 
     Raises
@@ -39,7 +39,7 @@ def lido_text(scene: Digitisation) -> str:
     loader = jinja2.PackageLoader("nishiki.archive", ".")
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
     words = {name: f"{TERMS}lido{number}" for name, number in NAMES.items()}
-    facts = {"identifier": f"{scene.scene}/sha256:{scene.digest}", "made": _made(scene), "days": days}
+    facts = {"identifier": f"{scene.name}/sha256:{scene.digest}", "made": _made(scene), "days": days}
     text = environment.get_template("lido.xml.j2").render(scene=scene, is_address=is_address, **facts, **words)
     try:
         record = XML.fromstring(text)
@@ -59,10 +59,10 @@ CONTEXT = {
 }
 
 
-def crm_graph(scene: Digitisation) -> Entity:
+def crm_graph(scene: PackedScene) -> Entity:
     """Build the graph of a scene: object, digitisation, capture, stages, and the crate that holds them."""
     folders = ["capture/", *(stage.folder for stage in scene.stages)]
-    crate = _node("./", "dig:D1_Digital_Object", scene.said("title") or scene.scene)
+    crate = _node("./", "dig:D1_Digital_Object", scene.said("title") or scene.name)
     crate |= {"crm:P106_is_composed_of": ids(folders), "crm:P129_is_about": {"@id": _named("object")}}
     software = _node("code/Snakefile", "dig:D14_Software", f"Nishiki {scene.version}")
     stages = [entity for stage in scene.stages for entity in _stage(stage)]
@@ -78,7 +78,7 @@ def crm_graph(scene: Digitisation) -> Entity:
     return {"@context": CONTEXT, "@graph": graph}
 
 
-def _object(scene: Digitisation) -> list[Entity]:
+def _object(scene: PackedScene) -> list[Entity]:
     """Describe the object, its keeper and its place."""
     kind = "crm:E22_Human-Made_Object" if _made(scene) else "crm:E19_Physical_Object"
     node = _node(_named("object"), kind, scene.said("title"))
@@ -99,11 +99,11 @@ def _object(scene: Digitisation) -> list[Entity]:
     return nodes
 
 
-def _made(scene: Digitisation) -> bool:
+def _made(scene: PackedScene) -> bool:
     return bool(scene.said("object_maker") or scene.said("object_made"))
 
 
-def _production_node(scene: Digitisation) -> list[Entity]:
+def _production_node(scene: PackedScene) -> list[Entity]:
     """Describe the production of the object: people and dates."""
     if not _made(scene):
         return []
@@ -118,9 +118,9 @@ def _production_node(scene: Digitisation) -> list[Entity]:
     return nodes
 
 
-def _digitisation_node(scene: Digitisation) -> list[Entity]:
+def _digitisation_node(scene: PackedScene) -> list[Entity]:
     """Describe the digitisation: object, photographer, date, camera and technique."""
-    event = _node(_named("digitisation"), "dig:D2_Digitization_Process", f"Photographs of {scene.scene}")
+    event = _node(_named("digitisation"), "dig:D2_Digitization_Process", f"Photographs of {scene.name}")
     event |= {"dig:L1_digitized": {"@id": _named("object")}, "dig:L20_has_created": {"@id": "capture/"}}
     nodes = [event]
     if scene.said("creator"):
@@ -138,7 +138,7 @@ def _digitisation_node(scene: Digitisation) -> list[Entity]:
     return nodes
 
 
-def _capture(scene: Digitisation) -> list[Entity]:
+def _capture(scene: PackedScene) -> list[Entity]:
     """Describe the sealed photographs and the rights in them."""
     capture = _node("capture/", "dig:D9_Data_Object", "Sealed capture")
     capture["crm:P1_is_identified_by"] = _appellation_node("crm:E42_Identifier", f"sha256:{scene.digest}")

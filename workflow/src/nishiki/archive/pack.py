@@ -10,12 +10,12 @@ import os
 import shutil
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from nishiki.archive.crate import MANIFEST, METADATA, Digitisation, PackedStage, manifest_text
-from nishiki.archive.crate_metadata import LOCK, PackedCapture, metadata
+from nishiki.archive.crate import MANIFEST, METADATA, PackedScene, PackedStage, manifest_text
+from nishiki.archive.crate_metadata import LOCK, metadata
 from nishiki.archive.museums import CIDOC_CRM, LIDO, crm_graph, lido_text
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
@@ -79,22 +79,7 @@ class Crate:
         return target
 
 
-@dataclass(frozen=True)
-class PackedScene:
-    """Collect the contents of a crate."""
-
-    name: str
-    version: str
-    artifacts: list[Artifact]  # in the order of the flow
-    capture: Path  # the sealed folder
-    capture_digest: str
-    about: dict[str, str | None]  # title, people and rights of capture.yaml
-    facts: dict[str, Any]  # further facts of the plan as plain data
-    does: dict[str, str]  # purposes of the stages
-    method: dict[str, Any] = field(default_factory=dict)  # how the capture was made (`capture_method`)
-
-
-def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool, tell: Tell) -> str:
+def pack(scene: PackedScene, project: Path, target: Path, *, tell: Tell) -> str:
     """Write the crate of a scene to a new folder and return the digest that names all of it.
 
     project: folder of the workflow's code. Raises UserError where the target exists, or an artifact or the capture is
@@ -111,19 +96,19 @@ def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool,
         for number, item in enumerate(scene.artifacts):
             tell(number, len(scene.artifacts), f"copying {item.stage}")
             stages.append(_copy_artifact(crate, scene, item, project))
-        capture = _copy_capture(crate, scene, with_capture, tell)
+        scene = replace(scene, stages=stages)
+        _copy_capture(crate, scene, tell)
         _copy_code(crate, project)
         crate.write("scene.json", _json({"scene": scene.name, **scene.facts}))
-        crate.write("README.md", _readme(scene, stages, capture))
-        museum = Digitisation(scene.name, scene.version, scene.capture_digest, scene.about, scene.method, stages)
+        crate.write("README.md", _readme(scene))
         try:
-            crate.write(LIDO, lido_text(museum))
+            crate.write(LIDO, lido_text(scene))
         except ValueError as error:
             raise UserError(f"{scene.capture}: {error}. Remedy: remove control characters from capture.yaml") from None
-        crate.write(CIDOC_CRM, _json(crm_graph(museum)))
+        crate.write(CIDOC_CRM, _json(crm_graph(scene)))
         others = ["README.md", "scene.json", LIDO, CIDOC_CRM, MANIFEST]
         others += [name for name in ("code/LICENSE", LOCK) if name in crate.files]
-        crate.write(METADATA, _json(metadata(scene.name, scene.version, capture, stages, others)))
+        crate.write(METADATA, _json(metadata(scene, others)))
         text = manifest_text({name: sha256 for name, (_, sha256) in crate.files.items()})
         crate.write(MANIFEST, text)
         os.rename(partial, target)
@@ -151,7 +136,7 @@ def _copy_artifact(crate: Crate, scene: PackedScene, item: Artifact, project: Pa
     return PackedStage(item.manifest, run, same, scene.does.get(item.stage, item.stage), files, name_of_stage)
 
 
-def _copy_capture(crate: Crate, scene: PackedScene, with_capture: bool, tell: Tell) -> PackedCapture:
+def _copy_capture(crate: Crate, scene: PackedScene, tell: Tell) -> None:
     from nishiki.capture.mosaic import TABLE, is_mosaic, read_fields
     from nishiki.capture.seal import MANIFEST as SEAL
     from nishiki.capture.seal import TAG_MANIFEST, TAGS, read_manifest
@@ -167,11 +152,10 @@ def _copy_capture(crate: Crate, scene: PackedScene, with_capture: bool, tell: Te
                 crate.copy(bag / name, f"{place}/{name}")
         listed |= {f"{place}/{name}": (bag / name, sha256) for name, sha256 in read_manifest(bag / SEAL).items()}
     total = 0
-    for number, (name, (path, sha256)) in enumerate(sorted(listed.items()) if with_capture else ()):
+    for number, (name, (path, sha256)) in enumerate(sorted(listed.items()) if scene.with_capture else ()):
         tell(number, len(listed), f"copying the capture, {total / 1e9:.2f} GB")
         crate.copy(path, name, sha256)
         total += crate.files[name][0]
-    return PackedCapture(scene.capture_digest, scene.about, with_capture, len(listed), total)
 
 
 def _copy_code(crate: Crate, project: Path) -> None:
@@ -195,15 +179,15 @@ def _json(value: Any) -> str:
     return json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _readme(scene: PackedScene, stages: list[PackedStage], capture: PackedCapture) -> str:
+def _readme(scene: PackedScene) -> str:
     """Write the page for people who find the folder and have no tool of this project."""
     photographs = (
         "`capture/` holds the photographs, sealed as a BagIt bag."
-        if capture.included
+        if scene.with_capture
         else "`capture/` holds the manifest of the photographs, which are kept elsewhere: their names and SHA-256."
     )
-    rows = "\n".join(f"| `{stage.folder}` | {stage.does} |" for stage in stages)
-    return f"""# {scene.about.get("title") or scene.name}
+    rows = "\n".join(f"| `{stage.folder}` | {stage.does} |" for stage in scene.stages)
+    return f"""# {scene.said("title") or scene.name}
 
 One digitised scene with everything that it was made from, as a Workflow Run RO-Crate (`{METADATA}` describes it).
 

@@ -10,12 +10,12 @@ from typing import Any
 from nishiki.archive.tree import Listing, Tree
 from nishiki.artifacts.artifact import MANIFEST, RUN, is_digest, parse_manifest, run_problem
 from nishiki.artifacts.provenance import UPSTREAM, stage_key
+from nishiki.errors import printable
 
 KINDS = {
     "damaged": "the content is not what was written",
     "missing": "a file, or an artifact that another was made from, is not there",
     "foreign": "a file that nobody listed, or that is no regular file",
-    "swapped": "the content of another file of the same artifact",
     "link": "a symbolic link where there may be none, or one that leads out of its scene",
     "unreadable": "the system does not let it be read",
     "wrong-key": "the name is not what settings and upstream artifacts give",
@@ -35,13 +35,7 @@ class Damage:
     artifact: Path | None = None
 
     def __str__(self) -> str:
-        return f"{self.kind}: {shown(self.path)} ({shown(self.detail)})"
-
-
-def shown(text: object) -> str:
-    """Text for a terminal: a name of a stranger's file can neither break the line nor control the terminal."""
-    plain = str(text).encode("utf-8", "backslashreplace").decode("utf-8")
-    return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in plain)
+        return printable(f"{self.kind}: {self.path} ({self.detail})")
 
 
 BATCH_BYTES = 64 * 2**20
@@ -188,22 +182,13 @@ def _check_files(survey: Survey, manifest: dict[str, Any], listing: Listing) -> 
                 survey.add(name, "missing", f"expected {entry['bytes']} bytes")
             continue
         if size != entry["bytes"]:
-            where = next((o for o, e in files.items() if e["bytes"] == size and _is(survey, name, e["sha256"])), None)
-            kind, detail = ("swapped", f"content of {where}") if where else ("damaged", f"{size} bytes")
-            survey.add(name, kind, f"{detail}, expected {entry['bytes']} bytes")
+            survey.add(name, "damaged", f"{size} bytes, expected {entry['bytes']} bytes")
             continue
         survey.to_read.append((name, size, entry["sha256"]))
     for name in listing.files:
         if name not in files and name not in (MANIFEST, RUN):
             survey.add(name, "foreign", "not in the manifest")
     survey.files, survey.bytes = len(files), sum(entry["bytes"] for entry in files.values())
-
-
-def _is(survey: Survey, name: str, sha256: str) -> bool:
-    try:
-        return survey.tree.digest(survey.named(name)) == sha256
-    except OSError:
-        return False
 
 
 def read_portion(survey: Survey, portion: list[tuple[str, int, str]]) -> list[Damage]:
@@ -216,7 +201,6 @@ def read_portion(survey: Survey, portion: list[tuple[str, int, str]]) -> list[Da
             damages.append(Damage(survey.folder / name, "unreadable", str(error.strerror), survey.folder))
             continue
         if digest != sha256:
-            other = next((name for name, _, listed in survey.to_read if listed == digest), None)
-            kind, detail = ("swapped", f"content of {other}") if other else ("damaged", f"sha256 {digest[:12]}…")
-            damages.append(Damage(survey.folder / name, kind, f"{detail}, expected {sha256[:12]}…", survey.folder))
+            detail = f"sha256 {digest[:12]}…, expected {sha256[:12]}…"
+            damages.append(Damage(survey.folder / name, "damaged", detail, survey.folder))
     return damages

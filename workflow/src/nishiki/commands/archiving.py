@@ -2,7 +2,7 @@
 
 import json
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,13 +18,13 @@ from nishiki.commands.declare import (
     with_json,
 )
 from nishiki.commands.inspecting import planned_workflow
-from nishiki.errors import UserError
+from nishiki.errors import UserError, printable
 from nishiki.installation import PROJECT
 from nishiki.progress import Progress
 
 if TYPE_CHECKING:
     from nishiki.archive.audit import AuditTargets, Counts
-    from nishiki.archive.pack import PackedScene
+    from nishiki.archive.crate import PackedScene
     from nishiki.archive.prune import Item, Place, Pruning
     from nishiki.archive.survey import Damage
     from nishiki.artifacts.artifact import Artifact
@@ -45,7 +45,6 @@ def verify(folders, captures, as_json, threads, set_aside) -> int:
     """
     from nishiki.archive.audit import Counts, audit, find_artifacts
     from nishiki.archive.crate_audit import is_crate
-    from nishiki.archive.survey import shown
     from nishiki.threads import threads as given_threads
 
     places = [Path(folder) for folder in folders or ["results"]]
@@ -79,13 +78,13 @@ def verify(folders, captures, as_json, threads, set_aside) -> int:
 
         for folder in sorted(unsound):
             if folder.is_dir() and not folder.is_symlink() and "." not in folder.name:
-                print(f"set aside: {shown(folder)} as {shown(rename_aside(folder).name)}", file=sys.stderr)
+                print(f"set aside: {printable(str(folder))} as {printable(rename_aside(folder).name)}", file=sys.stderr)
     return 1 if counts.problems else 0
 
 
 def _verify_capture(capture: Path, as_json: bool) -> int:
     """Verify a sealed capture; the number of problems."""
-    from nishiki.archive.survey import Damage, shown
+    from nishiki.archive.survey import Damage
     from nishiki.capture.seal import verify_seal
     from nishiki.formats.problems import group_problems
 
@@ -93,18 +92,17 @@ def _verify_capture(capture: Path, as_json: bool) -> int:
     for problem in group_problems(problems):
         _print_damage(Damage(capture, "damaged", str(problem)), as_json)
     if not as_json:
-        print(f"{shown(capture)}: {amount(len(problems), 'problem') if problems else 'as it was sealed'}")
+        print(f"{printable(str(capture))}: {amount(len(problems), 'problem') if problems else 'as it was sealed'}")
     return len(problems)
 
 
 def _verify_crate(path: Path, threads: int, as_json: bool) -> int:
     """Verify a packed scene; the number of problems."""
     from nishiki.archive.crate_audit import CrateAudit, audit_crate
-    from nishiki.archive.survey import shown
 
     audited = CrateAudit(path)
     problems = 0
-    for damage in audit_crate(audited, threads=threads, tell=Progress(f"verify {shown(path.name)}")):
+    for damage in audit_crate(audited, threads=threads, tell=Progress(f"verify {printable(path.name)}")):
         problems += 1
         _print_damage(damage, as_json)
     if as_json:
@@ -115,7 +113,7 @@ def _verify_crate(path: Path, threads: int, as_json: bool) -> int:
     fields = audited.capture.split(", ")
     capture = f"capture {audited.capture[:12]}" if len(fields) == 1 else f"{len(fields)} captures"
     print(
-        f"{shown(path)}: scene {shown(audited.scene)}, {len(audited.stages)} results from {capture} "
+        f"{printable(str(path))}: scene {printable(audited.scene)}, {len(audited.stages)} results from {capture} "
         f"({raw}), {audited.files} files, {audited.bytes / 1e9:.3f} GB: {state}; "
         f"digest {audited.digest}"
     )
@@ -158,19 +156,18 @@ def amount(count: int, thing: str) -> str:
 def pack(scene: str, output: str, without_capture: bool, zipped: bool, configfile: str) -> None:
     """Pack a finished scene, with all that it was made from, as an RO-Crate."""
     from nishiki.archive import pack as packing
-    from nishiki.archive.survey import shown
 
     target = Path(output)
     flow = planned_workflow(configfile, scene)
     expect_outside(target, Path(flow.results))
-    packed = _scene(flow, scene, flow.plans[scene])
+    packed = replace(_scene(flow, scene, flow.plans[scene]), with_capture=not without_capture)
     tell = Progress(f"pack {scene}")
-    digest = packing.pack(packed, PROJECT, target, with_capture=not without_capture, tell=tell)
-    print(f"{shown(target)}: {len(packed.artifacts)} results; digest {digest}")
+    digest = packing.pack(packed, PROJECT, target, tell=tell)
+    print(f"{printable(str(target))}: {len(packed.artifacts)} results; digest {digest}")
     if zipped:
         archive = target.with_name(f"{target.name}.zip")
         packing.write_zip(target, archive)
-        print(shown(archive))
+        print(printable(str(archive)))
 
 
 def expect_outside(target: Path, results: Path) -> None:
@@ -183,8 +180,7 @@ def expect_outside(target: Path, results: Path) -> None:
 
 
 def _scene(flow: "Workflow", name: str, plan: "Plan") -> "PackedScene":
-    from nishiki.archive.crate import capture_method
-    from nishiki.archive.pack import PackedScene
+    from nishiki.archive.crate import PackedScene, capture_method
     from nishiki.capture.folder import load_capture
     from nishiki.capture.schema_base import ABOUT
     from nishiki.stages.table import CHAIN
@@ -202,7 +198,7 @@ def _scene(flow: "Workflow", name: str, plan: "Plan") -> "PackedScene":
         version=PROJECT_VERSION,
         artifacts=artifacts,
         capture=capture,
-        capture_digest=plan.facts.capture_digest,
+        digest=plan.facts.capture_digest,
         about={key: getattr(described, key) for key in ABOUT},
         facts={
             "products": list(plan.scene.products),
@@ -325,21 +321,18 @@ def _tell(pruning: "Pruning", as_json: bool) -> None:
 
 
 def _tell_item(what: str, item: "Item", as_json: bool) -> None:
-    from nishiki.archive.survey import shown
-
     if as_json:
         print(json.dumps({"what": what, "path": str(item.folder), "bytes": item.bytes, "why": item.why}))
     else:
-        print(f"{what:10} {_size(item.bytes):>10}  {shown(item.folder)}  ({shown(item.why)})")
+        print(f"{what:10} {_size(item.bytes):>10}  {printable(str(item.folder))}  ({printable(item.why)})")
 
 
 def _delete(pruning: "Pruning", as_json: bool) -> int:
     from nishiki.archive.prune import remove
-    from nishiki.archive.survey import shown
 
     total, failed = remove(pruning.remove, lambda item: _tell_item("removed", item, as_json))
     for folder, why in failed:
-        _note(f"could not be removed: {shown(folder)} ({why})")
+        _note(f"could not be removed: {printable(str(folder))} ({why})")
     count = len(pruning.remove) - len(failed)
     if as_json:
         print(json.dumps({"folders": count, "bytes": total, "removed": True, "failed": len(failed)}))

@@ -10,7 +10,6 @@ from nishiki.errors import UserError
 from nishiki.packages import EXTRAS, PURPOSE, install_command, installed
 
 if TYPE_CHECKING:
-    from nishiki.artifacts.artifact import Artifact
     from nishiki.engine.plan import Plan
     from nishiki.engine.workflow import Workflow
     from nishiki.stages.base import SceneFacts
@@ -169,37 +168,17 @@ def _size(read: int, of: int) -> str:
 @cache  # a mosaic asks for the stages of every field; a workflow is that of one command
 def stage_state(flow: "Workflow", scene: str, stage: str) -> tuple[str, list[str]]:
     """State of a stage (done | run) and the reasons to run."""
-    from nishiki.artifacts.artifact import open_artifact
-    from nishiki.artifacts.provenance import differences
-
-    path = Path(flow.artifact(scene, stage))
-    if not path.is_file():
-        return "run", [f"no artifact for key {path.parent.name}", *_nearest(path.parent, flow, scene, stage)]
-    try:
-        artifact = open_artifact(path.parent, contents=False)
-    except UserError as error:
-        return "run", [str(error)]
-    reasons = []
-    if artifact.manifest["code"] != flow.code(stage):
-        reasons.append(f"its code changed: {artifact.manifest['code'] or '(none)'} -> {flow.code(stage)}")
-    versions = json.loads(flow.libraries(scene, stage, path.parent.name))
-    reasons += [f"library {text}" for text in differences(artifact.manifest["libraries"], versions)]
-    reasons += _upstream_reasons(flow, scene, stage, artifact)
-    return ("run" if reasons else "done"), reasons
-
-
-def _upstream_reasons(flow: "Workflow", scene: str, stage: str, artifact: "Artifact") -> list[str]:
-    from nishiki.artifacts.artifact import open_artifact
     from nishiki.artifacts.provenance import place_above
+    from nishiki.engine.finished import reasons_of_stage
 
-    reasons, made_from = [], artifact.manifest["upstream"]
-    for upstream, path in flow.above(scene, flow.plans[scene].stages[stage]).items():
-        state, _ = stage_state(flow, *place_above(scene, upstream))
-        if state == "run":
-            reasons.append(f"{upstream} will run before it")
-        elif open_artifact(Path(path).parent, contents=False).digest != made_from[upstream]["digest"]:
-            reasons.append(f"{upstream} was made again since, with another result")
-    return reasons
+    planned = flow.plans[scene].stages[stage]
+    folder = Path(flow.artifact(scene, stage)).parent
+    if not Path(flow.artifact(scene, stage)).is_file():
+        return "run", [f"no artifact for key {planned.key}", *_nearest(folder, flow, scene, stage)]
+    waiting = [name for name in flow.above(scene, planned) if stage_state(flow, *place_above(scene, name))[0] == "run"]
+    _, reasons = reasons_of_stage(flow, scene, stage, dict.fromkeys(waiting))
+    reasons += [f"{name} will run before it" for name in waiting]
+    return ("run" if reasons else "done"), reasons
 
 
 def _nearest(folder: Path, flow: "Workflow", scene: str, stage: str) -> list[str]:

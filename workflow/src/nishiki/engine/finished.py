@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from nishiki.artifacts.artifact import INDEX, MANIFEST, open_artifact
-from nishiki.artifacts.provenance import file_digest, library_version
+from nishiki.artifacts.provenance import differences, file_digest, library_version
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
 
@@ -39,32 +39,47 @@ def reason_to_run(flow: Workflow, scene: str, *, contents: bool = False) -> str:
     for field in plan.scene.fields:
         if reason := reason_to_run(flow, field.name, contents=contents):
             return f"{field.name}: {reason}"
-    folder = f"{flow.results}/{scene}"
     published: dict[str, dict[str, str]] = {}
     for name, planned in plan.stages.items():
-        try:
-            artifact = open_artifact(Path(f"{folder}/{name}/{planned.key}"), contents=contents)
-        except UserError as error:
-            return str(error)
-        manifest = artifact.manifest
-        if (manifest["stage"], manifest["key"]) != (name, planned.key):
-            return f"{artifact.folder}: holds {manifest['stage']} {manifest['key']}"
-        if manifest.get("code") != flow.code(name):
-            return f"the code of {name} changed"
-        if manifest.get("libraries") != _versions(planned.packages):
-            return f"a library of {name} changed"
-        for other, path in flow.above(scene, planned).items():
-            present = published[other]["digest"] if other in published else file_digest(Path(path))
-            if manifest["upstream"].get(other, {}).get("digest") != present:
-                return f"{name} was made from another version of {other} than the present one"
-        published[name] = {"key": planned.key, "digest": artifact.sha256}
+        digests: dict[str, str | None] = {other: entry["digest"] for other, entry in published.items()}
+        digest, reasons = reasons_of_stage(flow, scene, name, digests, contents=contents)
+        if reasons:
+            return f"{name}: {reasons[0]}"
+        published[name] = {"key": planned.key, "digest": digest}
     code = flow.code("publish")
     try:
-        with open(f"{folder}/current/{INDEX}", "rb") as handle:
+        with open(f"{flow.results}/{scene}/current/{INDEX}", "rb") as handle:
             index = json.load(handle)
         return "" if index["artifacts"] == published and index["code"] == code else "not published"
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return "not published"
+
+
+def reasons_of_stage(
+    flow: Workflow, scene: str, name: str, digests: Mapping[str, str | None], *, contents: bool = False
+) -> tuple[str, list[str]]:
+    """Return the digest of a stage's artifact and why it cannot stay, without any reason where it can.
+
+    digests: of the artifacts that it reads, by their names, where they are known; None: not compared. contents: see
+    `open_artifact`.
+    """
+    planned = flow.plans[scene].stages[name]
+    try:
+        artifact = open_artifact(Path(f"{flow.results}/{scene}/{name}/{planned.key}"), contents=contents)
+    except UserError as error:
+        return "", [str(error)]
+    manifest = artifact.manifest
+    if (manifest["stage"], manifest["key"]) != (name, planned.key):
+        return "", [f"{artifact.folder}: holds {manifest['stage']} {manifest['key']}"]
+    code, made_by = flow.code(name), manifest.get("code")
+    reasons = [] if made_by == code else [f"its code changed: {made_by or '(none)'} -> {code}"]
+    changes = differences(manifest.get("libraries", {}), _versions(planned.packages))
+    reasons += [f"library {text}" for text in changes]
+    for other, path in flow.above(scene, planned).items():
+        present = digests[other] if other in digests else file_digest(Path(path))
+        if present is not None and manifest["upstream"].get(other, {}).get("digest") != present:
+            reasons.append(f"{other} was made again since, with another result")
+    return artifact.sha256, reasons
 
 
 @cache
