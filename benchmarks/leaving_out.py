@@ -154,20 +154,20 @@ def parts(folder: Path, capture: str, title: str, repeats: int) -> None:
     cases = [(f"without {part}", {"channels": "all", "without": [part]}) for part in PARTS[loaded.geometry]]
     if loaded.geometry == "plane" and len(loaded.settings.camera.channels) > 1:
         cases.append(("luminance alone", {"channels": "luminance"}))
-    print(json.dumps({"scene": title, "ingest": "everything", "files": reading(loaded, {}).read, **rounded(whole)}))
+    print(json.dumps({"scene": title, "ingest": "everything", "files": reading(loaded, {})["read"], **rounded(whole)}))
     for case, settings in cases:
         files = reading(loaded, settings)
-        if files.read == files.of and "without" in settings:
+        if files["read"] == files["of"] and "without" in settings:
             continue  # the capture has no such part
         found = ingest(folder, capture, settings, repeats)
         saved = {f"saves_{name}": round(whole[name] - value, 3) for name, value in found.items()}
-        print(json.dumps({"scene": title, "ingest": case, "files": files.read, **saved}))
+        print(json.dumps({"scene": title, "ingest": case, "files": files["read"], **saved}))
 
 
 def reading(loaded, settings: dict):
     """All files that ingest reads with these settings."""
     channels = settings.get("channels", "all")
-    return usage_of(loaded, without=settings.get("without", ()), channels=channels, tile_mib=128).total
+    return usage_of(loaded, without=settings.get("without", ()), channels=channels)["total"]
 
 
 def rounded(values: dict[str, float]) -> dict[str, float]:

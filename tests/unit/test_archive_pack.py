@@ -49,7 +49,7 @@ def test_a_crate_is_sound_elsewhere_and_the_same_at_every_packing(scene, tmp_pat
         problems, facts = audit(path)
         assert problems == []
         assert (facts.scene, len(facts.stages), facts.photographs) == ("scene", 8, with_capture)
-        assert (facts.capture, facts.digest) == (scene[0].capture_digest, digests[0])
+        assert (facts.capture, facts.digest) == (scene[0].digest, digests[0])
     assert (target / "capture/data/photograph 0.tif").exists() == with_capture
     assert not list(tmp_path.glob(".*"))
 
@@ -102,7 +102,7 @@ def test_the_description_names_people_licences_libraries_settings_and_every_resu
     assert entities["#creator"]["name"] == ABOUT["creator"]
     assert entities["#object"]["identifier"] == ABOUT["object_id"]
     expect_facts(entities["#object"]["description"], ABOUT["object_kind"], ABOUT["object_holder"])
-    assert entities["capture/"]["identifier"] == f"sha256:{scene[0].capture_digest}"
+    assert entities["capture/"]["identifier"] == f"sha256:{scene[0].digest}"
     assert entities["https://pypi.org/project/numpy/2.4.6/"]["softwareVersion"] == "2.4.6"
     for item in scene[0].artifacts:
         folder = f"artifacts/{item.stage}/{item.key}/"

@@ -173,36 +173,28 @@ def test_boards_that_stand_for_others_by_the_cosine_law_are_kept(tmp_path):
 def test_reading_counts_files_and_bytes(tmp_path):
     folder = make_capture(tmp_path / "c", checks=2)
     capture = load_capture(folder)
-    reading = usage_of(capture, without=["check"], channels="luminance", tile_mib=128)
-    found = {files.what: files for files in reading.files}
-    assert (found["photographs under check lights"].read, found["photographs under check lights"].of) == (0, 2)
-    assert (found["white boards"].read, found["white boards"].of) == (3, 5)
-    assert found["photographs of the object"].bytes_read == sum(
+    reading = usage_of(capture, without=["check"], channels="luminance")
+    found = {files["what"]: files for files in reading["files"]}
+    assert [found["photographs under check lights"][name] for name in ("read", "of")] == [0, 2]
+    assert [found["white boards"][name] for name in ("read", "of")] == [3, 5]
+    assert found["photographs of the object"]["bytes_read"] == sum(
         (folder / f"frames/L0{i}.png").stat().st_size for i in (1, 2, 3)
     )
-    assert reading.total.of == sum(1 for path in folder.rglob("*") if path.is_file())
-    assert reading.total.bytes_of == sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    assert (reading.channels, reading.tiles) == ((1, 3), (3, 5))
-    assert usage_of(capture, without=(), channels="all", tile_mib=128).total.read == reading.total.of
-
-
-def test_reading_of_a_masked_plane_counts_tiles_with_the_object(tmp_path):
-    mask = np.zeros((24, 32), bool)
-    mask[20, 3] = True
-    capture = load_capture(make_capture(tmp_path / "c", mask=mask))
-    assert usage_of(capture, without=(), channels="all", tile_mib=0).tiles == (5, 15)
+    assert reading["total"]["of"] == sum(1 for path in folder.rglob("*") if path.is_file())
+    assert reading["total"]["bytes_of"] == sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    assert reading["channels"] == (1, 3)
+    assert usage_of(capture, without=(), channels="all")["total"]["read"] == reading["total"]["of"]
 
 
 def test_reading_of_a_turntable_and_of_a_table(tmp_path):
     capture = load_capture(make_turntable(tmp_path / "c", **STATES))
-    reading = usage_of(capture, without=("states", "photographs", "silhouettes"), channels="all", tile_mib=128)
-    found = {files.what: (files.read, files.of) for files in reading.files}
+    reading = usage_of(capture, without=("states", "photographs", "silhouettes"), channels="all")
+    found = {files["what"]: (files["read"], files["of"]) for files in reading["files"]}
     assert found["photographs of the object"] == (0, 10)
     assert found["silhouettes"] == (0, 5)
     assert (found["white boards"], found["dark frames"]) == ((2, 3), (0, 1))
-    assert reading.tiles is None
     table = load_capture(make_table(tmp_path / "t"))
-    assert usage_of(table, without=(), channels="all", tile_mib=128).total.read == 2
+    assert usage_of(table, without=(), channels="all")["total"]["read"] == 2
 
 
 def test_nothing_left_out_is_the_capture_itself(tmp_path):

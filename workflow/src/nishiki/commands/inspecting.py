@@ -45,8 +45,7 @@ def scene_plan(flow: "Workflow", name: str) -> dict[str, Any]:
     capture, reads = load_capture(made.scene.capture), {}
     if not isinstance(capture, MosaicCapture):
         ingest = made.stages["ingest"].settings
-        parts = {key: ingest[key] for key in ("without", "channels", "tile_mib", "white_block")}
-        reads = usage_of(capture, **parts).as_dict()
+        reads = usage_of(capture, without=ingest["without"], channels=ingest["channels"])
     loaded = tuple(dict.fromkeys(p for names in made.packages.values() for p in names if p in EXTRAS))
     missing = tuple(package for package in loaded if not installed(package))
     return {
@@ -153,11 +152,7 @@ def _read_lines(reads: dict[str, Any]) -> list[str]:
         for row in rows
     ]
     read, of = reads["channels"]
-    lines.append(f"  keeps {read:>5} of {of:>5}  channels")
-    if reads["tiles"]:
-        read, of = reads["tiles"]
-        lines.append(f"  keeps {read:>5} of {of:>5}  tiles (bands of rows times lights)")
-    return lines
+    return [*lines, f"  keeps {read:>5} of {of:>5}  channels"]
 
 
 def _size(read: int, of: int) -> str:

@@ -151,8 +151,6 @@ def left_out_blocks(left_out: Mapping[str, str], diagnostics: Mapping[str, Mappi
         caption = "Files of the capture. Those that no stage of the plan looks at were not opened."
         blocks.append(Table(("files", "read", "of", "MB read", "MB of"), files, "lrrrr", caption, last_is_sum=True))
         kept = "{} of {} channels".format(*read["channels"])
-        if read["tiles"]:
-            kept += "; {} of {} tiles, bands of rows times lights".format(*read["tiles"])
         blocks.append(f"Kept of that: {kept}.")
     blocks.append(Facts(sorted(left_out.items())) if left_out else "The plan left nothing out.")
     decided = [

@@ -50,14 +50,8 @@ def run(context: Context) -> dict:
         elif given is not None:
             curves[name] = resample(given.wavelengths_nm, given.values.T, name=f"{context.capture}: {name}")
     np.savez(context.output.path("curves.npz"), **under_one_lamp(**curves))
-    read = usage_of(
-        capture,
-        without=settings.without,
-        channels=settings.channels,
-        tile_mib=settings.tile_mib,
-        white_block=settings.white_block,
-    )
-    described = {"capture": capture.settings.model_dump(mode="json"), "read": read.as_dict()}
+    read = usage_of(capture, without=settings.without, channels=settings.channels)
+    described = {"capture": capture.settings.model_dump(mode="json"), "read": read}
     return {**described, **result}
 
 
