@@ -14,6 +14,7 @@ from pathlib import Path
 
 import _project
 from nishiki.artifacts.artifact import MANIFEST, Artifact, open_artifact
+from nishiki.formats.files import put_file
 from nishiki.sweep.summary import processor
 from nishiki.threads import ALONE, VARIABLES
 
@@ -37,7 +38,7 @@ def main() -> None:
         status, record = repeat(first, folder, arguments.rest, arguments.threads)
         if status:
             raise SystemExit(status)
-        write(arguments.output, record)
+        put_file(arguments.output, json.dumps(record, indent=1, sort_keys=True) + "\n")
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -80,14 +81,6 @@ def differing(first: Artifact, again: Artifact) -> list[str]:
     files = [name for name in sorted({*a, *b}) if a.get(name) != b.get(name)]
     parts = [name for name in sorted({*first.manifest, *again.manifest} - {"files"})]
     return files + [f"{name} (manifest)" for name in parts if first.manifest.get(name) != again.manifest.get(name)]
-
-
-def write(path: Path, record: dict) -> None:
-    """Write the record so that it appears whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    partial.write_text(json.dumps(record, indent=1, sort_keys=True) + "\n")
-    os.replace(partial, path)
 
 
 if __name__ == "__main__":

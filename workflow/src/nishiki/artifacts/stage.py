@@ -61,11 +61,7 @@ class RunFacts:
 
 def bytes_read() -> int | None:
     """Bytes that this process has asked the operating system for; None where that is not told."""
-    try:
-        lines = Path("/proc/self/io").read_text().splitlines()
-    except OSError:
-        return None
-    return next((int(line.split()[1]) for line in lines if line.startswith("rchar:")), None)
+    return _of_process("io", "rchar:")
 
 
 def peak_memory_kib() -> int:
@@ -74,11 +70,16 @@ def peak_memory_kib() -> int:
     ru_maxrss also counts the process that started this one, up to the moment at which it became this program: a small
     stage would show the memory of the workflow engine.
     """
+    return _of_process("status", "VmHWM:") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def _of_process(file: str, name: str) -> int | None:
+    """Read a number that the system tells of this process."""
     try:
-        lines = Path("/proc/self/status").read_text().splitlines()
-        return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
-    except (OSError, StopIteration):
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        lines = Path("/proc/self", file).read_text().splitlines()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) for line in lines if line.startswith(name)), None)
 
 
 Item = TypeVar("Item")

@@ -18,7 +18,7 @@ from nishiki.capture.frames import Frame
 from nishiki.errors import require
 from nishiki.formats.problems import Problem, error, error_text, name_some, warning
 from nishiki.observations.frames import FrameReader
-from nishiki.observations.reference import DarkField, board_cosine
+from nishiki.observations.reference import DarkField, board_cosine, points_mm
 from nishiki.observations.registration import MARGIN, Movement, Window, align_window, choose_places, measure_movement
 from nishiki.photometric.arrangement import Arrangement, arrange
 from nishiki.photometric.board_pairs import BoardPairs, pair_boards
@@ -241,23 +241,19 @@ class ReducedPhotographs:
     def _board_cosine(self, place: int) -> np.ndarray | float:
         """cos(theta_W) at each pixel of the reduced picture, or one for all."""
         edges = tuple(part.start + self.step * np.arange(n + 1) for part, n in zip(self.part, self.shape, strict=True))
-        return board_cosine(self.reader, place, edges)
+        return board_cosine(self.reader, self.reader.capture.lights.names[place], edges)
 
     def _lamps(self, places: tuple[int, ...]) -> np.ndarray:
         """Vectors to the lamps, (lights, 3); of lamps at known positions at each pixel, as long as their light is."""
         capture = self.reader.capture
         if capture.settings.lights.kind != "position_mm":
             return capture.lights.directions[list(places)]
-        pitch, (row, column, _, _) = capture.settings.pixel_pitch_mm, self.reader.region
-        y, x = (
-            part.start + self.step * np.arange(n) + (self.step - 1) / 2
-            for part, n in zip(self.part, self.shape, strict=True)
+        rows, columns = (
+            part.start + self.step * np.arange(n) + (self.step - 1) / 2 + corner
+            for part, n, corner in zip(self.part, self.shape, self.reader.region, strict=False)
         )
-        y = -(y + row - (self.reader.rows - 1) / 2) * pitch
-        x = (x + column - (self.reader.columns - 1) / 2) * pitch
         positions = capture.lights.vectors[list(places)]
-        here = np.stack(np.broadcast_arrays(x[None, :], y[:, None], 0.0), axis=2)
-        to_lamp = positions[:, None, None, :] - here
+        to_lamp = positions[:, None, None, :] - points_mm(self.reader, rows, columns)
         distance = np.linalg.norm(to_lamp, axis=3, keepdims=True)
         if self._all_boards(places):
             return to_lamp / distance  # the boards hold the fall-off, and their cosine differs from pixel to pixel

@@ -4,7 +4,7 @@ A board tells how bright its lamp was at each place, and so the gain that makes 
 2004, eq. 3).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -151,8 +151,8 @@ def measure_darks(reader: FrameReader, edges: Edges, tick: Callable[[str], None]
         level = np.full((1, 1, len(reader.names)), reader.black, np.float32)
         return DarkField((None,), (level,), np.zeros(shape, bool), ())
     sums: dict[float | None, list] = {}
-    hot, limit = np.zeros(shape, np.uint8), hot_limit(reader, edges)
-    for frame, codes in reader.read_all(frames[:255]):
+    hot, limit = np.zeros(shape, np.uint16), hot_limit(reader, edges)
+    for frame, codes in reader.read_all(frames):
         level, _ = block_levels(codes, reader.table, *edges, np.inf, -np.inf)
         count_outliers(codes, reader.table, level, *edges, -np.inf, limit, hot)
         entry = sums.setdefault(frame.exposure_s, [np.zeros(level.shape), 0])
@@ -169,7 +169,7 @@ def measure_darks(reader: FrameReader, edges: Edges, tick: Callable[[str], None]
             level = level.mean(axis=(0, 1), keepdims=True)
         levels.append(level)
     problems = _dark_problems(reader, exposures)
-    return DarkField(exposures, tuple(levels), hot > len(frames[:255]) // 2, problems)
+    return DarkField(exposures, tuple(levels), hot > len(frames) // 2, problems)
 
 
 def measure_room(reader: FrameReader, darks: DarkField, tick: Callable[[str], None]) -> np.ndarray | None:
@@ -233,59 +233,76 @@ def measure_gains(
         stored = capture.intensities[places] if capture.intensities is not None else np.ones((1, len(reader.stored)))
         gain = np.broadcast_to(scale / (stored @ reader.weights.T), (len(observed), len(reader.names)))
         return Gains(gain[:, None, None, :].astype(np.float32), (), (), np.zeros(shape, bool), ())
-    by_light = {capture.lights.find(f.light): i for i, f in enumerate(observed)}
-    whites = tuple(f for f in capture.frames_of("white") if capture.lights.find(f.light) in by_light)
-    gains: list[np.ndarray] = [np.empty(0)] * len(observed)  # one board a light, as the tables were checked
-    dead, problems = np.zeros(shape, np.uint8), []
-    levels, uniformity = np.zeros(len(observed)), np.zeros(len(observed))
+    by_light = {capture.lights.find(white.light): white for white in capture.frames_of("white")}
+    whites = [by_light[capture.lights.find(frame.light)] for frame in observed]
+    fields, dead = board_fields(reader, whites, darks, edges, tick, mask)
+    ratios = [(white.exposure or 1.0) / (f.exposure or 1.0) for white, f in zip(whites, observed, strict=True)]
+    gain = np.stack([field.gain * np.float32(ratio) for field, ratio in zip(fields, ratios, strict=True)])
+    levels, uniformity = (
+        tuple(float(getattr(field, name).min()) for field in fields) for name in ("level", "uniformity")
+    )
+    return Gains(gain, levels, uniformity, dead, tuple(problem for field in fields for problem in field.problems))
+
+
+def board_fields(
+    reader: FrameReader,
+    whites: Sequence[Frame],
+    darks: DarkField,
+    edges: Edges,
+    tick: Callable[[str], None],
+    mask: np.ndarray | None = None,
+) -> tuple[list[WhiteField], np.ndarray]:
+    """Measure the gain of each white frame, and find the pixels (rows, columns) that are dead: dark on all boards.
+
+    CaptureError where a board cannot be used.
+    """
+    fields, counts = [], np.zeros(reader.region[2:], np.uint16)
     for frame, codes in reader.read_all(whites):
-        i = by_light[capture.lights.find(frame.light)]
         field = board_field(reader, frame, codes, darks, edges, mask)
-        ratio = (frame.exposure or 1.0) / (observed[i].exposure or 1.0)
-        gains[i] = field.gain * np.float32(ratio)
-        levels[i], uniformity[i] = field.level.min(), field.uniformity.min()
-        problems += field.problems
-        if len(whites) <= 255:
-            board = field.level.astype(np.float32) + darks.at(frame.exposure_s).mean(axis=(0, 1))
-            expected = np.broadcast_to(board, (len(edges[0]) - 1, len(edges[1]) - 1, len(board)))
-            count_outliers(codes, reader.table, np.ascontiguousarray(expected), *edges, DEAD, np.inf, dead)
+        board = field.level.astype(np.float32) + darks.at(frame.exposure_s).mean(axis=(0, 1))
+        expected = np.broadcast_to(board, (len(edges[0]) - 1, len(edges[1]) - 1, len(board)))
+        count_outliers(codes, reader.table, np.ascontiguousarray(expected), *edges, DEAD, np.inf, counts)
+        fields.append(field)
         tick(frame.file)
-    defect = dead == len(whites) if len(whites) <= 255 else np.zeros(shape, bool)
-    return Gains(np.stack(gains), tuple(levels.tolist()), tuple(uniformity.tolist()), defect, tuple(problems))
+    return fields, counts == len(whites)
 
 
 def board_field(
-    reader: FrameReader, frame: Frame, codes: np.ndarray, darks: DarkField, edges: Edges, mask: np.ndarray
+    reader: FrameReader, frame: Frame, codes: np.ndarray, darks: DarkField, edges: Edges, mask: np.ndarray | None
 ) -> WhiteField:
-    """Measure the gain of one white frame over the mask (rows, columns). CaptureError where it cannot be used."""
-    counts = np.add.reduceat(np.add.reduceat(mask, edges[0][:-1], axis=0, dtype=np.int64), edges[1][:-1], axis=1)
+    """Measure the gain of one white frame over the mask (rows, columns), or all. CaptureError where it is of no use."""
+    needed = None
+    if mask is not None:
+        rows = np.add.reduceat(mask, edges[0][:-1], axis=0, dtype=np.int64)
+        needed = np.add.reduceat(rows, edges[1][:-1], axis=1) > 0
+    cosine = board_cosine(reader, frame.light, edges)
     return white_field(
-        codes,
-        reader.table,
-        darks.at(frame.exposure_s),
-        edges,
-        lit=(
-            board_cosine(reader, reader.capture.lights.find(frame.light), edges),
-            reader.capture.settings.white.reflectance,
-        ),
-        limits=(reader.saturated, reader.clip),
-        name=frame.file,
-        needed=counts > 0,
-    )
+        codes, reader.table, darks.at(frame.exposure_s), edges,
+        lit=(cosine, reader.capture.settings.white.reflectance), limits=(reader.saturated, reader.clip),
+        name=frame.file, needed=needed,
+    )  # fmt: skip
 
 
-def board_cosine(reader: FrameReader, place: int, edges: Edges) -> np.ndarray | float:
-    """cos(theta_W): one number for a distant lamp, (r, c, 1) at the block centres for a lamp of known position."""
+def board_cosine(reader: FrameReader, light: str, edges: Edges) -> np.ndarray | float:
+    """cos(theta_W): one number for a distant lamp, (r, c, 1) at the block centres for a lamp of known position.
+
+    1 for lamps of a turntable of which no direction is known.
+    """
     settings, lights = reader.capture.settings, reader.capture.lights
     normal = np.array(settings.white.normal)
-    if settings.lights.kind == "direction":
-        return float(lights.directions[place] @ normal)
+    if settings.lights is not None and settings.lights.kind == "direction" and lights is not None:
+        return float(lights.directions[lights.index(light)] @ normal)
+    if reader.capture.geometry != "plane":
+        return 1.0
     row, column, _, _ = reader.region
     centres = [(e[:-1] + e[1:] - 1) / 2 for e in edges]
-    y = -(centres[0] + row - (reader.rows - 1) / 2) * settings.pixel_pitch_mm
-    x = (centres[1] + column - (reader.columns - 1) / 2) * settings.pixel_pitch_mm
-    to_lamp = np.empty((len(y), len(x), 3))
-    to_lamp[..., 0] = lights.vectors[place, 0] - x[None, :]
-    to_lamp[..., 1] = lights.vectors[place, 1] - y[:, None]
-    to_lamp[..., 2] = lights.vectors[place, 2]
+    here = points_mm(reader, centres[0] + row, centres[1] + column)
+    to_lamp = lights.vectors[lights.index(light)] - here
     return ((to_lamp @ normal) / np.linalg.norm(to_lamp, axis=-1))[..., None]
+
+
+def points_mm(reader: FrameReader, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Points (r, c, 3) of the object plane at rows and columns of the photograph, from the middle of that."""
+    x = (columns - (reader.columns - 1) / 2) * reader.capture.settings.pixel_pitch_mm
+    y = ((reader.rows - 1) / 2 - rows) * reader.capture.settings.pixel_pitch_mm
+    return np.stack(np.broadcast_arrays(x[None, :], y[:, None], 0.0), axis=2)

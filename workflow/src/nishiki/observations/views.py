@@ -1,9 +1,8 @@
 """Reading the views of an object: linear light of one photograph at a time, with what may not be used marked."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -96,10 +95,13 @@ class Views(StoredArrays):
             return None
         return self._chunk("silhouettes", place, 1, np.uint8)[..., 0] != 0
 
-    @property
-    def calibration(self) -> Sequence[dict]:
-        """Read the board's pictures on access: {"name", "view" or None, "image" uint8 grey (rows, columns)}."""
-        return _Calibration(self)
+    def board_pictures(self) -> Iterator[tuple[dict, np.ndarray]]:
+        """Yield each picture of the calibration board: its `name` and `view` (or None), and (rows, columns) uint8 grey.
+
+        Their names stand in `attributes["calibration"]`.
+        """
+        for place, named in enumerate(self.attributes["calibration"]):
+            yield named, self._chunk("calibration", place, 1, np.uint8)[..., 0]
 
     def _chunk(self, array: str, place: int, channels: int, dtype) -> np.ndarray:
         shape = (*self.shape, channels)
@@ -127,25 +129,6 @@ class Views(StoredArrays):
     def _saturated(self) -> np.number:
         code = self.attributes["saturation_code"]
         return self.dtype.type(code) if self.dtype.kind == "u" else np.float32(np.inf if code is None else code)
-
-
-class _Calibration(Sequence[dict]):
-    """Pictures of the calibration board, each read when it is asked for."""
-
-    def __init__(self, views: Views):
-        self._views, self._listed = views, views.attributes["calibration"]
-
-    def __len__(self) -> int:
-        return len(self._listed)
-
-    def __getitem__(self, place: Any) -> Any:
-        if not -len(self) <= place < len(self):
-            raise IndexError(place)
-        place %= len(self)
-        return {**self._listed[place], "image": self._views._chunk("calibration", place, 1, np.uint8)[..., 0]}
-
-    def __iter__(self) -> Iterator[dict]:
-        return (self[i] for i in range(len(self)))
 
 
 def largest_value(views: Views) -> float | None:

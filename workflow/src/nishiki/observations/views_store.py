@@ -15,12 +15,11 @@ from nishiki.errors import require
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
 from nishiki.formats.problems import Problem, refuse
 from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
-from nishiki.observations.block_kernels import count_outliers
 from nishiki.observations.blocks import Edges, picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.linearise import LUMA_WEIGHTS, count_unusable
 from nishiki.observations.plane_decode import ANY_CODE, decode_codes
-from nishiki.observations.reference import DEAD, DarkField, measure_darks, white_field
+from nishiki.observations.reference import DarkField, board_fields, measure_darks
 from nishiki.observations.region import chosen
 from nishiki.observations.store_parts import (
     ALL_SATURATED,
@@ -67,41 +66,16 @@ def measure_whites(reader: FrameReader[TurntableCapture], darks: DarkField, edge
     if not by_light:
         gain = np.ones((len(capture.light_names), 1, 1, len(reader.names)), np.float32)
         return Whites(gain, scale, longest, False, (), np.zeros(shape, bool), ())
-    frames = tuple(by_light[name] for name in capture.light_names)
-    gains, levels, problems, dead = [], [], [], np.zeros(shape, np.uint8)
-    for i, (frame, codes) in enumerate(reader.read_all(frames)):
-        dark = darks.at(frame.exposure_s)
-        field = white_field(
-            codes,
-            reader.table,
-            dark,
-            edges,
-            lit=(board_cosine(reader, i), capture.settings.white.reflectance),
-            limits=(reader.saturated, reader.clip),
-            name=frame.file,
-        )
-        ratio = frame.exposure / longest if longest else 1.0
-        gains.append(field.gain * np.float32(ratio))
-        levels.append(float(field.level.min()))
-        problems += field.problems
-        board = field.level.astype(np.float32) + dark.mean(axis=(0, 1))
-        expected = np.broadcast_to(board, (len(edges[0]) - 1, len(edges[1]) - 1, len(board)))
-        count_outliers(codes, reader.table, np.ascontiguousarray(expected), *edges, DEAD, np.inf, dead)
-        tick(frame.file)
+    frames = [by_light[name] for name in capture.light_names]
+    fields, dead = board_fields(reader, frames, darks, edges, tick)
+    ratios = [frame.exposure / longest if longest else 1.0 for frame in frames]
+    gain = np.stack([field.gain * np.float32(ratio) for field, ratio in zip(fields, ratios, strict=True)])
     # a board that does not fill the picture leaves dark surroundings, which are no dead pixels
-    known = np.isfinite(np.stack(gains)).all(axis=(0, 3))
+    known = np.isfinite(gain).all(axis=(0, 3))
     inside = np.repeat(np.repeat(known, np.diff(edges[0]), axis=0), np.diff(edges[1]), axis=1)
-    defect = (dead == len(frames)) & inside
-    return Whites(np.stack(gains), scale, longest, True, tuple(levels), defect, tuple(problems))
-
-
-def board_cosine(reader: FrameReader[TurntableCapture], place: int) -> float:
-    """cos(theta_W) between lamp and board; 1 where only the lamp's position, or nothing, is known."""
-    settings, lights = reader.capture.settings, reader.capture.lights
-    if lights is None or settings.lights is None or settings.lights.kind != "direction":
-        return 1.0
-    direction = lights.directions[lights.index(reader.capture.light_names[place])]
-    return float(direction @ np.array(settings.white.normal))
+    levels = tuple(float(field.level.min()) for field in fields)
+    problems = tuple(problem for field in fields for problem in field.problems)
+    return Whites(gain, scale, longest, True, levels, dead & inside, problems)
 
 
 def mean_boards(

@@ -54,7 +54,7 @@ def run(context: Context) -> dict:
 
 def source_of(source: str, views: Views, points: dict[str, np.ndarray] | None) -> str:
     """Return the source of the poses. UserError where the capture has not what was asked for, or nothing at all."""
-    boards = {picture["view"] for picture in views.calibration if picture["view"]}
+    boards = {picture["view"] for picture in views.attributes["calibration"] if picture["view"]}
     there = {
         "matrices": views.matrices is not None,
         "boards": boards >= set(views.views),
@@ -142,7 +142,7 @@ def rms(camera: Camera, sight: Sight) -> float:
 
 def find_boards(views: Views) -> Detection | None:
     """Board corners of all calibration pictures; None without pictures. UserError without the board's measures."""
-    if not len(views.calibration):
+    if not views.attributes["calibration"]:
         return None
     board = views.board_description
     if not board:
@@ -155,7 +155,7 @@ def find_boards(views: Views) -> Detection | None:
         board["marker_mm"] / unit,
         board.get("dictionary", "DICT_4X4_50"),
     )
-    return detect_boards(((picture["name"], picture["image"]) for picture in views.calibration), shape)
+    return detect_boards(((picture["name"], image) for picture, image in views.board_pictures()), shape)
 
 
 def lens_of(
@@ -181,7 +181,7 @@ def lens_of(
 
 def board_sights(views: Views, boards: Detection) -> dict[str, Sight]:
     """Return corners by view. UserError where a view's board was not seen."""
-    view_of = {picture["name"]: picture["view"] for picture in views.calibration}
+    view_of = {picture["name"]: picture["view"] for picture in views.attributes["calibration"]}
     sights = {view_of[each.name]: Sight(view_of[each.name], each.points, each.pixels) for each in boards.pictures}
     missing = [name for name in views.views if name not in sights]
     if missing:
