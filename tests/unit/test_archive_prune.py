@@ -301,19 +301,12 @@ def test_the_command_refuses_while_a_run_is_alive_and_lets_no_run_start_meanwhil
     assert told(monkeypatch, capsys, results, places(made), "--delete")[0] == 0
 
 
-def test_sweeps_that_are_not_given_are_refused_or_go_with_their_timings(results, monkeypatch, capsys):
+def test_sweeps_that_are_not_given_are_refused_and_their_pages_stay(results, monkeypatch, capsys):
     made = write_scene(results / "a")
-    (results / "sweeps/tests").mkdir(parents=True)
-    (results / "sweeps/tests/sweep.json").write_text('{"name": "tests"}')
-    (results / "sweeps/mine").mkdir()
-    for key in (made["normals"].key, "0" * 12):
-        (results / "sweeps/timings/a/normals" / key).mkdir(parents=True)
-        (results / "sweeps/timings/a/normals" / key / "1.json").write_text("{}")
+    (results / "sweeps/mine").mkdir(parents=True)
+    (results / "sweeps/mine/sweep.json").write_text('{"name": "mine"}')
     status, _, errors = told(monkeypatch, capsys, results, places(made))
     assert (status, "sweeps/mine" in errors) == (2, True)
     status, _, errors = told(monkeypatch, capsys, results, places(made), "--delete", "--unnamed")
     assert status == 0
-    assert everything(results / "sweeps") == [
-        *("mine", "timings", "timings/a", "timings/a/normals", f"timings/a/normals/{made['normals'].key}"),
-        f"timings/a/normals/{made['normals'].key}/1.json",
-    ]
+    assert everything(results / "sweeps") == ["mine", "mine/sweep.json"]

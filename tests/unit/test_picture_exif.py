@@ -1,10 +1,13 @@
 """Exposure, orientation and colour space as cameras write them, from every container."""
 
+from io import BytesIO
+
 import numpy as np
 import pytest
 from PIL import Image
 
-from nishiki.formats.exif import Exif, read_exif
+from nishiki.formats.exif import Exif, exif_of
+from nishiki.formats.images import read_exif
 
 EXPOSURE, APERTURE, ISO, TAKEN, FRACTION, SPACE = 0x829A, 0x829D, 0x8827, 0x9003, 0x9291, 0xA001
 
@@ -25,7 +28,8 @@ def photograph(request, tmp_path):
 
 
 def test_every_container_states_the_same_facts(photograph):
-    assert read_exif(photograph) == Exif(1 / 50, 5.6, 200, 6, "srgb", "Camera", "2026:01:02 03:04:05.25")
+    found = exif_of(BytesIO(photograph.read_bytes()))
+    assert found == Exif(1 / 50, 5.6, 200, 6, "srgb", "Camera", "2026:01:02 03:04:05.25")
 
 
 def test_a_file_without_facts_has_an_empty_record(tmp_path):
@@ -41,5 +45,4 @@ def test_a_damaged_block_counts_as_none(photograph):
     place = content.find(b"II*\0" if b"II*\0" in content else b"MM\0*")
     for value in (0xFF, 0):
         content[place + 4 : place + 200] = bytes([value]) * len(content[place + 4 : place + 200])
-        photograph.write_bytes(content)
-        assert read_exif(photograph) == Exif()
+        assert exif_of(BytesIO(content)) == Exif()

@@ -20,7 +20,7 @@ from nishiki.capture.schema_base import CameraResponse
 from nishiki.capture.seal import MANIFEST, read_manifest, verify_seal
 from nishiki.cli import main
 from nishiki.errors import UserError
-from nishiki.formats.exif import read_exif
+from nishiki.formats.images import read_exif
 from nishiki.photometric.solve import estimate_normals
 from nishiki.rig.description import expect_devices, reachable_angle
 from nishiki.rig.device import DeviceError, DeviceLost

@@ -12,7 +12,6 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from nishiki.archive.survey import CAPTURE
 from nishiki.archive.tree import FolderTree
@@ -20,7 +19,6 @@ from nishiki.artifacts.artifact import INDEX, MANIFEST, RUN, parse_manifest
 from nishiki.artifacts.provenance import place_above
 from nishiki.engine.project import SWEEPS
 from nishiki.engine.running_lock import RUNS
-from nishiki.engine.sweep_plan import TIMINGS
 from nishiki.formats.files import flush
 from nishiki.processes import host, is_alive, owner, owner_of
 from nishiki.stages.table import CHAIN
@@ -133,51 +131,15 @@ def size_of(folder: Path) -> int:
     return sum(FolderTree(folder).listing().files.values())
 
 
-def judge_sweeps(results: Path, kept: set[Place], sweeps: set[str], unnamed: bool, pruning: Pruning) -> None:
-    """Sort pages of sweeps and timings of single artifacts into `pruning`. kept: artifacts that stay."""
-    root = results / SWEEPS
-    if root.is_symlink() or not root.is_dir():
-        return
-    for folder in folders_in(root, pruning):
-        if folder.name == TIMINGS:
-            for scene in folders_in(folder, pruning):
-                for stage in folders_in(scene, pruning):
-                    for timing in folders_in(stage, pruning):
-                        _judge_timing(timing, kept, pruning)
-        elif folder.name not in sweeps:
-            page = Item(folder, "a sweep that no given configuration names", size_of(folder))
-            of_ours = unnamed and _is_page_of(folder / "sweep.json", folder.name)
-            (pruning.remove if of_ours else pruning.keep if not unnamed else pruning.left_alone).append(page)
-
-
-def _judge_timing(folder: Path, kept: set[Place], pruning: Pruning) -> None:
-    scene, stage, key = folder.parts[-3:]
-    if (scene, stage, key) in kept or not FINISHED.fullmatch(key):
-        return
-    listing = FolderTree(folder).listing()
-    records_only = all(re.fullmatch(r"\d+\.json", name) for name in listing.files)
-    item = Item(folder, "timing of an artifact that no configuration asks for", sum(listing.files.values()))
-    (pruning.remove if records_only and not listing.links and not listing.others else pruning.left_alone).append(item)
-
-
-def _is_page_of(path: Path, name: str) -> bool:
-    try:
-        content: Any = json.loads(FolderTree(path.parent).read(path.name))
-    except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(content, dict) and content.get("name") == name
-
-
 CURRENT = "current"
 
 
-def decide(
-    results: Path, planned: set[Place], *, sweeps: Iterable[str] = (), unnamed: bool = False, hosts: Iterable[str] = ()
-) -> Pruning:
+def decide(results: Path, planned: set[Place], *, unnamed: bool = False, hosts: Iterable[str] = ()) -> Pruning:
     """List the results that nothing refers to.
 
-    planned: (scene, stage, key) of everything that the configurations ask for; sweeps: names of their sweeps; unnamed:
-    list also scenes and sweeps that no configuration names; hosts: machines of which no process lives any more.
+    planned: (scene, stage, key) of everything that the configurations and their sweeps ask for; unnamed: list also
+    scenes that no configuration names; hosts: machines of which no process lives any more. Pages and timings of sweeps
+    stay.
     """
     pruning = Pruning()
     scenes = {scene for scene, _, _ in planned}
@@ -195,8 +157,6 @@ def decide(
     for item in unreferenced:
         why = "superseded" if "." in item.folder.name else "no configuration asks for it"
         pruning.remove.append(Item(item.folder, why, item.bytes))
-    staying = {item.place for item in finished if item.folder in kept} | planned
-    judge_sweeps(results, staying, set(sweeps), unnamed, pruning)
     order = {stage: number for number, stage in enumerate(CHAIN)}
     pruning.remove.sort(key=lambda item: (-order.get(item.folder.parent.name, len(order)), str(item.folder)))
     return pruning

@@ -236,7 +236,7 @@ def _artifacts(flow: "Workflow", plan: "Plan") -> "list[Artifact]":
 @command("prune", "prune --delete")
 @option("--configfile FILE", f"configuration (repeatable; default: {CONFIGURATION})", "configfiles", multiple=True)
 @option("--sweep FILE", "file of a sweep whose results are kept (repeatable)", "sweeps", multiple=True)
-@option("--unnamed", "also scenes and sweeps that no given configuration names")
+@option("--unnamed", "also scenes, and results of sweeps, that no given configuration names")
 @option("--delete", "remove what is listed")
 @with_json
 @with_gone
@@ -253,7 +253,7 @@ def prune(configfiles, sweeps, unnamed, delete, as_json, gone) -> int:
         if not results.is_dir():
             raise UserError(f"{results}: folder not found; there is nothing to prune")
         _refuse_unknown_sweeps(results, known, unnamed)
-        decision = {"sweeps": known, "unnamed": unnamed, "hosts": gone}
+        decision = {"unnamed": unnamed, "hosts": gone}
         if not delete:
             for record in records(results):
                 if record.state in ("alive", "elsewhere"):
@@ -291,17 +291,18 @@ def _referenced(configurations: tuple[str, ...], sweeps: tuple[str, ...]) -> "li
 
 def _refuse_unknown_sweeps(results: Path, known: set[str], unnamed: bool) -> None:
     """Refuse an unknown sweep, whose artifacts nothing else names: nothing is guessed."""
-    from nishiki.archive.prune import PRUNED
     from nishiki.engine.project import SWEEPS
     from nishiki.engine.sweep_plan import TIMINGS
 
     folder = results / SWEEPS
     if unnamed or not folder.is_dir():
         return
-    pages = {path.name for path in folder.iterdir() if path.is_dir() and not path.name.endswith(PRUNED)}
+    pages = {path.name for path in folder.iterdir() if path.is_dir()}
     unknown = sorted(pages - known - {TIMINGS})
     if unknown:
-        remedy = "Remedy: --sweep with its file keeps what it needs; --unnamed lists it and that for removal"
+        remedy = (
+            "Remedy: --sweep with its file keeps what it needs; --unnamed lists that for removal"
+        )
         raise UserError(f"{folder / unknown[0]}: a sweep that no given configuration names. {remedy}")
 
 

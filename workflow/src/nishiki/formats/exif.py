@@ -2,14 +2,10 @@
 
 import io
 import logging
-import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, BinaryIO
-
-from nishiki.formats.files import open_regular
 
 MOST_BYTES = 1 << 16  # of the Exif block of a JPEG or PNG: a JPEG segment holds no more
 _FACTS = (272, 274, 33434, 33437, 34665, 34855)  # model, orientation, exposure, aperture, Exif directory, sensitivity
@@ -34,23 +30,8 @@ class Exif:
 NO_EXIF = Exif()
 
 
-def read_exif(path: Path, *, name: str | None = None) -> Exif:
-    """Read the camera's facts of a JPEG, PNG, TIFF or TIFF-like raw file; an empty record where there are none.
-
-    A damaged block counts as none. name: how to call the file in messages. FileNotFoundError; Refused where the path
-    is no regular file.
-    """
-    from nishiki.formats.picture_process import request_exif
-
-    handle = open_regular(path, name or path.name)
-    try:
-        return request_exif(handle)
-    finally:
-        os.close(handle)
-
-
 def exif_of(file: BinaryIO) -> Exif:
-    """Read the camera's facts of an open file; see `read_exif`."""
+    """Read the camera's facts of an open JPEG, PNG, TIFF or TIFF-like raw file; none where they are damaged."""
     try:
         block = _exif_block(file)
         if block is None:

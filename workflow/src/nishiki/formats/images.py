@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nishiki.formats.exif import NO_EXIF, Exif
 from nishiki.formats.exr import match_channels
 from nishiki.formats.files import BOUNDS, Refused, bound, open_regular, remedy
 from nishiki.formats.picture_files import ImageHeader
@@ -34,6 +35,14 @@ def read_header(path: Path, *, name: str | None = None) -> ImageHeader:
     if problem:
         raise CaptureError(problem)
     return header
+
+
+def read_exif(path: Path, *, name: str | None = None) -> Exif:
+    """Read the camera's facts of a photograph; an empty record where there are none, or the file is damaged."""
+    try:
+        return read_header(path, name=name).exif
+    except CaptureError:
+        return NO_EXIF
 
 
 def open_picture_file(path: Path, name: str) -> int:

@@ -49,34 +49,33 @@ def expect_mesh(path: Path, file: str, where: str, *, scan: bool) -> None:
     if path.suffix.lower() not in known:
         what, remedy = "mesh file", "Convert it, for example with MeshLab"
         refuse("mesh-format", where, what, expected=" or ".join(known), found=file, remedy=remedy)
-    with path.open("rb") as stream:
-        start = stream.read(LONGEST)
-    if path.suffix.lower() == ".obj" and not re.search(rb"^v\s", start, re.MULTILINE):
-        refuse("mesh-unreadable", where, "OBJ file without vertices", found=file)
-    if start.startswith(b"ply") and b"end_header" in start:
-        counts = dict(re.findall(rb"element\s+(\w+)\s+0*(\d{0,18})", start[: start.find(b"end_header")]))
-        for name in ("vertex",) if scan else ("vertex", "face"):
-            if not counts.get(name.encode()):
-                remedy = "Give a surface of triangles under turntable.mesh, or points under turntable.scans"
-                what = f"PLY file without {name} elements"
-                refuse("mesh-empty", where, what, found=file, remedy=remedy)
     try:
-        expect_mesh_file(path, file)
+        elements = expect_mesh_file(path, file)
     except Refused as e:
         raise CaptureError(refusal(e, "mesh-unreadable")) from e
+    if path.suffix.lower() == ".obj":
+        with path.open("rb") as stream:
+            if not re.search(rb"^v\s", stream.read(LONGEST), re.MULTILINE):
+                refuse("mesh-unreadable", where, "OBJ file without vertices", found=file)
+        return
+    for name in ("vertex",) if scan else ("vertex", "face"):
+        if not sum(element.count for element in elements if element.name == name):
+            remedy = "Give a surface of triangles under turntable.mesh, or points under turntable.scans"
+            refuse("mesh-empty", where, f"PLY file without {name} elements", found=file, remedy=remedy)
 
 
-def expect_mesh_file(path: Path, file: str) -> None:
-    """Refused where a PLY or OBJ file is larger than is read, or a PLY file cannot hold what its heading claims.
+def expect_mesh_file(path: Path, file: str) -> list[Element]:
+    """Return the elements of a PLY file, none of an OBJ file.
 
-    FileNotFoundError where there is none.
+    Refused where it is larger than is read, or a PLY file cannot hold what its heading claims. FileNotFoundError where
+    there is none.
     """
     handle = open_regular(path, file)
     with os.fdopen(handle, "rb") as stream:
         size = os.fstat(handle).st_size
         expect_bound(size, "mesh_bytes", file)
         if Path(path).suffix.lower() != ".ply":
-            return
+            return []
         text_file, elements, start = read_heading(stream, file)
     for name, limit in (("vertex", "mesh_vertices"), ("face", "mesh_faces")):
         expect_bound(sum(e.count for e in elements if e.name == name), limit, file)
@@ -87,6 +86,7 @@ def expect_mesh_file(path: Path, file: str) -> None:
         expected, found = f"{needed} bytes or more for {counts}", f"{size - start} bytes after its heading"
         what = "damaged PLY file: it is cut off, or its heading is wrong"
         raise Refused(file, what, expected=expected, found=found, remedy=REMEDY)
+    return elements
 
 
 def read_heading(stream: BinaryIO, file: str) -> tuple[bool, list[Element], int]:

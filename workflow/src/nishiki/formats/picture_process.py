@@ -24,7 +24,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from nishiki.formats.exif import NO_EXIF, Exif, exif_of
 from nishiki.formats.picture_files import ImageHeader, header_from
 from nishiki.formats.problems import CaptureError, Problem, error
 
@@ -41,14 +40,6 @@ def request_header(handle: int, suffix: str, name: str) -> ImageHeader:
     """Header of an open picture. CaptureError (image-unreadable, image-truncated, image-unsupported, ...)."""
     answer, _ = _ask({"do": "header", "suffix": suffix, "name": name}, handle, 0)
     return header_from(answer["header"])
-
-
-def request_exif(handle: int) -> Exif:
-    """Facts of the camera of an open picture; none where it is damaged."""
-    try:
-        return Exif(**_ask({"do": "exif", "name": "", "suffix": ""}, handle, 0)[0]["exif"])
-    except CaptureError:
-        return NO_EXIF
 
 
 def request_matlab(handle: int, name: str, names: Sequence[str]) -> dict[str, Any]:
@@ -197,8 +188,6 @@ def _limit(size: int) -> None:
 def _answer(file: BinaryIO, request: dict[str, Any]) -> tuple[dict[str, Any], int | None]:
     name, memory = request["name"], _Memory()
     try:
-        if request["do"] == "exif":
-            return {"exif": asdict(exif_of(file))}, None
         if request["do"] == "matlab":
             from nishiki.formats.matlab import stored_numbers
 

@@ -30,9 +30,8 @@ from nishiki.capture.seal import MANIFEST, capture_digest, read_manifest, seal, 
 from nishiki.capture.taking import channel_names
 from nishiki.capture.taking import table_text as rows_text
 from nishiki.errors import UserError, require
-from nishiki.formats.exif import read_exif
 from nishiki.formats.files import flush, put_file
-from nishiki.formats.images import read_codes, read_header
+from nishiki.formats.images import read_codes, read_exif, read_header
 from nishiki.formats.problems import CaptureError, group_problems
 from nishiki.rig.description import OpenedRig, expect_devices, open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Rig, ask_operator

@@ -7,7 +7,7 @@ from nishiki.capture.spheres.lamps import Sighting, triangulate
 from nishiki.capture.spheres.optics import SphereCamera, circle_of, outline_points, reflected_rays, sphere_of
 from nishiki.capture.spheres.outline import Outline
 from nishiki.capture.spheres.search import bright_blocks, fit_scene
-from nishiki.formats.exif import read_exif
+from nishiki.formats.images import read_exif
 
 LENSES = (None, 12.0, 8.0, 6.0, 4.5, 3.5, 2.8, 2.2, 1.8, 1.5, 1.25, 1.0, 0.8)
 """Focal lengths that are tried, in longer sides of the photograph; None: seen from afar."""
