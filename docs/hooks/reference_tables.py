@@ -167,7 +167,7 @@ def facts_table(stage: Stage) -> str:
     settings = {name: each.settings() for name, each in CHAIN.items()}
     own = settings[stage.name]
     wanted = tuple(name for name in stage.wants(own) if name not in stage.requires)
-    read = [PARTS[name].what for name in _looked_at(stage, settings)]
+    read = [PARTS[name] for name in _looked_at(stage, settings)]
     rows = [
         ("captures", GEOMETRIES.get(stage.geometry or "", "all")),
         ("asked for as", f"`{stage.asked_as}`" if stage.name != "ingest" else "(always runs)"),

@@ -21,13 +21,13 @@ from nishiki.formats.files import Refused, expect_memory, files_with
 from nishiki.formats.legacy_rti import HshFile, PtmFile, open_hsh, open_ptm
 from nishiki.formats.problems import CaptureError, Problem, expect_one, raise_errors, warning
 from nishiki.formats.relight import INFO, RelightFolder, is_relight_folder, open_relight
-from nishiki.formats.relight_planes import WEB_INFO, WebRtiFolder, is_web_rti, open_web_rti
+from nishiki.formats.relight_planes import WEB_INFO, is_web_rti, open_web_rti
 from nishiki.formats.text_tables import refusal
 
 RINGS = ((20, 6), (35, 9), (50, 9))  # degrees from the normal, lamps
 BYTES_A_PIXEL = 36  # of memory, for a picture that is rendered and coded
 RELIGHT = "relight"  # folder of a capture that keeps the files of a relight folder
-RelightableImage = PtmFile | HshFile | RelightFolder | WebRtiFolder
+RelightableImage = PtmFile | HshFile | RelightFolder
 LEAST_CLIPPED = 1e-4  # share of a picture's values below which clipping is not worth a warning
 
 
@@ -127,7 +127,7 @@ def write_rendered(folder: Path, layout: Rendering, source: Path, options: Conve
     what = f"{image.layout} {file.name}" if file.is_dir() else f"{image.layout} file {file.name}"
     angles = f"{polar.min():.0f} to {polar.max():.0f} degrees from the normal"
     about = f"rendered from the {what} under {len(rows)} lamps {angles}"
-    if isinstance(image, RelightFolder | WebRtiFolder):
+    if image.files:
         inside = RELIGHT if isinstance(image, RelightFolder) else "webrti"
         for name in image.files:
             take(file / name, folder / inside / name, options.link)

@@ -300,9 +300,7 @@ def _refuse_unknown_sweeps(results: Path, known: set[str], unnamed: bool) -> Non
     pages = {path.name for path in folder.iterdir() if path.is_dir()}
     unknown = sorted(pages - known - {TIMINGS})
     if unknown:
-        remedy = (
-            "Remedy: --sweep with its file keeps what it needs; --unnamed lists that for removal"
-        )
+        remedy = "Remedy: --sweep with its file keeps what it needs; --unnamed lists that for removal"
         raise UserError(f"{folder / unknown[0]}: a sweep that no given configuration names. {remedy}")
 
 

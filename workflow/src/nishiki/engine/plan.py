@@ -4,7 +4,7 @@ What `PARTS` does not name (the photographs that a fit needs, their white boards
 masks) is always read.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -15,50 +15,20 @@ from nishiki.engine.project import Scene
 from nishiki.errors import UserError
 from nishiki.observations.region import LIGHT
 from nishiki.packages import EXTRAS
-from nishiki.stages.base import SceneFacts, SceneSettings, Stage, poses_of, surface_of
+from nishiki.stages.base import SceneFacts, SceneSettings, Stage
 from nishiki.stages.table import CHAIN, chain_of
 
-
-@dataclass(frozen=True)
-class CapturePart:
-    """what: the files, in words; idle: why they are left out, beside that no stage of the plan looks at them."""
-
-    what: str
-    idle: Callable[[SceneFacts, SceneSettings], str] = lambda facts, settings: ""
-
-
-def surface_from(facts: SceneFacts, settings: SceneSettings) -> str:
-    """Return the reason why a file or scans are not needed."""
-    source = {"file": "the mesh file", "scans": "range scans", "silhouettes": "silhouettes"}
-    return f"the surface comes from {source[surface_of(facts, settings)]}"
-
-
 PARTS = {
-    "check": CapturePart(
-        "photographs under check lights", lambda facts, settings: "only evaluate and export look at them"
-    ),
-    "flat": CapturePart("flat frames", lambda facts, settings: "no stage uses flat frames; white boards do their work"),
-    "states": CapturePart(
-        "photographs through the other polariser states",
-        lambda facts, settings: "only polarise looks at them; the others take the state off",
-    ),
-    "white_states": CapturePart(
-        "white boards through polarisers", lambda facts, settings: "only polarise looks at them"
-    ),
-    "photographs": CapturePart(
-        "photographs of the object", lambda facts, settings: "no stage of the plan looks at a picture"
-    ),
-    "calibration": CapturePart(
-        "pictures of the calibration board",
-        lambda facts, settings: "the camera matrices are given" if poses_of(facts, settings) == "matrices" else "",
-    ),
-    "silhouettes": CapturePart("silhouettes", lambda facts, settings: "only mesh looks at them"),
-    "mesh": CapturePart("the mesh file", lambda facts, settings: surface_from(facts, settings)),
-    "scans": CapturePart("range scans", lambda facts, settings: surface_from(facts, settings)),
-    "oblique": CapturePart(
-        "photographs with the light away from the normal",
-        lambda facts, settings: "only the fit of the reflection and its evaluation look at them",
-    ),
+    "check": "photographs under check lights",
+    "flat": "flat frames",
+    "states": "photographs through the other polariser states",
+    "white_states": "white boards through polarisers",
+    "photographs": "photographs of the object",
+    "calibration": "pictures of the calibration board",
+    "silhouettes": "silhouettes",
+    "mesh": "the mesh file",
+    "scans": "range scans",
+    "oblique": "photographs with the light away from the normal",
 }
 """Every part that can be left out, by its name in the setting `ingest.without`."""
 
@@ -69,6 +39,7 @@ def idle_reason(stage: Stage, package: str, facts: SceneFacts, settings: SceneSe
     return reason(facts, settings) if reason else None
 
 
+UNREAD = "no stage of the plan looks at them"
 HOLD_OUT_FROM = 16
 """From this number of lights or views, some are held out where nothing else can check the result."""
 
@@ -200,15 +171,11 @@ def _read_by_ingest(
             reasons["colour"] = "no product asked for needs more than luminance: one channel is decoded and kept"
     looked = {part for stage in needed for part in CHAIN[stage].looks_at(facts, settings, scene.products)}
     without = tuple(part for part in PARTS if facts.parts.get(part) and part not in looked)
-    why = {
-        f"{facts.parts[part]} {PARTS[part].what}": PARTS[part].idle(facts, settings)
-        or "no stage of the plan looks at them"
-        for part in without
-    }
+    named = [f"{facts.parts[part]} {PARTS[part]}" for part in without]
     if held_out and facts.geometry == "plane" and not {"evaluate", "export"} & needed:
         without += tuple(f"{LIGHT}{name}" for name in held_out)
-        why[f"{len(held_out)} photographs under the lights held out"] = "only evaluate and export look at them"
-    return ingest.model_copy(update={"without": without}), reasons | why
+        named.append(f"{len(held_out)} photographs under the lights held out")
+    return ingest.model_copy(update={"without": without}), reasons | dict.fromkeys(named, UNREAD)
 
 
 def _idle(

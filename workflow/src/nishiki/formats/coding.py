@@ -208,11 +208,6 @@ def png_coding(chunks: dict[bytes, bytes], exif: Coding | None) -> Coding | None
     if len(code := chunks.get(b"cICP", b"")) == 4:
         primaries, transfer = code[0], code[1]
         name = f"{_SPACES.get(primaries, f'primaries {primaries}')}, cICP"
-        if transfer == 16:  # SMPTE ST 2084: light of a code, as a share of 10,000 candelas a square metre
-            m1, m2, c1, c2, c3 = 2610 / 16384, 78.84375, 0.8359375, 18.8515625, 18.6875
-            root = np.linspace(0, 1, MOST_STEPS) ** (1 / m2)
-            table = tuple((np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1))
-            return Coding(f"{name}, PQ", Curve(table=table), _known(primaries))
         if transfer not in _TRANSFERS:
             return Coding(name, fault=f"transfer function {transfer} of H.273")
         words, curve = _TRANSFERS[transfer]

@@ -118,8 +118,9 @@ PTM_REMEDY = "Save it again as PTM_FORMAT_RGB or PTM_FORMAT_LRGB, or convert the
 class PtmFile:
     """A polynomial texture map; its bytes lie on the disk, those of JPEG streams in memory.
 
-    layout : PTM_FORMAT_...; terms : (3 or 1, rows, columns, 6) uint8 of red, green and blue or of the brightness;
-    colours : (rows, columns, 3) uint8, or None for RGB; both rows from the bottom. scale, bias : (6,).
+    layout : what it is, for messages; terms : (3 or 1, rows, columns, 6) uint8 of red, green and blue or of the
+    brightness; colours : (rows, columns, 3) uint8, or None for RGB; both rows from the bottom. scale, bias : (6,).
+    files : names of those that a folder's image was read from, relative to it.
     """
 
     layout: str
@@ -127,6 +128,7 @@ class PtmFile:
     colours: np.ndarray | None
     scale: np.ndarray
     bias: np.ndarray
+    files: tuple[str, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -268,7 +270,11 @@ class PtmStreams:
         for stream in self.steps:
             begin, middle, end = starts[2 * stream : 2 * stream + 3]
             plane = planes[stream]
-            plane[:] = _decoded(np.array(stored[begin:middle]), rows, columns, f"{name}, stream {stream + 1}")
+            samples = decode_stream(stored[begin:middle], f"{name}, stream {stream + 1}")
+            if samples.shape != (rows, columns, 1):
+                expected, found = f"{rows} x {columns} x 1", " x ".join(map(str, samples.shape))
+                raise Refused(name, "a JPEG picture of another size", expected=expected, found=found, remedy=REMEDY)
+            plane[:] = samples[:, :, 0]
             reference = self.references[stream]
             if reference != NONE:
                 plane += (255 - planes[reference] if self.inverted[stream] else planes[reference]) - np.uint8(128)
@@ -280,16 +286,12 @@ class PtmStreams:
         return planes
 
 
-def _decoded(stream: np.ndarray, rows: int, columns: int, name: str) -> np.ndarray:
-    """Decode the samples of one JPEG stream."""
+def decode_stream(stream: np.ndarray, name: str) -> np.ndarray:
+    """Decode a JPEG picture in memory, (rows, columns, channels) uint8. Refused where it is none."""
     try:
-        samples = read_jpeg_bytes(stream.tobytes(), name)
+        return read_jpeg_bytes(stream.tobytes(), name)
     except CaptureError as e:
         raise Refused(name, "not a whole JPEG picture", found=str(e), remedy=REMEDY) from None
-    if samples.shape != (rows, columns, 1):
-        expected, found = f"{rows} x {columns} x 1", " x ".join(map(str, samples.shape))
-        raise Refused(name, "a JPEG picture of another size", expected=expected, found=found, remedy=REMEDY)
-    return samples[:, :, 0]
 
 
 LARGEST_ORDER = 4  # RTIViewer's: 16 terms
@@ -298,16 +300,16 @@ HORIZON = 3.1415 / 2 - 0.15  # radians: viewers take lamps that are lower for th
 
 @dataclass(frozen=True)
 class HshFile:
-    """terms : (rows, columns, 3, terms) uint8 on the disk, rows from the top; scale, bias : (terms,)."""
+    """Hemispherical harmonics; layout, files: as of `PtmFile`.
 
+    terms : (rows, columns, 3, terms) uint8, rows from the top; scale, bias : (terms,).
+    """
+
+    layout: str
     terms: np.ndarray
     scale: np.ndarray
     bias: np.ndarray
-
-    @property
-    def layout(self) -> str:
-        """What the file is, for messages."""
-        return f"HSH of {len(self.scale)} terms"
+    files: tuple[str, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -373,4 +375,4 @@ def open_hsh(path: Path) -> HshFile:
     factors = np.fromfile(path, "<f4", 2 * terms, offset=begin).astype(np.float64)
     heading.expect_sound(factors.tolist())
     stored = np.memmap(path, np.uint8, "r", offset=begin + 8 * terms, shape=(rows, columns, 3, terms))
-    return HshFile(stored, factors[:terms], factors[terms:])
+    return HshFile(f"HSH of {terms} terms", stored, factors[:terms], factors[terms:])

@@ -16,16 +16,14 @@ red, green and blue; those of HSH are terms, whose scale stands as `Bias` and th
 
 import json
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
 from nishiki.formats.files import Refused, expect_bound, expect_memory, leads_out, open_regular, read_bytes, read_text
-from nishiki.formats.images import read_codes, read_jpeg_bytes
-from nishiki.formats.legacy_rti import HshFile, PtmFile
-from nishiki.formats.problems import CaptureError
+from nishiki.formats.images import read_codes
+from nishiki.formats.legacy_rti import HshFile, PtmFile, decode_stream
 
 CHANNELS = ("red", "green", "blue")
 ALL_PLANES = "planes.tzi"
@@ -129,24 +127,14 @@ def _read_joined_tiles(folder: Path, name: str, number: int, out: np.ndarray) ->
                 expected, found = f"tile {first} within {stored} bytes", f"bytes {begin} to {end}"
                 raise Refused(about, "no list of these tiles", expected=expected, found=found, remedy=REMEDY)
             file.seek(begin)
-            codes = _decoded(
-                np.frombuffer(file.read(end - begin), np.uint8), size + 2 * overlap, f"{place}, tile {first}"
-            )
+            named, most = f"{place}, tile {first}", size + 2 * overlap
+            codes = decode_stream(np.frombuffer(file.read(end - begin), np.uint8), named)
+            if max(codes.shape[:2]) > most:
+                raise _other_size(named, (most, most), f"{codes.shape[1]} x {codes.shape[0]}")
             margin = (min(row, 1) * overlap, min(column, 1) * overlap)
             part = out[row * size : (row + 1) * size, column * size : (column + 1) * size]
-            copy_plane(codes, part, margin, f"{place}, tile {first}")
+            copy_plane(np.broadcast_to(codes, (*codes.shape[:2], 3)), part, margin, named)
     return [name, joined] if number == 0 or name != ALL_PLANES else []
-
-
-def _decoded(content: np.ndarray, most: int, name: str) -> np.ndarray:
-    """Decode a JPEG in memory (rows, columns, 3), of at most that many rows and columns."""
-    try:
-        samples = read_jpeg_bytes(content.tobytes(), name)
-    except CaptureError as e:
-        raise Refused(name, "not a whole JPEG picture", found=str(e), remedy=REMEDY) from None
-    if max(samples.shape[:2]) > most:
-        raise _other_size(name, (most, most), f"{samples.shape[1]} x {samples.shape[0]}")
-    return np.broadcast_to(samples, (*samples.shape[:2], 3))
 
 
 def _fill(folder: Path, name: str, out: np.ndarray, margin: tuple[int, int] | None = None) -> None:
@@ -180,28 +168,6 @@ PTM_TERMS, MOST_TERMS = 6, 16
 WEBRTI_REMEDY = "Convert the .ptm or .rti that it was made from, or the photographs"
 
 
-@dataclass(frozen=True)
-class WebRtiFolder:
-    """The image that a folder's tiles make up; files: names that were read, relative to the folder."""
-
-    image: PtmFile | HshFile
-    files: tuple[str, ...]
-
-    @property
-    def layout(self) -> str:
-        """What the folder is, for messages."""
-        return f"webRTIViewer folder ({self.image.layout})"
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return self.image.shape
-
-    def shown(self, light: np.ndarray) -> np.ndarray:
-        """(rows, columns, 3) float32 from the top, for a unit vector to the lamp; full brightness is 1, not clipped."""
-        return self.image.shown(light)
-
-
 def is_web_rti(folder: Path) -> bool:
     """Whether a folder holds `info.xml` of a picture in tiles."""
     try:
@@ -210,7 +176,7 @@ def is_web_rti(folder: Path) -> bool:
         return False
 
 
-def open_web_rti(folder: Path) -> WebRtiFolder:
+def open_web_rti(folder: Path) -> PtmFile | HshFile:
     """Read info.xml and the tiles of the full resolution.
 
     Refused where the kind is not read, or info.xml contradicts itself; CaptureError where a tile cannot be decoded.
@@ -247,13 +213,14 @@ def open_web_rti(folder: Path) -> WebRtiFolder:
             before = (margin + max(-top, 0), margin + max(-left, 0))
             copy_plane(stored, window[..., 3 * layer : 3 * layer + 3], before, f"{folder.name}/{part}")
             files.append(part)
+    layout = f"webRTIViewer folder ({f'HSH of {terms} terms' if kind == 'HSH_RTI' else kind})"
     if kind == "LRGB_PTM":
-        image = PtmFile(kind, codes[None, ::-1, :, :PTM_TERMS], codes[::-1, :, PTM_TERMS:], scale, bias)
-        return WebRtiFolder(image, tuple(files))
+        brightness, colours = codes[None, ::-1, :, :PTM_TERMS], codes[::-1, :, PTM_TERMS:]
+        return PtmFile(layout, brightness, colours, scale, bias, tuple(files))
     values = np.moveaxis(codes.reshape(rows, columns, len(scale), 3), 3, 2)
     if kind == "HSH_RTI":
-        return WebRtiFolder(HshFile(values, bias, scale), tuple(files))
-    return WebRtiFolder(PtmFile(kind, np.moveaxis(values, 2, 0)[:, ::-1], None, scale, bias), tuple(files))
+        return HshFile(layout, values, bias, scale, tuple(files))
+    return PtmFile(layout, np.moveaxis(values, 2, 0)[:, ::-1], None, scale, bias, tuple(files))
 
 
 def _numbers(text: str | None, count: int) -> np.ndarray:
