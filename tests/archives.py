@@ -11,7 +11,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "workflow/src"))
-from nishiki.archive.survey import Damage, read_portion, survey_artifact
+from nishiki.archive.survey import Damage, read_file, survey_artifact
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter, publish
 from nishiki.artifacts.provenance import stage_key
@@ -33,7 +33,7 @@ FILES = ("maps.zarr/zarr.json", "maps.zarr/values/c/0/0", "maps.zarr/values/c/0/
 def verify_artifact(folder: Path) -> list[Damage]:
     """Recompute every digest of one artifact, and its key; each damage, an empty list if it is sound."""
     survey = survey_artifact(FolderTree(Path(folder)))
-    return survey.damages + [damage for portion in survey.batches() for damage in read_portion(survey, portion)]
+    return survey.damages + [damage for work in survey.to_read for damage in read_file(survey, *work)]
 
 
 def write_artifact(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nishiki.archive.crate import METADATA
-from nishiki.archive.survey import CAPTURE, Damage, Survey, read_portion, survey_artifact
+from nishiki.archive.survey import CAPTURE, Damage, Survey, read_file, survey_artifact
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import INDEX, MANIFEST, index_text
 from nishiki.artifacts.provenance import file_digest, place_above
@@ -200,16 +200,16 @@ def audit(
 ) -> Iterator[Damage]:
     """Every damage of what was found, while it is found, always in the same order.
 
-    tell: called with artifacts done, their number, and what was done last. Held in memory: a few portions of files at
-    a time, and of every artifact its place, digest and upstream artifacts.
+    tell: called with artifacts done, their number, and what was done last. Held in memory: of every artifact its
+    place, digest and upstream artifacts.
     """
     references = References()
     yield from _counted(targets.damages, counts)
     ahead = 4 * threads
     surveys = in_threads(lambda folder: survey_artifact(FolderTree(folder)), targets.artifacts, threads, ahead)
-    portions = _portions(surveys, references, counts, len(targets.artifacts), tell)
+    files = _files(surveys, references, counts, len(targets.artifacts), tell)
     for damages in in_threads(
-        lambda work: read_portion(*work) if work[1] else work[0].damages, portions, threads, ahead
+        lambda work: work[0].damages if len(work) == 1 else read_file(*work), files, threads, ahead
     ):
         yield from _counted(damages, counts)
     yield from _counted(references.problems(), counts)
@@ -217,19 +217,18 @@ def audit(
         yield from _counted(damages, counts)
 
 
-def _portions(
+def _files(
     surveys: Iterable[Survey], references: References, counts: Counts, total: int, tell: Callable[[int, int, str], None]
-) -> Iterator[tuple[Survey, list]]:
-    """Work for the threads: of every artifact what its survey found (an empty portion), then its files."""
+) -> Iterator[tuple]:
+    """Work for the threads: of every artifact its survey, for what that found, then each of its files."""
     for survey in surveys:
         counts.artifacts += 1
         counts.files += survey.files
         counts.bytes += survey.bytes
         references.add(survey)
-        if survey.damages:
-            yield survey, []
-        for portion in survey.batches():
-            yield survey, portion
+        yield (survey,)
+        for name, sha256 in survey.to_read:
+            yield survey, name, sha256
         tell(counts.artifacts, total, f"{counts.bytes / 1e9:.2f} GB, {counts.problems} problems")
 
 

@@ -24,7 +24,6 @@ from nishiki.threads import in_threads
 
 ARTIFACT_FOLDER = re.compile(r"(artifacts/([A-Za-z0-9_-]+/)??[a-z_0-9]+/([0-9a-f]{12}))/")
 CAPTURE_FOLDER, SEAL = "capture/", "manifest-sha256.txt"
-PORTION = 64  # files of one portion
 
 
 @dataclass
@@ -110,18 +109,16 @@ def _contents(
 ) -> Iterator[Damage]:
     """Digest every listed file once; `digests_read` is filled with their digests."""
     names = [name for name in sorted(listed) if name in listing.files]
-    portions = [names[start : start + PORTION] for start in range(0, len(names), PORTION)]
     # A ZIP file is one file handle: several threads would only wait for each other.
     most = 1 if isinstance(tree, ZipTree) else threads
-    for digests in in_threads(lambda portion: [_digest(tree, name) for name in portion], portions, most, 4 * most):
-        for name, digest, error in digests:
-            audit.files += 1
-            audit.bytes += listing.files[name]
-            digests_read[name] = digest
-            if error:
-                yield audit.damage(name, "unreadable", error)
-            elif digest != listed[name]:
-                yield audit.damage(name, "damaged", f"sha256 {digest[:12]}…, expected {listed[name][:12]}…")
+    for name, digest, error in in_threads(lambda name: _digest(tree, name), names, most, 4 * most):
+        audit.files += 1
+        audit.bytes += listing.files[name]
+        digests_read[name] = digest
+        if error:
+            yield audit.damage(name, "unreadable", error)
+        elif digest != listed[name]:
+            yield audit.damage(name, "damaged", f"sha256 {digest[:12]}…, expected {listed[name][:12]}…")
         tell(audit.files, len(names), f"{audit.bytes / 1e9:.2f} GB")
 
 
@@ -135,7 +132,7 @@ def _digest(tree: Tree, name: str) -> tuple[str, str, str]:
 def _artifact(survey: Survey, digests_read: dict[str, str]) -> Iterator[Damage]:
     """Compare an artifact with its own manifest; its files were read before."""
     yield from survey.damages
-    for name, _, sha256 in survey.to_read:
+    for name, sha256 in survey.to_read:
         digest = digests_read.get(survey.named(name))
         if digest is not None and digest != sha256:
             yield Damage(survey.folder / name, "damaged", f"not what its {ARTIFACT} says", survey.folder)

@@ -2,7 +2,6 @@
 
 import hashlib
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -38,8 +37,6 @@ class Damage:
         return printable(f"{self.kind}: {self.path} ({self.detail})")
 
 
-BATCH_BYTES = 64 * 2**20
-BATCH_FILES = 256  # of one portion
 CAPTURE = "capture"
 KEY = re.compile(r"[0-9a-f]{12}")
 
@@ -58,7 +55,7 @@ class Survey:
     # stage -> (key, digest of the manifest), for the first stage "capture" -> ("", digest)
     upstream: dict[str, tuple[str, str]] = field(default_factory=dict)
     # files in the right number of bytes, with the digests that they should have
-    to_read: list[tuple[str, int, str]] = field(default_factory=list)
+    to_read: list[tuple[str, str]] = field(default_factory=list)
     files: int = 0
     bytes: int = 0
 
@@ -74,19 +71,6 @@ class Survey:
     def named(self, name: str) -> str:
         """Name of a file of the artifact inside the tree."""
         return f"{self.below}/{name}" if self.below else name
-
-    def batches(self) -> Iterator[list[tuple[str, int, str]]]:
-        """Yield the files to read in portions of one worker each."""
-        portion: list[tuple[str, int, str]] = []
-        total = 0
-        for item in self.to_read:
-            portion.append(item)
-            total += item[1]
-            if total >= BATCH_BYTES or len(portion) >= BATCH_FILES:
-                yield portion
-                portion, total = [], 0
-        if portion:
-            yield portion
 
 
 def survey_artifact(tree: Tree, below: str = "", *, name: str | None = None) -> Survey:
@@ -184,23 +168,20 @@ def _check_files(survey: Survey, manifest: dict[str, Any], listing: Listing) -> 
         if size != entry["bytes"]:
             survey.add(name, "damaged", f"{size} bytes, expected {entry['bytes']} bytes")
             continue
-        survey.to_read.append((name, size, entry["sha256"]))
+        survey.to_read.append((name, entry["sha256"]))
     for name in listing.files:
         if name not in files and name not in (MANIFEST, RUN):
             survey.add(name, "foreign", "not in the manifest")
     survey.files, survey.bytes = len(files), sum(entry["bytes"] for entry in files.values())
 
 
-def read_portion(survey: Survey, portion: list[tuple[str, int, str]]) -> list[Damage]:
-    """Digest a portion of an artifact's files; what is not as listed."""
-    damages = []
-    for name, _, sha256 in portion:
-        try:
-            digest = survey.tree.digest(survey.named(name))
-        except OSError as error:
-            damages.append(Damage(survey.folder / name, "unreadable", str(error.strerror), survey.folder))
-            continue
-        if digest != sha256:
-            detail = f"sha256 {digest[:12]}…, expected {sha256[:12]}…"
-            damages.append(Damage(survey.folder / name, "damaged", detail, survey.folder))
-    return damages
+def read_file(survey: Survey, name: str, sha256: str) -> list[Damage]:
+    """Digest a file of an artifact; what is not as listed."""
+    try:
+        digest = survey.tree.digest(survey.named(name))
+    except OSError as error:
+        return [Damage(survey.folder / name, "unreadable", str(error.strerror), survey.folder)]
+    if digest == sha256:
+        return []
+    detail = f"sha256 {digest[:12]}…, expected {sha256[:12]}…"
+    return [Damage(survey.folder / name, "damaged", detail, survey.folder)]

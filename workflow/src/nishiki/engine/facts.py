@@ -14,10 +14,9 @@ from nishiki.engine.project import Scene
 from nishiki.errors import UserError
 from nishiki.formats.images import read_header
 from nishiki.formats.problems import CaptureError
+from nishiki.observations.blocks import CHECK_BLOCK
 from nishiki.observations.region import object_mask, region_around, region_of
 from nishiki.stages.base import SceneFacts
-
-USUAL_BLOCK = 16  # pixels, as `ingest.white_block` is by default: the rim about the object has at least one block
 
 
 def scene_facts(scene: Scene) -> SceneFacts:
@@ -163,5 +162,5 @@ def _kept_pixels(capture: Capture) -> int:
         mask = object_mask(capture, (header.rows, header.columns), region).inside
     except CaptureError:
         return 0
-    _, _, rows, columns = region_around(mask, region, USUAL_BLOCK)
+    _, _, rows, columns = region_around(mask, region, CHECK_BLOCK)
     return rows * columns

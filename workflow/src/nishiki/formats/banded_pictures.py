@@ -175,8 +175,6 @@ def write_tiff(
 
 MAGIC, VERSION, LONG_NAMES = 20000630, 2, 0x400
 BLOCK_ROWS = 16  # of ZIP compression, fixed by the format
-ZIP = 3  # number of this compression
-FLOAT = 2  # the only type of sample that is written here
 Attribute = str | float | Sequence[float]
 
 
@@ -252,10 +250,11 @@ class ExrWriter:
 
 def _header(names: Sequence[str], rows: int, columns: int, attributes: Mapping[str, Attribute]) -> bytes:
     window = struct.pack("<4i", 0, 0, columns - 1, rows - 1)
-    channels = b"".join(name.encode("utf-8") + b"\0" + struct.pack("<iBxxxii", FLOAT, 0, 1, 1) for name in names)
+    # type of samples (2: float32), linear or not, sampling
+    channels = b"".join(name.encode("utf-8") + b"\0" + struct.pack("<iBxxxii", 2, 0, 1, 1) for name in names)
     fixed = [
         ("channels", "chlist", channels + b"\0"),
-        ("compression", "compression", bytes([ZIP])),
+        ("compression", "compression", b"\x03"),  # ZIP
         ("dataWindow", "box2i", window),
         ("displayWindow", "box2i", window),
         ("lineOrder", "lineOrder", b"\0"),

@@ -19,7 +19,6 @@ _BEAUTY = ("", "combined", "beauty", "rgba", "rgb", "composite", "default", "mai
 """Last word of the layer that holds the whole light, in order of preference; '' has no layer."""
 _RATIO = {"NO_COMPRESSION": 1, "RLE_COMPRESSION": 130, "ZIPS_COMPRESSION": 1040, "ZIP_COMPRESSION": 1040}
 """How many times smaller than its pixels a coded part can be; other compressions have no bound."""
-_LEAST_SAMPLE = 2  # bytes; a header tells no types of its channels
 
 
 @dataclass(frozen=True)
@@ -64,9 +63,10 @@ def open_exr(file: BinaryIO, name: str) -> Picture:
     names = tuple(channel.base for channel in channels)
     if names not in (("R", "G", "B"), ("Y",)):
         names = tuple(".".join(filter(None, (channel.layer, channel.base))) for channel in channels)
+    # half floats at least: a header tells no types of its channels
     header = ImageHeader(
         "exr", window[2], window[3], len(channels) + len(alpha), "float32", bool(alpha), names=names,
-        stored_bytes=_LEAST_SAMPLE * sum(stored), ratio=_RATIO.get(headers[0]["compression"].name, 0), coding=coding,
+        stored_bytes=2 * sum(stored), ratio=_RATIO.get(headers[0]["compression"].name, 0), coding=coding,
         exif=Exif(exposure, aperture, speed),
     )  # fmt: skip
 

@@ -4,13 +4,15 @@ An alias stands for its anchor's whole content: nine lists of nine aliases each 
 the result is printed or checked ("billion laughs"). Nothing in a capture or a configuration needs one.
 """
 
+import re
 from typing import Any
 
 import yaml
 
 from nishiki.formats.files import bound
 
-LONGEST_BITS = 1024  # of a whole number
+LONG_NUMBER = re.compile(r"[-+]?[0-9][xb]?[0-9a-f_:]{256,}", re.IGNORECASE)
+"""Whole numbers in notations that Python reads in any length, and which it refuses to write out."""
 SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
@@ -25,25 +27,10 @@ def load(text: str, loader: type = SafeLoader) -> Any:
     """
     try:
         _look_through(text)
-        content = yaml.load(text, Loader=loader)
-        _expect_numbers(content)
-        return content
+        return yaml.load(text, Loader=loader)
     except (ValueError, OverflowError, RecursionError, TypeError) as error:
         # dates and numbers that do not exist (2024-13-45, an integer of 5000 digits), texts that are not Unicode
         raise NotPlain(None, None, str(error)[:200] or type(error).__name__, None) from None
-
-
-def _expect_numbers(content: Any) -> None:
-    """ValueError for whole numbers too long to be written out (Python refuses to), which hexadecimal ones can be."""
-    pending = [content]
-    while pending:
-        value = pending.pop()
-        if isinstance(value, int) and value.bit_length() > LONGEST_BITS:
-            raise ValueError(f"a whole number of {value.bit_length()} bits")
-        if isinstance(value, dict):
-            pending += [*value.keys(), *value.values()]
-        elif isinstance(value, list):
-            pending += value
 
 
 def _look_through(text: str) -> None:
@@ -62,6 +49,7 @@ def _look_through(text: str) -> None:
             depth -= 1
         elif isinstance(event, yaml.ScalarEvent):
             event.value.encode()  # a lone half of a surrogate pair is no text
+            problem = f"a number of about {4 * len(event.value)} bits" if LONG_NUMBER.fullmatch(event.value) else ""
         if depth > bound("settings_depth"):
             problem = f"nested more than {bound('settings_depth')} levels deep"
         if values > 2 * bound("settings_values"):

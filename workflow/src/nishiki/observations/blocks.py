@@ -3,7 +3,7 @@
 import numpy as np
 
 Edges = tuple[np.ndarray, np.ndarray]
-CHECK_BLOCK = 16  # pixels, of the boards that a check looks at
+CHECK_BLOCK = 16  # pixels, of the boards that a check looks at; `ingest.white_block` by default
 
 
 def block_edges(length: int, block: int) -> np.ndarray:
