@@ -5,6 +5,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -208,9 +209,7 @@ def audit(
     ahead = 4 * threads
     surveys = in_threads(lambda folder: survey_artifact(FolderTree(folder)), targets.artifacts, threads, ahead)
     files = _files(surveys, references, counts, len(targets.artifacts), tell)
-    for damages in in_threads(
-        lambda work: work[0].damages if len(work) == 1 else read_file(*work), files, threads, ahead
-    ):
+    for damages in in_threads(lambda look: look(), files, threads, ahead):
         yield from _counted(damages, counts)
     yield from _counted(references.problems(), counts)
     for damages in in_threads(lambda folder: check_publication(folder, references), targets.publications, threads):
@@ -219,16 +218,16 @@ def audit(
 
 def _files(
     surveys: Iterable[Survey], references: References, counts: Counts, total: int, tell: Callable[[int, int, str], None]
-) -> Iterator[tuple]:
-    """Work for the threads: of every artifact its survey, for what that found, then each of its files."""
+) -> Iterator[Callable[[], list[Damage]]]:
+    """Work for the threads: of every artifact what its survey found, then each of its files."""
     for survey in surveys:
         counts.artifacts += 1
         counts.files += survey.files
         counts.bytes += survey.bytes
         references.add(survey)
-        yield (survey,)
+        yield partial(getattr, survey, "damages")
         for name, sha256 in survey.to_read:
-            yield survey, name, sha256
+            yield partial(read_file, survey, name, sha256)
         tell(counts.artifacts, total, f"{counts.bytes / 1e9:.2f} GB, {counts.problems} problems")
 
 
