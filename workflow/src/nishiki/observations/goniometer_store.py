@@ -1,7 +1,7 @@
 """Write and read what a goniometer measured: the window of every photograph as codes, or the given table."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -17,16 +17,16 @@ from nishiki.formats.files import read_json
 from nishiki.formats.masks import label_problems
 from nishiki.formats.problems import Problem, group_problems
 from nishiki.formats.stored import load_arrays, open_group, understood
-from nishiki.formats.zarr_store import BandedGroup, chunk_path, read_chunk, write_chunk
+from nishiki.formats.zarr_store import BandedGroup
 from nishiki.goniometry.directions import Symmetry
 from nishiki.goniometry.readings import Photograph
-from nishiki.observations.blocks import Edges, block_edges, picture_edges, positions
+from nishiki.observations.blocks import block_edges, picture_edges, positions
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.goniometer_check import code_problems, hot_problems, region_labels, white_level, windowed
 from nishiki.observations.linearise import StoredArrays
 from nishiki.observations.reference import DarkField, measure_darks
 from nishiki.observations.region import chosen
-from nishiki.observations.store_parts import PhotographCounter, Settings, Tick, write_small_arrays
+from nishiki.observations.store_parts import PhotographCounter, Settings, write_small_arrays
 
 
 @dataclass(frozen=True)
@@ -98,10 +98,9 @@ class Measurements(StoredArrays):
         usable = finite if self.defect is None else finite & ~self.defect
         return Photograph(np.where(finite[..., None], linear, np.float32(0)), saturated & finite, usable)
 
-    def _read_block(self, place: int) -> np.ndarray:
-        shape = (self.attributes["frames_a_chunk"], *self.attributes["shape"], len(self.channels))
-        path = chunk_path(self.folder / STORE / "codes", place, 0)
-        return read_chunk(path, shape, self.dtype, compression="zstd")
+    def _read_block(self, number: int) -> np.ndarray:
+        depth = self.attributes["frames_a_chunk"]
+        return self._group["codes"][number * depth : (number + 1) * depth]
 
     def _dark_level(self, place: int) -> np.ndarray:
         """Dark level over the window, bilinear between the centres of its blocks."""
@@ -154,14 +153,32 @@ def write_goniometer(
     darks = measure_darks(reader, edges, tick)
     frames = (*capture.observed, *capture.frames_of("white"))
     group = BandedGroup.create(folder / STORE)
-    written = _write_codes(folder / STORE, group, reader, frames, darks, edges, tick)
+    size, kind = (*reader.region[2:], len(reader.names)), reader.dtype
+    depth = max(1, min(len(frames), CHUNK_BYTES // (int(np.prod(size)) * kind.itemsize)))
+    stored = group.create_array("codes", (len(frames), *size), (depth, *size), kind, compression="zstd")
+    found: list[Problem] = []
+    white_levels, hot, cold, block = [], [], 0, np.empty((depth, *size), kind)
+    for i, (frame, codes) in enumerate(reader.read_all(frames)):
+        block[i % depth] = codes
+        found += code_problems(frame, codes, reader)
+        if frame.role == "white":
+            white_levels.append(white_level(frame, codes, reader, darks))
+        else:
+            hot += [frame.file] * bool((codes >= reader.saturated).any())
+            cold += bool((codes <= reader.clip).all())
+        if i % depth == depth - 1 or i == len(frames) - 1:
+            stored[i - i % depth : i + 1] = block[: i % depth + 1]
+        tick(frame.file)
+    found += hot_problems(hot, len(frames) - len(white_levels))
     shape = np.broadcast_shapes(*(level.shape for level in darks.levels))
     levels = np.stack([np.broadcast_to(level, shape) for level in darks.levels]).astype(np.float32)
     arrays = {"dark": levels} if labels is None else {"dark": levels, "regions": labels}
     write_small_arrays(group, reader, darks.defect, arrays)
-    _write_names(capture, folder, reader, frames, darks, settings.white_block)
+    block_px = settings.white_block
+    names = _describe_frames(capture, reader, frames, darks) | {"frames_a_chunk": depth, "white_block": block_px}
+    write_names(folder, capture, names)
     doubts = label_problems(labels, require(capture.settings.goniometer.regions)) if labels is not None else []
-    problems = (*capture.warnings, *doubts, *reader.warnings(), *darks.problems, *written.problems)
+    problems = (*capture.warnings, *doubts, *reader.warnings(), *darks.problems, *found)
     return {
         "kind": "photographs",
         "channels": reader.names,
@@ -169,76 +186,19 @@ def write_goniometer(
         "whites": len(frames) - len(capture.observed),
         "rows": reader.region[2],
         "columns": reader.region[3],
-        "saturated": written.saturated,
-        "dark": written.dark,
-        "white_level": (min(written.levels), max(written.levels)),
+        "saturated": len(hot),
+        "dark": cold,
+        "white_level": (min(white_levels), max(white_levels)),
         "defects": int(darks.defect.sum()),
         "warnings": tuple(map(str, group_problems(problems))),
         "coding": reader.coding.name,
     }
 
 
-@dataclass(frozen=True)
-class _Written:
-    saturated: int
-    dark: int
-    levels: tuple[float, ...]
-    problems: tuple[Problem, ...]
-
-
-def _write_codes(
-    path: Path,
-    group: BandedGroup,
-    reader: FrameReader,
-    frames: tuple[Frame, ...],
-    darks: DarkField,
-    edges: Edges,
-    tick: Tick,
-) -> _Written:
-    """Windows of all frames, several to a chunk; what was found in them."""
-    size = (*reader.region[2:], len(reader.names))
-    depth = frames_a_chunk(size, reader.dtype, len(frames))
-    group.create_array("codes", (len(frames), *size), (depth, *size), reader.dtype, compression="zstd")
-    problems, levels, hot, cold = [], [], [], 0
-    for i, block in enumerate(_in_blocks(reader, frames, depth, tick)):
-        for j, frame in enumerate(frames[i * depth : (i + 1) * depth]):
-            problems += code_problems(frame, block[j], reader)
-            if frame.role == "white":
-                levels.append(white_level(frame, block[j], reader, darks))
-            else:
-                hot += [frame.file] * bool((block[j] >= reader.saturated).any())
-                cold += bool((block[j] <= reader.clip).all())
-        write_chunk(chunk_path(path / "codes", i, 0), block, compression="zstd")
-    problems += hot_problems(hot, len(frames) - len(levels))
-    return _Written(len(hot), cold, tuple(levels), tuple(problems))
-
-
-def frames_a_chunk(size: tuple[int, ...], dtype: np.dtype, frames: int) -> int:
-    """How many frames of this size lie in one chunk of about 4 MiB."""
-    return max(1, min(frames, CHUNK_BYTES // (int(np.prod(size)) * dtype.itemsize)))
-
-
-def _in_blocks(reader: FrameReader, frames: tuple[Frame, ...], depth: int, tick: Tick) -> Iterator[np.ndarray]:
-    """Codes (depth, rows, columns, channels), the last block filled up with zeros."""
-    shape = (depth, *reader.region[2:], len(reader.names))
-    block = np.zeros(shape, reader.dtype)
-    for i, (frame, codes) in enumerate(reader.read_all(frames)):
-        block[i % depth] = codes
-        tick(frame.file)
-        if i % depth == depth - 1 or i == len(frames) - 1:
-            yield block
-            block = np.zeros(shape, reader.dtype)
-
-
-def _write_names(
-    capture: GoniometerCapture,
-    folder: Path,
-    reader: FrameReader,
-    frames: tuple[Frame, ...],
-    darks: DarkField,
-    white_block: int,
-) -> None:
-    """Write the frames table, and how to read the codes."""
+def _describe_frames(
+    capture: GoniometerCapture, reader: FrameReader, frames: tuple[Frame, ...], darks: DarkField
+) -> dict[str, Any]:
+    """Describe the frames, and how to read their codes."""
     block, finite = capture.settings.goniometer, np.isfinite(reader.saturated)
     places = [next(i for i, level in enumerate(darks.levels) if level is darks.at(f.exposure_s)) for f in frames]
     rows = [
@@ -247,10 +207,8 @@ def _write_names(
     ]
     camera = {
         "shape": list(reader.region[2:]),
-        "frames_a_chunk": frames_a_chunk((*reader.region[2:], len(reader.names)), reader.dtype, len(frames)),
         "dtype": str(reader.dtype),
         "saturation_code": reader.saturated.item() if finite else None,
-        "white_block": white_block,
         "white_reflectance": (reader.weights @ np.array(capture.settings.white_reflectance)).tolist(),
     }
     regions = {
@@ -259,9 +217,7 @@ def _write_names(
         "pixel_pitch_mm": block.pixel_pitch_mm,
         "upright": block.upright,
     }
-    write_names(
-        folder, capture, {"kind": "photographs", "channels": list(reader.names), "frames": rows, **camera, **regions}
-    )
+    return {"kind": "photographs", "channels": list(reader.names), "frames": rows, **camera, **regions}
 
 
 def write_names(folder: Path, capture: GoniometerCapture, more: dict) -> None:

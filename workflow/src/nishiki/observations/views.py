@@ -9,7 +9,6 @@ import numpy as np
 from nishiki.colour.colour import decode, encode
 from nishiki.errors import UserError
 from nishiki.formats.stored import open_made_by, understood
-from nishiki.formats.zarr_store import chunk_path, read_chunk
 from nishiki.observations.blocks import picture_edges
 from nishiki.observations.linearise import StoredArrays
 
@@ -80,20 +79,20 @@ class Views(StoredArrays):
 
     def codes(self, view: str | int, *, state: str | None = None, light: str | None = None) -> np.ndarray:
         """Read stored codes (rows, columns, channels) of one photograph, in the camera's own type."""
-        return self._chunk("codes", self.index(view, state=state, light=light), len(self.channels), self.dtype)
+        return self._group["codes"][self.index(view, state=state, light=light)]
 
     def board(self, state: str, *, light: str | None = None) -> np.ndarray | None:
         """Mean white board (rows, columns, channels) float32 of a polariser state, in the units of `read`; or None."""
         key = [self.lights[self._place(self.lights, light, "light")], state]
         boards = self.attributes["boards"]
-        return self._chunk("boards", boards.index(key), len(self.channels), np.float32) if key in boards else None
+        return self._group["boards"][boards.index(key)] if key in boards else None
 
     def silhouette(self, view: str | int) -> np.ndarray | None:
         """Silhouette (rows, columns) bool that came with the capture, or None."""
         place = self._view(view)
         if self.views[place] not in self.attributes["silhouettes"]:
             return None
-        return self._chunk("silhouettes", place, 1, np.uint8)[..., 0] != 0
+        return self._group["silhouettes"][place][..., 0] != 0
 
     def board_pictures(self) -> Iterator[tuple[dict, np.ndarray]]:
         """Yield each picture of the calibration board: its `name` and `view` (or None), and (rows, columns) uint8 grey.
@@ -101,11 +100,7 @@ class Views(StoredArrays):
         Their names stand in `attributes["calibration"]`.
         """
         for place, named in enumerate(self.attributes["calibration"]):
-            yield named, self._chunk("calibration", place, 1, np.uint8)[..., 0]
-
-    def _chunk(self, array: str, place: int, channels: int, dtype) -> np.ndarray:
-        shape = (*self.shape, channels)
-        return read_chunk(chunk_path(self.path / array, place, 0), shape, dtype, compression="zstd")
+            yield named, self._group["calibration"][place][..., 0]
 
     def _view(self, view: str | int) -> int:
         if isinstance(view, str):

@@ -14,7 +14,7 @@ from nishiki.colour.colour import encode
 from nishiki.errors import require
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
 from nishiki.formats.problems import Problem, refuse
-from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
+from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.blocks import Edges, picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.linearise import LUMA_WEIGHTS, count_unusable
@@ -203,14 +203,13 @@ def write_views(
     tick = PhotographCounter(progress, len(capture.frames) - (0 if opened else len(capture.observed)))
     reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
     edges = picture_edges((reader.rows, reader.columns), settings.white_block)
-    path = Path(folder) / STORE
-    group = BandedGroup.create(path)
-    outlines, doubts = _write_silhouettes(path, group, capture, reader)
+    group = BandedGroup.create(Path(folder) / STORE)
+    outlines, doubts = _write_silhouettes(group, capture, reader)
     darks = measure_darks(reader, edges, tick)
     whites = measure_whites(reader, darks, edges, tick)
-    counts, problems = _write_codes(path, group, reader, outlines, tick, opened=opened)
-    boards = _write_boards(path, group, reader, darks, whites, edges, tick)
-    _write_calibration(path, group, reader, tick)
+    counts, problems = _write_codes(group, reader, outlines, tick, opened=opened)
+    boards = _write_boards(group, reader, darks, whites, edges, tick)
+    _write_calibration(group, reader, tick)
     defect = darks.defect | whites.defect
     arrays = {"gain": whites.gain, "dark": darks.for_frames(capture.observed)}
     write_small_arrays(group, reader, defect, arrays)
@@ -233,18 +232,20 @@ def write_views(
 
 
 def _write_silhouettes(
-    path: Path, group: BandedGroup, capture: TurntableCapture, reader: FrameReader
+    group: BandedGroup, capture: TurntableCapture, reader: FrameReader
 ) -> tuple[list[str], list[Problem]]:
     """Write the given silhouettes, one chunk a view; returns the views that have one, and warnings."""
     named = [(i, view, frame) for i, view in enumerate(capture.views) if (frame := capture.silhouette_of(view))]
     if not named:
         return [], []
     size, problems = (reader.rows, reader.columns), []
-    group.create_array("silhouettes", (len(capture.views), *size, 1), (1, *size, 1), np.uint8, compression="zstd")
+    stored = group.create_array(
+        "silhouettes", (len(capture.views), *size, 1), (1, *size, 1), np.uint8, compression="zstd"
+    )
     for i, _, frame in named:
         outline = read_silhouette(frame, size)
         problems += outline.problems
-        write_chunk(chunk_path(path / "silhouettes", i, 0), outline.inside.astype(np.uint8), compression="zstd")
+        stored[i : i + 1] = outline.inside[None, :, :, None]
     return [view for _, view, _ in named], problems
 
 
@@ -259,7 +260,7 @@ def read_silhouette(frame: Frame, size: tuple[int, int]) -> Mask:
 
 
 def _write_codes(
-    path: Path, group: BandedGroup, reader: FrameReader, outlines: list[str], tick: Tick, *, opened: bool
+    group: BandedGroup, reader: FrameReader, outlines: list[str], tick: Tick, *, opened: bool
 ) -> tuple[np.ndarray, list[Problem]]:
     """Every frame of the object into its chunk; counts (frames, 4) and what was found in the frames.
 
@@ -268,7 +269,7 @@ def _write_codes(
     observed = reader.capture.observed
     size = (reader.rows, reader.columns, len(reader.names))
     frames = len(observed) if opened else 0
-    group.create_array("codes", (frames, *size), (1, *size), reader.dtype, compression="zstd")
+    stored = group.create_array("codes", (frames, *size), (1, *size), reader.dtype, compression="zstd")
     if not opened:
         return np.zeros((0, 4), np.int64), []
     counts, problems = np.zeros((len(observed), 4), np.int64), []
@@ -279,7 +280,7 @@ def _write_codes(
         *tally, highest = count_unusable(codes, inside, reader.saturated, reader.clip)
         counts[i] = tally
         problems += view_problems(frame, counts[i], float(highest), reader, outlined=named is not None)
-        write_chunk(chunk_path(path / "codes", i, 0), codes, compression="zstd")
+        stored[i : i + 1] = codes[None]
         tick(frame.file)
     return counts, problems
 
@@ -302,7 +303,7 @@ def view_problems(
 
 
 def _write_boards(
-    path: Path, group: BandedGroup, reader: FrameReader, darks: DarkField, whites: Whites, edges: Edges, tick: Tick
+    group: BandedGroup, reader: FrameReader, darks: DarkField, whites: Whites, edges: Edges, tick: Tick
 ) -> list[list[str]]:
     """Mean white board of each light and polariser state; returns [light, state] of each."""
     frames = [f for f in reader.capture.frames_of("white") if f.polariser]
@@ -310,25 +311,24 @@ def _write_boards(
     if not keys:
         return []
     size = (reader.rows, reader.columns, len(reader.names))
-    group.create_array("boards", (len(keys), *size), (1, *size), np.float32, compression="zstd")
+    stored = group.create_array("boards", (len(keys), *size), (1, *size), np.float32, compression="zstd")
     for i, mean in enumerate(mean_boards(reader, keys, darks, whites, edges, tick)):
-        write_chunk(chunk_path(path / "boards", i, 0), mean, compression="zstd")
+        stored[i : i + 1] = mean[None]
     return [list(key) for key in keys]
 
 
-def _write_calibration(path: Path, group: BandedGroup, reader: FrameReader, tick: Tick) -> None:
+def _write_calibration(group: BandedGroup, reader: FrameReader, tick: Tick) -> None:
     """Pictures of the calibration board, grey, 8 bits, coded for display so that dark squares keep their steps."""
     frames = reader.capture.frames_of("board")
     if not frames:
         return
     size = (reader.rows, reader.columns, 1)
-    group.create_array("calibration", (len(frames), *size), (1, *size), np.uint8, compression="zstd")
+    stored = group.create_array("calibration", (len(frames), *size), (1, *size), np.uint8, compression="zstd")
     count = len(reader.names)
     weights = LUMA_WEIGHTS if count == 3 else np.full(count, 1 / count)
     for i, (frame, codes) in enumerate(reader.read_all(frames)):
         grey = codes.astype(np.float32) @ (weights / reader.full).astype(np.float32)
         if reader.coding.linear:
             grey = encode(np.nan_to_num(grey), "srgb")
-        picture = np.rint(255 * np.clip(grey, 0, 1)).astype(np.uint8)[:, :, None]
-        write_chunk(chunk_path(path / "calibration", i, 0), picture, compression="zstd")
+        stored[i : i + 1] = np.rint(255 * np.clip(grey, 0, 1)).astype(np.uint8)[None, :, :, None]
         tick(frame.file)
