@@ -1,6 +1,6 @@
 """Write the views of an object: the camera's codes, with lamps, cameras and boards beside them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,33 +76,6 @@ def measure_whites(reader: FrameReader[TurntableCapture], darks: DarkField, edge
     levels = tuple(float(field.level.min()) for field in fields)
     problems = tuple(problem for field in fields for problem in field.problems)
     return Whites(gain, scale, longest, True, levels, dead & inside, problems)
-
-
-def mean_boards(
-    reader: FrameReader[TurntableCapture],
-    keys: list[tuple[str, str]],
-    darks: DarkField,
-    whites: Whites,
-    edges: Edges,
-    tick: Tick,
-) -> Iterator[np.ndarray]:
-    """Mean white board (rows, columns, channels) float32 of each (light, polariser state), in the samples' units.
-
-    Saturated samples keep their values: they are the best that is known of the board there.
-    """
-    rows, columns = reader.rows, reader.columns
-    usable = np.ones((rows, columns), np.uint8)
-    for light, state in keys:
-        frames = tuple(f for f in reader.capture.frames_of("white") if (f.light, f.polariser) == (light, state))
-        total = np.zeros((rows, columns, len(reader.names)), np.float32)
-        gain = whites.gain[reader.capture.light_names.index(light)]
-        for frame, codes in reader.read_all(frames):
-            scale = np.float32(whites.longest / frame.exposure if whites.longest else 1.0)
-            fields = (gain * scale)[None], darks.at(frame.exposure_s)[None], usable
-            (values,), _ = decode_codes(codes[None], (reader.table, reader.saturated, ANY_CODE), fields, edges)
-            total += values
-            tick(frame.file)
-        yield total / np.float32(len(frames))
 
 
 def attributes_of(
@@ -305,15 +278,26 @@ def view_problems(
 def _write_boards(
     group: BandedGroup, reader: FrameReader, darks: DarkField, whites: Whites, edges: Edges, tick: Tick
 ) -> list[list[str]]:
-    """Mean white board of each light and polariser state; returns [light, state] of each."""
+    """Write the mean white board of each light and polariser state, in the samples' units; [light, state] of each.
+
+    Saturated samples keep their values: they are the best that is known of the board there.
+    """
     frames = [f for f in reader.capture.frames_of("white") if f.polariser]
     keys = list(dict.fromkeys((f.light, f.polariser) for f in frames))
     if not keys:
         return []
     size = (reader.rows, reader.columns, len(reader.names))
     stored = group.create_array("boards", (len(keys), *size), (1, *size), np.float32, compression="zstd")
-    for i, mean in enumerate(mean_boards(reader, keys, darks, whites, edges, tick)):
-        stored[i : i + 1] = mean[None]
+    usable = np.ones(size[:2], np.uint8)
+    for i, key in enumerate(keys):
+        alike = [f for f in frames if (f.light, f.polariser) == key]
+        gain, total = whites.gain[reader.capture.light_names.index(key[0])][None], np.zeros((1, *size), np.float32)
+        for frame, codes in reader.read_all(alike):
+            scale = np.float32(whites.longest / frame.exposure if whites.longest else 1.0)
+            fields = gain * scale, darks.at(frame.exposure_s)[None], usable
+            total += decode_codes(codes[None], (reader.table, reader.saturated, ANY_CODE), fields, edges)[0]
+            tick(frame.file)
+        stored[i : i + 1] = total / np.float32(len(alike))
     return [list(key) for key in keys]
 
 
