@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -32,7 +31,7 @@ from nishiki.observations.plane_store import frame_problems
 from nishiki.observations.polariser_check import silhouette_problems, turntable_content_problems
 from nishiki.observations.reference import DarkField, board_field, measure_darks
 from nishiki.observations.region import AnyCapture, object_mask, region_numbers, region_of
-from nishiki.observations.store_parts import RepeatedFiles, as_errors, attempt
+from nishiki.observations.store_parts import attempt, examine_frames
 from nishiki.photometric.lambert_fit import FEWEST_LAMPS
 
 SAME_DIRECTION = np.cos(np.radians(0.1))
@@ -265,14 +264,22 @@ def _content_problems(
         usable = object_mask(capture, (reader.rows, reader.columns), reader.region).inside.astype(np.uint8)
     except CaptureError:
         usable = np.ones((rows, columns), np.uint8)  # reported already
-    reduced, repeated = ReducedPhotographs(reader, darks, usable), RepeatedFiles()
-    for frame, codes in reader.read_ahead([frame for frame in capture.frames if frame.role != "dark"]):
-        found = attempt(partial(_frame_content, reader, frame, codes, usable, darks, edges, reduced))
-        if len(capture.frames_of("sample")) > FEWEST_LAMPS and frame.role != "white":  # ingest leaves it out
-            found = [replace(p, severity="warning") if p.kind == "all-dark" else p for p in found]
-        problems += found
-        problems += repeated.add(frame)
-        tick(frame.file)
+    reduced = ReducedPhotographs(reader, darks, usable)
+
+    def look(frame: Frame, decode: Callable[[], np.ndarray]) -> list[Problem]:
+        codes = decode()
+        if frame.role in ("sample", "check", "white") and capture.lights.find(frame.light) is not None:
+            reduced.add(frame, codes)
+        if frame.role == "white":
+            return list(board_field(reader, frame, codes, darks, edges, usable).problems)
+        if frame.role in ("flat", "ambient"):
+            return []
+        *counts, highest = count_unusable(codes, usable, reader.saturated, reader.clip)
+        return frame_problems(frame, np.array(counts), float(highest), reader)
+
+    found = examine_frames(reader, [frame for frame in capture.frames if frame.role != "dark"], look, tick)
+    spared = len(capture.frames_of("sample")) > FEWEST_LAMPS  # ingest leaves black photographs out
+    problems += [replace(p, severity="warning") if spared and p.kind == "all-dark" else p for p in found]
     tick("photographs against each other")
     judgement = reduced.judge()
     if judgement is not None:
@@ -288,26 +295,6 @@ def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tu
     except CaptureError as e:
         level = np.zeros((1, 1, len(reader.names)), np.float32)
         return DarkField((None,), (level,), np.zeros(reader.region[2:], bool), ()), list(e.problems)
-
-
-def _frame_content(
-    reader: FrameReader,
-    frame: Frame,
-    decode: Callable[[], np.ndarray],
-    usable: np.ndarray,
-    darks: DarkField,
-    edges: tuple,
-    reduced: ReducedPhotographs,
-) -> list[Problem]:
-    codes = decode()
-    if frame.role in ("sample", "check", "white") and reader.capture.lights.find(frame.light) is not None:
-        reduced.add(frame, codes)
-    if frame.role == "white":
-        return list(board_field(reader, frame, codes, darks, edges, usable).problems)
-    if frame.role in ("flat", "ambient"):
-        return []
-    *counts, highest = count_unusable(codes, usable, reader.saturated, reader.clip)
-    return as_errors(frame_problems(frame, np.array(counts), float(highest), reader))
 
 
 def failed(problems: list[Problem]) -> bool:

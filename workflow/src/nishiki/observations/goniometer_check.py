@@ -1,5 +1,6 @@
 """Check a goniometer's data: sizes, saturation, boards and regions of photographs; energy and symmetry of tables."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from nishiki.goniometry.hemisphere import FEWEST_PAIRS, forward_shine, reciproci
 from nishiki.observations.blocks import CHECK_BLOCK, picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField, measure_darks
-from nishiki.observations.store_parts import RepeatedFiles, Tick, as_errors
+from nishiki.observations.store_parts import Tick, examine_frames
 
 DARK_WHITE = 0.005  # of full scale: below it the board's quantisation alone is worth a percent
 
@@ -124,31 +125,19 @@ def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
         darks = measure_darks(reader, edges, tick)
     except CaptureError as e:
         return list(e.problems)
-    problems = list(darks.problems)
-    repeated = RepeatedFiles()
     hot: list[str] = []
-    for frame in capture.frames:
-        if frame.role == "dark":
-            continue
-        problems += repeated.add(frame)
-        problems += _frame_problems(reader, frame, darks, hot)
-        tick(frame.file)
-    return reader.warnings() + problems + hot_problems(hot, len(capture.observed))
 
-
-def _frame_problems(
-    reader: FrameReader[GoniometerCapture], frame: Frame, darks: DarkField, hot: list[str]
-) -> list[Problem]:
-    try:
-        codes = reader.read(frame)
+    def look(frame: Frame, decode: Callable[[], np.ndarray]) -> list[Problem]:
+        codes = decode()
         problems = code_problems(frame, codes, reader)
         if frame.role == "white":
             white_level(frame, codes, reader, darks)
         elif (codes >= reader.saturated).any():
             hot.append(frame.file)
-    except CaptureError as e:
-        return list(e.problems)
-    return as_errors(problems)
+        return problems
+
+    found = examine_frames(reader, [frame for frame in capture.frames if frame.role != "dark"], look, tick)
+    return [*reader.warnings(), *darks.problems, *found, *hot_problems(hot, len(capture.observed))]
 
 
 def table_problems(capture: GoniometerCapture) -> list[Problem]:

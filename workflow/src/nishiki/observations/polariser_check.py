@@ -1,6 +1,7 @@
 """Compare the opened photographs of a turntable with what its capture states: sizes, white boards, polarisers."""
 
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from nishiki.observations.blocks import CHECK_BLOCK, picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.linearise import count_unusable
 from nishiki.observations.reference import measure_darks
-from nishiki.observations.store_parts import RepeatedFiles, Tick, as_errors
+from nishiki.observations.store_parts import Tick, examine_frames
 from nishiki.observations.turntable_coherence import Pictures, capture_problems
 from nishiki.observations.views_store import measure_whites, read_silhouette, view_problems
 from nishiki.polarisation.polariser_states import equal_steps, sums_of
@@ -154,21 +155,28 @@ def silhouette_problems(capture: TurntableCapture, size: tuple[int, int]) -> lis
 
 
 def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Problem]:
-    """Find what only decoding shows; every photograph is decoded once."""
+    """Find what only decoding shows."""
     try:
         reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
     except CaptureError as e:
         return list(e.problems)
     problems = _reference_problems(reader, tick)
-    repeated, pictures, levels = RepeatedFiles(), Pictures(capture), PolariserLevels(reader)
-    for frame in capture.frames:
-        if frame.role != "dark":
-            problems += repeated.add(frame)
-        if frame.role in ("sample", "board") or (frame.role == "white" and frame.polariser):
-            problems += _frame_problems(reader, frame, pictures, levels)
-            tick(frame.file)
-    problems += levels.problems() + pictures.problems(reader.rows, reader.columns)
-    return reader.warnings() + problems
+    pictures, levels = Pictures(capture), PolariserLevels(reader)
+
+    def look(frame: Frame, decode: Callable[[], np.ndarray]) -> list[Problem]:
+        codes = decode()
+        if frame.role not in ("sample", "white") or (frame.role == "white" and not frame.polariser):
+            return []
+        named = capture.silhouette_of(frame.view) if frame.role == "sample" else None
+        if frame.role == "sample":
+            pictures.add(frame.view, codes, reader)
+        inside = _outline(named, codes.shape[:2])
+        levels.add(frame, codes, inside)
+        *counts, highest = count_unusable(codes, inside, reader.saturated, reader.clip)
+        return view_problems(frame, np.array(counts), float(highest), reader, outlined=named is not None)
+
+    problems += examine_frames(reader, [frame for frame in capture.frames if frame.role != "dark"], look, tick)
+    return reader.warnings() + problems + levels.problems() + pictures.problems(reader.rows, reader.columns)
 
 
 def _reference_problems(reader: FrameReader[TurntableCapture], tick: Tick) -> list[Problem]:
@@ -185,23 +193,6 @@ def _reference_problems(reader: FrameReader[TurntableCapture], tick: Tick) -> li
         return [*darks.problems, *whites]
     except CaptureError as e:
         return list(e.problems)
-
-
-def _frame_problems(reader: FrameReader, frame: Frame, pictures: Pictures, levels: PolariserLevels) -> list[Problem]:
-    try:
-        codes = reader.read(frame)
-        if frame.role == "board":
-            return []
-        if frame.role == "sample":
-            pictures.add(frame.view, codes, reader)
-        named = reader.capture.silhouette_of(frame.view) if frame.role == "sample" else None
-        inside = _outline(named, codes.shape[:2])
-        levels.add(frame, codes, inside)
-        *counts, highest = count_unusable(codes, inside, reader.saturated, reader.clip)
-        problems = view_problems(frame, np.array(counts), float(highest), reader, outlined=named is not None)
-    except CaptureError as e:
-        return list(e.problems)
-    return as_errors(problems)
 
 
 def _outline(frame: Frame | None, size: tuple[int, int]) -> np.ndarray:

@@ -1,7 +1,8 @@
 """What the stores of all three geometries share: counting photographs, judging their samples, the small arrays."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
@@ -101,21 +102,27 @@ def describe_samples(
     }
 
 
-class RepeatedFiles:
-    """Finds photographs that are the same file as one before."""
+def examine_frames(
+    reader: FrameReader,
+    frames: Sequence[Frame],
+    look: Callable[[Frame, Callable[[], np.ndarray]], Iterable[Problem]],
+    tick: Tick,
+) -> list[Problem]:
+    """Decode frames, the next one ahead, and list what `look`, given a frame and its codes, finds in each.
 
-    def __init__(self) -> None:
-        self.files: dict[str, str] = {}
-
-    def add(self, frame: Frame) -> list[Problem]:
-        """Warn (image-repeated) of each file of a photograph that was added already under another name."""
-        problems = []
+    Samples that are not finite are errors. A warning (image-repeated) names files that are the same as one before.
+    """
+    problems: list[Problem] = []
+    known: dict[str, str] = {}
+    for frame, codes in reader.read_ahead(frames):
+        problems += as_errors(attempt(partial(look, frame, codes)))
         for part in frame.parts:
-            first = self.files.setdefault(sha256_of(part.path), part.file)
+            first = known.setdefault(sha256_of(part.path), part.file)
             if first != part.file:
                 what, remedy = f"is the same file as {first}", "Check the names of the photographs"
                 problems.append(warning("image-repeated", part.file, what, remedy=remedy))
-        return problems
+        tick(frame.file)
+    return problems
 
 
 def write_small_arrays(
