@@ -8,56 +8,33 @@ from types import ModuleType
 from nishiki.errors import UserError
 from nishiki.installation import INSTALLED
 
-MODULES = {
-    "OpenEXR": "OpenEXR",
-    "av": "av",
-    "colour-science": "colour",
-    "dracopy": "DracoPy",
-    "gphoto2": "gphoto2",
-    "jinja2": "jinja2",
-    "materialx": "MaterialX",
-    "numba": "numba",
-    "numpy": "numpy",
-    "opencv-contrib-python-headless": "cv2",
-    "pyarrow": "pyarrow",
-    "pymeshlab": "pymeshlab",
-    "pyserial": "serial",
-    "pywavelets": "pywt",
-    "rawpy": "rawpy",
-    "scikit-image": "skimage",
-    "scipy": "scipy",
-    "trimesh": "trimesh",
-    "usd-core": "pxr",
-    "zarr": "zarr",
+PACKAGES = {
+    "OpenEXR": ("OpenEXR", "", ""),
+    "av": ("av", "video", "video"),
+    "colour-science": ("colour", "rig", "a colour target"),
+    "dracopy": ("DracoPy", "", ""),
+    "gphoto2": ("gphoto2", "rig", "a camera on USB"),
+    "jinja2": ("jinja2", "", ""),
+    "materialx": ("MaterialX", "export", "a MaterialX document"),
+    "numba": ("numba", "", ""),
+    "numpy": ("numpy", "", ""),
+    "opencv-contrib-python-headless": ("cv2", "", ""),
+    "pyarrow": ("pyarrow", "export", "a Parquet file"),
+    "pymeshlab": ("pymeshlab", "mesh", "range scans"),
+    "pyserial": ("serial", "rig", "a device on a serial line"),
+    "pywavelets": ("pywt", "", ""),
+    "rawpy": ("rawpy", "raw", "camera raw"),
+    "scikit-image": ("skimage", "mesh", "a surface from silhouettes"),
+    "scipy": ("scipy", "", ""),
+    "trimesh": ("trimesh", "mesh", "mesh files"),
+    "usd-core": ("pxr", "export", "a USD file"),
+    "zarr": ("zarr", "", ""),
 }
-"""Package as it is installed, to the module that is imported."""
-EXTRAS = {
-    "rawpy": "raw",
-    "av": "video",
-    "trimesh": "mesh",
-    "pymeshlab": "mesh",
-    "scikit-image": "mesh",
-    "gphoto2": "rig",
-    "pyserial": "rig",
-    "colour-science": "rig",
-    "pyarrow": "export",
-    "materialx": "export",
-    "usd-core": "export",
-}
-"""Packages that are no part of the least installation, and the extra that brings them."""
-PURPOSE = {
-    "rawpy": "camera raw",
-    "av": "video",
-    "trimesh": "mesh files",
-    "pymeshlab": "range scans",
-    "scikit-image": "a surface from silhouettes",
-    "colour-science": "a colour target",
-    "pyarrow": "a Parquet file",
-    "materialx": "a MaterialX document",
-    "usd-core": "a USD file",
-    "gphoto2": "a camera on USB",
-    "pyserial": "a device on a serial line",
-}
+"""Package as it is installed: the module that is imported, the extra that brings it where the least installation does
+not, and what it is for then."""
+MODULES = {name: module for name, (module, _, _) in PACKAGES.items()}
+EXTRAS = {name: extra for name, (_, extra, _) in PACKAGES.items() if extra}
+PURPOSE = {name: purpose for name, (_, extra, purpose) in PACKAGES.items() if extra}
 PARTS_OF_SCIPY = ("fft", "interpolate", "io", "ndimage", "optimize", "sparse", "spatial", "special", "stats")
 
 

@@ -25,22 +25,7 @@ from nishiki.installation import CARRIED, PACKAGES, SOURCE
 
 CODE = ("Snakefile", "LICENSE", "pyproject.toml", "uv.lock", "workflow", "scripts", "envs")
 """What of the project is packed: what runs, and the lock of its libraries."""
-CODE_SUFFIXES = {
-    "",
-    ".py",
-    ".smk",
-    ".yaml",
-    ".txt",
-    ".toml",
-    ".lock",
-    ".csv",
-    ".npz",
-    ".json",
-    ".j2",
-    ".css",
-    ".sh",
-    ".md",
-}
+CODE_SUFFIXES = {"", *".py .smk .yaml .txt .toml .lock .csv .npz .json .j2 .css .sh .md".split()}
 BLOCK = 2**20
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)
 Tell = Callable[[int, int, str], None]

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import FileIO
 from pathlib import Path
-from typing import IO, Protocol
+from typing import IO
 
 LARGEST_TEXT = 256 * 2**20
 """Bytes of the largest manifest that is read; one of a million files has about 150 MB."""
@@ -25,22 +25,6 @@ class Listing:
     links: dict[str, str] = field(default_factory=dict)
     others: dict[str, str] = field(default_factory=dict)
     unreadable: dict[str, str] = field(default_factory=dict)
-
-
-class Tree(Protocol):
-    """Files under relative names with `/`."""
-
-    @property
-    def root(self) -> Path: ...
-
-    def listing(self, below: str = "") -> Listing:
-        """Everything below a folder of the tree, names relative to that folder."""
-
-    def read(self, name: str) -> bytes:
-        """Content of a small file. Raises OSError; ValueError for one that is larger than LARGEST_TEXT."""
-
-    def digest(self, name: str) -> str:
-        """SHA-256 of a file, read in blocks. Raises OSError."""
 
 
 @dataclass(frozen=True)
@@ -164,3 +148,7 @@ class ZipTree:
         if member is None or member.compress_type != zipfile.ZIP_STORED or member.flag_bits & 1:
             raise OSError(2, "no such file stored in the ZIP file", name)
         return member
+
+
+Tree = FolderTree | ZipTree
+"""Files under relative names with `/`."""

@@ -6,6 +6,7 @@ on with a warning, which stands at the head of the report. The setting `allow` o
 result may exceed.
 """
 
+import operator
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -99,20 +100,20 @@ def _part(diagnostics: Mapping[str, Any], path: str) -> Any:
 
 def share(part: str, total_path: str) -> Figure:
     """One diagnostic as a share of another; 0 of nothing is 0."""
-
-    def figure(diagnostics: Mapping[str, Any]) -> float | None:
-        value, total = at(part)(diagnostics), at(total_path)(diagnostics)
-        return None if value is None or total is None else value / total if total else 0.0
-
-    return figure
+    return _of_two(part, total_path, lambda value, total: value / total if total else 0.0)
 
 
 def excess(part: str, over: str) -> Figure:
-    """One diagnostic less another; None where either is missing."""
+    """One diagnostic less another."""
+    return _of_two(part, over, operator.sub)
+
+
+def _of_two(first: str, second: str, combine: Callable[[float, float], float]) -> Figure:
+    """Combine two diagnostics; None where either is missing."""
 
     def figure(diagnostics: Mapping[str, Any]) -> float | None:
-        value, other = at(part)(diagnostics), at(over)(diagnostics)
-        return None if value is None or other is None else value - other
+        one, other = at(first)(diagnostics), at(second)(diagnostics)
+        return None if one is None or other is None else combine(one, other)
 
     return figure
 

@@ -68,11 +68,6 @@ def sample_warnings(frame: Frame, broken: int, saturated: int, inside: int, *, s
     return problems
 
 
-def as_errors(problems: Iterable[Problem], kind: str = "not-finite") -> list[Problem]:
-    """Turn warnings of this kind into errors: what a stage tolerates may make a capture unusable."""
-    return [replace(p, severity="error") if p.kind == kind else p for p in problems]
-
-
 def attempt(work: Callable[[], Iterable[Problem]]) -> list[Problem]:
     """List the problems that some work finds, or those that end it."""
     try:
@@ -115,7 +110,8 @@ def examine_frames(
     problems: list[Problem] = []
     known: dict[str, str] = {}
     for frame, codes in reader.read_ahead(frames):
-        problems += as_errors(attempt(partial(look, frame, codes)))
+        found = attempt(partial(look, frame, codes))
+        problems += [replace(p, severity="error") if p.kind == "not-finite" else p for p in found]
         for part in frame.parts:
             first = known.setdefault(sha256_of(part.path), part.file)
             if first != part.file:
