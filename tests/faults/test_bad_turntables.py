@@ -172,12 +172,12 @@ BROKEN = {
     "mesh missing": ({}, block(mesh="gone.ply"), "image-missing", "'gone.ply' is missing"),
     "mesh of another kind": ({}, mesh(b"solid", "m.stl"), "mesh-format", ".ply or .obj"),
     "mesh that is none": ({}, mesh(b"Dear colleague"), "mesh-unreadable", "not a PLY"),
-    "mesh without faces": ({}, mesh(HEAD + b"end_header\n"), "mesh-empty", "without face"),
+    "mesh without faces": ({}, mesh(HEAD + b"property uchar x\nend_header\n" + bytes(9)), "mesh-empty", "without face"),
     "mesh with its heading cut off": ({}, mesh(HEAD), "mesh-unreadable", "end_header"),
     "OBJ without vertices": ({}, mesh(b"# only a comment\n", "m.obj"), "mesh-unreadable", "vertices"),
     "scan that is an OBJ": ({}, mesh(b"v 0 0 0\n", "m.obj", "scans"), "mesh-format", "expected .ply"),
     "scan without points": (
-        {}, mesh(b"ply\nelement vertex 0\nend_header\n", "m.ply", "scans"), "mesh-empty", "without vertex"),
+        {}, mesh(b"ply\nformat ascii 1.0\nend_header\n", "m.ply", "scans"), "mesh-empty", "without vertex"),
     "board not described": ({}, more("b.png,board,v1,,,", "b.png"), "board-undescribed", "turntable.board"),
     "board without a picture": ({}, block(board=BOARD), "board-without-frame", "role board"),
     "board twice for a view": (
