@@ -196,7 +196,7 @@ def test_soft_shadows_are_the_visible_part_of_the_lamp():
 
 
 def test_the_disc_is_covered_evenly():
-    points = np.array([disc_point(pixel, k, 16) for pixel in range(300) for k in range(16)])
+    points = disc_point(np.arange(300)[:, None], np.arange(16), 16).reshape(-1, 2)
     assert np.all(np.hypot(*points.T) <= 1)
     assert np.abs(points.mean(axis=0)).max() < 0.02
     assert np.mean(np.hypot(*points.T) ** 2) == pytest.approx(0.5, abs=0.01)

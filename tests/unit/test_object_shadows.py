@@ -11,7 +11,8 @@ from nishiki.brdf.texels.model import Lighting, predict
 from nishiki.errors import UserError
 from nishiki.geometry.camera import look_at
 from nishiki.geometry.mesh import Mesh
-from nishiki.render.object.shots import FreeLamp, FreeLighting, LitObject, disc_points
+from nishiki.geometry.visibility import disc_points
+from nishiki.render.object.shots import FreeLamp, FreeLighting, LitObject
 from nishiki.stages.render import ObjectRenderSettings
 from nishiki.stages.render.object import own_lamps
 

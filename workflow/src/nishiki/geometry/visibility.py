@@ -127,6 +127,25 @@ def interpolate(attributes: np.ndarray, corners: np.ndarray, triangle: np.ndarra
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Radians between points of a spiral that covers a disc evenly, where each has the same share of its area."""
+
+
+def disc_points(count: int) -> np.ndarray:
+    """Return (count, 2) points spread evenly over the unit disc; its middle alone where count is 1."""
+    if count == 1:
+        return np.zeros((1, 2))
+    reach, angle = np.sqrt((np.arange(count) + 0.5) / count), GOLDEN_ANGLE * np.arange(count)
+    return np.stack([reach * np.cos(angle), reach * np.sin(angle)], axis=1)
+
+
+def frames_about(normals: np.ndarray) -> np.ndarray:
+    """Two unit vectors (n, 2, 3) perpendicular to unit normals (n, 3) and each other (Duff et al., JCGT 6(1), 2017)."""
+    nx, ny, nz = normals.T
+    sign = np.copysign(1.0, nz)
+    a = -1.0 / (sign + nz)
+    b = nx * ny * a
+    return np.stack([1.0 + sign * nx * nx * a, sign * b, -sign * nx, b, sign + ny * ny * a, -ny], 1).reshape(-1, 2, 3)
+
+
 LEAF = 4
 """Triangles in a leaf."""
 SLACK = 1e-9  # of the corners' weights
@@ -255,12 +274,6 @@ def meet(tree, origin, direction, far, any_hit):
                 if any_hit:
                     return hit, far, best_u, best_v
     return hit, far, best_u, best_v
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def blocked(tree, origin, direction, far):
-    """Return whether a ray meets a triangle at a distance within (0, far), in multiples of its direction."""
-    return meet(tree, origin, direction, far, True)[0] >= 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

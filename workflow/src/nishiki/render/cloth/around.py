@@ -3,15 +3,16 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
-from nishiki.geometry.visibility import GOLDEN_ANGLE, blocked
+from nishiki.atlas.adjacency import smoothed_vertices
+from nishiki.geometry.visibility import cast, disc_points, frames_about
 from nishiki.render.cloth.local import LIFT, Fragments
 from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, together
-from nishiki.threads import over_items, over_rows
+from nishiki.threads import over_items, strips
 
 THETAS, PHIS, LIGHTS = 10, 16, (14, 28)
 """Grid of view directions at which the reflected share of even light is tabulated, and rings and sectors of light."""
+RAYS = 1 << 18  # at a time
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,11 @@ class Surroundings:
     def of(cls, scene: ClothScene, light: AmbientLight) -> "Surroundings":
         """Test light.rays directions over each side of every vertex."""
         corners = np.ascontiguousarray(scene.mesh.triangles)
-        share, from_above = (smoothed(values, corners) for values in openness(scene, light.rays, light.reach))
+        share, from_above = (
+            # the grain of few rays goes, folds stay
+            smoothed_vertices(values, corners, rounds=2)
+            for values in openness(scene, light.rays, light.reach)
+        )
         return cls(light, share, from_above, corners)
 
     def radiance(self, tables: list[np.ndarray], samples: Fragments, rows: np.ndarray, pixels: int) -> np.ndarray:
@@ -98,55 +103,20 @@ def lookup(table: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return np.stack(channels, axis=1)
 
 
-def smoothed(values: np.ndarray, triangles: np.ndarray, *, rounds: int = 2) -> np.ndarray:
-    """Values (v, k) at vertices averaged with their neighbours', twice: the grain of few rays goes, folds stay."""
-    from scipy.sparse import coo_matrix, diags
-
-    i = np.concatenate([triangles[:, k] for k in (0, 1, 2, 1, 2, 0)])
-    j = np.concatenate([triangles[:, k] for k in (1, 2, 0, 0, 1, 2)])
-    matrix = coo_matrix((np.ones(len(i)), (i, j)), (len(values), len(values))).tocsr()
-    degree = np.asarray(matrix.sum(axis=1)).ravel()
-    mean = diags(1 / np.maximum(degree, 1)) @ matrix
-    for _ in range(rounds):
-        values = np.where(degree[:, None] > 0, 0.5 * values + 0.5 * (mean @ values), values)
-    return values
-
-
 def openness(scene: ClothScene, rays: int, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """See `Surroundings`: (v, 2) and (v, 2) float64, front and back; `reach` in the scene's unit."""
-    count = len(scene.mesh.vertices)
-    free, up = np.empty((count, 2)), np.empty((count, 2))
-    normals = np.ascontiguousarray(scene.mesh.normals, np.float64)
-    tree, surface = (scene.tree.boxes, scene.tree.triangles), (scene.mesh.vertices, normals)
-    test = rays, reach, 4 * LIFT * scene.scale
-    over_rows(lambda a, b: _open(tree, surface, test, a, b, (free, up)), count)
+    vertices, normals, lift = scene.mesh.vertices, np.asarray(scene.mesh.normals, np.float64), 4 * LIFT * scene.scale
+    free, up = np.empty((len(vertices), 2)), np.empty((len(vertices), 2))
+    # Points of equal projected area: every vertex tests the same directions about its normal.
+    disc = disc_points(rays)
+    local = np.column_stack([disc, np.sqrt(np.maximum(1 - (disc**2).sum(axis=1), 0))])
+    for some in strips(len(vertices), max(1, RAYS // rays)):
+        for side, sign in enumerate((1.0, -1.0)):
+            n = sign * normals[some]
+            directions = local @ np.concatenate([frames_about(n), n[:, None]], axis=1)
+            origins = np.repeat(vertices[some] + lift * n, rays, axis=0)
+            hits = cast(scene.tree, origins, directions.reshape(-1, 3), far=reach, any_hit=True)
+            clear = (hits.triangle < 0).reshape(-1, rays)
+            seen, height = clear.sum(axis=1), (0.5 * (1 + directions[..., 1]) * clear).sum(axis=1)
+            free[some, side], up[some, side] = seen / rays, np.where(seen, height / np.maximum(seen, 1), 0.5)
     return free, up
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _open(tree, surface, test, first, last, out):
-    (boxes, triangles), (vertices, normals), (rays, reach, lift), (free, up) = tree, surface, test, out
-    stack = np.empty(64, np.int32)
-    for k in range(first, last):
-        for side in range(2):
-            sign = 1.0 - 2.0 * side
-            nx, ny, nz = sign * normals[k, 0], sign * normals[k, 1], sign * normals[k, 2]
-            s = 1.0 if nz >= 0.0 else -1.0
-            p = -1.0 / (s + nz)
-            q = nx * ny * p
-            ox, oy, oz = vertices[k, 0] + lift * nx, vertices[k, 1] + lift * ny, vertices[k, 2] + lift * nz
-            seen, height = 0, 0.0
-            for ray in range(rays):
-                # A spiral of equal projected area: every vertex tests the same directions about its normal.
-                radius = np.sqrt((ray + 0.5) / rays)
-                angle = GOLDEN_ANGLE * ray
-                x, y = radius * np.cos(angle), radius * np.sin(angle)
-                z = np.sqrt(max(0.0, 1.0 - radius * radius))
-                dx = z * nx + x * (1.0 + s * nx * nx * p) + y * q
-                dy = z * ny + x * s * q + y * (s + ny * ny * p)
-                dz = z * nz - x * s * nx - y * ny
-                if not blocked((boxes, triangles, stack), (ox, oy, oz), (dx, dy, dz), reach):
-                    seen += 1
-                    height += 0.5 * (1.0 + dy)
-            free[k, side] = seen / rays
-            up[k, side] = height / seen if seen else 0.5

@@ -7,9 +7,8 @@ from numba import njit
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import face_vectors
-from nishiki.geometry.visibility import GOLDEN_ANGLE, Raster, blocked
+from nishiki.geometry.visibility import GOLDEN_ANGLE, Raster, cast, frames_about
 from nishiki.render.cloth.scene import ClothScene, Lamp
-from nishiki.threads import over_rows
 
 LEAST_COSINE = 0.02
 """Interpolated normals that turn away from the eye are bent back until the eye is this far above the horizon."""
@@ -62,14 +61,7 @@ def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int
     across = camera.columns // supersampling
     pixel = (rows // supersampling) * across + columns // supersampling
     count, a_pixel = len(triangle), supersampling**2
-    place, outgoing = np.empty((count, 3)), np.empty((count, 3))
-    frame, back, bent = np.empty((count, 3, 3)), np.empty(count, np.bool_), np.zeros(count, np.bool_)
-    mesh, eye = scene.mesh, np.ascontiguousarray(camera.centre)
-    corners, normals = np.ascontiguousarray(mesh.triangles), np.ascontiguousarray(mesh.normals, np.float64)
-    surface = (mesh.vertices, normals, scene.weft, corners, face_vectors(mesh.vertices, corners))
-    points, out = (triangle, weights), (place, frame, outgoing, back, bent)
-    if count:
-        over_rows(lambda a, b: _frames(surface, points, eye, a, b, out), count)
+    place, frame, outgoing, back, bent = _frames(scene, triangle, weights, camera.centre)
     inside = (rows % supersampling) * supersampling + columns % supersampling
     number = ((rows + raster.first_row) // supersampling * np.int64(across) + columns // supersampling) * a_pixel
     number += inside
@@ -85,77 +77,58 @@ def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int
 
 def lit(scene: ClothScene, samples: Fragments, lamp: Lamp, shadows: bool) -> IncidentLight:
     """Compute what reaches the samples from a lamp."""
-    count = len(samples.pixel)
-    incident, strength, before = np.empty((count, 3)), np.empty(count), np.empty(count)
-    near = lamp.place is not None
-    given = np.asarray(lamp.place if near else lamp.direction, np.float64)
-    source = given if near else given / np.linalg.norm(given)
-    tree, lift = scene.tree, LIFT * scene.scale
-    if count:
-        over_rows(
-            lambda a, b: _lit(
-                (tree.boxes, tree.triangles), (samples.place, samples.frame, samples.number, samples.a_pixel),
-                (source, near, lamp.distance, np.tan(lamp.radius)), (2 * scene.scale, lift, shadows), a, b,
-                (incident, strength, before),
-            ),
-            count,
-        )  # fmt: skip
+    near, reach, level = lamp.place is not None, np.full(len(samples.pixel), 2 * scene.scale), np.ones(())
+    if near:
+        towards, reach = _unit(np.asarray(lamp.place, np.float64) - samples.place)
+        level = lamp.distance / np.maximum(reach, 1e-9)
+    else:
+        towards = np.broadcast_to(_unit(np.asarray(lamp.direction, np.float64))[0], samples.place.shape)
+    incident = np.einsum("nam,nm->na", samples.frame, towards)
+    before = level**2 * np.maximum(incident[:, 2], 0)
+    strength = before.copy()
+    some = np.flatnonzero(before > 0) if shadows else np.arange(0)
+    if len(some):
+        number, towards = samples.number[some], towards[some]
+        off = disc_point(*np.divmod(number, samples.a_pixel), samples.a_pixel) * np.tan(lamp.radius)
+        off *= np.broadcast_to(level, len(strength))[some, None]
+        rays = towards + np.einsum("na,nam->nm", off, frames_about(towards))
+        origins = samples.place[some] + LIFT * scene.scale * samples.frame[some, 2]
+        hits = cast(scene.tree, origins, rays, far=reach[some], any_hit=True)
+        strength[some[hits.triangle >= 0]] = 0
     return IncidentLight(incident, strength, before)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _unit(v):
-    length = np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    if length > 1e-300:
-        v /= length
-    return length
+def _unit(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Divide vectors (..., 3) by their lengths (...); return both."""
+    lengths = np.linalg.norm(vectors, axis=-1)
+    return vectors / np.maximum(lengths, 1e-300)[..., None], lengths
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _frames(surface, points, eye, first, last, out):
-    """See `gather`. The frame is turned to the eye: seen from behind, normal and weft change sign, not the warp."""
-    (vertices, normals, wefts, corners, faces), (triangle, weights) = surface, points
-    (place, frame, outgoing, back, bent), n, t, view = out, np.empty(3), np.empty(3), np.empty(3)
-    for k in range(first, last):
-        a, b, c = corners[triangle[k], 0], corners[triangle[k], 1], corners[triangle[k], 2]
-        u, v = np.float64(weights[k, 0]), np.float64(weights[k, 1])
-        w = 1.0 - u - v
-        for m in range(3):
-            place[k, m] = u * vertices[a, m] + v * vertices[b, m] + w * vertices[c, m]
-            n[m] = u * normals[a, m] + v * normals[b, m] + w * normals[c, m]
-            t[m] = u * wefts[a, m] + v * wefts[b, m] + w * wefts[c, m]
-            view[m] = eye[m] - place[k, m]
-        _unit(view)
-        gx, gy, gz = faces[triangle[k], 0], faces[triangle[k], 1], faces[triangle[k], 2]
-        if _unit(n) < 1e-9 or n[0] * gx + n[1] * gy + n[2] * gz < 0.0:
-            n[0], n[1], n[2] = gx, gy, gz  # normals of the corners that cancel, or turn their back on their triangle
-            _unit(n)
-        back[k] = gx * view[0] + gy * view[1] + gz * view[2] < 0.0
-        side = -1.0 if back[k] else 1.0
-        for m in range(3):
-            n[m] *= side
-            t[m] *= side
-        facing = n[0] * view[0] + n[1] * view[1] + n[2] * view[2]
-        if facing < LEAST_COSINE:
-            for m in range(3):
-                n[m] += (LEAST_COSINE - facing) * view[m]
-            _unit(n)
-            bent[k] = True
-        along = t[0] * n[0] + t[1] * n[1] + t[2] * n[2]
-        for m in range(3):
-            t[m] -= along * n[m]
-        if _unit(t) < 1e-9:  # a weft along the normal: any direction across it
-            m = 0 if abs(n[0]) < 0.6 else 1
-            for axis in range(3):
-                t[axis] = (1.0 if axis == m else 0.0) - n[m] * n[axis]
-            _unit(t)
-        for m in range(3):
-            frame[k, 0, m], frame[k, 2, m] = t[m], n[m]
-        frame[k, 1, 0] = n[1] * t[2] - n[2] * t[1]
-        frame[k, 1, 1] = n[2] * t[0] - n[0] * t[2]
-        frame[k, 1, 2] = n[0] * t[1] - n[1] * t[0]
-        for m in range(3):
-            outgoing[k, m] = frame[k, m, 0] * view[0] + frame[k, m, 1] * view[1] + frame[k, m, 2] * view[2]
+def _frames(scene: ClothScene, triangle: np.ndarray, weights: np.ndarray, eye: np.ndarray) -> tuple[np.ndarray, ...]:
+    """See `Fragments`: place, frame, outgoing and back, and which normals were bent.
+
+    The frame is turned to the eye: seen from behind, normal and weft change sign, not the warp.
+    """
+    mesh, (u, v) = scene.mesh, weights.astype(np.float64).T
+    shares, corners = np.stack([u, v, 1 - u - v], axis=1), mesh.triangles[triangle]
+    place, n, t = (
+        np.einsum("nk,nkm->nm", shares, values[corners]) for values in (mesh.vertices, mesh.normals, scene.weft)
+    )
+    face, view = face_vectors(mesh.vertices, mesh.triangles)[triangle], _unit(eye - place)[0]
+    n, lengths = _unit(n)
+    # normals of the corners that cancel, or turn their back on their triangle
+    wrong = (lengths < 1e-9) | (np.einsum("nm,nm->n", n, face) < 0)
+    n[wrong] = _unit(face[wrong])[0]
+    back = np.einsum("nm,nm->n", face, view) < 0
+    n[back], t[back] = -n[back], -t[back]
+    facing = np.einsum("nm,nm->n", n, view)
+    bent = facing < LEAST_COSINE
+    n[bent] = _unit(n[bent] + (LEAST_COSINE - facing[bent])[:, None] * view[bent])[0]
+    t, lengths = _unit(t - np.einsum("nm,nm->n", t, n)[:, None] * n)
+    along = lengths < 1e-9  # a weft along the normal: any direction across it
+    t[along] = frames_about(n[along])[:, 0]
+    frame = np.stack([t, np.cross(n, t), n], axis=1)
+    return place, frame, np.einsum("nam,nm->na", frame, view), back, bent
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -187,55 +160,15 @@ def _share(order, groups, frame, cosine, stands):
         first = last
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def disc_point(pixel, index, count):
-    """Return the point of the unit disc for sample `index` of the `count` of a pixel.
+def disc_point(pixel: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
+    """Return the points (..., 2) of the unit disc for samples `index` of the `count` of pixels (...), int64.
 
     A spiral of equal areas, turned at random from pixel to pixel by a hash of its number, so that the samples of each
     pixel cover the disc evenly.
     """
-    h = np.uint64(pixel + 1) * np.uint64(0x9E3779B97F4A7C15)
-    h ^= h >> np.uint64(32)
-    h *= np.uint64(0xD6E8FEB86659FD93)
-    h ^= h >> np.uint64(32)
-    shift = np.float64(h & np.uint64(0xFFFFFF)) / 16777216.0
-    spin = np.float64((h >> np.uint64(24)) & np.uint64(0xFFFFFF)) / 16777216.0
-    radius = np.sqrt((index + shift) / count)
-    angle = GOLDEN_ANGLE * index + 2.0 * np.pi * spin
-    return radius * np.cos(angle), radius * np.sin(angle)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _lit(tree, samples, lamp, rays, first, last, out):
-    """See `lit`. lamp: unit vector or place, near or not, distance, tangent of its angular radius."""
-    (boxes, triangles), (place, frame, number, count), (source, near, distance, spread) = tree, samples, lamp
-    (far, lift, shadows), (incident, strength, before) = rays, out
-    stack = np.empty(64, np.int32)
-    d = np.empty(3)
-    for k in range(first, last):
-        level, reach = 1.0, far
-        for m in range(3):
-            d[m] = source[m] - place[k, m] if near else source[m]
-        if near:
-            reach = _unit(d)
-            level = (distance / max(reach, 1e-9)) ** 2
-        for m in range(3):
-            incident[k, m] = frame[k, m, 0] * d[0] + frame[k, m, 1] * d[1] + frame[k, m, 2] * d[2]
-        strength[k] = before[k] = level * max(incident[k, 2], 0.0)
-        if not shadows or before[k] <= 0.0:
-            continue
-        x, y = disc_point(number[k] // count, number[k] % count, count)
-        radius = spread * (distance / max(reach, 1e-9) if near else 1.0)
-        x, y = radius * x, radius * y
-        # Two axes across the direction (J. R. Frisvad 2012 in the form without a pole at z = 1).
-        sign = 1.0 if d[2] >= 0.0 else -1.0
-        p = -1.0 / (sign + d[2])
-        q = d[0] * d[1] * p
-        rx = d[0] + x * (1.0 + sign * d[0] * d[0] * p) + y * q
-        ry = d[1] + x * sign * q + y * (sign + d[1] * d[1] * p)
-        rz = d[2] - x * sign * d[0] - y * d[1]
-        ox = place[k, 0] + lift * frame[k, 2, 0]
-        oy = place[k, 1] + lift * frame[k, 2, 1]
-        oz = place[k, 2] + lift * frame[k, 2, 2]
-        if blocked((boxes, triangles, stack), (ox, oy, oz), (rx, ry, rz), reach):
-            strength[k] = 0.0
+    h = (pixel + 1).astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    h = (h ^ (h >> np.uint64(32))) * np.uint64(0xD6E8FEB86659FD93)
+    h = h ^ (h >> np.uint64(32))
+    shift, spin = (((h >> np.uint64(bits)) & np.uint64(0xFFFFFF)) / 2.0**24 for bits in (0, 24))
+    radius, angle = np.sqrt((index + shift) / count), GOLDEN_ANGLE * index + 2.0 * np.pi * spin
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)

@@ -20,7 +20,7 @@ from nishiki.codec.store import CodedTexels
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import CameraPath
-from nishiki.geometry.visibility import GOLDEN_ANGLE, Raster, RayTree, cast, make_tree
+from nishiki.geometry.visibility import Raster, RayTree, cast, disc_points, make_tree
 
 Method = Literal["nearest", "linear", "cubic"]
 
@@ -211,15 +211,6 @@ def shadow_lift(mesh: Mesh) -> float:
     """Return height above the surface at which rays start, in the mesh's unit; see `LIFT`."""
     corners = mesh.vertices[mesh.triangles]
     return LIFT * float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
-
-
-def disc_points(count: int) -> np.ndarray:
-    """Return (count, 2) points spread evenly over the unit disc; its middle alone where count is 1."""
-    if count == 1:
-        return np.zeros((1, 2))
-    number = np.arange(count)
-    reach = np.sqrt((number + 0.5) / count)
-    return np.stack([reach * np.cos(GOLDEN_ANGLE * number), reach * np.sin(GOLDEN_ANGLE * number)], axis=1)
 
 
 class LitObject:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.geometry.visibility import Hits, RayTree, cast, make_tree
+from nishiki.geometry.visibility import Hits, RayTree, cast, frames_about, make_tree
 from nishiki.simulate.randomness import GOLDEN_RATIO, mix_bits, subkey, uniforms
 from nishiki.simulate.reflection import metal_fresnel
 from nishiki.simulate.turntable.materials import INDEX, describe, reflected
@@ -59,15 +59,6 @@ def look_around(surface: SimulatedSurface, tree: RayTree, *, directions: int, se
         seen[some] = np.where(hits.triangle >= 0, corner, -1).reshape(-1, directions)
     albedo, shine = _mean_materials(surface, subkey(seed, "turntable paint"))
     return Surroundings(seen, toward, spin, albedo, shine, surface.normals)
-
-
-def frames_about(normals: np.ndarray) -> np.ndarray:
-    """Two unit vectors (n, 2, 3) perpendicular to unit normals (n, 3) and each other (Duff et al., JCGT 6(1), 2017)."""
-    nx, ny, nz = normals.T
-    sign = np.copysign(1.0, nz)
-    a = -1.0 / (sign + nz)
-    b = nx * ny * a
-    return np.stack([1.0 + sign * nx * nx * a, sign * b, -sign * nx, b, sign + ny * ny * a, -ny], 1).reshape(-1, 2, 3)
 
 
 def _mean_materials(surface: SimulatedSurface, key: int) -> tuple[np.ndarray, np.ndarray]:
