@@ -130,15 +130,6 @@ def brute_force(section, *angles):
     return share(cloth, lengths_of(cloth, radius), period, radius, np.array(angles, float), START)
 
 
-@njit
-def shares(shape, angles):
-    out = angles.copy()
-    for k in range(angles.size):
-        out[k] = visible_share(shape, angles[k])
-    return out
-
-
 def masking(section, theta):
     """G: share of a section's length that is seen from theta (radians, any shape, sign of no effect)."""
-    angles = np.atleast_1d(np.asarray(theta, np.float64))
-    return shares(section.shape, np.ascontiguousarray(angles).ravel()).reshape(np.shape(theta))
+    return visible_share(section.shape, np.asarray(theta, np.float64))

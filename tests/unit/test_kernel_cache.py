@@ -13,9 +13,9 @@ CALL = """
 import numpy as np
 from nishiki import kernel_cache
 kernel_cache.PATIENCE_S = 0.01
-from nishiki.weave.section import facing_contact
-facing_contact(1.0, 0.5)
-print(sum(facing_contact.stats.cache_hits.values()), sum(facing_contact.stats.cache_misses.values()))
+from nishiki.simulate.painting.relief import lit_share
+lit_share(0.5, 0.4, 0.02)
+print(sum(lit_share.stats.cache_hits.values()), sum(lit_share.stats.cache_misses.values()))
 """
 
 
@@ -36,4 +36,4 @@ def test_a_copy_of_the_package_uses_the_kernels_of_the_first(tmp_path):
         told.append("compiling" in done.stderr)
     assert hits == [["0", "1"], ["1", "0"]]
     assert told == [True, False], "compilation is told of, and only where it happens"
-    assert [path.name for path in (tmp_path / "kernels").iterdir()] == ["weave.section"]
+    assert [path.name for path in (tmp_path / "kernels").iterdir()] == ["simulate.painting.relief"]

@@ -238,13 +238,13 @@ def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str) -> WeaveMode
     f0 = float(np.exp(p[-1]))
     sigma = np.concatenate([weft.sigma, warp.sigma])[:, None]
     values = np.concatenate([weft.values, warp.values]) / sigma
-    shapes, widths = (shape_of(p[:SIZE], 0), shape_of(p[SIZE:], 1)), np.exp(p[[3, SIZE + 3]])
+    shapes, widths = (shape_of(p, 0), shape_of(p[SIZE:], 1)), np.exp(p[[3, SIZE + 3]])
     matrix = columns(*shapes, widths, _rows(weft, warp), f0=f0, reading=READINGS[reading]) / sigma
     strengths = np.array([nnls(matrix, column)[0] for column in values.T])
     root = np.sqrt(f0)
-    theta_a, length, radius, _, yarns, contact = shape_of(p[:SIZE], 0)
+    theta_a, length, radius, _, yarns, contact = (float(value) for value in shape_of(p, 0))
     of_weft = WeftSection(theta_a, length, radius, yarns, contact)
-    of_warp = WarpSection(*shape_of(p[SIZE : 2 * SIZE], 1)[:4])
+    of_warp = WarpSection(*map(float, shape_of(p[SIZE:], 1)[:4]))
     return WeaveModel(
         of_weft.scaled(1 / of_weft.period),
         of_warp.scaled(1 / of_warp.period),

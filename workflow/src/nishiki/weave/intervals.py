@@ -104,7 +104,9 @@ def _held(problem: Problem, p, at, value, rest, edges, low, high):
 
 def _in(problem: Problem, p, rest, edges, cell, low, high):
     inside = in_cell(*in_cell(low, high, edges[0], 0, cell[0]), edges[1], 1, cell[1])
-    return descend(clipped(p, rest, *inside), *inside, rest, problem.data, ROUNDS, 1e-5)
+    p, low, high = (values[None] for values in (clipped(p, rest, *inside), *inside))
+    reached, sums = descend(p, low, high, rest, problem.data, ROUNDS, 1e-5)
+    return reached[0], float(sums[0])
 
 
 NULL = 1e-7  # singular value over the largest below which no measurement, however exact, would tell

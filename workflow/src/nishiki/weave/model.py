@@ -12,10 +12,9 @@ Along the normal both columns are 1 without the Fresnel term, so a strength is i
 The lobe D is the paper's exp(-x^2 / a^2).
 """
 
-from math import cos, erfc, exp, pi, sin, sqrt
+from math import pi, sqrt
 
 import numpy as np
-from numba import njit
 
 from nishiki.weave.section import HALF_PI, side_lengths, visible_share
 
@@ -26,100 +25,80 @@ SIZE = len(PARAMETERS)
 TINY = 1e-150  # a gloss column that is no more along the normal stands for nothing that is seen
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def shape_of(p, plane):
-    """(theta_a, l, r, m, n, contact) of one plane's parameters, scaled to l + r theta_a = 1.
+def shape_of(p: np.ndarray, plane: int) -> tuple[np.ndarray, ...]:
+    """(theta_a, l, r, m, n, contact) of one plane's parameters (..., SIZE), scaled to l + r theta_a = 1.
 
     p = (theta_a, flank = l / (l + a), humps = share of the length outside of flat top or contacts, log of the lobe's
     width, contact): all within bounds and of like size, whatever the lengths are. humps = -h < 0 (weft): n = h - 1, the
     yarns of a repeat of which one is bound.
     """
-    theta_a, flank, humps, contact = p[0], p[1], p[2], p[4]
-    radius = (1.0 - flank) / theta_a
-    if humps < 0.0:
-        return (theta_a, flank, radius, 0.0, -humps - 1.0, contact)
-    rest = 4.0 * (1.0 - humps) / humps
+    theta_a, flank, humps, _, contact = np.moveaxis(np.asarray(p, float)[..., :SIZE], -1, 0)
+    radius, counted = (1.0 - flank) / theta_a, humps < 0.0
+    rest = np.where(counted, 0.0, 4.0 * (1.0 - humps) / np.abs(humps))
     if plane == 1:
-        return (theta_a, flank, radius, rest, 1.0, HALF_PI)
-    return (theta_a, flank, radius, 0.0, 1.0 + rest / (2.0 * radius * contact), contact)
+        yarns, contact = np.where(counted, -humps - 1.0, 1.0), np.where(counted, contact, HALF_PI)
+        return theta_a, flank, radius, rest, yarns, contact
+    yarns = np.where(counted, -humps - 1.0, 1.0 + rest / (2.0 * radius * contact))
+    return theta_a, flank, radius, np.zeros_like(rest), yarns, contact
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def lobe(x, width):
     """D at an angle x from the middle, 1 at 0."""
-    return exp(-((x / width) ** 2))
+    return np.exp(-((x / width) ** 2))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def lobe_integral(low, high, width):
+def lobe_integral(low, high, width) -> np.ndarray:
     """Integral of the lobe over low..high, never negative: on one side of the middle a difference of tails."""
-    if low < 0.0 and high > 0.0:
-        return width * sqrt(pi) - _beyond(high, width) - _beyond(-low, width)
-    near, far = (low, high) if low >= 0.0 else (-high, -low)
-    return max(_beyond(near, width) - _beyond(far, width), 0.0)
+    over = (low < 0.0) & (high > 0.0)
+    near, far = np.where(low < 0.0, -high, low), np.where(low < 0.0, -low, high)
+    across = width * sqrt(pi) - _beyond(high, width) - _beyond(-low, width)
+    return np.where(over, across, np.maximum(_beyond(near, width) - _beyond(far, width), 0.0))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def _beyond(x, width):
     """Integral of the lobe from x >= 0 on, to full relative accuracy far out."""
+    from scipy.special import erfc
+
     return 0.5 * sqrt(pi) * width * erfc(x / width)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def pieces(shape, width, theta):
-    """Gloss (without Fresnel) and body of the pieces seen from theta, times cos(theta), over the period."""
+def pieces(shape, width, theta) -> tuple[np.ndarray, np.ndarray]:
+    """Gloss (without Fresnel) and body of the pieces seen from theta, times cos(theta), over the period; broadcasts."""
     theta_a, length, radius, flat, yarns, contact = shape
-    rows, half, seen = yarns - 1.0, 0.5 * theta, side_lengths(shape, theta)
+    rows, half, seen, cosine = yarns - 1.0, 0.5 * theta, side_lengths(shape, theta), np.cos(theta)
     arc = radius * theta_a
     hump_gloss = hump_body = 0.0
-    gloss, body = flat * lobe(half, width), flat * cos(theta)
-    for k in range(2):
-        side = 1.0 if k == 0 else -1.0
+    gloss, body = flat * lobe(half, width), flat * cosine
+    for k, side in enumerate((1.0, -1.0)):
         outer, inner = seen[k], seen[k + 2]
-        straight, angle = max(outer - arc, 0.0), (min(outer, arc) / radius if radius > 0.0 else 0.0)
-        low, high = (half - angle, half) if k == 0 else (half, half + angle)
+        straight, angle = np.maximum(outer - arc, 0.0), np.minimum(outer, arc) / np.maximum(radius, 1e-300)
         hump_gloss += straight * lobe(half - side * theta_a, width)
-        hump_gloss += radius * lobe_integral(low, high, width)
-        hump_body += straight * cos(theta_a) * cos(theta - side * theta_a)
+        hump_gloss += radius * _over_arc(half, angle, side, width)
+        hump_body += straight * np.cos(theta_a) * np.cos(theta - side * theta_a)
         # integral of cos(x) cos(theta - side x) over 0..angle
-        hump_body += 0.5 * radius * (angle * cos(theta) + sin(angle) * cos(angle - side * theta))
-        if rows > 0.0:
-            low, high = (half - inner, half) if k == 0 else (half, half + inner)
-            gloss += rows * radius * lobe_integral(low, high, width)
-            body += 0.5 * rows * radius * (inner * cos(theta) + sin(inner) * cos(inner - side * theta))
-    wide = 4.0 * (length * cos(theta_a) + radius * sin(theta_a)) + flat + 2.0 * rows * radius * sin(contact)
+        hump_body += 0.5 * radius * (angle * cosine + np.sin(angle) * np.cos(angle - side * theta))
+        gloss += rows * radius * _over_arc(half, inner, side, width)
+        body += 0.5 * rows * radius * (inner * cosine + np.sin(inner) * np.cos(inner - side * theta))
+    wide = 4.0 * (length * np.cos(theta_a) + radius * np.sin(theta_a)) + flat + 2.0 * rows * radius * np.sin(contact)
     # the first hump with its flat top or contacts, then the second
-    return (gloss + hump_gloss) / wide + hump_gloss / wide, (body + hump_body) / wide + hump_body / wide
+    return (gloss + 2 * hump_gloss) / wide, (body + 2 * hump_body) / wide
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _section_factor(shape, width, reading, above, theta):
+def _over_arc(half, angle, side: float, width) -> np.ndarray:
+    return lobe_integral(half - angle, half, width) if side > 0 else lobe_integral(half, half + angle, width)
+
+
+def _section_factor(shape, width, reading: int, theta: np.ndarray) -> tuple[np.ndarray, ...]:
     """Gloss (times the cosine) and body factor of one section, paper and shaded reading; 1 along the normal."""
-    if theta == 0.0:
-        return 1.0, 1.0
     if reading < SHADED:
         seen = visible_share(shape, theta)
-        return lobe(0.5 * theta, width) * seen, seen
-    gloss, body = pieces(shape, width, theta)
-    return gloss / above[0] if above[0] > TINY else 0.0, body / (above[1] * cos(theta))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def fill_columns(weft, warp, across, along, rows, f0, reading, out):
-    """Fill out (n, 2), the gloss and body columns of two sections in the directions of `rows` (see plane_rows).
-
-    A section is (theta_a, l, r, m, n, contact); across, along: widths of the lobes in the weft and the warp plane.
-    """
-    above_x = above_y = (1.0, 1.0)
-    if reading == SHADED:
-        above_x, above_y = pieces(weft, across, 0.0), pieces(warp, along, 0.0)
-    for k in range(len(rows)):
-        schlick = 1.0 + (1.0 / f0 - 1.0) * (1.0 - rows[k, 3]) ** 5  # over its value f0 at normal incidence
-        if rows[k, 0] == 0.0:
-            gloss, body = _section_factor(weft, across, reading, above_x, rows[k, 1])
-        else:
-            gloss, body = _section_factor(warp, along, reading, above_y, rows[k, 1])
-        out[k, 0], out[k, 1] = schlick / rows[k, 2] * gloss, body
+        factors = lobe(0.5 * theta, width) * seen, seen
+    else:
+        (gloss, body), (gloss_above, body_above) = pieces(shape, width, theta), pieces(shape, width, 0.0)
+        shines = gloss_above > TINY
+        gloss = np.where(shines, gloss / np.where(shines, gloss_above, 1), 0.0)
+        factors = gloss, body / (body_above * np.cos(theta))
+    return tuple(np.where(theta == 0.0, 1.0, factor) for factor in factors)
 
 
 def plane_rows(plane: int, theta) -> np.ndarray:
@@ -131,10 +110,17 @@ def plane_rows(plane: int, theta) -> np.ndarray:
     return np.stack([np.full(theta.shape, float(plane)), theta, np.cos(theta), np.cos(0.5 * theta)], axis=-1)
 
 
-def columns(weft, warp, widths, rows: np.ndarray, *, f0: float, reading: int) -> np.ndarray:
-    """Gloss and body column (..., 2) of two sections' shapes for rows (..., 4); see fill_columns."""
-    flat = np.ascontiguousarray(rows.reshape(-1, 4))
-    out = np.empty((len(flat), 2))
-    shapes = (tuple(map(float, weft)), tuple(map(float, warp)))
-    fill_columns(*shapes, float(widths[0]), float(widths[1]), flat, float(f0), reading, out)
-    return out.reshape(*rows.shape[:-1], 2)
+def columns(weft, warp, widths, rows: np.ndarray, *, f0, reading: int) -> np.ndarray:
+    """Gloss and body column (..., 2) of two sections' shapes for rows (..., 4); see `plane_rows`.
+
+    widths: of the lobes in the weft and the warp plane. Many models at once where these and the numbers of the shapes
+    have a shape (models, 1); the columns of each are then (models, ..., 2).
+    """
+    flat = rows.reshape(-1, 4)
+    out = np.empty((*np.shape(f0)[:-1], len(flat), 2))
+    schlick = 1.0 + (1.0 / f0 - 1.0) * (1.0 - flat[:, 3]) ** 5  # over its value f0 at normal incidence
+    for plane, (shape, width) in enumerate(zip((weft, warp), widths, strict=True)):
+        mine = flat[:, 0] == plane
+        gloss, body = _section_factor(shape, width, reading, flat[mine, 1])
+        out[..., mine, 0], out[..., mine, 1] = (schlick / flat[:, 2])[..., mine] * gloss, body
+    return out.reshape(*out.shape[:-2], *rows.shape[:-1], 2)

@@ -10,165 +10,119 @@ its own; a coarse table of all of them says which are worth a descent.
 """
 
 from dataclasses import dataclass, replace
-from math import exp, sqrt
 
 import numpy as np
-from numba import njit
 
-from nishiki.weave.model import PARAMETERS, PLANES, SIZE, fill_columns, shape_of
+from nishiki.threads import strips
+from nishiki.weave.model import PARAMETERS, PLANES, SIZE, columns, shape_of
 
 UNKNOWNS = 2 * SIZE + 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def strengths(a, b, y):
-    """(gloss, body) >= 0 that minimise |gloss a + body b - y|^2."""
-    aa = bb = ab = ay = by = 0.0
-    for k in range(y.size):
-        aa, bb, ab = aa + a[k] * a[k], bb + b[k] * b[k], ab + a[k] * b[k]
-        ay, by = ay + a[k] * y[k], by + b[k] * y[k]
+def strengths(a: np.ndarray, b: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(gloss, body) (...,) >= 0 that minimise |gloss a + body b - y|^2; a, b (..., n), y (n,)."""
+    aa, bb, ab = ((one * other).sum(axis=-1) for one, other in ((a, a), (b, b), (a, b)))
+    ay, by = (a * y).sum(axis=-1), (b * y).sum(axis=-1)
     det = aa * bb - ab * ab
-    if det > 1e-13 * aa * bb:
+    with np.errstate(all="ignore"):
         gloss, body = (ay * bb - by * ab) / det, (by * aa - ay * ab) / det
-        if gloss >= 0.0 and body >= 0.0:
-            return gloss, body
-    alone_a = max(ay / aa, 0.0) if aa > 0.0 else 0.0
-    alone_b = max(by / bb, 0.0) if bb > 0.0 else 0.0
-    if alone_a * max(ay, 0.0) >= alone_b * max(by, 0.0):
-        return alone_a, 0.0
-    return 0.0, alone_b
+    both = (det > 1e-13 * aa * bb) & (gloss >= 0.0) & (body >= 0.0)
+    alone_a, alone_b = (np.maximum(xy, 0.0) / np.where(xx > 0.0, xx, 1.0) for xy, xx in ((ay, aa), (by, bb)))
+    by_a = alone_a * np.maximum(ay, 0.0) >= alone_b * np.maximum(by, 0.0)
+    return np.where(both, gloss, np.where(by_a, alone_a, 0.0)), np.where(both, body, np.where(by_a, 0.0, alone_b))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def residuals(p, data, work, out):
-    """Fill out (n,) = weight (model - y) and return the sum of squares; data: of a `Problem`. work: (n, 2)."""
+def residuals(points: np.ndarray, data) -> np.ndarray:
+    """(points, n) = weight (model - y) at every row of points (points, UNKNOWNS); data: of a `Problem`."""
     rows, split, y, weight, shared, reading = data
-    f0, n = exp(p[2 * SIZE]), y.size
-    weft, warp = shape_of(p[:SIZE], 0), shape_of(p[SIZE:], 1)
-    fill_columns(weft, warp, exp(p[3]), exp(p[SIZE + 3]), rows, f0, reading, work)
-    for k in range(n):
-        work[k, 0] *= weight[k]
-        work[k, 1] *= weight[k]
-        out[k] = weight[k] * y[k]
-    total = 0.0
-    for part in range(1 if shared else 2):
-        low, high = (0, n) if shared else ((0, split) if part == 0 else (split, n))
-        if high == low:
-            continue
-        gloss, body = strengths(work[low:high, 0], work[low:high, 1], out[low:high])
-        for k in range(low, high):
-            out[k] = gloss * work[k, 0] + body * work[k, 1] - out[k]
-            total += out[k] * out[k]
-    return total
+    out = np.empty((len(points), len(y)))
+    for some in strips(len(points)):
+        p, here = points[some], out[some]
+        weft, warp = ([v[:, None] for v in shape_of(p[:, plane * SIZE :], plane)] for plane in (0, 1))
+        widths = np.exp(p[:, [3, SIZE + 3]]).T[:, :, None]
+        work = columns(weft, warp, widths, rows, f0=np.exp(p[:, 2 * SIZE :]), reading=reading)
+        a, b = np.moveaxis(work * weight[:, None], -1, 0)
+        for part in (slice(None),) if shared else (slice(0, split), slice(split, None)):
+            target = weight[part] * y[part]
+            gloss, body = strengths(a[:, part], b[:, part], target)
+            here[:, part] = gloss[:, None] * a[:, part] + body[:, None] * b[:, part] - target
+    return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def costs(points, data):
+def costs(points: np.ndarray, data) -> np.ndarray:
     """Compute the sum of squares (points,) at every row of points (points, UNKNOWNS)."""
-    n = data[2].size
-    work, out, sums = np.empty((n, 2)), np.empty(n), np.empty(len(points))
-    for k in range(len(points)):
-        sums[k] = residuals(points[k], data, work, out)
-    return sums
+    return (residuals(points, data) ** 2).sum(axis=1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def jacobian(p, low, high, free, data):
-    """Residuals (n,), Jacobian (n, free) of the projected residual, sum of squares; steps stay within the bounds."""
-    n, m = data[2].size, free.size
-    work, here, there, back = np.empty((n, 2)), np.empty(n), np.empty(n), np.empty(n)
-    cost = residuals(p, data, work, here)
-    out, q = np.empty((n, m)), p.copy()
-    for j in range(m):
-        at = free[j]
-        step = 1e-6 * max(high[at] - low[at], 1e-9)
-        up, down = min(p[at] + step, high[at]), max(p[at] - step, low[at])
-        q[at] = up
-        residuals(q, data, work, there)
-        q[at] = down
-        residuals(q, data, work, back)
-        q[at] = p[at]
-        for k in range(n):
-            out[k, j] = (there[k] - back[k]) / (up - down) if up > down else 0.0
-    return here, out, cost
+def jacobian(points, low, high, free, data) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Residuals (k, n), Jacobians (k, n, free) of the projected residuals and sums of squares (k,) at k points.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _step(p, low, high, free, normal, gradient, scale, damping):
-    """Compute the damped step from p; unknowns that it would carry over a bound stop there."""
-    m = free.size
-    fixed, move = np.zeros(m, np.bool_), np.zeros(m)
-    for _ in range(m):
-        matrix, right = normal.copy(), -gradient
-        for j in range(m):
-            matrix[j, j] += damping + 1e-14 if matrix[j, j] > 0.0 else 1.0
-        for j in range(m):
-            if fixed[j]:
-                right -= matrix[:, j] * (move[j] * scale[j])
-        for j in range(m):
-            if fixed[j]:
-                matrix[j, :] = 0.0
-                matrix[:, j] = 0.0
-                matrix[j, j], right[j] = 1.0, move[j] * scale[j]
-        move = np.linalg.solve(matrix, right) / scale
-        clear = True
-        for j in range(m):
-            at = free[j]
-            if not fixed[j] and not low[at] <= p[at] + move[j] <= high[at]:
-                move[j] = (low[at] if p[at] + move[j] < low[at] else high[at]) - p[at]
-                fixed[j], clear = True, False
-        if clear:
-            break
-    q = p.copy()
-    for j in range(m):
-        q[free[j]] = min(max(p[free[j]] + move[j], low[free[j]]), high[free[j]])
-    return q
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def descend(p, low, high, free, data, rounds, tolerance):
-    """Levenberg-Marquardt with bounds: unknowns at a bound that push outwards are held.
-
-    Returns (p, sum of squares). Ends when a step gains less than `tolerance` of the sum or none is found.
+    Steps stay within the bounds low, high (k, UNKNOWNS).
     """
-    p = p.copy()
-    n = data[2].size
-    work, trial = np.empty((n, 2)), np.empty(n)
-    damping = 1e-3
-    here, slopes, cost = jacobian(p, low, high, free, data)
-    for _ in range(rounds):
-        gradient, normal = slopes.T @ here, slopes.T @ slopes
-        for j in range(free.size):
-            at = free[j]
-            if (p[at] <= low[at] and gradient[j] > 0.0) or (p[at] >= high[at] and gradient[j] < 0.0):
-                normal[j, :] = 0.0
-                normal[:, j] = 0.0
-                gradient[j] = 0.0
-        scale = np.sqrt(np.diag(normal))
-        least = 1e-30 * scale.max()
-        for j in range(free.size):
-            if not scale[j] > least:  # no effect: held
-                normal[j, :] = 0.0
-                normal[:, j] = 0.0
-                gradient[j], scale[j] = 0.0, 1.0
-        gradient = gradient / scale
-        for j in range(free.size):
-            for k in range(free.size):
-                normal[j, k] /= scale[j] * scale[k]
-        gained = 0.0
-        while damping < 1e10:
-            q = _step(p, low, high, free, normal, gradient, scale, damping)
-            tried = residuals(q, data, work, trial)
-            if tried < cost:
-                gained, p, damping = cost - tried, q, max(damping * 0.2, 1e-12)
-                break
-            damping *= 4.0
-        if gained <= tolerance * cost or gained == 0.0:
-            return p, min(cost, cost - gained)
-        here, slopes, cost = jacobian(p, low, high, free, data)
-        if sqrt(cost) < 1e-15 * sqrt(n):
+    step, (count, n) = 1e-6 * np.maximum(high - low, 1e-9), (len(free), len(data[2]))
+    up, down = np.minimum(points + step, high)[:, free], np.maximum(points - step, low)[:, free]
+    around = np.tile(points[:, None], (1, 2 * count + 1, 1))
+    around[:, np.arange(count), free], around[:, np.arange(count, 2 * count), free] = up, down
+    out = residuals(around.reshape(-1, UNKNOWNS), data).reshape(len(points), -1, n)
+    slopes = (out[:, :count] - out[:, count:-1]) / np.where(up > down, up - down, np.inf)[:, :, None]
+    return out[:, -1], np.swapaxes(slopes, 1, 2), (out[:, -1] ** 2).sum(axis=1)
+
+
+def _step(points, low, high, free, equations, damping) -> np.ndarray:
+    """Compute the damped steps from k points; unknowns that they would carry over a bound stop there."""
+    (normal, gradient, scale), unit = equations, np.eye(len(free))
+    matrix = normal + unit * np.where(normal > 0.0, damping[:, None, None] + 1e-14, 1.0)
+    at, low, high = points[:, free], low[:, free], high[:, free]
+    fixed, move = np.zeros(at.shape, bool), np.zeros(at.shape)
+    for _ in free:
+        stopped = np.where(fixed, move * scale, 0.0)
+        right = np.where(fixed, stopped, -gradient - np.einsum("kij,kj->ki", matrix, stopped))
+        held = np.where(fixed[:, :, None] | fixed[:, None, :], unit, matrix)
+        move = np.linalg.solve(held, right[:, :, None])[:, :, 0] / scale
+        beyond = ~fixed & ((at + move < low) | (at + move > high))
+        if not beyond.any():
             break
-    return p, cost
+        move = np.where(beyond, np.clip(at + move, low, high) - at, move)
+        fixed |= beyond
+    out = points.copy()
+    out[:, free] = np.clip(at + move, low, high)
+    return out
+
+
+def descend(points, low, high, free, data, rounds: int, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Levenberg-Marquardt from k points within bounds, all (k, UNKNOWNS): the points reached, and their sums (k,).
+
+    Unknowns at a bound that push outwards are held. Ends when a step gains less than `tolerance` of the sum or none is
+    found.
+    """
+    points, damping = points.copy(), np.full(len(points), 1e-3)
+    here, slopes, sums = jacobian(points, low, high, free, data)
+    going = np.arange(len(points))
+    for last in reversed(range(rounds)):
+        at, cost = points[going][:, free], sums[going]
+        gradient, normal = np.einsum("kni,kn->ki", slopes, here), np.swapaxes(slopes, 1, 2) @ slopes
+        held = ((at <= low[going][:, free]) & (gradient > 0.0)) | ((at >= high[going][:, free]) & (gradient < 0.0))
+        scale = np.sqrt(np.where(held, 0.0, np.diagonal(normal, axis1=1, axis2=2)))
+        held = ~(scale > 1e-30 * scale.max(axis=1, keepdims=True))  # without effect, too
+        scale = np.where(held, 1.0, scale)
+        normal = np.where(held[:, :, None] | held[:, None, :], 0.0, normal / (scale[:, :, None] * scale[:, None]))
+        gradient = np.where(held, 0.0, gradient / scale)
+        gained, trying = np.zeros(len(going)), np.arange(len(going))
+        while len(trying):
+            mine = going[trying]
+            equations = normal[trying], gradient[trying], scale[trying]
+            tried = _step(points[mine], low[mine], high[mine], free, equations, damping[mine])
+            gain = cost[trying] - costs(tried, data)
+            better = gain > 0
+            points[mine[better]], gained[trying[better]] = tried[better], gain[better]
+            damping[mine] = np.where(better, np.maximum(damping[mine] * 0.2, 1e-12), damping[mine] * 4.0)
+            trying = trying[~better & (damping[mine] < 1e10)]
+        sums[going] = cost - gained
+        going = going[(gained > tolerance * cost) & (sums[going] >= 1e-30 * len(data[2]))]
+        if not last or not len(going):
+            break
+        here, slopes, sums[going] = jacobian(points[going], low[going], high[going], free, data)
+    return points, sums
 
 
 THETA_A = np.radians([2.0, 88.0])
@@ -198,7 +152,7 @@ class Problem:
 
     @property
     def data(self) -> tuple[np.ndarray, int, np.ndarray, np.ndarray, bool, int]:
-        """What the compiled functions take."""
+        """What the functions of the search take."""
         return self.rows, self.split, self.y, self.weight, self.shared, self.reading
 
     def only(self, plane: int) -> "Problem":
@@ -268,11 +222,10 @@ def search_plane(problem: Problem, plane: int, start: np.ndarray, *, alone: bool
     running = [(sums[cell, k], cell, table[cell, k]) for cell in range(len(table)) for k in order[cell]]
     for left, rounds in HALVING if alone else AGAIN:
         running = sorted(running, key=lambda item: item[:2])[:left]
-        ended = []
-        for _, cell, p in running:
-            p, cost = descend(p, *in_cell(low, high, edges, plane, cell), part.free, data, rounds, 1e-7)
-            ended.append((float(cost), int(cell), p))
-        running = ended
+        inside = np.array([in_cell(low, high, edges, plane, cell) for _, cell, _ in running])
+        lows, highs = inside.swapaxes(0, 1)
+        p, sums = descend(np.array([p for *_, p in running]), lows, highs, part.free, data, rounds, 1e-7)
+        running = [(float(cost), int(cell), q) for cost, (_, cell, _), q in zip(sums, running, p, strict=True)]
     best: dict[int, tuple[float, int, np.ndarray]] = {}
     for item in sorted(running, key=lambda item: item[:2]):
         best.setdefault(item[1], item)
@@ -302,27 +255,27 @@ def _settle(problem: Problem, candidates: list[np.ndarray]) -> tuple[np.ndarray,
     (low, high), edges = bounds(), [problem.edges(plane) for plane in (0, 1)]
     tried: dict[tuple[int, int], tuple[float, np.ndarray]] = {}
 
-    def attempt(weft: int, warp: int, p: np.ndarray) -> None:
-        if not (0 <= weft < len(edges[0]) - 1 and 0 <= warp < len(edges[1]) - 1):
-            return
-        inside = in_cell(*in_cell(low, high, edges[0], 0, weft), edges[1], 1, warp)
-        p = clipped(p, problem.free, *inside)
-        p, cost = descend(p, *inside, problem.free, problem.data, ROUNDS, TOLERANCE)
-        if (weft, warp) not in tried or cost < tried[weft, warp][0]:
-            tried[weft, warp] = float(cost), p
+    def attempt(starts: list[tuple[int, int, np.ndarray]]) -> None:
+        starts = [each for each in starts if 0 <= each[0] < len(edges[0]) - 1 and 0 <= each[1] < len(edges[1]) - 1]
+        inside = np.array([in_cell(*in_cell(low, high, edges[0], 0, a), edges[1], 1, b) for a, b, _ in starts])
+        first = [clipped(p, problem.free, *each) for (*_, p), each in zip(starts, inside, strict=True)]
+        lows, highs = inside.swapaxes(0, 1)
+        reached = descend(np.array(first), lows, highs, problem.free, problem.data, ROUNDS, TOLERANCE)
+        for (weft, warp, _), p, cost in zip(starts, *reached, strict=True):
+            if (weft, warp) not in tried or cost < tried[weft, warp][0]:
+                tried[weft, warp] = float(cost), p
 
-    for p in candidates:
-        attempt(cell_of(edges[0], p[0]), cell_of(edges[1], p[SIZE]), p)
+    attempt([(cell_of(edges[0], p[0]), cell_of(edges[1], p[SIZE]), p) for p in candidates])
     while True:
         (weft, warp), (cost, p) = min(tried.items(), key=lambda item: (item[1][0], item[0]))
-        for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-            if (weft + dx, warp + dy) not in tried:
-                attempt(weft + dx, warp + dy, p)
+        around = [(weft + dx, warp + dy) for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1))]
+        starts = [(*place, p) for place in around if place not in tried]
         for plane, cell in ((0, weft), (1, warp)):
             for share in WITHIN:  # the valley may be narrow and bent: from elsewhere in the cell
                 q = p.copy()
                 q[plane * SIZE] = edges[plane][cell] + share * (edges[plane][cell + 1] - edges[plane][cell])
-                attempt(weft, warp, q)
+                starts.append((weft, warp, q))
+        attempt(starts)
         if min(item[0] for item in tried.values()) >= cost * (1 - 1e-6):
             return p, cost
 

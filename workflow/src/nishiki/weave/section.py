@@ -26,81 +26,69 @@ flanks meet are the section's valleys.
 """
 
 from dataclasses import asdict, dataclass, replace
-from math import asin, cos, gcd, pi, sin, sqrt
+from math import gcd, pi
 
 import numpy as np
-from numba import njit
 
 HALF_PI = 0.5 * pi
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def facing_length(theta_a, length, radius, theta):
-    """Length seen from the top down on the side of a hump that faces the viewer; theta >= 0, from the normal."""
-    t = HALF_PI - theta
-    arc = radius * theta_a
-    if t < 0.0:
-        return 0.0
-    if t > theta_a:
-        return arc + length
-    turned = sin(0.5 * (theta_a - t))
-    shade = length * sin(theta_a - t) + 2.0 * radius * turned * turned
-    reach = sin(theta_a + t)
-    if shade <= length * reach:
-        return max(arc + length - (shade / reach if reach > 0.0 else 0.0), 0.0)  # without an arc 0 but for rounding
-    rise = sin(t) * (length * cos(theta_a) / radius + sin(theta_a))
-    seen = 2.0 * asin(sqrt(min(rise, 1.0))) - t
-    return radius * min(max(seen, 0.0), theta_a)
+def facing_length(theta_a, length, radius, theta) -> np.ndarray:
+    """Length seen from the top down on the side of a hump that faces the viewer; theta >= 0, from the normal.
+
+    Numbers or arrays that broadcast.
+    """
+    t, arc = HALF_PI - theta, radius * theta_a
+    low = np.clip(t, 0.0, theta_a)
+    shade = length * np.sin(theta_a - low) + 2.0 * radius * np.sin(0.5 * (theta_a - low)) ** 2
+    reach = np.sin(theta_a + low)
+    flank = np.maximum(arc + length - shade / np.where(reach > 0.0, reach, np.inf), 0.0)  # without an arc 0 but rounded
+    rise = np.sin(low) * (length * np.cos(theta_a) / np.maximum(radius, 1e-300) + np.sin(theta_a))
+    top = radius * np.clip(2.0 * np.arcsin(np.sqrt(np.minimum(rise, 1.0))) - low, 0.0, theta_a)
+    seen = np.where(shade <= length * reach, flank, top)
+    return np.where(t < 0.0, 0.0, np.where(t > theta_a, arc + length, seen))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def facing_contact(contact, theta):
-    """Angle seen from the top down on a contact arc that faces the viewer; theta >= 0.
+def facing_contact(contact, theta) -> np.ndarray:
+    """Angle seen from the top down on a contact arc that faces the viewer; theta >= 0, broadcasts.
 
     For contact = pi/2 it is theta + arcsin(2 cos theta - 1), written without cancellation.
     """
     t = HALF_PI - theta
-    if t < 0.0:
-        return 0.0
-    if t > contact:
-        return contact
-    seen = 2.0 * asin(sqrt(min(sin(t) * sin(contact), 1.0))) - t
-    return min(max(seen, 0.0), contact)
+    low = np.clip(t, 0.0, contact)
+    seen = 2.0 * np.arcsin(np.sqrt(np.minimum(np.sin(low) * np.sin(contact), 1.0))) - low
+    return np.where(t < 0.0, 0.0, np.where(t > contact, contact, np.clip(seen, 0.0, contact)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def side_lengths(shape, theta):
+def side_lengths(shape, theta) -> tuple[np.ndarray, ...]:
     """Compute the visible lengths and contact angles on the + and the - side from signed theta.
 
-    shape: (theta_a, l, r, m, n, contact).
+    shape: (theta_a, l, r, m, n, contact), numbers or arrays that broadcast with theta.
     """
     theta_a, length, radius, _, _, contact = shape
-    far = abs(theta)
-    rest = HALF_PI - far  # of the side that is turned away one sees the top only, of its contact arc too
-    facing = facing_length(theta_a, length, radius, far)
-    averted = radius * theta_a + length if rest > theta_a else radius * max(rest, 0.0)
-    near_arc, far_arc = facing_contact(contact, far), min(max(rest, 0.0), contact)
-    if theta >= 0.0:
-        return facing, averted, near_arc, far_arc
-    return averted, facing, far_arc, near_arc
+    far = np.abs(theta)
+    # of the side that is turned away one sees the top only, of its contact arc too
+    rest = np.maximum(HALF_PI - far, 0.0)
+    facing, near_arc = facing_length(theta_a, length, radius, far), facing_contact(contact, far)
+    averted, far_arc = np.where(rest > theta_a, radius * theta_a + length, radius * rest), np.minimum(rest, contact)
+    ahead = np.asarray(theta) >= 0.0
+    pairs = (facing, averted), (averted, facing), (near_arc, far_arc), (far_arc, near_arc)
+    return tuple(np.where(ahead, *pair) for pair in pairs)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def total_length(shape):
     """Surface length of one period: 4 l + 4 a + m + (n - 1) 2 r contact."""
     theta_a, length, radius, flat, yarns, contact = shape
     return 4.0 * (length + radius * theta_a) + flat + 2.0 * (yarns - 1.0) * radius * contact
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def visible_share(shape, theta):
-    """Share of the surface that is seen from theta (signed), 0 to 1."""
-    if abs(theta) > HALF_PI:
-        return 0.0
+def visible_share(shape, theta) -> np.ndarray:
+    """Share of the surface that is seen from theta (signed), 0 to 1; broadcasts."""
     seen = side_lengths(shape, theta)
     humps = 2.0 * (seen[0] + seen[1])
     contacts = (shape[4] - 1.0) * shape[2] * (seen[2] + seen[3])
-    return min((humps + shape[3] + contacts) / total_length(shape), 1.0)
+    share = np.minimum((humps + shape[3] + contacts) / total_length(shape), 1.0)
+    return np.where(np.abs(theta) > HALF_PI, 0.0, share)
 
 
 @dataclass(frozen=True)
