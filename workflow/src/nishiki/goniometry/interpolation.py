@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 MARGIN = 4  # nodes added on every side, so that the spline's ends are far from where it is used
 RUN_OUT = 24  # rows that the straight line beyond the horizon is followed: the filter forgets by 0.27 a row
@@ -43,47 +42,15 @@ def _filtered(arc: np.ndarray, around: int, first: int, rows: int) -> np.ndarray
 
 def evaluate(spline: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
     """exp of the spline (..., channels) at unit vectors (..., 3); 0 below the horizon."""
-    flat = np.ascontiguousarray(outgoing.reshape(-1, 3))
-    out = np.empty((len(flat), spline.shape[2]))
-    _evaluate(spline, flat, out)
-    return out.reshape(*outgoing.shape[:-1], spline.shape[2])
+    from scipy.ndimage import map_coordinates
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _evaluate(spline, directions, out):
-    """Fill out (n, channels) from the tensor product of cubic B-splines."""
-    rows, columns, channels = spline.shape
-    nt, around = rows - 2 * MARGIN, columns - 2 * MARGIN
-    v, w = np.empty(4), np.empty(4)
-    for i in range(len(directions)):
-        x, y, z = directions[i]
-        if not z >= 0:
-            out[i] = 0.0
-            continue
-        down = np.arctan2(np.hypot(x, y), z) / (np.pi / 2) * (nt - 1)
-        turn = np.arctan2(y, x) / (2 * np.pi)
-        turn = (turn - np.floor(turn)) * around
-        row, column = min(int(down), nt - 1), min(int(turn), around - 1)
-        _weights(down - row, v)
-        _weights(turn - column, w)
-        for k in range(channels):
-            total = 0.0
-            for a in range(4):
-                part = 0.0
-                for b in range(4):
-                    part += w[b] * spline[row + MARGIN - 1 + a, column + MARGIN - 1 + b, k]
-                total += v[a] * part
-            out[i, k] = np.exp(total)
-
-
-@njit(cache=True, error_model="numpy")
-def _weights(t, w):
-    """Cubic B-spline weights of the four nodes round a place t in [0, 1] between the second and the third."""
-    s = 1.0 - t
-    w[0] = s * s * s / 6.0
-    w[1] = (4.0 - 6.0 * t * t + 3.0 * t * t * t) / 6.0
-    w[2] = (4.0 - 6.0 * s * s + 3.0 * s * s * s) / 6.0
-    w[3] = t * t * t / 6.0
+    (rows, columns, _), (x, y, z) = spline.shape, outgoing.reshape(-1, 3).T
+    down = np.arctan2(np.hypot(x, y), z) / (np.pi / 2) * (rows - 2 * MARGIN - 1)
+    turn = np.mod(np.arctan2(y, x) / (2 * np.pi), 1) * (columns - 2 * MARGIN)
+    places = np.where(z >= 0, (down + MARGIN, turn + MARGIN), MARGIN)
+    logs = [map_coordinates(channel, places, order=3, prefilter=False) for channel in np.moveaxis(spline, -1, 0)]
+    values = np.where(z >= 0, np.exp(logs + 0 * turn), 0.0)  # what is no direction has no value
+    return values.T.reshape(*outgoing.shape[:-1], spline.shape[2])
 
 
 SMOOTHING = np.logspace(-12, 0, 25)  # of the roughness against the misfit, over the kernel's largest eigenvalue
