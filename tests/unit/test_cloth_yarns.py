@@ -11,7 +11,6 @@ from nishiki.brdf.cloth.interface import (
     directional_albedo,
     gloss_of,
     hemisphere,
-    polar,
     prediction_error,
     reciprocity_error,
     single,
@@ -37,6 +36,7 @@ from nishiki.brdf.cloth.yarn_facets import (
 from nishiki.brdf.cloth.yarn_fit import Measured, choose_oblique, fit_normal, fit_shape, fit_yarn_facets, likeness
 from nishiki.brdf.torrance_sparrow import fresnel
 from nishiki.errors import UserError
+from nishiki.goniometry.directions import angles
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import ReflectanceSet
 
@@ -253,7 +253,7 @@ def test_oblique_choice_is_apart_telling_and_recorded(cloth, first):
     rows = np.flatnonzero(~data.normal)
     chosen = choose_oblique(first, data.incident[rows], data.outgoing[rows], 12)
     assert len(set(chosen.tolist())) == len(chosen) == 12
-    assert np.degrees(polar(data.outgoing[rows][chosen])).max() <= 80
+    assert np.degrees(angles(data.outgoing[rows][chosen])[0]).max() <= 80
     assert len(np.unique(np.round(data.incident[rows][chosen], 6), axis=0)) == 3  # some of every light
     near = likeness(data.incident[rows][chosen], data.outgoing[rows][chosen])
     assert near[~np.eye(12, dtype=bool)].max() < 0.9
@@ -294,8 +294,8 @@ def test_all_models_are_fitted_on_what_they_may_use(cloth):
     for name in ("bard_linear", "bard_great_circle", "facets"):
         assert np.array_equal(fitted[name].used, normal)
     assert len(fitted["bard_scaled"].used) == len(measured)
-    views = data.outgoing[normal][polar(data.outgoing[normal]) < 1.3]
-    seen = data.values[normal][polar(data.outgoing[normal]) < 1.3]
+    views = data.outgoing[normal][angles(data.outgoing[normal])[0] < 1.3]
+    seen = data.values[normal][angles(data.outgoing[normal])[0] < 1.3]
     for name in ("bard_great_circle", "facets"):
         assert np.allclose(fitted[name].brdf.evaluate(np.array([0, 0, 1.0]), views), seen, rtol=0.06)
     assert reciprocity_error(fitted["facets"].brdf) < 1e-9

@@ -24,6 +24,8 @@ from typing import Any
 
 import numpy as np
 
+from nishiki.goniometry.directions import angles
+
 LEAST_COSINE = 1e-9  # of directions above the horizon: nearer ones count as that near, so that quotients stay finite
 
 
@@ -68,18 +70,6 @@ def halves(incident: np.ndarray, outgoing: np.ndarray) -> Halves:
 def only_above(above: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values (..., channels), 0 where `above` (...,) is not."""
     return np.where(above[..., None], values, 0.0)
-
-
-def azimuth(directions: np.ndarray) -> np.ndarray:
-    """Azimuth from x, 0 .. 2 pi, of vectors (..., 3)."""
-    directions = np.asarray(directions, float)
-    return np.mod(np.arctan2(directions[..., 1], directions[..., 0]), 2 * np.pi)
-
-
-def polar(directions: np.ndarray) -> np.ndarray:
-    """Angle from the normal, 0 .. pi, of vectors (..., 3); by atan2, which keeps its digits near the normal."""
-    directions = np.asarray(directions, float)
-    return np.arctan2(np.hypot(directions[..., 0], directions[..., 1]), directions[..., 2])
 
 
 def hemisphere(thetas: int = 24, phis: int = 48) -> tuple[np.ndarray, np.ndarray]:
@@ -159,7 +149,7 @@ def incidences(incident: np.ndarray, *, within_deg: float = 0.5) -> list[tuple[f
             near = np.linalg.norm(incident - incident[row], axis=1) < np.radians(within_deg)
             rows = np.flatnonzero(near & left)
             left[rows] = False
-            theta = float(polar(incident[row]))
+            theta = float(angles(incident[row])[0])
             phi = float(np.mod(np.arctan2(incident[row, 1], incident[row, 0]), 2 * np.pi)) if theta > 1e-3 else 0.0
             groups.append((theta, phi, rows))
     return sorted(groups, key=lambda group: (round(group[0], 4), group[1]))
@@ -236,8 +226,8 @@ class Dyed:
 
     def gloss_albedo_at(self, directions: np.ndarray) -> np.ndarray:
         """Directional albedo of the gloss (...,), linear in theta, periodic and linear in phi."""
-        t = np.clip(polar(directions) / (np.pi / 2) * THETAS - 0.5, 0, THETAS - 1)
-        p = azimuth(directions) / (2 * np.pi) * PHIS
+        theta, phi = angles(directions)
+        t, p = np.clip(theta / (np.pi / 2) * THETAS - 0.5, 0, THETAS - 1), phi / (2 * np.pi) * PHIS
         t0, p0 = np.minimum(t.astype(int), THETAS - 2), p.astype(int)
         u, v = t - t0, p - p0
         rows = [

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.brdf.cloth.interface import hemisphere, incidences, polar, single, solid_angles, together
+from nishiki.brdf.cloth.interface import hemisphere, incidences, single, solid_angles, together
 from nishiki.brdf.cloth.yarn_facets import (
     CENTRE,
     SPREAD,
@@ -37,6 +37,7 @@ from nishiki.brdf.cloth.yarn_facets import (
     uncorrected,
 )
 from nishiki.errors import UserError
+from nishiki.goniometry.directions import angles
 
 STEP = 1e-4  # of the finite differences, in units of a parameter's scale: parameters are logarithms
 REACH = 6.0  # prior standard deviations to either side within which a parameter is searched
@@ -261,7 +262,7 @@ def match_measurements(brdf: YarnFacets, chosen: Measured, basic) -> YarnFacets:
     chosen: what the fit used; basic: see `fit_yarn_facets`.
     """
     if basic is not None:
-        steepest = float(polar(chosen.outgoing[chosen.normal]).max())
+        steepest = float(angles(chosen.outgoing[chosen.normal])[0].max())
         brdf = replace(brdf, correction=correction(brdf, basic, steepest=steepest))
     images = chosen.take(~chosen.normal)
     if not len(images.grey):
@@ -305,7 +306,7 @@ SLOPE_STEP = 0.02  # of central differences, in units of the search
 
 def choose_oblique(fit: ShapeFit, incident: np.ndarray, outgoing: np.ndarray, count: int) -> np.ndarray:
     """Choose up to `count` of the candidates (n, 3), (n, 3) by index, the most telling first."""
-    allowed = np.flatnonzero((polar(outgoing) <= STEEPEST) & (polar(incident) <= STEEPEST))
+    allowed = np.flatnonzero((angles(outgoing)[0] <= STEEPEST) & (angles(incident)[0] <= STEEPEST))
     if count == 0 or allowed.size == 0:
         return np.empty(0, int)
     pool = max(CANDIDATES, count)
