@@ -74,7 +74,7 @@ def split(b, shape):
 
 
 METHODS = {
-    "default": nishiki_method("refit", "default", trust=True),
+    "default": nishiki_method("refit", "lobe", trust=True),
     "refit": nishiki_method("refit", "least_squares", trust=True),
     "trimmed_30_70": nishiki_method("trimmed", "least_squares", keep=(0.3, 0.7)),
     "trimmed_20_80": nishiki_method("trimmed", "least_squares", keep=(0.2, 0.8)),

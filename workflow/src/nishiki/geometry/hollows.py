@@ -21,6 +21,7 @@ import numpy as np
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.surface import linked
 from nishiki.geometry.turn import scaled
 from nishiki.geometry.visibility import interpolate, rasterise
 
@@ -187,15 +188,10 @@ def connected(vertices: np.ndarray, near) -> list[np.ndarray]:
 
 def neighbourhoods(mesh: Mesh):
     """(v, v) sparse: mean of each vertex and its neighbours."""
-    from scipy.sparse import coo_matrix, diags, eye
+    from scipy.sparse import diags_array, eye_array
 
-    count = len(mesh.vertices)
-    ends = np.concatenate([mesh.triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-    ends = np.concatenate([ends, ends[:, ::-1]])
-    beside = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (count, count)).tocsr()
-    beside.data[:] = 1.0
-    joined = (beside + eye(count)).tocsr()
-    return diags(1 / np.asarray(joined.sum(axis=1)).ravel()) @ joined
+    joined = linked(mesh) + eye_array(len(mesh.vertices))
+    return (diags_array(1 / joined.sum(axis=1)) @ joined).tocsr()
 
 
 def closed(region: np.ndarray, near, rounds: int = 6, rim: int = 2) -> np.ndarray:

@@ -152,24 +152,27 @@ def smoothed(mesh: Mesh, cameras: list[Camera], *, most_px: float, rounds: int =
     G. Taubin, A signal processing approach to fair surface design, SIGGRAPH 1995: alternately towards the neighbours'
     mean and a little further back, so that the whole does not shrink. Pixels as `pixels_per_unit`.
     """
-    from scipy.sparse import coo_matrix, diags
-
-    ends = np.concatenate([mesh.triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-    graph = coo_matrix(
-        (np.ones(2 * len(ends)), (np.r_[ends[:, 0], ends[:, 1]], np.r_[ends[:, 1], ends[:, 0]])),
-        (len(mesh.vertices),) * 2,
-    ).tocsr()
-    graph.data[:] = 1.0
-    mean = diags(1.0 / np.maximum(np.asarray(graph.sum(axis=1)).ravel(), 1)) @ graph
+    graph = linked(mesh)
+    counts = np.maximum(graph.sum(axis=1), 1)[:, None]
     points = mesh.vertices
     for _ in range(rounds):
         for factor in (0.5, -0.53):
-            points = points + factor * (mean @ points - points)
+            points = points + factor * (graph @ points / counts - points)
     moved = points - mesh.vertices
     limit = most_px / np.maximum(pixels_per_unit(mesh.vertices, cameras), 1e-300)
     length = np.linalg.norm(moved, axis=1)
     moved *= np.minimum(1.0, limit / np.maximum(length, 1e-300))[:, None]
     return Mesh.of(mesh.vertices + moved, mesh.triangles)
+
+
+def linked(mesh: Mesh):
+    """(v, v) sparse: 1 where two vertices share an edge."""
+    from scipy.sparse import coo_array
+
+    ends, others = np.repeat(mesh.triangles, 2, axis=1).ravel(), mesh.triangles[:, [1, 2, 2, 0, 0, 1]].ravel()
+    graph = coo_array((np.ones(len(ends)), (ends, others)), (len(mesh.vertices),) * 2).tocsr()
+    graph.data[:] = 1.0
+    return graph
 
 
 @dataclass(frozen=True)
