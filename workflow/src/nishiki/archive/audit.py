@@ -14,6 +14,7 @@ from nishiki.archive.survey import CAPTURE, Damage, Survey, read_file, survey_ar
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import INDEX, MANIFEST, index_text
 from nishiki.artifacts.provenance import file_digest, place_above
+from nishiki.engine.project import SWEEPS
 from nishiki.threads import in_threads
 
 
@@ -120,8 +121,6 @@ def _of_stage(folder: Path, stage: str, key: str, digest: Any, references: "Refe
 ARTIFACT_NAME = re.compile(r"[0-9a-f]{12}(\.superseded-[0-9a-f]{8})?")
 UNFINISHED = (".partial", ".pruned")
 CURRENT = "current"
-SWEEPS = "sweeps"
-"""Pages and timings of sweeps: no artifacts, though some folders there are named by keys."""
 
 
 @dataclass
@@ -170,7 +169,7 @@ def _look(folder: Path, targets: AuditTargets, todo: list[Path]) -> None:
     if (folder / METADATA).is_file():
         targets.crates.append(folder)
         return
-    if folder.name == CURRENT and (folder / "index.json").exists():
+    if folder.name == CURRENT and (folder / INDEX).exists():
         targets.publications.append(folder)
         return
     try:
@@ -192,7 +191,7 @@ def _look(folder: Path, targets: AuditTargets, todo: list[Path]) -> None:
             targets.unfinished += [path] if entry.name.endswith(UNFINISHED) else []
         elif entry.name == CURRENT:
             targets.publications.append(path)
-        elif entry.name != SWEEPS:
+        elif entry.name != SWEEPS:  # pages and timings are no artifacts, though some folders there are named by keys
             todo.append(path)
 
 

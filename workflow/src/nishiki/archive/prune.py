@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from nishiki.archive.audit import ARTIFACT_NAME, CURRENT
 from nishiki.archive.survey import CAPTURE
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import INDEX, MANIFEST, RUN, parse_manifest
@@ -23,8 +24,7 @@ from nishiki.formats.files import flush
 from nishiki.processes import host, is_alive, owner, owner_of
 from nishiki.stages.table import CHAIN
 
-FINISHED = re.compile(r"([0-9a-f]{12})(?:\.superseded-[0-9a-f]{8})?")
-ASIDE = re.compile(r"([0-9a-f]{12})\.set-aside-[0-9a-z-]+")
+ASIDE = re.compile(r"[0-9a-f]{12}\.set-aside-[0-9a-z-]+")
 UNFINISHED = re.compile(r"\.([0-9a-f]{12}|current)\..*\.(partial|pruned)")
 PRUNED = ".pruned"
 """What the name of a folder ends with that is being removed."""
@@ -81,9 +81,9 @@ def judge(folder: Path, finished: list[Finished], pruning: Pruning, hosts: set[s
         judge_unfinished(folder, pruning, hosts)
     elif ASIDE.fullmatch(name):
         pruning.remove.append(Item(folder, "set aside", size_of(folder)))
-    elif FINISHED.fullmatch(name) and not any(folder.iterdir()):
+    elif ARTIFACT_NAME.fullmatch(name) and not any(folder.iterdir()):
         pruning.remove.append(Item(folder, "empty: its stage was never finished"))
-    elif not FINISHED.fullmatch(name):
+    elif not ARTIFACT_NAME.fullmatch(name):
         pruning.left_alone.append(Item(folder, "not the name of an artifact"))
     else:
         _judge_finished(folder, finished, pruning)
@@ -129,9 +129,6 @@ def judge_unfinished(folder: Path, pruning: Pruning, hosts: set[str]) -> None:
 def size_of(folder: Path) -> int:
     """Bytes of all files below a folder; links count nothing and are not followed."""
     return sum(FolderTree(folder).listing().files.values())
-
-
-CURRENT = "current"
 
 
 def decide(results: Path, planned: set[Place], *, unnamed: bool = False, hosts: Iterable[str] = ()) -> Pruning:

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -92,38 +93,30 @@ def survey_artifact(tree: Tree, below: str = "", *, name: str | None = None) -> 
 
 
 def _manifest(survey: Survey, listing: Listing) -> dict[str, Any] | None:
-    if MANIFEST not in listing.files:
-        if MANIFEST not in listing.links:
-            survey.add(MANIFEST, "missing", "no finished artifact here; run the stage again")
+    missing = "no finished artifact here; run the stage again"
+    read = _read(survey, listing, MANIFEST, missing, lambda data: (data, parse_manifest(data)))
+    if read is None:
         return None
-    try:
-        data = survey.tree.read(survey.named(MANIFEST))
-        manifest = parse_manifest(data)
-    except OSError as error:
-        survey.add(MANIFEST, "unreadable", str(error.strerror))
-        return None
-    except ValueError as error:
-        survey.add(MANIFEST, "damaged", str(error))
-        return None
+    data, manifest = read
     survey.digest = hashlib.sha256(data).hexdigest()
-    _check_run(survey, listing, data)
+    missing = "facts of the run, and the digest of the manifest"
+    if wrong := _read(survey, listing, RUN, missing, lambda run: run_problem(run, data)):
+        survey.add(RUN, "damaged", wrong)
     return manifest
 
 
-def _check_run(survey: Survey, listing: Listing, manifest: bytes) -> None:
-    if RUN not in listing.files:
-        if RUN not in listing.links:
-            survey.add(RUN, "missing", "facts of the run, and the digest of the manifest")
-        return
+def _read(survey: Survey, listing: Listing, name: str, missing: str, parse: Callable[[bytes], Any]) -> Any:
+    """Parse a file of an artifact; None, with the damage noted, where that cannot be done."""
     try:
-        wrong = run_problem(survey.tree.read(survey.named(RUN)), manifest)
+        if name in listing.files:
+            return parse(survey.tree.read(survey.named(name)))
+        if name not in listing.links:
+            survey.add(name, "missing", missing)
     except OSError as error:
-        survey.add(RUN, "unreadable", str(error.strerror))
-        return
+        survey.add(name, "unreadable", str(error.strerror))
     except ValueError as error:
-        wrong = str(error)
-    if wrong:
-        survey.add(RUN, "damaged", wrong)
+        survey.add(name, "damaged", str(error))
+    return None
 
 
 def _check_names(survey: Survey, manifest: dict[str, Any], name: str) -> None:
