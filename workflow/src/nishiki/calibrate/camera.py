@@ -21,7 +21,7 @@ from nishiki.formats.text_tables import number_of, table_rows
 from nishiki.observations.linearise import check_linearity
 from nishiki.report.page import Figure, Figures, Section, Table
 from nishiki.report.pictures import heat, scalar_picture
-from nishiki.report.svg import PALETTE, Axis, Drawing, draw_axes, outline
+from nishiki.report.svg import PALETTE, Curve, chart
 
 SATURATION = 0.98  # of full scale: a channel with a pixel in a thousand above is not used
 SATURATED_SHARE = 1e-3  # of the pixels of a level that is used
@@ -217,16 +217,11 @@ def _sections(rows, channels, exposures, levels, variances, usable, shading, con
 
 
 def _plot(x, y, usable, channels, x_label, y_label, title) -> str:
-    """Points of every channel, those used as discs, and lines between these."""
+    """Draw the points of every channel that are used, and lines between these."""
     x = np.broadcast_to(x[:, None] if x.ndim == 1 else x, y.shape)
-    drawing = Drawing(460, 300, title)
-    across = Axis(0.0, float(x[usable].max()) * 1.05, 62, 446)
-    up = Axis(0.0, float(y[usable].max()) * 1.05, 250, 14)
-    draw_axes(drawing, across, up, x_label, y_label)
-    for c, channel in enumerate(channels):
-        use, colour = usable[:, c], PALETTE[c % len(PALETTE)]
-        at, height = across(x[use, c]), up(y[use, c])
-        drawing.path(outline(at, height), stroke=colour)
-        for a, b in zip(at, height, strict=True):
-            drawing.circle(a, b, 3.5, fill=colour, tip=channel)
-    return drawing.finish()
+    curves = [
+        Curve(channel, x[usable[:, c], c], y[usable[:, c], c], PALETTE[c % len(PALETTE)], dots=dots)
+        for dots in (False, True)
+        for c, channel in enumerate(["" if dots else name for name in channels])
+    ]
+    return chart(curves, x_label=x_label, y_label=y_label, title=title, size=(460, 300))

@@ -130,9 +130,8 @@ def _csv(lines: Rows, name: str, values: str) -> tuple[np.ndarray, tuple[str, ..
     channels = tuple(cell for cell in heading if cell not in ANGLES)
     missing = [angle for angle in ANGLES if angle not in heading]
     if missing or not channels or len(set(heading)) != len(heading) or "" in heading:
-        expected, found = f"{', '.join(ANGLES)} and one column a channel, each once", ", ".join(heading)[:80]
-        remedy = "Name the columns in the first line"
-        refuse("table-columns", name, "columns", expected=expected, found=found, remedy=remedy)
+        expected = f"the columns {', '.join(ANGLES)} and one a channel in the first line, each once"
+        refuse("table-columns", name, f"expected {expected}, found {', '.join(heading)[:80]}")
     _expect_reflectances(channels, name, values)
     order = [heading.index(column) for column in (*ANGLES, *channels)]
     numbers, places, problems = array("d"), array("q"), []
@@ -143,8 +142,8 @@ def _csv(lines: Rows, name: str, values: str) -> tuple[np.ndarray, tuple[str, ..
             numbers.extend([float(row[i]) for i in order])
             places.append(line)
         except ValueError as e:
-            expected, found = f"{len(heading)} numbers", str(e)[:80]
-            problems.append(error("table-unreadable", f"{name} line {line}", "row", expected=expected, found=found))
+            what = f"expected {len(heading)} numbers, found {str(e)[:80]}"
+            problems.append(error("table-unreadable", f"{name} line {line}", what))
             if len(problems) > MOST_PROBLEMS:
                 break
         expect_rows(len(numbers), "reflectances_values", name, "table")
@@ -210,9 +209,8 @@ def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], arra
         raise CaptureError(error("table-unreadable", name, "table", expected=expected, found=str(e)[:80])) from e
     rest, wide = values[1 + count :], 4 + count
     if len(rest) % wide:
-        expected, found = f"rows of {wide} numbers", f"{len(rest) % wide} numbers in the last"
-        remedy = "Copy the file again from where it came"
-        refuse("table-unreadable", name, "table ends early", expected=expected, found=found, remedy=remedy)
+        what = f"table ends early: expected rows of {wide} numbers, found {len(rest) % wide} in the last"
+        refuse("table-unreadable", name, what)
     rows = rest.reshape(-1, wide).copy()
     rows[:, :4] = np.degrees(rows[:, :4])
     return rows, tuple(f"{nm:g} nm" for nm in values[1 : 1 + count]), places[1 + count :: wide], []
@@ -245,18 +243,17 @@ def _checked(
 ) -> ReflectanceTable:
     """Return the table if it has rows of possible angles and finite values."""
     if not len(rows):
-        refuse("table-empty", name, "no reflectances in it", remedy="Add a row for each measurement")
+        refuse("table-empty", name, "no row of reflectances in it")
     theta, phi, values = rows[:, [0, 2]], rows[:, [1, 3]], rows[:, 4:]
     # angles that come from radians may pass 90 degrees by rounding
     possible = (np.isfinite(theta) & (theta >= 0) & (theta < 90) & (np.abs(phi) <= 360)).all(axis=1)
     problems = []
     for i in np.flatnonzero(~possible)[:SHOWN]:
+        what = "expected angles theta from 0 to below 90, phi from -360 to 360 degrees"
         found = ", ".join(f"{a:g}" for a in rows[i, :4])
-        expected = "theta from 0 to below 90, phi from -360 to 360 degrees"
-        problems.append(error("angle-invalid", f"{name} line {lines[i]}", "angles", expected=expected, found=found))
+        problems.append(error("angle-invalid", f"{name} line {lines[i]}", what, found=found))
     for i in np.flatnonzero(~np.isfinite(values).all(axis=1))[:SHOWN]:
-        remedy = "Leave the row out"
-        problems.append(error("table-value", f"{name} line {lines[i]}", "a value is not finite", remedy=remedy))
+        problems.append(error("table-value", f"{name} line {lines[i]}", "a value is not finite"))
     raise_errors(problems)
     dark = int((values <= 0).any(axis=1).sum())
     if dark == len(rows):

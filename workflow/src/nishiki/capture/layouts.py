@@ -36,7 +36,7 @@ from nishiki.capture.taking import read_grey
 from nishiki.formats.files import NAME_BYTES, bound, files_with, is_plain, leads_out, read_text, same_name
 from nishiki.formats.images import read_header
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
-from nishiki.formats.problems import CaptureError, Problem, error, expect_one, raise_errors, refuse, warning
+from nishiki.formats.problems import CaptureError, Problem, error, expect_one, left_out, raise_errors, refuse, warning
 from nishiki.formats.relight import INFO, LAYERS, is_relight_folder
 from nishiki.formats.relight_planes import TILE, is_web_rti
 from nishiki.formats.text_tables import expect_rows, reading, table_lines
@@ -254,19 +254,15 @@ def _with_lights(source: Path, stated: StatedLights, lights_file: Path, mask: Pa
     remedy = "Put it there, or mend its name in the lights file"
     chosen, missing = [], []
     for name, file in zip(lights.names, lights.files, strict=True):
-        path = by_name.get(same_name(re.split(r"[\\/]", file or "")[-1])) or by_stem.get(same_name(name))
-        chosen.append(path)
-        if path is None:
+        if path := by_name.get(same_name(re.split(r"[\\/]", file or "")[-1])) or by_stem.get(same_name(name)):
+            chosen.append(path)
+        else:
             what = f"no photograph '{file}'"
             missing.append(error("photograph-missing", str(folder), what, found=held, remedy=remedy))
-    if missing:
-        raise CaptureError(missing)
+    raise_errors(missing)
     extra = [p.name for p in present if p not in chosen]
-    notes = list(lights.warnings)
-    if extra:
-        what = "pictures that the lights file does not name were left out"
-        notes.append(warning("photograph-unlisted", str(source), what, found=", ".join(extra[:5])))
-    return Layout("lights file", tuple(path for path in chosen if path), lights, None, mask, tuple(notes))
+    notes = left_out(extra, str(source), "pictures that the lights file does not name")
+    return Layout("lights file", tuple(chosen), lights, None, mask, (*lights.warnings, *notes))
 
 
 def _folder_named(source: Path, lights: Lights, file: Path) -> Path:
@@ -307,8 +303,8 @@ def read_diligent(source: Path, directions: Path, options: ConvertOptions) -> La
         except ValueError as e:
             raise CaptureError(error("intensities-unreadable", scales.name, "not a table of numbers")) from e
         if len(intensities) != len(present) or not (np.isfinite(intensities) & (intensities > 0)).all():
-            expected = f"{len(present)} rows of numbers above 0"
-            refuse("intensities-invalid", scales.name, "table", expected=expected, found=f"{intensities.shape}")
+            what = f"expected {len(present)} rows of numbers above 0, found {' x '.join(map(str, intensities.shape))}"
+            refuse("intensities-invalid", scales.name, what)
     layout = _in_order(source, present, bare, intensities, mask, "DiLiGenT")
     if names.is_file():
         layout = replace(layout, intensities=intensities, warnings=bare.warnings)
@@ -322,8 +318,8 @@ def read_with_spheres(source: Path, probes: list[Path], options: ConvertOptions)
     folders = [p for p in source.iterdir() if p.is_dir() and p not in probes]
     objects = [pictures for pictures in map(photographs_in, folders) if pictures]
     if len(objects) != 1:
-        what = "exactly one folder of photographs is expected beside the mirror spheres"
-        refuse("layout-unknown", str(source), what, found=f"{len(objects)}")
+        what = f"expected one folder of photographs beside the mirror spheres, found {len(objects)}"
+        refuse("layout-unknown", str(source), what)
     photographs = objects[0]
     spheres = []
     for probe in probes:
@@ -354,9 +350,8 @@ def _circle(probe: Path) -> tuple[float, float, float]:
     except ValueError as e:
         raise CaptureError(error("probe-unreadable", file, "circle", expected="column, row and radius")) from e
     if not all(map(math.isfinite, (column, row, radius))) or not 1 <= radius <= bound("image_side"):
-        found = f"{column:g}, {row:g}, {radius:g}"
-        expected = "finite column and row, a radius of at least 1 pixel"
-        refuse("probe-unreadable", file, "circle", expected=expected, found=found)
+        what = f"expected a column, a row and a radius of a pixel or more, found {column:g}, {row:g}, {radius:g}"
+        refuse("probe-unreadable", file, what)
     return row, column - 1, radius
 
 
@@ -368,8 +363,8 @@ def _towards_lamp(path: Path, height: float, column: float, radius: float) -> np
     picture = read_grey(path).astype(np.float64)
     row = len(picture) - height
     if not (0 <= row < picture.shape[0] and 0 <= column < picture.shape[1]):
-        found, expected = f"row {row:g}, column {column:g}", f"within {picture.shape[0]} x {picture.shape[1]}"
-        refuse("probe-unreadable", path.name, "mirror sphere", expected=expected, found=found)
+        what = f"a mirror sphere at row {row:g}, column {column:g} of {picture.shape[0]} x {picture.shape[1]} pixels"
+        refuse("probe-unreadable", path.name, what)
     try:
         return direction_from_sphere(picture, (row, column), radius)
     except ValueError as e:
@@ -396,6 +391,6 @@ def _in_order(
 
 def _expect_count(source: Path, present: list[Path], count: int) -> None:
     if len(present) != count:
-        expected, found = f"{count}, one a light", f"{len(present)}"
+        what = f"expected {count} photographs, one a light, found {len(present)}"
         remedy = "Move other pictures away, or name the photographs in the lights file"
-        refuse("photographs-count", str(source), "photographs", expected=expected, found=found, remedy=remedy)
+        refuse("photographs-count", str(source), what, remedy=remedy)

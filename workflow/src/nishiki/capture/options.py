@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from nishiki.formats.problems import CaptureError, Problem, error, refuse
+from nishiki.formats.problems import Problem, error, refuse
 
 Values = Literal["brdf", "radiance_factor", "radiance_factor_percent", "brdf_cos_view", "brdf_cos_light"]
 Azimuths = Literal["cloth", "lamp", "mirror"]
@@ -92,9 +92,8 @@ class ConvertOptions:
     def __post_init__(self) -> None:
         """Raise CaptureError (option-unusable) for a width that is none, or a kind of lights that is not known."""
         if self.lights_kind not in (None, *LIGHT_KINDS):
-            expected = f"one of {', '.join(LIGHT_KINDS)}"
-            problem = error("option-unusable", "lights-kind", "no such kind", expected=expected, found=self.lights_kind)
-            raise CaptureError(problem)
+            what = f"expected one of {', '.join(LIGHT_KINDS)}, found {self.lights_kind}"
+            refuse("option-unusable", "lights-kind", what)
         if self.width_mm is not None and not 0 < self.width_mm < 1e9:
             refuse("option-unusable", "width-mm", "no width", expected="millimetres", found=f"{self.width_mm:g}")
 
@@ -109,17 +108,11 @@ class ConvertOptions:
 def folder_problems(**given: Path | None) -> list[Problem]:
     """List folder-missing for each option that must name a folder of photographs and does not."""
     remedy = "Give a folder that holds one picture a light; of a turntable one a view, or one a polariser state"
-    return [
-        error("folder-missing", f"--{name} {path}", "no such folder", remedy=remedy)
-        for name, path in given.items()
-        if path is not None and not path.is_dir()
-    ]
+    absent = [f"--{name} {path}" for name, path in given.items() if path is not None and not path.is_dir()]
+    return [error("folder-missing", place, "no such folder", remedy=remedy) for place in absent]
 
 
 def file_problems(**given: Path | None) -> list[Problem]:
     """List file-missing for each option that must name a file and does not."""
-    return [
-        error("file-missing", f"--{name} {path}", "no such file", remedy="Give a file that is there")
-        for name, path in given.items()
-        if path is not None and not path.is_file()
-    ]
+    absent = [f"--{name} {path}" for name, path in given.items() if path is not None and not path.is_file()]
+    return [error("file-missing", place, "no such file") for place in absent]

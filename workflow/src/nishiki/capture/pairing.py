@@ -12,9 +12,9 @@ A band is told by a wavelength (`lamp03_450nm.tif`, `450/lamp03.tif`), a colour 
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,7 @@ from nishiki.formats.problems import Problem, error, left_out, name_some, raise_
 Token = str | int
 
 
-@dataclass(frozen=True)
-class Pairing:
+class Pairing(NamedTuple):
     """partners[i] belongs to photograph i; warnings: what was guessed, and what was left out."""
 
     partners: tuple[Path, ...]
@@ -48,17 +47,14 @@ def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: s
         left = [p.name for p in others if p not in set(partners)]
         return Pairing(partners, tuple(left_out(left, folder, f"{what} of no photograph")))
     if len(parts) != len(present):
-        expected, found = f"{len(photographs)}, one a photograph", f"{len(others)}"
-        remedy = f"Name the {what} as the photographs, or move the others away"
-        refuse("pairing-count", folder, what, expected=expected, found=found, remedy=remedy)
+        found = f"expected {len(photographs)} {what}, one a photograph, found {len(others)}"
+        refuse("pairing-count", folder, found, remedy="Name them as the photographs, or move the others away")
     by_part = dict(zip(present, others, strict=True))
     if set(parts) == set(present):
         return Pairing(tuple(by_part[part] for part in parts))
     if counts_in_step(parts, present):
-        partners = tuple(path for _, path in sorted(by_part.items()))
-        order = sorted(range(len(parts)), key=lambda i: parts[i])
-        placed = dict(zip(order, partners, strict=True))
-        chosen = tuple(placed[i] for i in range(len(parts)))
+        placed = dict(zip(sorted(parts), (path for _, path in sorted(by_part.items())), strict=True))
+        chosen = tuple(placed[part] for part in parts)
         pairs = ", ".join(f"{p.name} - {q.name}" for p, q in zip(photographs, chosen, strict=True))
         summary = f"{what} have running numbers of their own: paired with the photographs in the order of the numbers"
         remedy = f"If a pair is wrong, name the {what} as the photographs and convert again"
@@ -126,16 +122,14 @@ PATTERNS = (
 )
 
 
-@dataclass(frozen=True)
-class BandFiles:
+class BandFiles(NamedTuple):
     """channels: names of the bands in order; files: by lamp, in natural order, the file of each channel that it has."""
 
     channels: tuple[str, ...]
     files: dict[str, dict[str, Path]]
 
 
-@dataclass(frozen=True)
-class BandedPhotographs:
+class BandedPhotographs(NamedTuple):
     """files[i][k] is channel k under lights.names[i]; warnings: what was assumed, and what was left out."""
 
     lights: Lights
@@ -182,19 +176,14 @@ def find_bands(
         share = sum(map(len, table)) / (len(table) * len(sorted_files.channels))
         if share >= LEAST_SHARE:
             files = complete_bands(sorted_files.channels, dict(zip(kept, table, strict=True)), str(source))
-            named = sorted({path for bands in files for path in bands})
+            channels, named = sorted_files.channels, {path for bands in files for path in bands}
             example = ", ".join(path.relative_to(source).as_posix() for path in files[0][:3])
-            channels, remedy = (
-                ", ".join(sorted_files.channels),
-                "If that is wrong, list the files in frames.csv by hand",
-            )
-            what = f"the photographs are taken for {len(sorted_files.channels)} bands of {len(files)} lamps: {channels}"
+            remedy = "If that is wrong, list the files in frames.csv by hand"
+            what = f"the photographs are taken for {len(channels)} bands of {len(files)} lamps: {', '.join(channels)}"
             notes = [warning("bands-assumed", source.name, what, found=f"{example} of one lamp", remedy=remedy)]
-            left = [path.name for path in _all_pictures(source, pictures) if path not in set(named)]
-            if left:
-                what = "pictures of no lamp and band were left out"
-                notes.append(warning("photograph-unlisted", str(source), what, found=", ".join(left[:5])))
-            return BandedPhotographs(chosen, sorted_files.channels, files, (*chosen.warnings, *notes))
+            left = [path.name for path in _all_pictures(source, pictures) if path not in named]
+            notes += left_out(left, str(source), "pictures of no lamp and band")
+            return BandedPhotographs(chosen, channels, files, (*chosen.warnings, *notes))
     return None
 
 
@@ -202,10 +191,9 @@ def complete_bands(
     channels: Sequence[str], files: dict[str, dict[str, Path]], folder: str
 ) -> tuple[tuple[Path, ...], ...]:
     """List the files (lamps, channels). CaptureError: band-missing for each lamp that lacks one, band-channels."""
-    remedy = "Put the file there, or take the lamp out of the lights file"
-    lacking = {lamp: [name for name in channels if name not in bands] for lamp, bands in files.items()}
+    lacking = {lamp: ", ".join(name for name in channels if name not in bands) for lamp, bands in files.items()}
     problems = [
-        error("band-missing", folder, f"lamp '{lamp}' has no photograph in {', '.join(names)}", remedy=remedy)
+        error("band-missing", folder, f"lamp '{lamp}' has no photograph in {names}")
         for lamp, names in lacking.items()
         if names
     ]
@@ -214,10 +202,9 @@ def complete_bands(
     usual = Counter(counts.values()).most_common(1)[0][0]
     for path, count in counts.items():
         if count != usual:
-            what = "number of channels of a file of one band"
+            what = f"a file of one band with {count} channels, where most have {usual}"
             remedy = "Save all as grey pictures, or all in colour, without changing their values"
-            expected = f"{usual} as most have"
-            problems.append(error("band-channels", path.name, what, expected=expected, found=f"{count}", remedy=remedy))
+            problems.append(error("band-channels", path.name, what, remedy=remedy))
     raise_errors(problems)
     return tuple(tuple(bands[channel] for channel in channels) for bands in files.values())
 

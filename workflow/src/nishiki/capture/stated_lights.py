@@ -17,7 +17,7 @@ from nishiki.capture.lights import Lights, from_angles, is_unicode, light_name, 
 from nishiki.capture.options import ANGLES
 from nishiki.formats.files import same_name
 from nishiki.formats.images import read_coarse, read_header
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
 from nishiki.photometric.consistency import SURE, split_course
 from nishiki.photometric.lambert_fit import fit_lambert, none_where_undetermined, spread_pixels
 from nishiki.photometric.near_lamps import NearLamps, measure_width
@@ -189,10 +189,8 @@ def read_lights_file(file: Path, kind: str | None, present: Collection[str]) -> 
         rival_kind = "_".join(swap.get(word, word) for word in str(kind).split("_"))
         numbers, rival, kind = _from_angles(numbers, str(kind)), _from_angles(numbers, rival_kind), "direction"
     if numbers.shape[1] != 3:
-        remedy = "End each line with the three numbers of the direction"
-        expected, found = "three numbers x y z a line", f"{numbers.shape[1]}"
-        what = "the lines hold no directions"
-        raise CaptureError(error("lights-unreadable", file.name, what, expected=expected, found=found, remedy=remedy))
+        what = f"expected three numbers x y z at the end of each line, found {numbers.shape[1]}"
+        refuse("lights-unreadable", file.name, what)
     lengths = np.linalg.norm(numbers, axis=1)
     even = len(lengths) > 0 and np.ptp(lengths) <= EVEN * lengths.max()
     scaled = bool(even and SCALED[0] <= lengths.min() and lengths.max() <= SCALED[1])
@@ -202,19 +200,8 @@ def read_lights_file(file: Path, kind: str | None, present: Collection[str]) -> 
     lights = lights_from_vectors(names, numbers, file=file.name, kind=read_as)
     if strengths is not None and np.ptp(strengths, axis=0).max() < 1e-9:
         strengths = None
-    return StatedLights(
-        lights,
-        kind or "direction",
-        0.0,
-        0.0,
-        strengths,
-        None,
-        open_kind,
-        scaled,
-        rival,
-        rival_kind,
-        strengths is not None,
-    )
+    stated = StatedLights(lights, kind or "direction", intensities=strengths, rival=rival, rival_kind=rival_kind)
+    return replace(stated, open_kind=open_kind, scaled=scaled, open_strengths=strengths is not None)
 
 
 def _read_names(file: Path, present: Collection[str]) -> tuple[list[str | None], np.ndarray]:
@@ -233,7 +220,7 @@ def _read_names(file: Path, present: Collection[str]) -> tuple[list[str | None],
             return names, numbers
     what = "the text encoding of the names is not known"
     remedy = "Save the file as UTF-8, or rename the photographs, there and in the folder, with plain letters a to z"
-    raise CaptureError(error("lights-unreadable", file.name, what, expected="UTF-8", remedy=remedy))
+    refuse("lights-unreadable", file.name, what, expected="UTF-8", remedy=remedy)
 
 
 def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, width_mm: float | None) -> StatedLights:
@@ -248,8 +235,7 @@ def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, widt
         if own is not None and other is not None and other < CLEARLY * own:
             what = "the photographs contradict the kind of these angles"
             found = f"residual {own:.3g}, and {other:.3g} with the other kind"
-            remedy = f"Give the other kind: --lights-kind {stated.rival_kind}"
-            raise CaptureError(error("lights-contradicted", file, what, found=found, remedy=remedy))
+            refuse("lights-contradicted", file, what, found=found, remedy=f"Give --lights-kind {stated.rival_kind}")
     if stated.kind == "direction" and not stated.open_kind:
         return replace(stated, width_mm=width_mm or stated.width_mm)
     if stated.kind == "position_mm" and stated.width_mm:  # as the file says itself
@@ -268,22 +254,15 @@ def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, widt
     lengths = np.linalg.norm(vectors, axis=1)
     found = f"lengths {lengths.min():.4g} to {lengths.max():.4g}"
     if stated.kind == "position_mm" and width_mm:
-        what, expected = "the photographs do not show how far away the lamps are", "positions in millimetres"
-        remedy = "List the positions of the lamps in millimetres, or give --lights-kind direction"
+        what = "the photographs do not show how far away the lamps are"
+        remedy = "List the positions of the lamps in millimetres"
     elif verdict.near or stated.kind == "position_mm":
-        what, expected = "the unit of the lamps' positions is not known", "the width of the photographs"
-        remedy = (
-            "Give the width of the whole photographs on the object in millimetres: --width-mm WIDTH. If the numbers "
-            "are directions, give --lights-kind direction"
-        )
+        what = "the unit of the lamps' positions is not known"
+        remedy = "Give the width of the whole photographs on the object in millimetres: --width-mm WIDTH"
     else:
         what = "the vectors may be directions or positions, and the photographs do not show which"
-        expected = "directions of length 1"
-        remedy = (
-            "If they are positions in millimetres, give --lights-kind position_mm --width-mm WIDTH (of the whole "
-            "photographs on the object). If they are directions, give --lights-kind direction"
-        )
-    raise CaptureError(error("lights-ambiguous", file, what, expected=expected, found=found, remedy=remedy))
+        remedy = "If they are positions, give --lights-kind position_mm --width-mm WIDTH (of the whole photographs)"
+    refuse("lights-ambiguous", file, what, found=found, remedy=f"{remedy}; if directions, --lights-kind direction")
 
 
 def _as_positions(stated: StatedLights, file: str, verdict: Verdict, *, told: bool) -> StatedLights:
@@ -362,27 +341,29 @@ def _are_angles(numbers: np.ndarray) -> bool:
         return False
     if numbers.shape[1] == 3 and np.ptp(numbers[:, 2]) > 1e-6 * np.abs(numbers[:, 2]).max():
         return False
-    full = 360.0 if np.abs(numbers[:, :2]).max() > 2 * np.pi + 0.01 else 2 * np.pi
-    return any(_azimuth_at(numbers, column, full) for column in (0, 1))
+    return any(_azimuth_at(numbers, column) for column in (0, 1))
 
 
-def _azimuth_at(numbers: np.ndarray, column: int, full: float) -> bool:
+def _full_turn(numbers: np.ndarray) -> float:
+    """Return a full turn in the unit of angles in the first two columns: degrees where one exceeds it in radians."""
+    return 360.0 if np.abs(numbers[:, :2]).max(initial=0.0) > 2 * np.pi + 0.01 else 2 * np.pi
+
+
+def _azimuth_at(numbers: np.ndarray, column: int) -> bool:
     """Whether a column goes round more than a third of the full turn, and the other stays between plane and normal."""
-    other = numbers[:, 1 - column]
+    other, full = numbers[:, 1 - column], _full_turn(numbers)
     within = np.abs(numbers[:, column]).max() <= 1.01 * full and other.min() >= 0 and other.max() <= full / 4 * 1.001
     return bool(within and np.ptp(numbers[:, column]) > full / 3)
 
 
 def _angles_refused(file: Path, numbers: np.ndarray) -> Problem:
-    full = 360.0 if np.abs(numbers[:, :2]).max() > 2 * np.pi + 0.01 else 2 * np.pi
-    first = _azimuth_at(numbers, 0, full)
+    first = _azimuth_at(numbers, 0)
     kinds = [kind for kind in ANGLES if kind.startswith("azimuth") == first]
-    unit, place = "degrees" if full == 360 else "radians", "first" if first else "second"
+    unit, place = "degrees" if _full_turn(numbers) == 360 else "radians", "first" if first else "second"
     what = f"the lamps are given by angles in {unit}, with the azimuth {place}"
     remedy = (
-        "If the azimuth counts from x (right) towards y (up) and the other angle from the object's plane, give "
-        f"--lights-kind {kinds[0]}. If the other angle counts from the normal, give --lights-kind {kinds[1]}. If the "
-        "azimuth counts from elsewhere or the other way, write directions instead"
+        f"Give --lights-kind {kinds[0]} where the other angle counts from the object's plane, --lights-kind {kinds[1]} "
+        "where from the normal. Write directions where the azimuth does not count from x (right) towards y (up)"
     )
     found = " ".join(f"{value:g}" for value in numbers[0])
     return error("lights-angles", file.name, what, expected="directions x y z", found=found, remedy=remedy)
@@ -390,8 +371,7 @@ def _angles_refused(file: Path, numbers: np.ndarray) -> Problem:
 
 def _from_angles(numbers: np.ndarray, kind: str) -> np.ndarray:
     """Directions (lights, 3) of two angles in the order that the kind names."""
-    degrees = np.abs(numbers[:, :2]).max(initial=0.0) > 2 * np.pi + 0.01
-    angles = np.radians(numbers[:, :2]) if degrees else numbers[:, :2]
+    angles = numbers[:, :2] * (2 * np.pi / _full_turn(numbers))
     azimuth, height = angles.T if kind.startswith("azimuth") else angles.T[::-1]
     polar = height if "polar" in kind else np.pi / 2 - height
     return from_angles(azimuth, polar)

@@ -87,8 +87,7 @@ class Grbl:
             # Most boards restart when their port is opened; one that is reached by USB itself does not.
             greeting = self.line.greeting(GREETING, GREETING_S) or self._restart()
             if re.search(TOO_OLD, greeting):
-                where = f"{device} at {port}"
-                raise DeviceError(f"{where}: expected GRBL 1.1 or newer, found {greeting!r}. Remedy: install GRBL 1.1")
+                raise self._failure(f"expected GRBL 1.1 or newer, found {greeting!r}. Remedy: install GRBL 1.1")
 
     @property
     def homed(self) -> bool:
@@ -115,19 +114,12 @@ class Grbl:
             _, position = self._wait_until_idle(end)
             if abs(position[letter] - target) <= STANDS_WITHIN:
                 return
+            found = f"sent 'G53 G0 {word}', axis {letter} stands at {position[letter]:.4f}, expected {target:.3f}"
             if abs(position[letter] * MM_PER_INCH - target) <= STANDS_WITHIN:
-                self.home_position = {}
-                raise DeviceError(
-                    f"{self.device} at {self.port}: axis {letter} reports {position[letter]:.4f} after a movement to "
-                    f"{target:.3f}, which is the same position in inches. Remedy: set $13=0 and run again"
-                )
+                raise self._failure(f"{found}, which is the same in inches. Remedy: set $13=0 and run again")
             if time.monotonic() > end:
-                self.home_position = {}
-                found = f"stands at {position[letter]:.3f}, expected {target:.3f}"
-                raise DeviceError(
-                    f"{self.device} at {self.port}: sent 'G53 G0 {word}', axis {letter} {found} after {MOVE_S:g} s. "
-                    "Remedy: check what holds it, then run again; the axes are homed first"
-                )
+                remedy = "check what holds it, then run again; the axes are homed first"
+                raise self._failure(f"{found} after {MOVE_S:g} s. Remedy: {remedy}")
             time.sleep(POLL_S)
 
     def close(self) -> None:
@@ -174,28 +166,23 @@ class Grbl:
                 return state, position
             self.alarmed = self.alarmed or state == "Alarm"
             if state == "Alarm" or state in STATES:
-                self.home_position = {}
-                why = STATES.get(state, ERRORS[9])
-                raise DeviceError(f"{self.device} at {self.port}: sent '?', received the state {state}. {why}")
+                raise self._failure(f"sent '?', received the state {state}. {STATES.get(state, ERRORS[9])}")
             if time.monotonic() > end:
-                self.home_position = {}
-                raise DeviceError(
-                    f"{self.device} at {self.port}: still in state {state} after the time for this movement. "
-                    "Remedy: check what holds the axis, and its greatest speed ($110 to $112)"
-                )
+                remedy = "check what holds the axis, and its greatest speed ($110 to $112)"
+                raise self._failure(f"still in state {state} after the time for this movement. Remedy: {remedy}")
             time.sleep(POLL_S)
 
     def _status(self) -> tuple[str, dict[str, float]]:
         match = self._asking("?", r"^<([A-Za-z]+)(?::\d+)?\|(.*)>$", ANSWER_S, ending=False)
-        position = re.search(r"MPos:([-\d.,]+)", match[2])
-        try:
-            values = [float(value) for value in position[1].split(",")] if position else []
-        except ValueError:
-            values = []
-        if not values:
-            where = f"{self.device} at {self.port}"
-            raise DeviceError(f"{where}: sent '?', received {match[0]!r} without a machine position. Remedy: set $10=1")
-        return match[1], dict(zip("XYZABC", values, strict=False))
+        position = re.search(r"MPos:(-?[\d.]+(?:,-?[\d.]+)*)", match[2])
+        if position is None:
+            raise self._failure(f"sent '?', received {match[0]!r} without a machine position. Remedy: set $10=1")
+        return match[1], dict(zip("XYZABC", map(float, position[1].split(",")), strict=False))
+
+    def _failure(self, what: str) -> DeviceError:
+        """Make the error of a controller whose positions are then unknown."""
+        self.home_position = {}
+        return DeviceError(f"{self.device} at {self.port}: {what}")
 
 
 class GrblSettings(Closed):
