@@ -131,50 +131,12 @@ def calibrate_target(given: TargetInput) -> Calibration:
         levels = ", ".join(f"{standard}: {verdict(errors.summary, standard)}" for standard in CRITERIA)
         mean, largest = errors.summary["delta_e_mean"], errors.summary["delta_e_max"]
         sentences.append(f"Colours {how}: CIEDE2000 {mean:.2f} mean, {largest:.2f} largest ({levels}).")
-    return Calibration(
-        "target",
-        numbers,
-        [given.photograph, *([given.reflectances] if given.reflectances else [])],
-        lines,
-        _sections(picture, names, reference, patches, judged, recovered),
-        " ".join(sentences),
-        files,
-        warnings,
-    )
-
-
-def _sections(
-    picture: np.ndarray,
-    names: tuple[str, ...],
-    reference: np.ndarray,
-    patches: Patches,
-    judged: dict[str, ColourErrors],
-    sensitivities: Sensitivities | None,
-) -> list[Section]:
-    """Build the sections of a target's page.
-
-    Parameters
-    ----------
-    picture : (rows, columns, 3) uint8
-        The photograph, sRGB-coded.
-    names, reference : 24 names, (24, 3)
-        Of the patches, XYZ under D50.
-    patches : Patches
-        What was read.
-    judged : dict
-        Errors of the colours as delivered and after correction, by these words.
-    sensitivities : Sensitivities or None
-        Of the camera, where the lamp's spectrum is known.
-    """
-    sections = [
-        Section(
-            "colours", "Colours", [*_pictures(picture, reference, patches, judged), _table(names, patches, judged)]
-        ),
-        Section("verdicts", "Verdicts", [*_verdicts(judged), JUDGED]),
-    ]
-    if sensitivities is not None:
-        sections.append(Section("sensitivities", "Sensitivities of the camera", _sensitivities(sensitivities)))
-    return sections
+    colours = [*_pictures(picture, reference, patches, judged), _table(names, patches, judged)]
+    sections = [Section("colours", "Colours", colours), Section("verdicts", "Verdicts", [*_verdicts(judged), JUDGED])]
+    if recovered is not None:
+        sections.append(Section("sensitivities", "Sensitivities of the camera", _sensitivities(recovered)))
+    inputs = [given.photograph, *([given.reflectances] if given.reflectances else [])]
+    return Calibration("target", numbers, inputs, lines, sections, " ".join(sentences), files, warnings)
 
 
 def _pictures(picture, reference, patches: Patches, judged: dict[str, ColourErrors]) -> list[Block]:
