@@ -46,7 +46,6 @@ CROP_REACH = 4.0  # of such a crop, in radii of the cluster
 AGREEMENT = np.radians(8.0)  # up to which directions from two circles belong to two balls
 CLEAR = 0.7  # support of a circle that is not moved
 SETTLED = np.radians(1.5)  # up to which rays agree as well as places on reduced photographs can
-MATT_SHARE = 0.36  # of the photographs in which a place on a ball is bright, from which it is no mirror
 
 
 def locate_given(given: SphereInput, findings: Findings) -> list[Circle]:
@@ -182,28 +181,7 @@ def search_circles(given: SphereInput, overview: Overview, findings: Findings) -
             nowhere = Circle(cluster.centre[0], cluster.centre[1], cluster.radius, 0.0)
             best = max(circles, key=lambda each: each.support, default=nowhere)
             findings.rejected.append((best, f"no outline: edges along {100 * best.support:.0f} % of a circle only"))
-    chosen = []
-    for circle in _choose(candidates, left, overview, findings):
-        share = _lit_share(circle, overview)
-        if share > max(MATT_SHARE, 1.8 / len(overview.stack)):
-            why = f"a matt ball: places on it are bright in {100 * share:.0f} % of the photographs"
-            findings.rejected.append((circle, why))
-        else:
-            chosen.append(circle)
-    return chosen, list(fine.values())
-
-
-def _lit_share(circle: Circle, overview: Overview) -> float:
-    """Compute the mean share of the photographs in which a place on a ball's middle is bright, less what all show.
-
-    A mirror shows a spot in one photograph here and in another there; on a matt ball, glossy or not, the whole follows
-    the lamp.
-    """
-    rows, columns = np.indices(overview.stack.shape[1:])
-    column, row = ((v + 0.5) / overview.factor - 0.5 for v in circle[:2])
-    light = overview.stack[:, np.hypot(columns - column, rows - row) < 0.6 * circle.radius / overview.factor]
-    light = np.maximum(light - np.percentile(light, 25, axis=0), 0)  # a flash may have failed
-    return float((light.sum(axis=0) ** 2).sum() / max(len(light) * (light**2).sum(), 1e-12))
+    return _choose(candidates, left, overview, findings), list(fine.values())
 
 
 def _choose(
