@@ -42,11 +42,8 @@ T = TypeVar("T")
 class Capture(Photographed):
     """A flat object under many lamps."""
 
-    settings: CaptureFile
     lights: Lights  # all lamps of the lights file
     intensities: np.ndarray | None  # (lights, channels) float64 or None
-    sensitivities: Curves | None  # curves in the order of camera.channels, or None
-    illuminant: Curves | str | None  # curves, the name of a CIE illuminant, or None
     mask: Path | None
     regions: Path | None
     warnings: tuple[Problem, ...]  # what was tolerated
@@ -178,12 +175,11 @@ def examine(root: Path) -> tuple[AnyCapture | None, list[Problem]]:
     label = settings.camera.sensitivities
     sensitivities = attempt(lambda: read_curves(curves, names=names, label=label)) if curves else None
     illuminant = _illuminant(settings, named, attempt)
-    if isinstance(settings, TurntableFile):
-        turned, remarks = examine_turntable(root, payload, settings, frames, (sensitivities, illuminant), attempt)
-        return turned, problems + remarks
-    if isinstance(settings, GoniometerFile):
-        measured, remarks = examine_goniometer(root, payload, settings, frames, (sensitivities, illuminant), attempt)
-        return measured, problems + remarks
+    if isinstance(settings, TurntableFile | GoniometerFile):
+        read = Photographed(root, payload, settings, frames or (), sensitivities, illuminant)
+        further = examine_turntable if settings.geometry == "turntable" else examine_goniometer
+        capture, remarks = further(read, frames is not None, attempt)
+        return capture, problems + remarks
     lights_path, kind = named(settings.lights.file, "lights.file"), settings.lights.kind
     lights = attempt(lambda: read_lights(lights_path, kind=kind)) if lights_path else None
     mask, regions = named(settings.mask, "mask"), named(settings.regions, "regions")
@@ -196,10 +192,8 @@ def examine(root: Path) -> tuple[AnyCapture | None, list[Problem]]:
     intensities = attempt(lambda: read_intensities(scales, lights, names)) if scales else None
     problems += match_frames(frames, lights, settings)
     doubts = tuple(p for p in (*problems, *lights.warnings) if p.severity == "warning")
-    capture = Capture(
-        root, payload, settings, frames, lights, intensities, sensitivities, illuminant, mask, regions, doubts
-    )
-    return capture, problems + list(lights.warnings)
+    common = (root, payload, settings, frames, sensitivities, illuminant)
+    return Capture(*common, lights, intensities, mask, regions, doubts), problems + list(lights.warnings)
 
 
 def _illuminant(settings: Session, named: Callable, attempt: Callable) -> Curves | str | None:

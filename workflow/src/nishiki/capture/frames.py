@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from nishiki.capture.lights import Lights, light_name
 from nishiki.capture.polariser import parse_state
+from nishiki.capture.tables import Curves
 from nishiki.formats.files import bound, leads_out, name_fault
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse
 from nishiki.formats.text_tables import expect_rows, label_problems, number_of, reading, table_rows
@@ -301,6 +302,8 @@ class Photographed:
     payload: Path  # where capture.yaml lies (root, or root/data of a sealed one)
     settings: Any  # the CaptureFile, TurntableFile or GoniometerFile
     frames: tuple[Frame, ...]  # in the order of frames.csv
+    sensitivities: Curves | None  # curves in the order of camera.channels, or None
+    illuminant: Curves | str | None  # curves, the name of a CIE illuminant, or None
 
     @property
     def geometry(self) -> str:

@@ -13,7 +13,6 @@ from nishiki.capture.frames import ANGLE_COLUMNS, Frame, Photographed, exposure_
 from nishiki.capture.goniometer_tables import ReflectanceTable, in_radians, radians_problem, read_table
 from nishiki.capture.options import Azimuths, Values
 from nishiki.capture.schema_base import Positive, Session
-from nishiki.capture.tables import Curves
 from nishiki.formats.files import is_label
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.goniometry.directions import unit
@@ -197,8 +196,6 @@ class GoniometerCapture(Photographed):
     settings: GoniometerFile
     table: ReflectanceTable | None
     regions: Path | None
-    sensitivities: Curves | None
-    illuminant: Curves | str | None
     warnings: tuple[Problem, ...]
 
     @property
@@ -221,43 +218,29 @@ class GoniometerCapture(Photographed):
 
 
 def examine_goniometer(
-    root: Path,
-    payload: Path,
-    settings: GoniometerFile,
-    frames: tuple[Frame, ...] | None,
-    spectra: tuple[Curves | None, Curves | str | None],
-    attempt: Callable,
+    read: Photographed, complete: bool, attempt: Callable
 ) -> tuple[GoniometerCapture | None, list[Problem]]:
     """Read the capture (None where its tables cannot be read) and list how its tables contradict each other.
 
-    frames: of frames.csv, None where it cannot be read; spectra: sensitivities and illuminant; attempt: runs a reader,
-    collecting the problems that it raises.
+    complete: whether frames.csv could be read; attempt: runs a reader, collecting the problems that it raises.
     """
-    block = settings.goniometer
+    payload, block = read.payload, read.settings.goniometer
     named = {key: attempt(lambda f=file, k=key: inside(payload, f, f"capture.yaml {k}")) for key, file in block.files}
     path, table = named.get("goniometer.table"), None
     if block.table is not None:
-        read = {"values": block.values, "azimuths": block.azimuths}
-        table = attempt(lambda: read_table(path, block.table, **read)) if path else None
+        held = {"values": block.values, "azimuths": block.azimuths}
+        table = attempt(lambda: read_table(path, block.table, **held)) if path else None
         if table is None:
             return None, []
         problems = list(table.warnings)
         if (payload / "frames.csv").exists():
             what = "photographs beside goniometer.table: a capture has either"
             problems.append(error("frames-unexpected", "frames.csv", what))
-    elif frames is None:
+    elif not complete:
         return None, []
     else:
-        problems = goniometer_problems(frames)
-    capture = GoniometerCapture(
-        root=root,
-        payload=payload,
-        settings=settings,
-        frames=frames or (),
-        table=table,
-        regions=named.get("goniometer.regions"),
-        sensitivities=spectra[0],
-        illuminant=spectra[1],
-        warnings=tuple(p for p in problems if p.severity == "warning"),
-    )
-    return capture, problems
+        problems = goniometer_problems(read.frames)
+    doubts = tuple(p for p in problems if p.severity == "warning")
+    return GoniometerCapture(
+        **vars(read), table=table, regions=named.get("goniometer.regions"), warnings=doubts
+    ), problems

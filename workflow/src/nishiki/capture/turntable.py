@@ -8,7 +8,7 @@ import numpy as np
 
 from nishiki.capture.frames import Frame, Photographed, inside
 from nishiki.capture.lights import Lights, read_lights
-from nishiki.capture.tables import Curves, arrange_cameras, read_cameras, read_points
+from nishiki.capture.tables import arrange_cameras, read_cameras, read_points
 from nishiki.capture.turntable_rules import Intrinsics, TurntableFile, read_intrinsics, turntable_problems
 from nishiki.formats.mesh_heading import expect_mesh
 from nishiki.formats.problems import Problem
@@ -36,8 +36,6 @@ class TurntableCapture(Photographed):
     mesh: Path | None
     scans: tuple[Path, ...]
     calibration: Path | None
-    sensitivities: Curves | None
-    illuminant: Curves | str | None
     warnings: tuple[Problem, ...]
 
     @property
@@ -61,25 +59,20 @@ class TurntableCapture(Photographed):
 
 
 def examine_turntable(
-    root: Path,
-    payload: Path,
-    settings: TurntableFile,
-    frames: tuple[Frame, ...] | None,
-    spectra: tuple[Curves | None, Curves | str | None],
-    attempt: Callable,
+    read: Photographed, complete: bool, attempt: Callable
 ) -> tuple[TurntableCapture | None, list[Problem]]:
     """Read the capture (None where its tables cannot be read) and list how its tables contradict each other.
 
-    spectra: sensitivities and illuminant; attempt: runs a reader, collecting the problems that it raises.
+    complete: whether frames.csv could be read; attempt: runs a reader, collecting the problems that it raises.
     """
-    block = settings.turntable
+    settings, payload, block = read.settings, read.payload, read.settings.turntable
     places = {(key, file): attempt(lambda f=file, k=key: inside(payload, f, f"capture.yaml {k}"))
               for key, file in block.files}  # fmt: skip
 
     def named(key: str) -> Path | None:
         return places.get((f"turntable.{key}", getattr(block, key)))
 
-    def read(key: str, reader: Callable):
+    def from_file(key: str, reader: Callable):
         return attempt(lambda: reader(named(key), getattr(block, key))) if named(key) else None
 
     for (key, file), path in places.items():
@@ -89,13 +82,13 @@ def examine_turntable(
     file, kind = (settings.lights.file, settings.lights.kind) if settings.lights else (None, "direction")
     listed = attempt(lambda: inside(payload, file, "capture.yaml lights.file")) if file else None
     lights = attempt(lambda: read_lights(listed, kind=kind, frontal=False)) if listed else None
-    table, intrinsics = read("cameras", read_cameras), read("intrinsics", read_intrinsics)
-    if frames is None:
+    table, intrinsics = from_file("cameras", read_cameras), from_file("intrinsics", read_intrinsics)
+    if not complete:
         return None, []
-    frames = _lamps_named(frames, lights)
+    frames = _lamps_named(read.frames, lights)
     samples = [f for f in frames if f.role == "sample"]
     views = tuple(dict.fromkeys(f.view for f in samples))
-    points = read("correspondences", lambda path, name: read_points(path, name, views))
+    points = from_file("correspondences", lambda path, name: read_points(path, name, views))
     problems = turntable_problems(frames, views, lights, table.matrices if table else None, settings)
     if table is not None and (block.turn == "reverse" or block.camera_of):
         table = attempt(
@@ -105,10 +98,7 @@ def examine_turntable(
     if set(states) == {"off", "on"}:
         states = ("off", "on")  # the first state is the brighter one
     capture = TurntableCapture(
-        root=root,
-        payload=payload,
-        settings=settings,
-        frames=frames,
+        **vars(read) | {"frames": frames},
         views=views,
         light_names=tuple(dict.fromkeys(f.light for f in samples)),
         states=states,
@@ -120,8 +110,6 @@ def examine_turntable(
         mesh=named("mesh"),
         scans=tuple(path for (key, _), path in places.items() if key == "turntable.scans" and path),
         calibration=named("calibration"),
-        sensitivities=spectra[0],
-        illuminant=spectra[1],
         warnings=tuple(p for p in (*problems, *(lights.warnings if lights else ())) if p.severity == "warning"),
     )
     return capture, problems + list(lights.warnings if lights else ())
