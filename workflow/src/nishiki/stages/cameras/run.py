@@ -23,10 +23,9 @@ def run(context: Context) -> dict:
     points = read_points(folder / name, name, views.views) if name else None
     source = source_of(context.settings.source, views, points)
     if source == "matrices":
-        cameras, errors, diagnostics, mirror = given(views, points)
+        (cameras, errors, mirror), diagnostics = given(views, points), {}
     else:
-        cameras, errors, diagnostics = located(context, views, source, points)
-        mirror = None
+        (cameras, errors, diagnostics), mirror = located(context, views, source, points), None
     save_cameras(
         context.output.path("cameras.json"),
         cameras,
@@ -72,9 +71,7 @@ def source_of(source: str, views: Views, points: dict[str, np.ndarray] | None) -
     )
 
 
-def given(
-    views: Views, points: dict[str, np.ndarray] | None
-) -> tuple[list[Camera], list[float | None], dict, tuple | None]:
+def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Camera], list[float | None], tuple | None]:
     """Return the given matrices with the distortion of a given lens, and their error where correspondences tell it."""
     rows, columns = views.shape
     matrices = views.matrices or {}
@@ -100,7 +97,7 @@ def given(
                     "Remedy: matrices and points must be of one world; check unit and order of the axes"
                 )
             errors[place] = float(np.sqrt(((pixels - table[:, :2]) ** 2).sum(axis=1).mean()))
-    return cameras, errors, {}, decomposed.mirror
+    return cameras, errors, decomposed.mirror
 
 
 def located(context: Context, views: Views, source: str, points: dict | None) -> tuple[list[Camera], list[float], dict]:

@@ -64,7 +64,12 @@ def solve(
         max_condition=settings.max_condition,
     )
     if field.shading is not None and observations.shape[-1] > 1:
-        field = with_shading_of_mean(field, intensity, observations, parcel, usable, valid, settings)
+        # gloss was weighted down for the normals; light is predicted with all of it
+        from nishiki.photometric.body_terms import shading_of_mean
+
+        mean, lit = mean_of_channels(observations), {"usable": usable, "valid": valid}
+        shading = shading_of_mean(intensity, mean, parcel.directions, field, **lit, least_change=WEIGHTED)
+        field = replace(field, shading=shading)
     maps = {name: getattr(field, name) for name in MAPS if hasattr(field, name)}
     if observations.shape[-1] == 1 and field.shading is None:
         maps["reflectance"] = field.albedo[..., None]
@@ -124,20 +129,6 @@ def fit_finishes(
             of_finish = observations[:, here][:, None], valid[:, here][:, None]
             for name, values in fitted_together(start, *of_finish, parcel, settings, gloss).items():
                 maps[name][here] = values[0]
-
-
-def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable, valid, settings):
-    """Replace the body shading by that of the channels' mean where the normals' intensity is another.
-
-    There gloss was weighted down for the normals; light is predicted with all of it.
-    """
-    from nishiki.photometric.body_terms import shading_of_mean
-
-    mean = mean_of_channels(observations)
-    shading = shading_of_mean(
-        intensity, mean, parcel.directions, field, usable=usable, valid=valid, least_change=WEIGHTED
-    )
-    return replace(field, shading=shading)
 
 
 def relit(

@@ -59,15 +59,29 @@ def run(context: Context) -> dict:
     settings = context.settings
     inputs, texels = context.inputs, Texels(context.inputs["texels"].folder)
     mesh, cameras = Mesh.load(inputs["mesh"].path("mesh.npz")), load_cameras(inputs["cameras"].path("cameras.json"))
-    lighting = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())["lighting"]
-    others = cost_of(mesh, texels.atlas.chart, cameras, lighting, {}).parts  # what a renderer needs beside the residual
-    reflection = context.inputs["object_brdf"].folder
-    source = ArtifactSource(texels, ParameterMaps(reflection), settings)
-    fitted = json.loads((reflection / "object_brdf.json").read_text())
-    scene = scene_of(texels, fitted["lighting"])
+    fitted = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())
+    # what a renderer needs beside the residual
+    others = cost_of(mesh, texels.atlas.chart, cameras, fitted["lighting"], {}).parts
+    source = ArtifactSource(texels, ParameterMaps(inputs["object_brdf"].folder), settings)
+    lamps = Lighting.from_dict(fitted["lighting"])
+    pairs = [(camera, light) for light in range(len(texels.lights)) for camera in texels.cameras]
+    scene = CodedScene(np.array([camera.centre for camera, _ in pairs]), [lamps.lamp(*pair) for pair in pairs])
     pursuit = Pursuit(rounds=settings.rounds)
     effort = Effort(pursuit=pursuit, refinements=settings.refinements, gloss=fitted["specular"])
-    design, workers = design_of(texels, settings), threads()
+    workers = threads()
+    design = Design(  # what settings and capture determine before anything is measured
+        tile_size=texels.size,
+        views=len(texels.views),
+        lights=len(texels.lights),
+        channels=texels.channels,
+        full_turn=bool(texels.full_turn),
+        encoding=texels.encoding,
+        wavelet=settings.wavelet,
+        levels=settings.levels,
+        view_transform=settings.view_transform,
+        arcs=settings.arcs,
+        model=settings.model,
+    )
     piloted = pilot(source, scene, design, effort, threads=workers, progress=context.progress)
     counts = source.counts()
 
@@ -239,32 +253,6 @@ class ArtifactSource:
             visible += int(np.count_nonzero(self.texels.visible(tile)[self.kept]))
         channels, every = self.texels.channels, self.tiles * self.texels.size**2 * len(self.kept)
         return {"pixels": pixels, "visible": visible * channels, "samples": every * channels}
-
-
-def scene_of(texels: Texels, lighting: dict) -> CodedScene:
-    """Return camera centres and lamps of every observation, light by light."""
-    lamps = Lighting.from_dict(lighting)
-    pairs = [(camera, light) for light in range(len(texels.lights)) for camera in texels.cameras]
-    return CodedScene(
-        np.array([camera.centre for camera, _ in pairs]), [lamps.lamp(camera, light) for camera, light in pairs]
-    )
-
-
-def design_of(texels: Texels, settings: ResidualSettings) -> Design:
-    """Return what the settings and the capture determine before anything is measured."""
-    return Design(
-        tile_size=texels.size,
-        views=len(texels.views),
-        lights=len(texels.lights),
-        channels=texels.channels,
-        full_turn=bool(texels.full_turn),
-        encoding=texels.encoding,
-        wavelet=settings.wavelet,
-        levels=settings.levels,
-        view_transform=settings.view_transform,
-        arcs=settings.arcs,
-        model=settings.model,
-    )
 
 
 def goal_of(settings: ResidualSettings, counts: dict[str, int], others: dict[str, int], tiles: int) -> float:
