@@ -334,59 +334,35 @@ def expected_angle(normals: dict[str, Any], height: dict[str, Any] | None) -> fl
 
 def at_a_glance(diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, Any] | None) -> list[Metric]:
     """List the figures that matter most; diagnostics : of the stages; evaluation : evaluation.json or None."""
-    normals, spectra = diagnostics["normals"], diagnostics.get("spectra")
-    expected = expected_angle(normals, diagnostics.get("height"))
-    evaluation = evaluation or {}
-    tiles = []
-    if evaluation.get("lights"):
-        overall, count = evaluation["overall"]["de00"], len(evaluation["lights"])
+    normals, evaluation = diagnostics["normals"], evaluation or {}
+    tiles: list[tuple[float | None, str, str]] = []
+    if lights := evaluation.get("lights"):
+        overall, photographs = evaluation["overall"]["de00"], f"{len(lights)} photograph{'s' * (len(lights) > 1)}"
         guessed = (evaluation.get("colour") or {}).get("rmse_xyz") is None
         lamp = "colours taken as under D65" if guessed else "under the lamp of the capture"
-        tiles.append(
-            Metric(
-                overall["mean"],
-                "ΔE00",
-                f"mean colour error of {count} photograph{'s' * (count > 1)} that no fit used, {lamp}",
-            )
-        )
-        tiles.append(Metric(overall["p90"], "ΔE00", "colour error that nine of ten pixels stay below"))
+        tiles.append((overall["mean"], "ΔE00", f"mean colour error of {photographs} that no fit used, {lamp}"))
+        tiles.append((overall["p90"], "ΔE00", "colour error that nine of ten pixels stay below"))
         if evaluation["parts"]:
             part = worst_part(evaluation["parts"])
             name = part_name(part, finish_names(normals.get("finishes") or []))
-            tiles.append(Metric(part["de00"]["mean"], "ΔE00", f"mean of the part that is predicted worst: {name}"))
-    if evaluation.get("normals"):
-        tiles.append(Metric(evaluation["normals"]["estimated"]["mean"], "°", "mean angle of the normals to the truth"))
-    elif expected is not None:
-        tiles.append(Metric(expected, "°", "median expected error of a normal"))
-    if evaluation.get("reflectance"):
-        tiles.append(
-            Metric(
-                evaluation["reflectance"]["de00"]["D65"]["mean"],
-                "ΔE00",
-                "mean colour difference of the reflectance to the truth, D65",
-            )
-        )
-    elif colour_error := (spectra or {}).get("expected_de00"):
-        tiles.append(
-            Metric(
-                colour_error["D65"],
-                "ΔE00",
-                "expected mean colour error under daylight (D65) by the spectra alone: level and gloss as they are",
-            )
-        )
-    if evaluation.get("height") and evaluation["height"]["rms"] is not None:
-        height = evaluation["height"]
-        tiles.append(
-            Metric(
-                1000 * height["rms"],
-                "µm",
-                f"rms error of the height; the relief itself has {1000 * height['relief_rms']:.0f} µm",
-            )
-        )
-    share = normals["valid_pixels"] / normals["object_pixels"] if normals.get("object_pixels") else None
-    if share is not None:
-        tiles.append(Metric(100 * share, "%", "of the object's pixels have a normal"))
-    return tiles
+            tiles.append((part["de00"]["mean"], "ΔE00", f"mean of the part that is predicted worst: {name}"))
+    if angles := evaluation.get("normals"):
+        tiles.append((angles["estimated"]["mean"], "°", "mean angle of the normals to the truth"))
+    else:
+        expected = expected_angle(normals, diagnostics.get("height"))
+        tiles.append((expected, "°", "median expected error of a normal"))
+    if reflectance := evaluation.get("reflectance"):
+        error = reflectance["de00"]["D65"]["mean"]
+        tiles.append((error, "ΔE00", "mean colour difference of the reflectance to the truth, D65"))
+    elif colour_error := (diagnostics.get("spectra") or {}).get("expected_de00"):
+        words = "expected mean colour error under daylight (D65) by the spectra alone: level and gloss as they are"
+        tiles.append((colour_error["D65"], "ΔE00", words))
+    if (height := evaluation.get("height")) and height["rms"] is not None:
+        words = f"rms error of the height; the relief itself has {1000 * height['relief_rms']:.0f} µm"
+        tiles.append((1000 * height["rms"], "µm", words))
+    if count := normals.get("object_pixels"):
+        tiles.append((100 * normals["valid_pixels"] / count, "%", "of the object's pixels have a normal"))
+    return [Metric(value, unit, meaning) for value, unit, meaning in tiles if value is not None]
 
 
 VISIBLE, PLAIN = 2.0, 5.0

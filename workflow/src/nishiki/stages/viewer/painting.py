@@ -1,7 +1,7 @@
 """Viewer: a page on which a painting is seen under moving lamps, its data beside it or inside it."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -109,85 +109,73 @@ def layers_of(inputs: dict[str, Artifact], blocks: Blocks) -> list[dict[str, Any
         {"name": "appearance", "label_key": "layer.appearance", "unit": "", "range": [0, 1], "map": "grey"},
         {"name": "normals", "label_key": "layer.normals", "unit": "", "range": [-1, 1], "map": "normal"},
     ]
-    normals = Maps(inputs["normals"].folder)
+    maps = {name: Maps(each.folder) for name, each in inputs.items() if each.path("maps.zarr").is_dir()}
+    normals = maps["normals"]
     sources = [
-        ("sigma", "°", "grey", normals, "sigma", np.degrees(1.0)),
-        ("residual", "", "grey", normals, "residual", 1.0),
+        ("height", maps["height"].attributes("height")["unit"] if "height" in maps else "", "height", "height", 1.0),
+        ("sigma", "°", "normals", "sigma", np.degrees(1.0)),
+        ("residual", "", "normals", "residual", 1.0),
+        ("sigma_spectrum", "", "spectra", "sigma", 1.0),
     ]
-    if "height" in inputs:
-        height = Maps(inputs["height"].folder)
-        sources.insert(0, ("height", height.attributes("height")["unit"], "grey", height, "height", 1.0))
-    if "spectra" in inputs:
-        sources.append(("sigma_spectrum", "", "grey", Maps(inputs["spectra"].folder), "sigma", 1.0))
-    for name, unit, colours, maps, key, factor in sources:
-        layers.append(_measured(name, unit, colours, factor * _reduced(maps, key), blocks))
-    if "evaluate" in inputs and inputs["evaluate"].path("maps.zarr").is_dir():
-        difference = _mean_difference(
-            Maps(inputs["evaluate"].folder), len(inputs["ingest"].diagnostics.get("lights", ()))
-        )
+    for name, unit, stage, key, factor in sources:
+        if stage in maps:
+            layers.append(_measured(name, unit, factor * _reduced(maps[stage], key), blocks))
+    if "evaluate" in maps:
+        difference = _mean_difference(maps["evaluate"], len(inputs["ingest"].diagnostics.get("lights", ())))
         if difference is not None:
-            layers.append(_measured("delta_e", "CIEDE2000", "grey", difference, blocks))
+            layers.append(_measured("delta_e", "CIEDE2000", difference, blocks))
     layers.append(_counted("lights_used", "lights", "grey", normals, blocks))
     if any(count for name, count in inputs["normals"].diagnostics.items() if name.startswith("flagged_")):
         layers.append(_counted("flags", "", "flags", normals, blocks))
     return layers
 
 
-def _block_side(shape: tuple[int, ...]) -> int:
-    return int(np.ceil(np.sqrt(shape[0] * shape[1] / MOST_PIXELS)))
-
-
-def _reduced(maps: Maps, key: str) -> np.ndarray:
-    """Return a map averaged over blocks to at most `MOST_PIXELS`, NaN where nothing is known."""
+def _reduced(maps: Maps, key: str, how: Literal["mean", "middle"] = "mean") -> np.ndarray:
+    """Reduce a map over blocks to at most `MOST_PIXELS`; a mean is NaN where nothing is known."""
     shape = maps.group[key].shape[:2]
-    return shrink(lambda rows: maps.read(key, rows), shape, _block_side(shape))
+    block = int(np.ceil(np.sqrt(shape[0] * shape[1] / MOST_PIXELS)))
+    return shrink(lambda rows: maps.read(key, rows), shape, block, how)
 
 
 def _mean_difference(maps: Maps, lights: int) -> np.ndarray | None:
     """Return mean colour difference over the lights left out, NaN where none was compared."""
-    names = [name for name in (f"de00_{light:03d}" for light in range(lights)) if name in maps]
-    if not names:
+    parts = [_reduced(maps, name) for name in (f"de00_{light:03d}" for light in range(lights)) if name in maps]
+    if not parts:
         return None
-    parts = [_reduced(maps, name) for name in names]
-    total = sum((np.nan_to_num(values) for values in parts), np.zeros_like(parts[0]))
-    count = sum((np.isfinite(values) for values in parts), np.zeros(total.shape, int))
-    return np.divide(total, count, out=np.full(total.shape, np.nan, np.float32), where=count > 0)
+    count = np.isfinite(parts).sum(axis=0)
+    return np.where(count > 0, np.nansum(parts, axis=0) / np.maximum(count, 1), np.nan)
 
 
-def _measured(name: str, unit: str, colours: str, values: np.ndarray, blocks: Blocks) -> dict[str, Any]:
+def _measured(name: str, unit: str, values: np.ndarray, blocks: Blocks) -> dict[str, Any]:
     """Return codes of the range of the values; those beyond its ends take its ends."""
     known = np.isfinite(values)
     low, high = np.percentile(values[known], (100 - FARTHEST, FARTHEST)) if known.any() else (0.0, 1.0)
     low, high = float(low), float(max(high, low + 1e-9))
-    codes = np.where(
-        known, np.clip(np.rint((np.nan_to_num(values) - low) * (LARGEST / (high - low))), 0, LARGEST), UNKNOWN
-    )
-    return _written(name, unit, colours, codes.astype(np.uint8), low, high, blocks)
+    codes = np.clip(np.rint((np.nan_to_num(values) - low) * (LARGEST / (high - low))), 0, LARGEST)
+    return _written(name, unit, "grey", np.where(known, codes, UNKNOWN).astype(np.uint8), (low, high), blocks)
 
 
 def _counted(name: str, unit: str, colours: str, maps: Maps, blocks: Blocks) -> dict[str, Any]:
     """Return whole numbers, the pixel in the middle of every block."""
-    shape = maps.group[name].shape[:2]
-    values = shrink(lambda rows: maps.read(name, rows), shape, _block_side(shape), "middle")
+    values = _reduced(maps, name, "middle")
     high = LARGEST if colours == "flags" else max(int(values.max()), 1)
     top = max(high, LARGEST)  # more than 254 lights share codes
     codes = np.rint(np.minimum(values, top) * (LARGEST / top)).astype(np.uint8)
-    return {**_written(name, unit, colours, codes, 0, top, blocks), "range": [0, high]}
+    return {**_written(name, unit, colours, codes, (0, top), blocks), "range": [0, high]}
 
 
 def _written(
-    name: str, unit: str, colours: str, codes: np.ndarray, low: float, high: float, blocks: Blocks
+    name: str, unit: str, colours: str, codes: np.ndarray, ends: tuple[float, float], blocks: Blocks
 ) -> dict[str, Any]:
-    block = f"layer-{name}"
-    blocks.add(block, webp([codes] * 3))
+    blocks.add(f"layer-{name}", webp([codes] * 3))
     return {
         "name": name,
         "label_key": f"layer.{name}",
         "unit": unit,
-        "range": [low, high],
+        "range": list(ends),
         "map": colours,
-        "block": block,
-        "code": {"low": low, "high": high, "top": LARGEST, "nothing": UNKNOWN},
+        "block": f"layer-{name}",
+        "code": {"low": ends[0], "high": ends[1], "top": LARGEST, "nothing": UNKNOWN},
         "rows": codes.shape[0],
         "columns": codes.shape[1],
     }
