@@ -72,7 +72,7 @@ def reflectance_of(writer):
     write_reflectances(writer.folder, measured(), more=more)
     writer.path("coverage.svg").write_text('<svg viewBox="0 0 9 9"><circle cx="4" cy="4" r="3"/></svg>')
     return {"directions": 64, "incidences": 1, "normal_incidence": 64, "regions": ["cloth"], "channels": ["grey"],
-            "symmetry": "quarter", "weave": "satin", "noise_relative": 0.0123}  # fmt: skip
+            "symmetry": "quarter", "symmetry_errors": None, "weave": "satin", "noise_relative": 0.0123}  # fmt: skip
 
 
 def cloth_of(writer):

@@ -1,5 +1,6 @@
 """Cloth report: one page on a cloth, from the artifacts of all other stages."""
 
+import json
 from typing import Any
 
 from nishiki.artifacts.artifact import Artifact
@@ -15,7 +16,6 @@ from nishiki.report.page import (
     Metric,
     Section,
     Table,
-    contents,
     film_and_notes,
     read_json,
 )
@@ -63,9 +63,7 @@ def run(context: Context) -> dict:
 
 def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any] | None, region: str) -> list[Metric]:
     """List the figures that matter most. samples : diagnostics of goniometer_samples; evaluation : evaluation.json."""
-    tiles = []
-    if samples.get("directions") is not None:
-        tiles.append(Metric(samples["directions"], "", "pairs of directions measured"))
+    tiles = [Metric(samples["directions"], "", "pairs of directions measured")]
     if evaluation is not None:
         default = evaluation["default"]
         entry = evaluation["regions"].get(region, {}).get("models", {}).get(default) or {}
@@ -122,22 +120,21 @@ def words(name: str) -> tuple[str, str, str]:
 def coverage_section(samples: Artifact) -> Section:
     """Return the drawing, and a row for each direction of light."""
     blocks: list[Block] = ["Views that were measured for each direction of light."]
-    if drawing := contents(samples, "coverage.svg"):
-        caption = "Each disc is one direction of light; dots are views seen from above, the weft to the right."
-        blocks.append(Figures([Figure("Coverage", caption, svg=drawing.decode())], 1))
+    caption = "Each disc is one direction of light; dots are views seen from above, the weft to the right."
+    drawing = samples.path("coverage.svg").read_text()
     rows = [
         (
-            *(f"{figure(row.get(name))}°" for name in ("theta_deg", "phi_deg")),
-            row.get("views"),
-            row.get("unusable"),
-            percent(None if row.get("covered") is None else 100 * row["covered"]),
-            *(f"{figure(row.get(name))}°" for name in ("gap_deg", "steepest_deg")),
+            *(f"{figure(row[name])}°" for name in ("theta_deg", "phi_deg")),
+            *(row["views"], row["unusable"], percent(100 * row["covered"])),
+            *(f"{figure(row[name])}°" for name in ("gap_deg", "steepest_deg")),
         )
-        for row in (read_json(samples, "reflectance.json") or {}).get("coverage") or []
+        for row in json.loads(samples.path("reflectance.json").read_text())["coverage"]
     ]
-    if rows:
-        head = ("θi", "φi", "views", "unusable", "covered", "widest gap", "steepest view")
-        blocks.append(Fold("Coverage", f"{len(rows)} directions of light", [Table(head, rows, "rrrrrrr")]))
+    head = ("θi", "φi", "views", "unusable", "covered", "widest gap", "steepest view")
+    blocks += [
+        Figures([Figure("Coverage", caption, svg=drawing)], 1),
+        Fold("Coverage", f"{len(rows)} directions of light", [Table(head, rows, "rrrrrrr")]),
+    ]
     return Section("coverage", "Measurements", blocks)
 
 
@@ -145,22 +142,20 @@ def facts(diagnostics: dict[str, Any], capture: dict[str, Any]) -> list[tuple[st
     """Label and text of what is known of the measurements; capture : diagnostics of ingest, if there are any."""
     about = capture.get("capture") or {}
     rows = [(label, str(about[key])) for key, label in FACTS if about.get(key)]
-    directions, along = diagnostics.get("directions"), diagnostics.get("normal_incidence")
-    if directions is not None:
-        text = f"{directions} pairs of directions, {diagnostics.get('incidences')} of light"
-        rows.append(("Measured", text + (f"; {along} with the light along the normal" if along is not None else "")))
+    directions, along = diagnostics["directions"], diagnostics["normal_incidence"]
+    measured = f"{directions} pairs of directions, {diagnostics['incidences']} of light; {along} with the light along "
     kinds = {"quarter": "two mirror planes", "half": "half a turn", "none": "none"}
-    symmetry = kinds.get(diagnostics.get("symmetry", ""), str(diagnostics.get("symmetry") or ""))
-    tried = diagnostics.get("symmetry_errors")
+    symmetry, tried = kinds[diagnostics["symmetry"]], diagnostics["symmetry_errors"]
     if tried and len(tried) > 1:
         errors = ", ".join(f"{kinds[name]} {percent(100 * error)}" for name, error in tried.items())
         symmetry += f", chosen by the error of left-out views: {errors}"
     elif tried is not None:
         symmetry += ", assumed: the views are too few to compare symmetries"
-    texts = {
-        "Cloths": ", ".join(diagnostics.get("regions") or []),
-        "Channels": ", ".join(diagnostics.get("channels") or []),
-        "Symmetry": symmetry,
-        "Weave": str(diagnostics.get("weave") or ""),
-    }
-    return rows + [(label, text) for label, text in texts.items() if text]
+    return [
+        *rows,
+        ("Measured", measured + "the normal"),
+        ("Cloths", ", ".join(diagnostics["regions"])),
+        ("Channels", ", ".join(diagnostics["channels"])),
+        ("Symmetry", symmetry),
+        ("Weave", diagnostics["weave"]),
+    ]

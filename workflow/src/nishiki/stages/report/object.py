@@ -295,18 +295,13 @@ def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return right, np.cross(axis, right)
 
 
-PREVIEWS = ("preview.png", "mesh.png")
-
-
 def geometry_section(mesh: Artifact | None, widest: int) -> Section | None:
     """Return counts, silhouettes and a picture of the surface."""
     if mesh is None:
         return None
-    blocks: list[Block] = [Table((), rows(mesh.diagnostics), "lr")]
-    preview = next((data for name in PREVIEWS if (data := contents(mesh, name)) is not None), None)
-    if preview is not None:
-        blocks.append(Figures([Figure("The surface", "as the stage mesh drew it.", file_picture(preview, widest))]))
-    return Section("geometry", "Geometry", blocks)
+    preview = file_picture(mesh.path("preview.png").read_bytes(), widest)
+    figure = Figure("The surface", "as the stage mesh drew it.", preview)
+    return Section("geometry", "Geometry", [Table((), rows(mesh.diagnostics), "lr"), Figures([figure])])
 
 
 def rows(mesh: dict[str, Any]) -> list[tuple[str, Cell]]:

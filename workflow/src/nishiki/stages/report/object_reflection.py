@@ -107,40 +107,27 @@ def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any]
     if residual is None:
         return None
     intro = "What the model does not explain is kept as wavelet coefficients over the surface and the views."
-    if residual.get("empty_tiles") is not None:
-        intro += f" {figure(residual['empty_tiles'])} of {figure(residual['tiles'])} tiles need none."
-    facts = []
-    if residual.get("psnr_db") is not None:
-        with_model, alone = figure(residual["psnr_db"]), figure(residual.get("model_psnr_db"))
-        region = "over the pixels that the texels were solved for, peak: full scale"
-        text = f"{with_model} dB {region}; model alone {alone} dB"
-        facts.append(("Model and residual", text))
-    if pictures := residual.get("pictures"):
-        text = f"as pictures, {figure(pictures['bytes'] / 1000)} kB, because texels of as many bytes reach "
-        text += (
-            f"{figure(pictures.get('equal_bytes_psnr_db'))} dB; by the texels alone, which serve the views between, "
-        )
-        text += f"{figure(pictures['texels_psnr_db'])} dB"
-        facts.append(("Captured views", text))
-    if residual.get("kept") is not None:
-        text = figure(residual["kept"])
-        if residual.get("kept_of_visible") is not None:
-            visible, every = (percent(100 * residual[name]) for name in ("kept_of_visible", "kept_of_all"))
-            text += f": {visible} of the visible samples, {every} of all"
-        facts.append(("Coefficients kept", text))
-    if residual.get("bits_per_pixel") is not None:
-        facts.append(("Coded size", f"{figure(residual['bits_per_pixel'])} bit an object pixel"))
-    if everything := residual.get("renderer_bytes"):
-        others = sum(everything.get(name, 0) for name in ("mesh", "charts", "cameras", "lamps"))
-        total, beside = figure(everything["total"] / 1000), figure(others / 1000)
-        text = f"{total} kB, of which mesh, charts, cameras and lamps {beside} kB"
-        facts.append(("All that a renderer needs", text))
-    parts = (evaluation or {}).get("bytes") or residual.get("renderer_bytes") or residual.get("bytes") or {}
-    items = []
-    if drawing := bytes_bars(parts):
-        items.append(Figure("Where the bytes go", "Everything that a renderer needs.", svg=drawing))
+    intro += f" {figure(residual['empty_tiles'])} of {figure(residual['tiles'])} tiles need none."
+    alone, visible = figure(residual["model_psnr_db"]), percent(100 * residual["kept_of_visible"])
+    region = "over the pixels that the texels were solved for, peak: full scale"
+    everything = residual["renderer_bytes"]
+    others = sum(everything[name] for name in ("mesh", "charts", "cameras", "lamps"))
+    facts = [("Model and residual", f"{figure(residual['psnr_db'])} dB {region}; model alone {alone} dB")]
+    if pictures := residual["pictures"]:
+        equal, texels = figure(pictures["equal_bytes_psnr_db"]), figure(pictures["texels_psnr_db"])
+        text = f"as pictures, {figure(pictures['bytes'] / 1000)} kB, because texels of as many bytes reach {equal} dB; "
+        facts.append(("Captured views", f"{text}by the texels alone, which serve the views between, {texels} dB"))
+    every = percent(100 * residual["kept_of_all"])
+    beside = f"of which mesh, charts, cameras and lamps {figure(others / 1000)} kB"
+    facts += [
+        ("Coefficients kept", f"{figure(residual['kept'])}: {visible} of the visible samples, {every} of all"),
+        ("Coded size", f"{figure(residual['bits_per_pixel'])} bit an object pixel"),
+        ("All that a renderer needs", f"{figure(everything['total'] / 1000)} kB, {beside}"),
+    ]
+    parts = evaluation["bytes"] if evaluation else everything
+    drawing = Figure("Where the bytes go", "Everything that a renderer needs.", svg=bytes_bars(parts))
     rows = [(_part_name(name), size) for name, size in parts.items()]
-    blocks: list[Block] = [intro, Facts(facts), Figures(items), Fold("Bytes", "by part", [Table((), rows, "lr")])]
+    blocks: list[Block] = [intro, Facts(facts), Figures([drawing]), Fold("Bytes", "by part", [Table((), rows, "lr")])]
     return Section("residual", "Residual", blocks)
 
 
@@ -148,7 +135,7 @@ def bytes_bars(parts: dict[str, int]) -> str:
     """Return bytes of every part as bars, largest first; sums are left out."""
     rows = sorted(((size, name) for name, size in parts.items() if name not in SUMS), key=lambda row: (-row[0], row[1]))
     labels = [_part_name(name) for _, name in rows]
-    return bars([size / 1000 for size, _ in rows], labels, title="bytes by part", unit="kB") if rows else ""
+    return bars([size / 1000 for size, _ in rows], labels, title="bytes by part", unit="kB")
 
 
 def _part_name(name: str) -> str:

@@ -125,7 +125,7 @@ def run(context: Context) -> dict:
                 encoded = coarse
             else:
                 pictures = None
-    figures = diagnostics(encoded, counts)
+    figures: dict = {**diagnostics(encoded, counts), "pictures": None}
     if pictures is not None:
         coded, curve = point_of(pictures), [replace(p, bytes=p.bytes + encoded.bytes) for p in pictures.curve]
         figures["curve"], pictures = [asdict(point) for point in curve], with_strayed(pictures, strayed)
