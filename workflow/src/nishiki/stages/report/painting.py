@@ -9,7 +9,7 @@ from nishiki.artifacts.maps import Maps, shrink
 from nishiki.artifacts.stage import Context
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.observations.plane import Observations
-from nishiki.report.numbers import figure, plain
+from nishiki.report.numbers import plain
 from nishiki.report.page import (
     MOST_PICTURES,
     Block,
@@ -83,7 +83,6 @@ def run(context: Context) -> dict:
             ),
             gloss_section(
                 read_json(inputs.get("brdf"), "parameters.json"),
-                true_gamma=(truth.get("gloss") or {}).get("true_gamma_rad"),
                 finishes=finishes_of(page, diagnostics["normals"].get("finishes") or []),
                 names=names,
             ),
@@ -172,14 +171,12 @@ def finishes_of(page: PageMaps, finishes: list[dict[str, Any]]) -> list[Block]:
 def gloss_section(
     parameters: dict[str, Any] | None,
     *,
-    true_gamma: list[float] | None = None,
     finishes: list[Block] | None = None,
     names: list[str] | None = None,
 ) -> Section | None:
     """None where no gloss was fitted.
 
-    parameters : parameters.json of the stage brdf; true_gamma : least, median and largest half width at half maximum of
-    the true facet distribution, radians, where it is known; finishes : their map and figures; names : of the regions.
+    parameters : parameters.json of the stage brdf; finishes : their map and figures; names : of the regions.
     """
     if parameters is None:
         return None
@@ -200,12 +197,6 @@ def gloss_section(
         "refractive index n."
     )
     blocks: list[Block] = [*(finishes or []), INTRODUCTION, Figures(charts), Table(head, rows, "lrrrrrrrl", caption)]
-    if true_gamma:
-        least, median, largest = (figure(float(np.degrees(value))) for value in true_gamma)
-        blocks.append(
-            f"The true facets (GGX) have half widths from {least}° to {largest}°, median {median}°. Fine relief below "
-            "the size of a pixel widens what the camera sees."
-        )
     return Section("gloss", "Gloss", blocks)
 
 
