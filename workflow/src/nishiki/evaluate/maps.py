@@ -258,6 +258,8 @@ def reflectance_errors(
     compare; regions : (rows, columns) integers that group pixels for mean spectra (default: the first sample's paint).
     Values are not clipped. Raises UserError where shapes differ.
     """
+    from scipy.sparse import csr_array
+
     paints = paints[..., None] if paints.ndim == 2 else paints
     shape = coefficients.shape[:2]
     if paints.shape[:2] != shape or spectra.ndim != 2 or spectra.shape[1] != basis.shape[1]:
@@ -268,7 +270,8 @@ def reflectance_errors(
     if paints.size and int(paints.max()) >= len(spectra):
         raise UserError(f"truth: expected paints from 0 to {len(spectra) - 1}, found {paints.max()}")
     regions = paints[..., 0] if regions is None else regions
-    means = _RegionMeans(int(regions.max()) + 1, basis.shape[1])
+    count = int(regions.max()) + 1
+    sizes, sums = np.zeros(count, np.int64), np.zeros((2, count, basis.shape[1]))
     rmse = np.full(shape, np.nan, np.float32)
     maps = {name: np.full(shape, np.nan, np.float32) for name in illuminants}
     eyes = {
@@ -283,33 +286,18 @@ def reflectance_errors(
             maps[name][band][used] = delta_e_2000(
                 xyz_to_lab(estimated @ matrix, white), xyz_to_lab(true @ matrix, white)
             )
-        means.add(regions[band][used], estimated, true)
+        labels = regions[band][used]
+        members = csr_array((np.ones(len(labels)), labels, np.arange(len(labels) + 1)), (len(labels), count)).T
+        sizes += np.bincount(labels, minlength=count)
+        sums += members @ estimated, members @ true
+    means = sums / np.maximum(sizes, 1)[:, None]
+    rms = np.sqrt(np.mean((means[0] - means[1]) ** 2, axis=1))
     return ReflectanceErrors(
         rmse=summarise(rmse, where=pixels),
         de00={name: summarise(values, where=pixels) for name, values in maps.items()},
         de00_map=maps[illuminants[0]],
-        regions=means.spectra(),
+        regions=tuple(
+            RegionSpectrum(int(k), int(sizes[k]), means[0, k], means[1, k], float(rms[k]))
+            for k in np.flatnonzero(sizes)
+        ),
     )
-
-
-class _RegionMeans:
-    """Sums of estimated and true spectra by region, band after band."""
-
-    def __init__(self, regions: int, bands: int):
-        self.size = np.zeros(regions, np.int64)
-        self.sums = np.zeros((2, regions, bands))
-
-    def add(self, labels: np.ndarray, estimated: np.ndarray, true: np.ndarray) -> None:
-        for label in np.unique(labels):
-            chosen = labels == label
-            self.size[label] += np.count_nonzero(chosen)
-            self.sums[0, label] += estimated[chosen].sum(axis=0)
-            self.sums[1, label] += true[chosen].sum(axis=0)
-
-    def spectra(self) -> tuple[RegionSpectrum, ...]:
-        result = []
-        for label in np.flatnonzero(self.size):
-            estimated, true = self.sums[:, label] / self.size[label]
-            rmse = float(np.sqrt(np.mean((estimated - true) ** 2)))
-            result.append(RegionSpectrum(int(label), int(self.size[label]), estimated, true, rmse))
-        return tuple(result)

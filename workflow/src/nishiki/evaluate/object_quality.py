@@ -1,7 +1,7 @@
 """How near rendered views are to photographs, in the capture's own encoding: figures and pictures of each view."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 
 import numpy as np
 
@@ -35,13 +35,7 @@ class Difference:
         return float(10 * np.log10(PEAK * PEAK * self.samples / self.squares))
 
     def __add__(self, other: "Difference") -> "Difference":
-        return Difference(
-            self.squares + other.squares,
-            self.samples + other.samples,
-            self.pixels + other.pixels,
-            self.uncovered + other.uncovered,
-            self.superfluous + other.superfluous,
-        )
+        return Difference(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
 
 NOTHING = Difference(0.0, 0, 0)

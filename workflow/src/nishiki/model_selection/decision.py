@@ -1,6 +1,6 @@
 """What a measured decision says of itself, in a stage's diagnostics and in its log."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 
 @dataclass(frozen=True)
@@ -17,10 +17,8 @@ class Decision:
 
     def as_dict(self) -> dict[str, dict]:
         """Return {subject: plain values}, to be merged into the block `economy` of a stage's diagnostics."""
-        named = {
-            name: getattr(self, name) for name in ("decision", "criterion", "measured", "limit", "loss", "override")
-        }
-        return {self.what: {name: _plain(value) for name, value in named.items()}}
+        named = asdict(self)
+        return {named.pop("what"): {name: _plain(value) for name, value in named.items()}}
 
     def __str__(self) -> str:
         """One line of the log."""
