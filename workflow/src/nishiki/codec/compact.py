@@ -14,7 +14,6 @@ import numpy as np
 
 from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.turn import rotation_vector
 
 _HEADER = struct.Struct("<i3i")  # exponent of the grid's step, lowest corner in steps
 _LEVELS = (7, 10)  # of Draco's effort: the first gives fewer bytes below some thousand triangles, the second above
@@ -125,25 +124,15 @@ def mesh_step(mesh: Mesh, cameras: list[Camera]) -> float:
 
 
 _CHART_NUMBERS = 2  # texels per unit along rows and columns
-_SAME = 11  # numbers of a camera without distortion
 
 
-def pack_cameras(cameras: Sequence[Camera]) -> bytes:
-    """Pack cameras as float32 numbers without names.
+def camera_bytes(cameras: Sequence[Camera]) -> int:
+    """Count rows, columns and the number of numbers, and 4 bytes for each number of a camera.
 
-    They are fx, skew, fy, cx, cy, rotation vector, translation, and distortion where any has one; preceded by rows,
-    columns and the number of numbers.
+    They are fx, skew, fy, cx, cy, rotation vector, translation, and distortion where any has one.
     """
     distorted = any(tuple(camera.distortion) != NO_DISTORTION for camera in cameras)
-    rows = []
-    for camera in cameras:
-        k = camera.intrinsics
-        inner = [k[0, 0], k[0, 1], k[1, 1], k[0, 2], k[1, 2]]
-        outer = [*rotation_vector(camera.rotation), *camera.translation]
-        rows.append([*inner, *outer, *(camera.distortion if distorted else ())])
-    size = _SAME + (len(NO_DISTORTION) if distorted else 0)
-    head = np.array([cameras[0].rows, cameras[0].columns, size] if cameras else [0, 0, size], "<i4")
-    return head.tobytes() + np.array(rows, "<f4").tobytes()
+    return 4 * (3 + len(cameras) * (11 + len(NO_DISTORTION) * distorted))
 
 
 def chart_bytes(chart: np.ndarray, order: np.ndarray) -> int:
@@ -194,7 +183,7 @@ def cost_of(mesh: Mesh, chart: np.ndarray, cameras: list, lighting: dict, residu
     parts |= {
         "mesh": len(coded.data),
         "charts": chart_bytes(chart, coded.order),
-        "cameras": len(pack_cameras(cameras)),
+        "cameras": camera_bytes(cameras),
         "lamps": lamp_bytes(lighting),
     }
     return Cost(parts, coded, moved)
