@@ -17,7 +17,6 @@ infinity a lobe without end (1 everywhere).  Parameters and normals that are not
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
 from nishiki.errors import UserError
 from nishiki.formats.fields import PlainFields
@@ -154,58 +153,37 @@ def factors(
     irradiance: what multiplies K_d.  angles: the distance factor max(0, cos(theta_i) / cos(theta_i)) of the lobe (1, or
     the inverse square of a near lamp; 0: lamp behind), cos(theta_r), and alpha^2.
     """
-    places, facing = (np.ascontiguousarray(a, np.float32).reshape(-1, 3) for a in (positions, normals))
-    irradiance = np.empty((len(places), channels), np.float32)
+    places, facing = (np.asarray(a, np.float32).reshape(-1, 3) for a in (positions, normals))
+    view, _ = _unit(np.asarray(camera_centre, np.float32) - places)
+    towards, strength = lamp.vector, _ONE
+    if lamp.form == POINT:
+        towards, square = _unit(towards - places)
+        strength = np.float32(lamp.reference) ** 2 / square if lamp.reference > 0 else _ONE
+    cos_i, cos_r, half = (facing * towards).sum(axis=1), _dot(facing, view), towards + view
+    square = _dot(half, half)
+    scale = np.where(square > _TINY, _ONE / np.sqrt(np.maximum(square, _TINY)), _ZERO)
+    apart = facing - half * scale[:, None]
+    sine = _QUARTER * _dot(apart, apart)  # sin(alpha / 2)^2 without cancellation
     angles = np.empty((len(places), 3), np.float32)
-    harmonics = lamp.harmonics  # one row serves every channel
-    if harmonics.shape[1] != channels:
-        harmonics = np.repeat(harmonics.mean(axis=1, keepdims=True), channels, axis=1)
-    reference = np.float32(lamp.reference) ** 2 if lamp.form == POINT else _ZERO
-    centre, harmonics = (np.ascontiguousarray(a, np.float32) for a in (camera_centre, harmonics))
-    known = lamp.form, lamp.vector, lamp.rotation, harmonics, reference
-    _factors(places, facing, centre, known, irradiance, angles)
+    angles[:, 0] = np.where((cos_i > _ZERO) & (cos_r > _ZERO), strength, _ZERO)
+    angles[:, 1], angles[:, 2] = cos_r, _FOUR * np.arcsin(np.sqrt(np.fmin(sine, _HALF))) ** 2
+    if lamp.form == ENVIRONMENT:
+        x, y, z = (facing @ lamp.rotation.T).T
+        products = np.ones_like(x), x, y, z, x * y, y * z, z * x, x * x - y * y, _THREE * z * z - _ONE
+        harmonics = lamp.harmonics  # one row serves every channel
+        if harmonics.shape[1] != channels:
+            harmonics = np.repeat(harmonics.mean(axis=1, keepdims=True), channels, axis=1)
+        irradiance = np.fmax(np.stack(products, axis=1) @ harmonics, _ZERO)
+    else:
+        irradiance = np.repeat(np.fmax(cos_i * strength, _ZERO)[:, None], channels, axis=1)
     return irradiance.reshape(*positions.shape[:-1], channels), angles.reshape(*positions.shape[:-1], 3)
 
 
-@njit(cache=True, error_model="numpy")
-def _irradiance(nx, ny, nz, rotation, harmonics, c):
-    """max(0, sum of the nine products of the normal in the lamp frame with channel c's coefficients)."""
-    x = rotation[0, 0] * nx + rotation[0, 1] * ny + rotation[0, 2] * nz
-    y = rotation[1, 0] * nx + rotation[1, 1] * ny + rotation[1, 2] * nz
-    z = rotation[2, 0] * nx + rotation[2, 1] * ny + rotation[2, 2] * nz
-    total = harmonics[0, c] + x * harmonics[1, c] + y * harmonics[2, c] + z * harmonics[3, c]
-    total += x * y * harmonics[4, c] + y * z * harmonics[5, c] + z * x * harmonics[6, c]
-    total += (x * x - y * y) * harmonics[7, c] + (_THREE * z * z - _ONE) * harmonics[8, c]
-    return total if total > _ZERO else _ZERO
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("ij,ij->i", a, b)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _factors(positions, normals, centre, lamp, irradiance, angles):
-    form, vector, rotation, harmonics, reference = lamp
-    points, channels = irradiance.shape
-    for p in range(points):
-        px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
-        nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
-        vx, vy, vz = centre[0] - px, centre[1] - py, centre[2] - pz
-        scale = _ONE / np.sqrt(vx * vx + vy * vy + vz * vz + _TINY)
-        vx, vy, vz = vx * scale, vy * scale, vz * scale
-        lx, ly, lz, strength = vector[0], vector[1], vector[2], _ONE
-        if form == POINT:
-            lx, ly, lz = lx - px, ly - py, lz - pz
-            square = lx * lx + ly * ly + lz * lz + _TINY
-            scale = _ONE / np.sqrt(square)
-            lx, ly, lz = lx * scale, ly * scale, lz * scale
-            strength = reference / square if reference > _ZERO else _ONE
-        cos_i = nx * lx + ny * ly + nz * lz
-        cos_r = nx * vx + ny * vy + nz * vz
-        hx, hy, hz = lx + vx, ly + vy, lz + vz
-        square = hx * hx + hy * hy + hz * hz
-        scale = _ONE / np.sqrt(square) if square > _TINY else _ZERO
-        dx, dy, dz = nx - hx * scale, ny - hy * scale, nz - hz * scale
-        y = _QUARTER * (dx * dx + dy * dy + dz * dz)  # sin(alpha / 2)^2 without cancellation
-        angles[p, 0] = strength if cos_i > _ZERO and cos_r > _ZERO else _ZERO
-        angles[p, 1] = cos_r
-        angles[p, 2] = _FOUR * np.arcsin(np.sqrt(y if y < _HALF else _HALF)) ** 2
-        lit = cos_i * strength if cos_i > _ZERO else _ZERO
-        for c in range(channels):
-            irradiance[p, c] = _irradiance(nx, ny, nz, rotation, harmonics, c) if form == ENVIRONMENT else lit
+def _unit(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Divide vectors (n, 3) by their lengths; return the squares of these, too."""
+    square = _dot(vectors, vectors) + _TINY
+    return vectors / np.sqrt(square)[:, None], square
