@@ -5,7 +5,8 @@
 FOLDER: of the captures and their truth; RESULTS: folder in which `nishiki run` stored the scenes under the objects'
 names, with the product residual. One JSON line an object: bytes of all that a renderer needs, PSNR of all captured
 views over the true outline (saturated pixels and those that the surface misses included; peak: full scale), the same
-of JPEG 2000 of each view at that size, from the qualities around it, and the surface's shape against the true mesh.
+of JPEG 2000 of each view and of AV1 over the views at that size, from the qualities around it, and the surface's shape
+against the true mesh.
 
 Where the run left views out (setting `hold_out`), `left_out` has PSNR over their true outlines, all their pixels taken
 together, and overlap with these: `decoded`, the residual of the captured neighbours; `model_alone`, no residual; and
@@ -22,7 +23,7 @@ import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-from codecs_of_pictures import filled, jpeg2000
+from codecs_of_pictures import av1, filled, jpeg2000
 from path_traced_turntable import FULL_SCALE, HOLES, OBJECTS
 
 import _project  # noqa: F401
@@ -41,7 +42,7 @@ from nishiki.render.object.shots import Neighbours
 from nishiki.render.object.visibility import DepthMaps
 
 STAGES = ("ingest", "mesh", "cameras", "texels", "object_brdf", "residual")
-QUALITIES = range(36, 56)  # of JPEG 2000: PSNR of the filled pictures, dB
+PEERS = {"jpeg2000_db": (jpeg2000, range(36, 56)), "av1_db": (av1, range(36, 100, 8))}  # and their qualities
 
 
 def psnr(values: np.ndarray, photographs: np.ndarray, where: np.ndarray) -> float:
@@ -49,14 +50,15 @@ def psnr(values: np.ndarray, photographs: np.ndarray, where: np.ndarray) -> floa
     return float(-10 * np.log10(np.mean((values - photographs)[where].astype(np.float64) ** 2)))
 
 
-def jpeg2000_at(size: int, photographs: np.ndarray, outline: np.ndarray, bits: int) -> float | None:
-    """PSNR of JPEG 2000 at so many bytes, on the pictures' common box; None where no quality needs as many."""
+def peer_at(peer: str, size: int, photographs: np.ndarray, outline: np.ndarray, bits: int) -> float | None:
+    """PSNR of a codec at so many bytes, on the pictures' common box; None where no quality needs as many."""
+    coder, qualities = PEERS[peer]
     rows, columns = np.flatnonzero(outline.any((0, 2))), np.flatnonzero(outline.any((0, 1)))
     box = (slice(None), slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
     codes = filled(np.rint(photographs.clip(0, 1) * FULL_SCALE).astype(np.uint16), outline)
     below = None
-    for quality in QUALITIES:
-        coded = jpeg2000(np.ascontiguousarray(codes[box]), bits, quality)
+    for quality in qualities:
+        coded = coder(np.ascontiguousarray(codes[box]), bits, quality)
         at = coded.bytes, psnr(coded.decoded / np.float32(FULL_SCALE), photographs[box], outline[box])
         if coded.bytes >= size:
             sizes, values = zip(below or at, at, strict=True)
@@ -145,7 +147,10 @@ def score(name: str, folder: Path, scene: Path) -> dict:
         "kind": OBJECTS[name][0],
         "bytes": cost.total,
         "psnr_db": round(psnr(values, photographs[captured], outline[captured]), 2),
-        "jpeg2000_db": jpeg2000_at(cost.total, photographs[captured], outline[captured], FULL_SCALE.bit_length()),
+        **{
+            peer: peer_at(peer, cost.total, photographs[captured], outline[captured], FULL_SCALE.bit_length())
+            for peer in PEERS
+        },
         "genus": shape.genus,
         "true_genus": HOLES.get(name, 0),
         "volume_ratio": None if shape.volume is None else round(shape.volume / true.volume, 4),
