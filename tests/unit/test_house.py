@@ -13,6 +13,7 @@ import yaml
 
 import nishiki
 from nishiki.artifacts.closed import Closed
+from nishiki.artifacts.outputs import Output
 from nishiki.artifacts.provenance import SOURCE, program_of, syntax_of
 from nishiki.engine.project import Configuration
 from nishiki.stages.table import CHAIN
@@ -72,8 +73,9 @@ def test_no_folder_imports_one_that_imports_it():
     assert len(list(TopologicalSorter(relations).static_order())) == len(relations)  # raises CycleError
 
 
-def test_what_modules_take_from_a_declaration_is_a_model_of_settings():
-    """A declaration is no part of a code digest, so nothing that decides a result may stand in one."""
+def test_what_modules_take_from_a_declaration_is_a_model_of_settings_or_its_arrays():
+    """A declaration is no part of a code digest, so nothing that decides a result may stand in one; an array of another
+    type is another version of the stage."""
     declared = {f"nishiki.stages.{program_of(name).parent.name}" for name in CHAIN}
     taken, imported = set(), imports()
     for module, others in imported.items():
@@ -86,6 +88,9 @@ def test_what_modules_take_from_a_declaration_is_a_model_of_settings():
     assert len(taken) > 10
     for module, name in taken:
         model = getattr(import_module(module), name)
+        if isinstance(model, tuple):
+            assert all(isinstance(each, Output) for each in model), f"{module}.{name}"
+            continue
         assert issubclass(model, Closed), f"{module}.{name}"
         own = {key for key, item in vars(model).items() if isinstance(item, FunctionType | property)}
         assert not {key for key in own if not key.startswith("__")}, name

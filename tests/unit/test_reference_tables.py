@@ -4,9 +4,13 @@ import importlib.util
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from refusals import expect_facts
 
+import nishiki
+from nishiki.artifacts.maps import Maps, MapWriter
+from nishiki.artifacts.outputs import Output
 from nishiki.stages.table import CHAIN
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -37,7 +41,22 @@ def test_the_page_of_a_stage_has_every_setting_and_limit(name, stage):
     rows = cells(page(name))
     assert set(stage.settings.model_fields) <= set(rows)
     assert {limit.name for limit in stage.limits if limit.stated} <= set(rows)
+    assert {output.name for output in stage.outputs} <= set(rows)
     assert not HOOK.LINE.search(page(name))
+
+
+def test_arrays_of_maps_are_written_as_they_are_declared(tmp_path):
+    outputs = (Output("angle", "float32", "degrees", "of the normal"), Output("classes_NNN", "uint8", "", "of a lamp"))
+    out = MapWriter(tmp_path, outputs, rows=4, columns=3, band_rows=2, stamp={})
+    out.write("angle", np.zeros((4, 3)), nan="unknown")
+    out.write("classes_007", np.ones((4, 3), int), light="L7")
+    maps = Maps(tmp_path)
+    assert maps.attributes("angle") == {"unit": "degrees", "meaning": "of the normal", "nan": "unknown"}
+    assert [str(maps.read(name).dtype) for name in ("angle", "classes_007")] == ["float32", "uint8"]
+    with pytest.raises(KeyError):
+        out.create("undeclared")
+    programs = (Path(nishiki.__file__).parent / "stages").rglob("*.py")
+    assert not [path for path in programs if "MapWriter(" in path.read_text(encoding="utf-8")]
 
 
 @pytest.mark.parametrize("name", CHAIN)

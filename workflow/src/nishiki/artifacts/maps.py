@@ -21,6 +21,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.outputs import Output, output_of
 from nishiki.artifacts.provenance import file_digest
 from nishiki.errors import UserError
 from nishiki.formats.stored import open_group
@@ -32,19 +33,39 @@ STORE = "maps.zarr"
 class MapWriter:
     """Writes the maps of one artifact."""
 
-    def __init__(self, folder: Path, *, rows: int, columns: int, band_rows: int, stamp: dict[str, str]):
-        self.shape = (rows, columns)
+    def __init__(
+        self,
+        folder: Path,
+        outputs: Sequence[Output] = (),
+        *,
+        rows: int,
+        columns: int,
+        band_rows: int,
+        stamp: dict[str, str],
+    ):
+        self.shape, self.outputs = (rows, columns), outputs
         self.band_rows = band_rows
         self.group = BandedGroup.create(Path(folder) / STORE, {"stamp": stamp})
+
+    @classmethod
+    def of(cls, context: Any, outputs: Sequence[Output], shape: tuple[int, int], band_rows: int) -> "MapWriter":
+        """Write the declared arrays of a running stage."""
+        rows, columns = shape
+        place = {"folder": context.output.folder, "stamp": context.stamp}
+        return cls(outputs=outputs, rows=rows, columns=columns, band_rows=band_rows, **place)
 
     def create(
         self, name: str, trailing: tuple[int, ...] = (), *, dtype: str = "float32", **attributes: Any
     ) -> BandedArray:
-        """Create an array (rows, columns, *trailing) with attributes for unit and meaning.
+        """Create an array (rows, columns, *trailing) with type, unit and meaning as the stage declares them.
 
         `nan` states the meaning of NaN; an array without this attribute may not hold one (`nishiki.artifacts.finite`).
         """
         rows, columns = self.shape
+        if self.outputs:
+            declared = output_of(self.outputs, name)
+            dtype, stated = declared.dtype, {"unit": declared.unit, "meaning": declared.meaning}
+            attributes = {key: value for key, value in stated.items() if value} | attributes
         return self.group.create_array(
             name,
             (rows, columns, *trailing),
@@ -57,7 +78,8 @@ class MapWriter:
     def write(self, name: str, values: np.ndarray, **attributes: Any) -> None:
         """Write a whole map at once."""
         values = np.asarray(values)
-        self.create(name, values.shape[2:], dtype=str(values.dtype), **attributes)[...] = values
+        made = self.create(name, values.shape[2:], dtype=str(values.dtype), **attributes)
+        made[...] = values.astype(made.dtype, copy=False)
 
 
 class Maps:

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit
+from nishiki.artifacts.outputs import Output
 from nishiki.artifacts.provenance import file_digest, module_of
 from nishiki.errors import UserError
 
@@ -169,6 +170,8 @@ class Stage:
         Packages that it loads; their versions decide whether it runs again.
     idle : mapping of str to callable
         Of some of these, the reason why a scene does without, or None where it is loaded.
+    outputs : tuple of Output
+        The arrays of its `maps.zarr`.
     deliverables : tuple of str
         Patterns of its files that a user wants to open; they are linked into `current/`.
     threads : int
@@ -194,6 +197,7 @@ class Stage:
     filled: Callable[[Any, Any], dict[str, Any]] = lambda block, settings: {}
     libraries: tuple[str, ...] = ("numpy", "numba", "zarr")
     idle: Mapping[str, Reason] = field(default_factory=dict)
+    outputs: tuple[Output, ...] = ()
     deliverables: tuple[str, ...] = ()
     threads: int = 2
     cost: Callable[[SceneFacts], Cost] = lambda facts: Cost()

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, extreme
+from nishiki.artifacts.outputs import Output
 from nishiki.stages.base import ARRAYS, Cost, Measurements, Stage
 
 PAINTING_LIMITS = (
@@ -28,9 +29,13 @@ class BrdfSettings(Guarded, stage="brdf", version=6, limits=PAINTING_LIMITS):
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
 
 
+PAINTING_OUTPUTS = (Output("labels", "uint8", "", "row of parameters.json; only where there are several"),)
+
+
 PAINTING = Stage(
     settings=BrdfSettings,
     does="Torrance-Sparrow parameters",
+    outputs=PAINTING_OUTPUTS,
     requires=("ingest", "normals"),
     libraries=ARRAYS,
     cost=lambda facts: Cost(mib=260, tiles=0.9, seconds=2.2, us_per_pixel=6, us_per_sample=0.02),

@@ -26,6 +26,7 @@ from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.gloss import decide_gloss
 from nishiki.observations.parcels import parcels
 from nishiki.observations.plane import Observations
+from nishiki.stages.brdf import PAINTING_OUTPUTS
 from nishiki.stages.painting_maps import PaintingMaps
 
 UNIT_BANDS, UNIT_STEP = 8, 8  # bands, and rows and columns between the pixels, that tell the unit of the observations
@@ -52,11 +53,8 @@ def run(context: Context) -> dict:
     text = json.dumps({"regions": regions}, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("parameters.json").write_text(text + "\n")
     if labels is not None:
-        rows, columns = frames.shape
-        out = MapWriter(
-            context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp
-        )
-        out.write("labels", labels, meaning="row of parameters.json")
+        out = MapWriter.of(context, PAINTING_OUTPUTS, frames.shape, frames.band_rows)
+        out.write("labels", labels)
     return {
         "regions": len(regions),
         "gamma_deg": [np.degrees(region["gamma"]).tolist() for region in regions],

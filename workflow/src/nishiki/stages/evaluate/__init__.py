@@ -6,6 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, excess
+from nishiki.artifacts.outputs import Output
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, photographs_or_states
 
 
@@ -20,9 +21,19 @@ class EvaluateSettings(Guarded, stage="evaluate", version=2):
     truth_sha256: str = Field("", description="digest of the truth; filled in by the plan")
 
 
+PAINTING_OUTPUTS = (
+    Output("angular_error", "float32", "degrees", "angle to the true normal"),
+    Output("reflectance_de00", "float32", "CIEDE2000", "of the spectra, under D65"),
+    Output("regions", "int32", "", "region of the truth: row of region_names, or of its spectra"),
+    Output("de00_NNN", "float32", "CIEDE2000", "of the light predicted under lamp NNN"),
+    Output("classes_NNN", "uint8", "", "what the pixel shows under lamp NNN"),
+)
+
+
 PAINTING = Stage(
     settings=EvaluateSettings,
     does="errors against truth, or on lights that the fit never saw",
+    outputs=PAINTING_OUTPUTS,
     of_mosaics=True,
     requires=("ingest", "normals"),
     wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),

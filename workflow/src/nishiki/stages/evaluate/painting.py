@@ -27,6 +27,7 @@ from nishiki.formats.stored import load_arrays, open_group
 from nishiki.observations.plane import Observations
 from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shade import PlaneMaps, cast_shadows
+from nishiki.stages.evaluate import PAINTING_OUTPUTS
 from nishiki.stages.painting_maps import PaintingMaps, captured_lamp
 
 DARK_SHARE = 0.25  # of a region, that is scored apart
@@ -38,8 +39,7 @@ def run(context: Context) -> dict:
     frames = Observations(context.inputs["ingest"].folder)
     scene = EvaluatedScene(context.inputs, frames)
     truth = read_truth(context, frames)
-    rows, columns = frames.shape
-    out = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
+    out = MapWriter.of(context, PAINTING_OUTPUTS, frames.shape, frames.band_rows)
     evaluation = {"pixels": int(np.count_nonzero(frames.mask)), **against_truth(truth, scene, out)}
     evaluation["colour"] = {"how": scene.camera.how, "rmse_xyz": scene.camera.rmse}
     evaluation["lights"], evaluation["parts"], pooled = relight(context, scene, truth, out)
@@ -132,7 +132,7 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
     if truth.normals is not None:
         normals, flags = (scene.maps.read(name) for name in ("normals", "flags"))
         angles = normal_errors(normals, truth.normals, flags=flags, mask=scene.frames.mask)
-        out.write("angular_error", angles.map_deg, unit="degrees", nan="outside what truth and estimate share")
+        out.write("angular_error", angles.map_deg, nan="outside what truth and estimate share")
         result["normals"] = angles.as_dict()
     if truth.height_mm is not None and scene.relief is not None and scene.pitch_mm:
         inside = scene.frames.mask & scene.estimated
@@ -150,9 +150,9 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
             pixels=scene.frames.mask & scene.estimated & ~mirrors,
             regions=truth.regions,
         )
-        out.write("reflectance_de00", errors.de00_map, unit="CIEDE2000 under D65", nan="no truth or no estimate here")
+        out.write("reflectance_de00", errors.de00_map, nan="no truth or no estimate here")
         regions = truth.paints.reshape(*scene.frames.shape, -1)[..., 0] if truth.regions is None else truth.regions
-        out.write("regions", np.asarray(regions), meaning="region of the truth: row of region_names, or of its spectra")
+        out.write("regions", np.asarray(regions))
         result["reflectance"] = {**errors.as_dict(), "region_names": list(truth.region_names)}
     return result
 
@@ -252,7 +252,7 @@ def one_light(
             by_name = {name: asdict(each) for name, each in by_class.items()}
             score["truth"][case] = {"de00": asdict(total), "by_class": by_name}
     np.savez(context.output.path(f"preview_{j:03d}.npz"), **previews.arrays())
-    out.write(f"de00_{j:03d}", comparison.de00_map, unit="CIEDE2000", light=name, nan=f"not compared: classes_{j:03d}")
+    out.write(f"de00_{j:03d}", comparison.de00_map, light=name, nan=f"not compared: classes_{j:03d}")
     out.write(f"classes_{j:03d}", comparison.classes, meaning={str(k): v for k, v in NAMES.items()}, light=name)
     return score, comparison.de00_map, sums
 

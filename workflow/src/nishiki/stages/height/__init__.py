@@ -6,6 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at
+from nishiki.artifacts.outputs import Output
 from nishiki.stages.base import ARRAYS, Cost, Stage
 
 LIMITS = (
@@ -43,9 +44,22 @@ class HeightSettings(Guarded, stage="height", version=4, limits=LIMITS):
     )
 
 
+OUTPUTS = (
+    Output("height", "float32", "", "mean 0 over each connected part; mm, or pixels without a scale"),
+    Output(
+        "expected_error",
+        "float32",
+        "radians",
+        "rms angle by which the normal is likely to be off; pi / 2 without an estimate",
+    ),
+    Output("normals", "float32", "unit vector", "flattened, where flatten is set; 0 without an estimate"),
+)
+
+
 STAGE = Stage(
     settings=HeightSettings,
     does="height by integration of the normals",
+    outputs=OUTPUTS,
     of_mosaics=True,
     requires=("normals",),
     libraries=ARRAYS,

@@ -8,6 +8,7 @@ from nishiki.photometric import flags as bits
 from nishiki.photometric.expected_error import REACH, UNKNOWN, expected_error
 from nishiki.photometric.height import Sample, band_rows, flatten_normals, integrate_bands
 from nishiki.photometric.multigrid import windows
+from nishiki.stages.height import OUTPUTS
 
 SAMPLED = 100_000  # pixels of the percentiles
 
@@ -17,14 +18,14 @@ def run(context: Context) -> dict:
     maps = Maps(context.inputs["normals"].folder)
     shape, pitch = tuple(maps.group["flags"].shape), maps.group.attrs.get("pixel_pitch_mm")
     step = band_rows(shape[1])
-    out = MapWriter(context.output.folder, rows=shape[0], columns=shape[1], band_rows=step, stamp=context.stamp)
+    out = MapWriter.of(context, OUTPUTS, (shape[0], shape[1]), step)
 
     def read(rows: slice) -> tuple[np.ndarray, np.ndarray]:
         return maps.read("normals", rows), (maps.read("flags", rows) & bits.NO_ESTIMATE) == 0
 
     of_relief, turned = read, 0.0
     if context.settings.flatten:
-        flat = out.create("normals", (3,), unit="unit vector, flattened; 0 where there is no estimate")
+        flat = out.create("normals", (3,))
         turned = flatten_normals(shape, read, flat.__setitem__)
 
         def of_relief(rows: slice) -> tuple[np.ndarray, np.ndarray]:
@@ -43,7 +44,7 @@ def run(context: Context) -> dict:
         method=context.settings.method,
         folder=context.output.folder,
     )
-    errors = out.create("expected_error", unit="radians, rms angle of the normal; pi / 2 where there is no estimate")
+    errors = out.create("expected_error")
     sample = Sample(diagnostics["valid_pixels"], SAMPLED)
     for band in windows(shape[0], step, REACH):
         (normals, valid), sigma = read(band.read), maps.read("sigma", band.read)

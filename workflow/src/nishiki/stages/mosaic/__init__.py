@@ -5,6 +5,8 @@ from pydantic import Field
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, share
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage
+from nishiki.stages.brdf import PAINTING_OUTPUTS
+from nishiki.stages.normals import OUTPUTS as OF_NORMALS
 
 ALIKE = (
     "photograph a white board for every lamp; where ingest moved photographs of some fields only, set "
@@ -58,9 +60,12 @@ class MosaicSettings(Guarded, stage="mosaic", version=1, limits=LIMITS):
     )
 
 
+OUTPUTS = (*(output for output in OF_NORMALS if output.name != "finish"), *PAINTING_OUTPUTS)
+
 STAGE = Stage(
     settings=MosaicSettings,
     does="fields registered, levelled and joined",
+    outputs=OUTPUTS,
     geometry="mosaic",
     stands_for=("ingest", "normals", "brdf"),
     libraries=(*ARRAYS, OPENCV),

@@ -22,6 +22,7 @@ from nishiki.mosaic.levelling import Levels, Samples, level_fields
 from nishiki.mosaic.registration import Field, register_fields, signals
 from nishiki.observations.plane import STORE, Observations
 from nishiki.photometric import flags as bits
+from nishiki.stages.mosaic import OUTPUTS
 from nishiki.threads import strips
 
 BAND_PIXELS = 1 << 21  # of the mosaic, blended at a time
@@ -180,7 +181,7 @@ def write_maps(
     if any("shading_normals" in each.normals for each in fields):
         of_all.append("shading_normals")
     kinds = {name: False for name in of_all} | {name: True for name in KINDS if several or name != "labels"}
-    out = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=step, stamp=context.stamp)
+    out = MapWriter.of(context, OUTPUTS, (rows, columns), step)
     one = fields[0].frames
     unbalanced = fields[0].normals.group.attrs.get("unbalanced", False)
     out.group.update(pixel_pitch_mm=one.pixel_pitch_mm, to_srgb=one.to_srgb, unbalanced=unbalanced)
@@ -193,8 +194,7 @@ def write_maps(
             if name not in stored and name == "mask":
                 stored[name] = group.create_array(name, (rows, columns), (step, columns), "uint8", compression="zstd")
             elif name not in stored:
-                unit = next((each.normals.attributes(name).get("unit") for each in fields if name in each.normals), "")
-                stored[name] = out.create(name, values.shape[2:], dtype=str(values.dtype), unit=unit)
+                stored[name] = out.create(name, values.shape[2:])
             stored[name][band] = values
         inside = maps["mask"] > 0
         known = inside & ((maps["flags"] & bits.NO_ESTIMATE) == 0)

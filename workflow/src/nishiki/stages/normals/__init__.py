@@ -6,6 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, flagged, share
+from nishiki.artifacts.outputs import Output
 from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.stages.base import ARRAYS, Cost, Lights, Stage, digest_of
 
@@ -86,9 +87,48 @@ class NormalsSettings(Guarded, stage="normals", version=7, limits=LIMITS):
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
 
 
+OUTPUTS = (
+    Output("normals", "float32", "unit vector", "x right, y up, z to the camera"),
+    Output(
+        "reflectance",
+        "float32",
+        "relative to white",
+        "of each channel, for light shaded as shading says; of a metal its colour",
+    ),
+    Output(
+        "albedo", "float32", "relative to white", "intensity; with a lobe of the diffuse part, mean over the samples"
+    ),
+    Output(
+        "sigma",
+        "float32",
+        "radians",
+        "expected rms angle, by groups of lamps left out; under three lamps by the residual",
+    ),
+    Output(
+        "correction_sigma",
+        "float32",
+        "radians",
+        "the part of sigma that comes from what ingest put right; where it did",
+    ),
+    Output("lights_used", "uint16", "lights", "samples in the fit"),
+    Output("condition", "float32", "", "of the weighted 3 x 3 normal matrix"),
+    Output(
+        "shading",
+        "float32",
+        "",
+        "a, b, d of the factor max(a + b c + d x^8, 0) of Lambert's c = n.l, x = n.h; also e_x, e_y",
+    ),
+    Output("shading_normals", "float32", "unit vector", "of the body shading, where it was fitted for relighting"),
+    Output("residual", "float32", "relative to white", "rms"),
+    Output("flags", "uint8", "bits", "see docs/stages/normals.md"),
+    Output("finish", "uint8", "", "row of the diagnostics' finishes, where there are several"),
+)
+
+
 STAGE = Stage(
     settings=NormalsSettings,
     does="normals and diffuse reflectance",
+    outputs=OUTPUTS,
     requires=("ingest",),
     wants=lambda settings: ("separate",),
     filled=lambda block, settings: {"given_sha256": digest_of(block.given, "normals.given")} if block.given else {},

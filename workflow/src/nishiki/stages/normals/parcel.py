@@ -18,28 +18,13 @@ from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channels
 from nishiki.photometric.relighting import fit_relighting
 from nishiki.photometric.solve import estimate_normals
-from nishiki.stages.normals import NormalsSettings
+from nishiki.stages.normals import OUTPUTS, NormalsSettings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nishiki.brdf.gloss_profile import GlossProfile
 
-
-MAPS = {
-    "normals": ("float32", "unit vector, x right, y up, z to the camera"),
-    "reflectance": ("float32", "relative to white, per channel"),
-    "albedo": ("float32", "relative to white, intensity"),
-    "sigma": ("float32", "radians, expected error of the direction by lamps left out"),
-    "correction_sigma": ("float32", "radians, the part of sigma that comes from what ingest put right"),
-    "lights_used": ("uint16", "lights"),
-    "condition": ("float32", "of the weighted 3 x 3 normal matrix"),
-    "shading": ("float32", "weights (a, b, d) of c, c^2 and c x^8, or with e_x, e_y; see docs/stages/normals.md"),
-    "shading_normals": ("float32", "unit vector of the body shading, where it was fitted for relighting"),
-    "residual": ("float32", "rms, relative to white"),
-    "flags": ("uint8", "bits, see docs/stages/normals.md"),
-    "finish": ("uint8", "number of the finish, of the diagnostics' list"),
-}
 
 WEIGHTED = 0.01  # mean change of the samples, relative, from which the shading is fitted to the mean of the channels
 
@@ -70,7 +55,7 @@ def solve(
         mean, lit = mean_of_channels(observations), {"usable": usable, "valid": valid}
         shading = shading_of_mean(intensity, mean, parcel.directions, field, **lit, least_change=WEIGHTED)
         field = replace(field, shading=shading)
-    maps = {name: getattr(field, name) for name in MAPS if hasattr(field, name)}
+    maps = {name: getattr(field, name) for name, *_ in OUTPUTS if hasattr(field, name)}
     if observations.shape[-1] == 1 and field.shading is None:
         maps["reflectance"] = field.albedo[..., None]
     else:

@@ -23,10 +23,10 @@ from nishiki.photometric.flags import FEW_LIGHTS, NO_ESTIMATE
 from nishiki.photometric.light_selection import select_diffuse, unpack_lights
 from nishiki.photometric.reflectance import mean_of_channels
 from nishiki.photometric.relighting import TERMS
-from nishiki.stages.normals import NormalsSettings
+from nishiki.stages.normals import OUTPUTS, NormalsSettings
 from nishiki.stages.normals.finishes import choose_finishes, finish_labels, refitted_error
 from nishiki.stages.normals.given import find_given
-from nishiki.stages.normals.parcel import MAPS, fit_finishes, relit, solve
+from nishiki.stages.normals.parcel import fit_finishes, relit, solve
 
 if TYPE_CHECKING:
     from nishiki.photometric.interreflection import Facets
@@ -255,8 +255,7 @@ def fit_lights(
 
 def create_maps(context: Context, frames: Observations, *, terms: int, relight: bool, several: bool) -> dict:
     """Create the artifact's arrays; terms: of `shading`; relight: with `shading_normals`; several: with `finish`."""
-    rows, columns = frames.shape
-    maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
+    maps = MapWriter.of(context, OUTPUTS, frames.shape, frames.band_rows)
     unbalanced = not frames.white_board and str(frames.attributes.get("coding")).startswith("linear")
     maps.group.update(pixel_pitch_mm=frames.pixel_pitch_mm, to_srgb=frames.to_srgb, unbalanced=unbalanced)
     trailing = {"normals": (3,), "reflectance": (len(frames.channels),), "shading": (terms,), "shading_normals": (3,)}
@@ -264,11 +263,7 @@ def create_maps(context: Context, frames: Observations, *, terms: int, relight: 
     left_out |= set() if relight else {"shading_normals"}
     left_out |= set() if several else {"finish"}
     left_out |= set() if frames.uncertainty else {"correction_sigma"}
-    return {
-        name: maps.create(name, trailing.get(name, ()), dtype=dtype, unit=unit)
-        for name, (dtype, unit) in MAPS.items()
-        if name not in left_out
-    }
+    return {name: maps.create(name, trailing.get(name, ())) for name, *_ in OUTPUTS if name not in left_out}
 
 
 def add_correction_error(maps: dict, frames: Observations, lights: np.ndarray) -> None:

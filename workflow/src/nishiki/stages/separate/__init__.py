@@ -6,6 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, share
+from nishiki.artifacts.outputs import Output
 from nishiki.stages.base import Cost, Lights, Stage, no_method
 
 LIMITS = (
@@ -46,9 +47,17 @@ class SeparateSettings(Guarded, stage="separate", version=1, limits=LIMITS):
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
 
 
+OUTPUTS = (
+    Output("usable", "uint8", "", "bit j of byte i: light 8 i + j shows diffuse reflection"),
+    Output("highlights", "uint16", "lights", "brighter than the fit"),
+    Output("shadows", "uint16", "lights", "darker than the fit"),
+)
+
+
 STAGE = Stage(
     settings=SeparateSettings,
     does="lights that show only diffuse reflection",
+    outputs=OUTPUTS,
     requires=("ingest",),
     lacks=no_method,
     filled=lambda block, settings: {"lights": settings.normals.lights},

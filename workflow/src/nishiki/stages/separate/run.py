@@ -9,6 +9,7 @@ from nishiki.model_selection.lights import choose_lights
 from nishiki.observations.parcels import parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric.light_selection import pack_lights, select_diffuse
+from nishiki.stages.separate import OUTPUTS
 
 
 def map_tiles(context: Context) -> dict:
@@ -20,11 +21,10 @@ def map_tiles(context: Context) -> dict:
     if decision:
         context.progress.tell(str(decision))
     rows, columns = frames.shape
-    maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
+    maps = MapWriter.of(context, OUTPUTS, frames.shape, frames.band_rows)
     maps.group.update(lights=[frames.lights[j] for j in lights])
-    usable = maps.create("usable", (-(-len(lights) // 8),), dtype="uint8", meaning="bit j of byte i: light 8 i + j")
-    highlights = maps.create("highlights", dtype="uint16", unit="lights")
-    shadows = maps.create("shadows", dtype="uint16", unit="lights")
+    usable = maps.create("usable", (-(-len(lights) // 8),))
+    highlights, shadows = maps.create("highlights"), maps.create("shadows")
     settings = context.settings
 
     def select_band(band: slice) -> np.ndarray:

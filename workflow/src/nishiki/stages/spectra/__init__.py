@@ -6,6 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at
+from nishiki.artifacts.outputs import Output
 from nishiki.stages.base import ARRAYS, Bases, Cost, SceneFacts, Stage, digest_of
 
 LIMITS = (
@@ -57,9 +58,22 @@ def _no_spectra(facts: SceneFacts, settings: Closed) -> str | None:
     return f"the capture has no {' and no '.join(missing)}" if missing else None
 
 
+OUTPUTS = (
+    Output("coefficients", "float32", "", "of the rows of the attribute basis, 400 to 700 nm every 5 nm"),
+    Output(
+        "sigma",
+        "float32",
+        "reflectance",
+        "expected rms error over the bands; times the attribute profile: of each band",
+    ),
+    Output("flags", "uint8", "bits", "see docs/stages/spectra.md"),
+)
+
+
 STAGE = Stage(
     settings=SpectraSettings,
     does="spectral reflectance coefficients",
+    outputs=OUTPUTS,
     of_mosaics=True,
     requires=("ingest", "normals"),
     lacks=_no_spectra,

@@ -20,6 +20,7 @@ from nishiki.colour.sampling import channel_weights
 from nishiki.colour.training import measured_reflectances, synthetic_reflectances
 from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.sufficient import Bases, decide_bases, output_bases, principal_bases
+from nishiki.stages.spectra import OUTPUTS
 
 
 def map_tiles(context: Context) -> dict:
@@ -39,12 +40,12 @@ def map_tiles(context: Context) -> dict:
     reflectance = maps.group["reflectance"]
     rows, columns, _ = reflectance.shape
     band_rows = reflectance.chunks[0]
-    out = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=band_rows, stamp=context.stamp)
+    out = MapWriter.of(context, OUTPUTS, (rows, columns), band_rows)
     basis = np.asarray(estimator.basis).tolist()
     coefficients = out.create("coefficients", (len(basis),), basis=basis, first_nm=400, step_nm=5)
     profile = np.round(estimator.profile, 4).tolist()
-    sigma = out.create("sigma", unit="rms over the bands, reflectance; times profile: of each band", profile=profile)
-    flags = out.create("flags", dtype="uint8", unit="bits, see docs/stages/spectra.md")
+    sigma = out.create("sigma", profile=profile)
+    flags = out.create("flags")
     counts: Counter[str] = Counter()
     sampled = [np.zeros((0, reflectance.shape[2]))]
     some_rows, some_columns = sample_rows(rows, columns)
