@@ -220,6 +220,7 @@ BROKEN = {
     "key twice": (text("capture.yaml", "title: Test plane", "title: a\ntitle: b"), "yaml-invalid", "twice"),
     "YAML that is a list": (whole("capture.yaml", "- 1\n- 2\n"), "yaml-invalid", "list"),
     "unknown illuminant": (keys(illuminant="D66"), "illuminant-unknown", "D65"),
+    "illuminant without a table": (keys(illuminant="D55"), "illuminant-unknown", "D50"),
     "spectra too short": (spectra(band(420, 680)), "spectra-range", "420-680 nm"),
     "spectra not increasing": (spectra(band(400, 700) + "690,1,1,1\n"), "spectra-order", "690"),
     "spectra not finite": (spectra(band(380, 720, "1,nan,1")), "spectra-not-finite", "not finite"),

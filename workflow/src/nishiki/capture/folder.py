@@ -22,11 +22,12 @@ from nishiki.capture.frames import (
 from nishiki.capture.goniometer import GoniometerCapture, GoniometerFile, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.mosaic import MosaicCapture, examine_mosaic, is_mosaic
-from nishiki.capture.schema import LOST_BY_FIT, NAMED_ILLUMINANTS, CaptureFile, check_settings
+from nishiki.capture.schema import LOST_BY_FIT, CaptureFile, check_settings
 from nishiki.capture.schema_base import Session, read_mapping
 from nishiki.capture.tables import Curves, read_curves
 from nishiki.capture.turntable import TurntableCapture, examine_turntable
 from nishiki.capture.turntable_rules import TurntableFile
+from nishiki.colour.colour import ILLUMINANTS
 from nishiki.errors import require
 from nishiki.formats.files import bound, leads_out
 from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, refuse, warning
@@ -199,10 +200,10 @@ def examine(root: Path) -> tuple[AnyCapture | None, list[Problem]]:
 def _illuminant(settings: Session, named: Callable, attempt: Callable) -> Curves | str | None:
     """Read the name of a CIE illuminant, or a curve from the file: one, or that of each channel's lamp."""
     value = settings.illuminant
-    if value is None or value in NAMED_ILLUMINANTS:
+    if value is None or value in ILLUMINANTS:
         return value
     if "." not in value and "/" not in value:
-        where, expected = "capture.yaml illuminant", f"a CSV file or one of {', '.join(NAMED_ILLUMINANTS)}"
+        where, expected = "capture.yaml illuminant", f"a CSV file or one of {', '.join(ILLUMINANTS)}"
         return attempt(lambda: refuse("illuminant-unknown", where, "unknown", expected=expected, found=value))
     path = named(value, "illuminant")
     curves = attempt(lambda: read_curves(path, label=value)) if path else None

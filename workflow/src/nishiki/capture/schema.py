@@ -10,7 +10,6 @@ from nishiki.capture.goniometer import GoniometerFile
 from nishiki.capture.schema_base import Count, Positive, Session, read_mapping, validate
 from nishiki.capture.turntable_rules import TurntableFile
 
-NAMED_ILLUMINANTS = ("A", "D50", "D55", "D65", "E", *(f"F{i}" for i in range(1, 13)))
 LOST_BY_FIT = (
     "cast shadows and highlights are as smooth as that fit made them, what it left over is gone, its coefficients have "
     "8 bits, and neither the scale of brightness nor the strengths and distances of the lamps are known"

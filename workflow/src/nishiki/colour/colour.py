@@ -45,6 +45,10 @@ def cie_1931_cmfs() -> np.ndarray:
     return np.array([_tables()[name] for name in "xyz"])
 
 
+ILLUMINANTS = ("A", "D50", "D65", "E", "F2", "F7", "F11", "FL2", "FL7", "FL11", "LED-B1", "LED-B3", "LED-B5")
+"""Names of CIE illuminants whose spectra are known."""
+
+
 def illuminant(name: str) -> np.ndarray:
     """(61,) relative spectral power of a CIE illuminant on the working grid, 100 at 560 nm where tabulated so.
 
@@ -59,14 +63,12 @@ def illuminant(name: str) -> np.ndarray:
         return 100.0 * (560.0 / WAVELENGTHS_NM) ** 5 * planck
     if key == "E":
         return np.full(WAVELENGTHS_NM.size, 100.0)
-    if key in {"F2", "F7", "F11"}:
-        key = "FL" + key[1:]
-    if key not in list(_tables())[4:]:
+    if key not in ILLUMINANTS:
         raise UserError(
-            f"illuminant: expected one of A, D50, D65, E, FL2, FL7, FL11, LED-B1, LED-B3, LED-B5, found {name!r}; "
+            f"illuminant: expected one of {', '.join(ILLUMINANTS)}, found {name!r}; "
             "for another lamp give its measured spectrum as a table"
         )
-    return _tables()[key].copy()
+    return _tables()[f"FL{key[1:]}" if key[1:].isdigit() and key[0] == "F" else key].copy()
 
 
 def xyz_matrix(illuminant: np.ndarray, basis: np.ndarray) -> np.ndarray:
