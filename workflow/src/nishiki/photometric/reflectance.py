@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from nishiki.errors import UserError
 from nishiki.threads import over_rows
 
-PIXELS = 4096  # at a time
 COSINE_FLOOR = 0.02
 """Samples lit at a smaller cosine carry no usable signal and divide by almost nothing: they are left out."""
 
@@ -48,41 +48,42 @@ def diffuse_reflectance(observations, directions, normals, *, usable, method="le
     pixels = rows * columns
     reflectance, used = np.zeros((pixels, channels), np.float32), np.zeros(pixels, np.uint16)
     directions, normals = np.asarray(directions, np.float32), np.asarray(normals, np.float32).reshape(pixels, 3)
-    terms = None if shading is None else np.asarray(shading, np.float32).reshape(pixels, 3)
-    usable = usable.reshape(lights, pixels)
-    observations = np.asarray(observations, np.float32).reshape(lights, pixels, channels)
-
-    def fit(begin: int, end: int, observations: np.ndarray) -> None:
-        """Add up a light at a time, in the order of the lights."""
-        for first in range(begin, end, PIXELS):
-            here = slice(first, min(first + PIXELS, end))
-            sums, weights, count = np.zeros((channels, here.stop - first), np.float32), np.float32(0), 0
-            for j, direction in enumerate(directions):
-                body = _body(normals[here].T, None if terms is None else terms[here].T, direction)
-                good = usable[j, here] & (body > COSINE_FLOOR)
-                body = np.where(good, body, np.float32(1))
-                factor = np.where(good, 1 / body if method == "mean" else body, np.float32(0))
-                weights = weights + factor * body
-                count = count + good
-                for k in range(channels):
-                    sums[k] += np.where(good, observations[j, here, k], np.float32(0)) * factor
-            values = (sums / np.where(weights > 0, weights, np.float32(1))).T
-            known = np.logical_and(weights > 0, np.isfinite(values).all(axis=1))
-            reflectance[here], used[here] = np.where(known[:, None], values, np.float32(0)), np.where(known, count, 0)
-
-    with np.errstate(over="ignore", invalid="ignore"):
-        over_rows(fit, pixels, observations)
+    terms = np.zeros((0, 3)) if shading is None else np.reshape(shading, (pixels, 3))
+    samples = np.asarray(observations, np.float32).reshape(lights, pixels, channels), usable.reshape(lights, pixels)
+    surface = np.ascontiguousarray(normals), np.ascontiguousarray(terms, np.float32)
+    over_rows(_fit, pixels, samples, directions, surface, method == "mean", (reflectance, used))
     return DiffuseReflectance(reflectance.reshape(rows, columns, channels), used.reshape(rows, columns))
 
 
-def _body(normals: np.ndarray, terms: np.ndarray | None, direction: np.ndarray) -> np.ndarray:
-    """Body shading (pixels,) under a light from `direction` (3,): cosine, times the factor of terms (3, pixels)."""
-    cosine = sum(part * along for part, along in zip(normals, direction, strict=True))
-    if terms is None:
-        return cosine
-    half = np.maximum(cosine + normals[2], 0) / np.sqrt(np.maximum(2 + 2 * direction[2], np.float32(1e-12)))
-    factor = terms[0] + terms[1] * cosine + terms[2] * half**8
-    return np.where(cosine > COSINE_FLOOR, cosine * np.maximum(factor, 0), np.float32(0))
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fit(begin, end, samples, directions, surface, mean, out):
+    """Add up the lights of each pixel in their order; terms (pixels, 3), or none of them for Lambert's law."""
+    (observations, usable), (normals, terms), (reflectance, used) = samples, surface, out
+    sums, one = np.empty(observations.shape[2], np.float32), np.float32(1)
+    for p in range(begin, end):
+        weights, count, known = np.float32(0), 0, True
+        sums[:] = np.float32(0)
+        for j in range(len(directions)):
+            x, y, z = directions[j, 0], directions[j, 1], directions[j, 2]
+            body = normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z
+            if not (usable[j, p] and body > COSINE_FLOOR):
+                continue
+            if len(terms):
+                half = (body + normals[p, 2]) / np.sqrt(max(np.float32(2) + np.float32(2) * z, np.float32(1e-12)))
+                power = max(half, np.float32(0)) ** 2
+                factor = terms[p, 0] + terms[p, 1] * body + terms[p, 2] * (power * power) ** 2
+                body *= max(factor, np.float32(0))
+                if not body > COSINE_FLOOR:
+                    continue
+            factor = one / body if mean else body
+            weights += factor * body
+            count += 1
+            for k in range(sums.size):
+                sums[k] += observations[j, p, k] * factor
+        for k in range(sums.size):
+            known = known and weights > 0 and np.isfinite(sums[k] / weights)
+        if known:
+            reflectance[p], used[p] = sums / weights, count
 
 
 def mean_of_channels(observations: np.ndarray) -> np.ndarray:
