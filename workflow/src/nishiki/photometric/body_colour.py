@@ -24,8 +24,8 @@ NOISE times that which noise gives this estimate, N (1 + 1 / s^2) / C. On dark p
 """
 
 import numpy as np
+from numba import njit
 
-from nishiki.photometric.light_selection import sum_lights
 from nishiki.threads import over_rows
 
 LIT = 0.3  # of the lower mean of a pixel: darker samples are shadow, whose colour is that of the noise
@@ -36,7 +36,7 @@ NOISE = 6.0  # squared deviations of noise that do not count as gloss: s is that
 CONCENTRATIONS = 2  # times that the less saturated samples are left out
 AT_LEAST = 4  # lit samples
 SMALLEST = np.float32(1e-37)  # peak that has an inverse in float32
-VALUES = 1 << 15  # of a channel at a time
+BLOCK = 64  # pixels at a time
 
 
 def body_intensity(observations: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -58,59 +58,100 @@ def body_intensity(observations: np.ndarray, valid: np.ndarray) -> np.ndarray:
     lights, rows, columns, channels = observations.shape
     if channels == 1:
         return observations[..., 0].copy()
-    stack = observations.reshape(lights, rows * columns, channels)
-    known = np.broadcast_to(valid, observations.shape[:3]).reshape(lights, rows * columns)
+    stack = np.ascontiguousarray(observations).reshape(lights, rows * columns, channels)
+    known = np.ascontiguousarray(np.broadcast_to(valid, observations.shape[:3]), bool).reshape(lights, rows * columns)
     out = np.empty(known.shape, np.float32)
-
-    def weigh(begin: int, end: int, stack: np.ndarray) -> None:
-        step = max(2, VALUES // lights)
-        for first in range(begin, end, step):
-            here = slice(max(min(first, end - 2), 0), min(first + step, end))  # two at least: one is added up in parts
-            out[:, here] = _weigh(np.moveaxis(stack[:, here], -1, 0), known[:, here])
-
-    if rows * columns == 1:
-        stack, known = stack.repeat(2, axis=1), known.repeat(2, axis=1)
-        return _weigh(np.moveaxis(stack, -1, 0), known)[:, :1].reshape(lights, rows, columns)
-    over_rows(weigh, rows * columns, stack)
+    over_rows(_weigh, -(-rows * columns // BLOCK), stack, known, out)
     return out.reshape(lights, rows, columns)
 
 
-def _weigh(samples: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Intensity (lights, pixels) of samples (channels, lights, pixels), in the module's equations."""
-    zero, one, channels = np.float32(0), np.float32(1), np.float32(len(samples))
+@njit(cache=True, nogil=True, error_model="numpy")
+def _weigh(begin, end, observations, valid, out):
+    """Intensities of blocks of pixels of observations (lights, pixels, channels), by the module's equations.
 
-    with np.errstate(all="ignore"):
-        mean = sum(channel / channels for channel in samples)
-        lit = valid & (mean > 0) & (mean < np.inf)
-        peak = np.where(lit, mean, zero).max(axis=0)
-        # sums of any radiometric scale stay in float32
-        peak = np.where(peak > 0, np.maximum(peak, SMALLEST), one)
-        samples, mean = samples / peak, mean / peak
-        level, used = np.where(lit, mean, zero), lit.astype(np.float32)
-        # the darker half of each pixel's lit samples; what is far below it is shadow
-        low = used * (level <= level.sum(axis=0) / np.maximum(used.sum(axis=0), one))
-        lower = sum_lights(level, low) / np.maximum(low.sum(axis=0), one)
-        used *= level >= LIT * lower
-        lit, count = used > 0, used.sum(axis=0)
-        apart = [np.where(lit, channel - mean, zero) for channel in samples]
-        colour = np.stack([each.sum(axis=0) for each in apart])
-        every = sum(sum_lights(each, each) for each in apart)
-        length = np.sqrt(np.square(colour).sum(axis=0))
-        colour /= np.where((count >= AT_LEAST) & (length > 1e-12), length, np.float32(np.inf))
-        across = sum(each * channel for each, channel in zip(colour, samples, strict=True)) / np.sqrt(channels)
-        part, grey, saturation = np.where(lit, across, zero), level * used, np.zeros_like(lower)
+    The inner loops are over the pixels of a block and have no branches, so that vector instructions can run them.
+    """
+    lights, pixels, channels = observations.shape
+    zero, one, per_channel = np.float32(0), np.float32(1), np.float32(1 / channels)
+    mean, across, lit = np.zeros((3, lights, BLOCK), np.float32)
+    samples, colour = np.zeros((lights, channels, BLOCK), np.float32), np.zeros((channels, BLOCK), np.float32)
+    memory = np.zeros((7, BLOCK), np.float32)
+    per_peak, count, total, lower, every, saturation, other = memory
+    for block in range(begin, end):
+        start = block * BLOCK
+        size = min(BLOCK, pixels - start)
+        memory[:], colour[:], across[:] = zero, zero, zero
+        for j in range(lights):
+            for p in range(size):
+                value = zero
+                for k in range(channels):
+                    samples[j, k, p] = observations[j, start + p, k]
+                    value += samples[j, k, p] * per_channel
+                good = valid[j, start + p] and zero < value < np.float32(np.inf)
+                mean[j, p], lit[j, p] = value, one if good else zero
+                per_peak[p] = value if good and value > per_peak[p] else per_peak[p]
+        for p in range(BLOCK):  # sums of any radiometric scale stay in float32
+            per_peak[p] = one / max(per_peak[p], SMALLEST) if per_peak[p] > zero else one
+        for j in range(lights):
+            for p in range(BLOCK):
+                mean[j, p] *= per_peak[p]
+                total[p] += mean[j, p] if lit[j, p] > zero else zero
+                count[p] += lit[j, p]
+        for p in range(BLOCK):
+            total[p], count[p] = total[p] / max(count[p], one), zero
+        for j in range(lights):  # the darker half of a pixel's lit samples
+            for p in range(BLOCK):
+                low = lit[j, p] if mean[j, p] <= total[p] else zero
+                lower[p] += mean[j, p] if low > zero else zero
+                count[p] += low
+        for p in range(BLOCK):
+            lower[p], count[p] = lower[p] / max(count[p], one), zero
+        for j in range(lights):  # what is far below it is shadow
+            for p in range(BLOCK):
+                lit[j, p] = lit[j, p] if mean[j, p] >= np.float32(LIT) * lower[p] else zero
+                count[p] += lit[j, p]
+            for k in range(channels):
+                for p in range(BLOCK):
+                    apart = samples[j, k, p] * per_peak[p] - mean[j, p]
+                    apart = apart if lit[j, p] > zero else zero
+                    colour[k, p] += apart
+                    every[p] += apart * apart
+        for p in range(BLOCK):
+            length = zero
+            for k in range(channels):
+                length += colour[k, p] * colour[k, p]
+            length = np.sqrt(length)
+            known = count[p] >= AT_LEAST and length > np.float32(1e-12)
+            for k in range(channels):
+                colour[k, p] *= np.float32(np.sqrt(per_channel)) * per_peak[p] / length if known else zero
+        for j in range(lights):
+            for k in range(channels):
+                for p in range(BLOCK):
+                    across[j, p] += samples[j, k, p] * colour[k, p]
         for _ in range(CONCENTRATIONS + 1):
-            kept = (part >= saturation * grey).astype(np.float32)
-            saturation = np.maximum(
-                sum_lights(part, kept) / np.maximum(sum_lights(grey, kept), np.float32(1e-12)), zero
-            )
-        square = saturation**2
-        gloss = np.clip((grey - part / np.where(saturation > 0, saturation, np.float32(np.inf))) / lower, zero, one)
-        freedom = (count - one) * max(channels - 2, one)
-        noise = np.maximum((every - channels * sum_lights(part, part)) / lower**2 / np.maximum(freedom, one), zero)
-        unsure = NOISE * noise * (one + one / square) / channels
-        variance = sum_lights(gloss, gloss) / np.maximum(count, one) - unsure
-        variance = np.where(saturation > 0, np.maximum(variance, zero), zero)
-        share = variance / (variance + noise + ERROR**2) * square / (square + FAINT**2)
-        rest = one - np.fmin(share, MOST)
-        return (rest * mean + saturation * across) * (peak / (rest + square))
+            total[:], other[:] = zero, zero
+            for j in range(lights):
+                for p in range(BLOCK):
+                    kept = lit[j, p] if across[j, p] >= saturation[p] * mean[j, p] else zero
+                    total[p] += across[j, p] if kept > zero else zero
+                    other[p] += mean[j, p] if kept > zero else zero
+            for p in range(BLOCK):
+                saturation[p] = max(total[p] / max(other[p], np.float32(1e-12)), zero)
+        total[:], other[:] = zero, zero
+        for j in range(lights):
+            for p in range(BLOCK):
+                gloss = min(max((mean[j, p] - across[j, p] / saturation[p]) / lower[p], zero), one)
+                total[p] += gloss * gloss if lit[j, p] > zero else zero
+                other[p] += across[j, p] * across[j, p] if lit[j, p] > zero else zero
+        for p in range(BLOCK):
+            square = saturation[p] * saturation[p]
+            freedom = max((count[p] - one) * np.float32(max(channels - 2, 1)), one)
+            noise = max((every[p] - other[p] / per_channel) / (lower[p] * lower[p]) / freedom, zero)
+            unsure = np.float32(NOISE) * noise * (one + one / square) * per_channel
+            variance = max(total[p] / max(count[p], one) - unsure, zero)
+            share = variance / (variance + noise + np.float32(ERROR**2)) * square / (square + np.float32(FAINT**2))
+            total[p] = one - (min(share, np.float32(MOST)) if saturation[p] > zero else zero)
+            other[p] = one / (per_peak[p] * (total[p] + square))
+        for j in range(lights):
+            for p in range(size):
+                out[j, start + p] = (total[p] * mean[j, p] + saturation[p] * across[j, p]) * other[p]
