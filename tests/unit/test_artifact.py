@@ -2,14 +2,19 @@
 
 import json
 import os
+import weakref
 
+import numpy as np
 import pytest
 from archives import verify_artifact
 from refusals import refused
 
 from nishiki.artifacts.artifact import MANIFEST, ArtifactWriter, open_artifact, run_text
+from nishiki.artifacts.finite import problems
+from nishiki.artifacts.maps import MapWriter
 from nishiki.artifacts.provenance import stage_key
 from nishiki.errors import UserError
+from nishiki.formats.zarr_store import BandedArray
 from nishiki.processes import host, identity
 
 CAPTURE = "5" * 64
@@ -35,6 +40,30 @@ def write(target, content=b"data", code="c1"):
 @pytest.fixture
 def target(tmp_path):
     return tmp_path / "results" / "s" / "normals" / KEY
+
+
+def test_maps_that_may_hold_nan_are_searched_chunk_by_chunk(tmp_path, monkeypatch):
+    maps = MapWriter(tmp_path, rows=400, columns=8, band_rows=2, stamp={})
+    errors = maps.create("errors", nan="outside of the truth")
+    errors[...] = np.full((400, 8), np.nan)
+    held, most, read = [], [], BandedArray.chunk
+
+    def counted(array, place):
+        values = read(array, place)
+        held.append(weakref.ref(values))
+        most.append(sum(each() is not None for each in held))
+        return values
+
+    monkeypatch.setattr(BandedArray, "chunk", counted)
+    assert not any(problems(tmp_path))
+    assert len(most) == 200
+    assert max(most) < 100
+    values = np.full((2, 8), np.nan)
+    values[1, 7] = np.inf
+    errors[20:22] = errors[398:400] = values
+    (told,) = filter(None, problems(tmp_path))
+    assert "2 infinite" in told
+    assert "(21, 7)" in told
 
 
 def test_a_finished_artifact_is_sound_and_readable(target):

@@ -92,11 +92,15 @@ def _words(path: Path, name: str, pattern: str | re.Pattern) -> Iterator[str]:
 
 def _described(name: str, blocks: Iterable[tuple[Place, np.ndarray]], *, nan_means: bool = False) -> str:
     """Describe the forbidden values of parts of an array, each with the index of its first value; empty without any."""
-    unusual = [(start, values) for start, values in blocks if not _sum_is_finite(values)]
-    parts = []
-    for word, test in [("infinite", np.isinf), *([] if nan_means else [("NaN", np.isnan)])]:
-        places = [np.argwhere(test(values)) + np.array(start, int) for start, values in unusual]
-        found = sorted(tuple(row.tolist()) for each in places for row in each[:1])
-        if found:
-            parts.append(f"{sum(map(len, places))} {word}, the first at {found[0]}")
-    return f"{name}: {', '.join(parts)}" if parts else ""
+    tests = {"infinite": np.isinf} | ({} if nan_means else {"NaN": np.isnan})
+    found: dict[str, list[tuple[int, Place]]] = {word: [] for word in tests}  # number in a part, and its first
+    for start, values in blocks:
+        for word, test in tests.items() if not _sum_is_finite(values) else ():
+            if len(places := np.argwhere(test(values))):
+                found[word].append((len(places), tuple((places[0] + np.array(start, int)).tolist())))
+    words = [
+        f"{sum(n for n, _ in each)} {word}, the first at {min(p for _, p in each)}"
+        for word, each in found.items()
+        if each
+    ]
+    return f"{name}: {', '.join(words)}" if words else ""
