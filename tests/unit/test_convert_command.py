@@ -247,7 +247,8 @@ def test_an_archive_is_listed_and_nothing_is_made(tmp_path, capsys):
     with_lights(listed(JPG))(archive / "a/lamps of others")
     photographs(archive / "b", ["0_0.png", "0_45.png", "45_0.png", "45_45.png"])
     photographs(archive / "c/holiday", PNG)
-    (archive / "d").mkdir()
+    (archive / "d/maps.zarr/normals/c/0").mkdir(parents=True)
+    (archive / "d/maps.zarr/normals/c/0/0").write_bytes(b"")
     main_of = ["convert", str(archive / "a/dome"), str(archive / "made")]
     with pytest.raises(SystemExit, match="0"):
         main(main_of)
@@ -259,6 +260,7 @@ def test_an_archive_is_listed_and_nothing_is_made(tmp_path, capsys):
     assert [line.split("  ")[0] for line in lines] == ["a/dome", "a/lamps of others", "b", "c/holiday", "d", "made"]
     assert lines[0].count("5 ") == 2
     assert "4 " in lines[2]
+    assert not any("--list" in line for line in lines)
     assert total.startswith("2 of 6")
     assert sorted(archive.rglob("*")) == before
 

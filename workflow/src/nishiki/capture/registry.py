@@ -45,7 +45,7 @@ from nishiki.formats.files import Refused, bound, files_with, leads_out
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
 from nishiki.formats.problems import CaptureError, expect_one, name_some, refuse
 
-UNKNOWN = "no lamps found, nor cameras"
+UNKNOWN, EMPTY = "no lamps found, nor cameras", "no photographs in this folder"
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ def read_source(source: Path, options: ConvertOptions, *, search: bool = True) -
     remedy += "; or add --fields where they are overlapping fields of one painting" if len(inner) > 1 else ""
     remedy += f"; what each folder holds: ./nishiki convert {shlex.quote(str(source))} --list"
     found = f"some in {name_some(each.name for each in inner)}" if inner else ""
-    refuse("layout-unknown", str(source), "no photographs in this folder", found=found, remedy=remedy)
+    refuse("layout-unknown", str(source), EMPTY, found=found, remedy=remedy)
 
 
 NOTHING = ConvertOptions()
@@ -243,13 +243,14 @@ class ArchiveEntry(NamedTuple):
 def list_archive(archive: Path) -> Iterator[ArchiveEntry]:
     """Recognise each folder below an archive, and each file where a folder holds several that stand for themselves.
 
-    A folder that is recognised, or a capture, is not entered. `reason` says in one line why a source cannot be read.
+    A folder that is recognised, a capture, or a Zarr store is not entered. `reason`: why a source cannot be read.
     """
     pending = [(archive, 0)]
     while pending:
         place, depth = pending.pop()
         inner = sorted(path for path in place.iterdir() if not path.name.startswith("."))
-        folders = [path for path in inner if path.is_dir() and not leads_out(path, archive)]
+        entered = (path for path in inner if path.is_dir() and path.suffix != ".zarr")
+        folders = [path for path in entered if not leads_out(path, archive)]
         if is_capture(place):
             yield ArchiveEntry(str(place.relative_to(archive)), "capture", "", "it is a capture already")
             continue
@@ -273,7 +274,7 @@ def _entry_of(source: Path, archive: Path) -> ArchiveEntry:
     except (CaptureError, Refused) as problem:
         problems = problem.problems if isinstance(problem, CaptureError) else (problem,)
         pictures = len(files_with(source, IMAGE_SUFFIXES)) if source.is_dir() else 0
-        known = layout or problems[0].what != UNKNOWN
+        known = layout or problems[0].what not in (UNKNOWN, EMPTY)
         reason = f"{problems[0]}" + (f" (and {len(problems) - 1} more)" if len(problems) > 1 else "")
         if not known:
             reason = f"{UNKNOWN}; convert searches the pictures for mirror balls" if pictures else UNKNOWN
