@@ -202,13 +202,13 @@ def _cell_problems(
     named = lights is not None if file else any(f.light for f in lit)
     problems = []
     for frame in frames:
-        role, view, state = frame.role, frame.view, frame.polariser
+        role, view, state, light = frame.role, frame.view, frame.polariser, frame.light
         faults = (
             ("view-empty", role == "sample" and len(views) > 1 and not view, "a sample frame needs its view"),
             ("view-unknown", role == "board" and view not in ("", *views), f"no sample frame shows view '{view}'"),
             ("view-unexpected", role in ("dark", "white") and view, f"a {role} frame serves all views, not '{view}'"),
             ("polariser-unexpected", role in ("dark", "board") and state, f"a {role} frame has no state '{state}'"),
-            ("light-empty", named and frame in lit and not frame.light, f"a {role} frame needs its light"),
+            ("light-empty", named and role in ("sample", "white") and not light, f"a {role} frame needs its light"),
             ("white-state", role == "white" and state not in ("", *states), f"no sample frame has the state '{state}'"),
         )
         problems += [error(kind, f"{TABLE} row {frame.row}", what) for kind, wrong, what in faults if wrong]
@@ -228,13 +228,15 @@ def _grid_problems(samples: list[Frame], views: tuple[str, ...]) -> list[Problem
     if any(p.kind == "polariser-mixed" for p in problems):
         return problems
     for light, view in product(lights, views):
+        if len(problems) >= MOST_PROBLEMS:
+            break
         lacking = [state for state in states if (light, view, state) not in counts]
         if len(lacking) == len(states):
             problems.append(error("light-missing", TABLE, f"view '{view}' has no frame under light '{light}'"))
         elif lacking:
             what = f"{_frame_name(light, view, '')} has not all {len(states)} polariser states"
             problems.append(error("polariser-missing", TABLE, what, found=f"no {', '.join(map(repr, lacking[:4]))}"))
-    return problems[:MOST_PROBLEMS]
+    return problems
 
 
 def _frame_name(light: str, view: str, state: str) -> str:
