@@ -315,6 +315,13 @@ class InchesGrbl(SimulatedGrbl):
         return f"{state}|MPos:{','.join(f'{value / 25.4:.4f}' for value in self.position.values())}|{rest}"
 
 
+class GarbledGrbl(SimulatedGrbl):
+    """A controller whose line doubles a point."""
+
+    def _status(self):
+        return super()._status().replace(".", "..", 1)
+
+
 class OldGrbl(SimulatedGrbl):
     """A controller with GRBL 0.9: commas divide its status reports."""
 
@@ -325,7 +332,9 @@ class OldGrbl(SimulatedGrbl):
         return super()._status().replace("|", ",")
 
 
-@pytest.mark.parametrize(("kind", "setting"), [(InchesGrbl, r"\$13=0"), (OldGrbl, r"GRBL 1\.1")])
+@pytest.mark.parametrize(
+    ("kind", "setting"), [(InchesGrbl, r"\$13=0"), (OldGrbl, r"GRBL 1\.1"), (GarbledGrbl, r"\$10=1")]
+)
 def test_a_controller_that_reports_in_another_way_is_refused_at_once(port, kind, setting):
     def turn():
         axis = axis_of(Grbl("controller", str(port)))

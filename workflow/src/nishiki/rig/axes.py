@@ -174,7 +174,7 @@ class Grbl:
 
     def _status(self) -> tuple[str, dict[str, float]]:
         match = self._asking("?", r"^<([A-Za-z]+)(?::\d+)?\|(.*)>$", ANSWER_S, ending=False)
-        position = re.search(r"MPos:(-?[\d.]+(?:,-?[\d.]+)*)", match[2])
+        position = re.search(r"MPos:(-?\d+\.?\d*(?:,-?\d+\.?\d*)*)(?:\||$)", match[2])
         if position is None:
             raise self._failure(f"sent '?', received {match[0]!r} without a machine position. Remedy: set $10=1")
         return match[1], dict(zip("XYZABC", map(float, position[1].split(",")), strict=False))
