@@ -209,7 +209,7 @@ def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
     for name in sorted(set(listed) - set(present)):
         problems.append(error("seal-missing", name, "listed in the manifest but missing", remedy=RESTORE))
     for name in sorted(set(present) - set(listed)):
-        problems.append(error("seal-foreign", name, "not listed in the manifest", remedy="Make a new capture with it"))
+        problems.append(error("seal-foreign", name, "not listed in the manifest", remedy="Remove it, or seal anew"))
     for name in sorted(set(listed) & set(present)) if digests else ():
         try:
             expect_sealed(present[name], name, listed)

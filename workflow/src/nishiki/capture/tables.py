@@ -42,7 +42,8 @@ def read_cameras(path: Path, name: str) -> CameraTable:
     for where, cells in rows:
         values = _numbers(cells[1:])
         if values is None or len(values) != count or not np.isfinite(values[12:]).all():
-            problems.append(error("camera-values", where, f"expected {count} numbers, found {len(cells) - 1} values"))
+            what = f"expected {count} numbers, found {','.join(cells[1:])[:60]}"
+            problems.append(error("camera-values", where, what))
             continue
         view, matrix = cells[0], np.array(values[:12]).reshape(3, 4)
         if values[12:]:
