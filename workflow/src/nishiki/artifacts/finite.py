@@ -7,6 +7,7 @@ JSON and CSV file; the writer of EXR takes finite values only. NaN is let throug
 
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -93,14 +94,11 @@ def _words(path: Path, name: str, pattern: str | re.Pattern) -> Iterator[str]:
 def _described(name: str, blocks: Iterable[tuple[Place, np.ndarray]], *, nan_means: bool = False) -> str:
     """Describe the forbidden values of parts of an array, each with the index of its first value; empty without any."""
     tests = {"infinite": np.isinf} | ({} if nan_means else {"NaN": np.isnan})
-    found: dict[str, list[tuple[int, Place]]] = {word: [] for word in tests}  # number in a part, and its first
+    counts, firsts = Counter[str](), dict[str, Place]()
     for start, values in blocks:
         for word, test in tests.items() if not _sum_is_finite(values) else ():
             if len(places := np.argwhere(test(values))):
-                found[word].append((len(places), tuple((places[0] + np.array(start, int)).tolist())))
-    words = [
-        f"{sum(n for n, _ in each)} {word}, the first at {min(p for _, p in each)}"
-        for word, each in found.items()
-        if each
-    ]
-    return f"{name}: {', '.join(words)}" if words else ""
+                counts[word] += len(places)
+                firsts.setdefault(word, tuple((places[0] + np.array(start, int)).tolist()))
+    words = ", ".join(f"{counts[word]} {word}, the first at {place}" for word, place in firsts.items())
+    return f"{name}: {words}" if words else ""

@@ -162,9 +162,8 @@ def examine(root: Path) -> tuple[AnyCapture | None, list[Problem]]:
         table = payload / "frames.csv"
         if table.is_symlink():  # it must lie in the folder itself
             table = attempt(lambda: inside(payload, "frames.csv", "capture folder"))
-        frames = (
-            attempt(lambda: read_frames(table, geometry=geometry)) if table and geometry in tuple(DIALECTS) else None
-        )
+        known = table and geometry in tuple(DIALECTS)
+        frames = attempt(lambda: read_frames(require(table), geometry=geometry)) if known else None
     if settings is None:
         return None, problems
 

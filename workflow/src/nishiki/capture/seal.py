@@ -185,10 +185,8 @@ def expect_sealed(path: Path, name: str, digests: dict[str, str]) -> None:
         refuse("seal-foreign", name, "not listed in the manifest", remedy=RESTORE)
     digest = sha256_of(path)
     if digest != digests[name]:
-        expected = f"sha256 {digests[name][:12]}..."
-        refuse(
-            "seal-changed", name, "changed after sealing", expected=expected, found=f"{digest[:12]}...", remedy=RESTORE
-        )
+        expected, found = f"sha256 {digests[name][:12]}...", f"{digest[:12]}..."
+        refuse("seal-changed", name, "changed after sealing", expected=expected, found=found, remedy=RESTORE)
 
 
 def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:

@@ -145,14 +145,10 @@ def expect_of_mosaic(scene: Scene) -> None:
         (asked.normals.given, "normals.given: one picture cannot hold the normals of every field", "leave it out"),
         (
             asked.hold_out not in ("auto", "none"),
-            "hold_out: no lights are left out of joined maps",
+            "hold_out: joined maps leave no lights out",
             f"leave it out, or {own}",
         ),
-        (
-            relight,
-            "export.formats: relight is fitted to photographs, which fields alone have",
-            f"take it out, or {own}",
-        ),
+        (relight, "export.formats: relight is fitted to photographs, which fields have", f"take it out, or {own}"),
     ):
         if wrong:
             raise UserError(f"scene {scene.name!r}, a mosaic: {what}. Remedy: {remedy}")

@@ -38,7 +38,7 @@ class Exchange(Closed):
     """One line to a device, and its answer."""
 
     send: str = Field(description="line to send; {degrees} and {lamp} stand for the angle and the number of the lamp")
-    expect: str = Field(min_length=1, description="text that the answer contains; {lamp} as in send")
+    expect: str = Field(min_length=1, description="text that the answer contains; {lamp}: number of the lamp")
     error: str = Field("error", description="text that an answer contains which refuses; upper and lower case alike")
     timeout_s: Seconds = Field(5.0, description="seconds to wait for the answer")
 
