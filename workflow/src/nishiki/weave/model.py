@@ -88,19 +88,6 @@ def _over_arc(half, angle, side: float, width) -> np.ndarray:
     return lobe_integral(half - angle, half, width) if side > 0 else lobe_integral(half, half + angle, width)
 
 
-def _section_factor(shape, width, reading: int, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Gloss (times the cosine) and body factor of one section, paper and shaded reading; 1 along the normal."""
-    if reading < SHADED:
-        seen = visible_share(shape, theta)
-        factors = lobe(0.5 * theta, width) * seen, seen
-    else:
-        (gloss, body), (gloss_above, body_above) = pieces(shape, width, theta), pieces(shape, width, 0.0)
-        shines = gloss_above > TINY
-        gloss = np.where(shines, gloss / np.where(shines, gloss_above, 1), 0.0)
-        factors = gloss, body / (body_above * np.cos(theta))
-    return tuple(np.where(theta == 0.0, 1.0, factor) for factor in factors)
-
-
 def plane_rows(plane: int, theta) -> np.ndarray:
     """Rows (..., 4) of views in one plane (0 weft, 1 warp) at signed angles, radians.
 
@@ -117,10 +104,18 @@ def columns(weft, warp, widths, rows: np.ndarray, *, f0, reading: int) -> np.nda
     have a shape (models, 1); the columns of each are then (models, ..., 2).
     """
     flat = rows.reshape(-1, 4)
-    out = np.empty((*np.shape(f0)[:-1], len(flat), 2))
+    # the last two rows are the sections along the normal, where gloss and body are 1
+    plane, theta = np.append(flat[:, 0], (0, 1)), np.append(flat[:, 1], (0, 0))
+    shape, width = [np.where(plane == 0, *pair) for pair in zip(weft, warp, strict=True)], np.where(plane == 0, *widths)
+    if reading < SHADED:
+        body = visible_share(shape, theta)
+        gloss = lobe(0.5 * theta, width) * body
+    else:
+        gloss, body = pieces(shape, width, theta)
+        above = len(flat) + plane.astype(int)
+        gloss_above, body = gloss[..., above], body / (body[..., above] * np.cos(theta))
+        shines = gloss_above > TINY
+        gloss = np.where(shines, gloss / np.where(shines, gloss_above, 1), 0.0)
     schlick = 1.0 + (1.0 / f0 - 1.0) * (1.0 - flat[:, 3]) ** 5  # over its value f0 at normal incidence
-    for plane, (shape, width) in enumerate(zip((weft, warp), widths, strict=True)):
-        mine = flat[:, 0] == plane
-        gloss, body = _section_factor(shape, width, reading, flat[mine, 1])
-        out[..., mine, 0], out[..., mine, 1] = (schlick / flat[:, 2])[..., mine] * gloss, body
-    return out.reshape(*out.shape[:-2], *rows.shape[:-1], 2)
+    gloss, body = (np.where(theta == 0.0, 1.0, factor)[..., : len(flat)] for factor in (gloss, body))
+    return np.stack([schlick / flat[:, 2] * gloss, body], axis=-1).reshape(*gloss.shape[:-1], *rows.shape[:-1], 2)

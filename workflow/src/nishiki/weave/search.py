@@ -17,6 +17,7 @@ from nishiki.threads import strips
 from nishiki.weave.model import PARAMETERS, PLANES, SIZE, columns, shape_of
 
 UNKNOWNS = 2 * SIZE + 1
+LADDER = 4.0 ** np.arange(4)  # dampings that are tried at once where the first gains nothing
 
 
 def strengths(a: np.ndarray, b: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -107,16 +108,19 @@ def descend(points, low, high, free, data, rounds: int, tolerance: float) -> tup
         scale = np.where(held, 1.0, scale)
         normal = np.where(held[:, :, None] | held[:, None, :], 0.0, normal / (scale[:, :, None] * scale[:, None]))
         gradient = np.where(held, 0.0, gradient / scale)
-        gained, trying = np.zeros(len(going)), np.arange(len(going))
+        gained, trying, factors = np.zeros(len(going)), np.arange(len(going)), np.ones(1)
         while len(trying):
-            mine = going[trying]
-            equations = normal[trying], gradient[trying], scale[trying]
-            tried = _step(points[mine], low[mine], high[mine], free, equations, damping[mine])
-            gain = cost[trying] - costs(tried, data)
-            better = gain > 0
-            points[mine[better]], gained[trying[better]] = tried[better], gain[better]
-            damping[mine] = np.where(better, np.maximum(damping[mine] * 0.2, 1e-12), damping[mine] * 4.0)
-            trying = trying[~better & (damping[mine] < 1e10)]
+            each = np.repeat(trying, len(factors))
+            mine, at, equations = going[trying], going[each], (normal[each], gradient[each], scale[each])
+            ladder = damping[mine, None] * factors
+            tried = _step(points[at], low[at], high[at], free, equations, ladder.ravel())
+            gain = np.where(ladder < 1e10, cost[trying, None] - costs(tried, data).reshape(ladder.shape), 0)
+            first = np.arange(len(mine)), (gain > 0).argmax(axis=1)  # the least damping that gains
+            better = gain[first] > 0
+            chosen = tried.reshape(*ladder.shape, -1)[first]
+            points[mine[better]], gained[trying[better]] = chosen[better], gain[first][better]
+            damping[mine] = np.where(better, np.maximum(ladder[first] * 0.2, 1e-12), ladder[:, -1] * 4.0)
+            trying, factors = trying[~better & (damping[mine] < 1e10)], LADDER
         sums[going] = cost - gained
         going = going[(gained > tolerance * cost) & (sums[going] >= 1e-30 * len(data[2]))]
         if not last or not len(going):
