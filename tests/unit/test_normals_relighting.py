@@ -124,6 +124,18 @@ def test_what_cannot_be_fitted_stays():
         fit(stack, lights[:5], normals)
 
 
+def test_black_pixels_are_quiet_in_several_threads(monkeypatch):
+    """Warnings are errors in tests, and each thread has its own state of NumPy's."""
+    lights, normals, _, stack = scene(2000)
+    stack[:, ::7] = 0
+    results = []
+    for number in ("1", "2"):
+        monkeypatch.setenv("NUMBA_NUM_THREADS", number)
+        results.append(fit(stack, lights, normals))
+    for name, values in results[0].items():
+        np.testing.assert_array_equal(values, results[1][name])
+
+
 def test_samples_that_are_not_valid_count_for_nothing():
     lights, normals, _, stack = scene()
     valid = np.ones((12, 1, 60), bool)

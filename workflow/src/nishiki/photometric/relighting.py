@@ -84,12 +84,12 @@ def fit_relighting(observations, directions, normals, *, valid, scatter, reflect
             here = slice(first, min(first + step, end))
             samples = np.moveaxis(observations[:, here], -1, 0).astype(np.float64)
             start = maps["shading_normals"][here].T.astype(np.float64)
-            found, fitted = _fit(samples, valid[:, here], vectors, start, scatter[here], model == "plain")
+            with np.errstate(all="ignore"):  # here, as each thread has its own state
+                found, fitted = _fit(samples, valid[:, here], vectors, start, scatter[here], model == "plain")
             for name, values in fitted.items():
                 maps[name][here][found] = values.T[found]
 
-    with np.errstate(all="ignore"):
-        over_rows(fit, pixels, np.asarray(observations, np.float32).reshape(lights, pixels, channels))
+    over_rows(fit, pixels, np.asarray(observations, np.float32).reshape(lights, pixels, channels))
     return {name: values.reshape(*shape, -1) for name, values in maps.items()}
 
 
