@@ -45,7 +45,7 @@ def shading_of_mean(
     fitted = (field.flags.ravel() & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
     vectors = np.asarray(directions, np.float64), half_vectors(directions)
 
-    def fit(first: int, last: int) -> None:
+    def fit(first: int, last: int, stack: np.ndarray) -> None:
         for begin in range(first, last, PIXELS):
             here = np.arange(begin, min(begin + PIXELS, last))
             here = here[fitted[here]]
@@ -57,7 +57,7 @@ def shading_of_mean(
             terms, found = _fitted_terms(values, there & start[:, here], there, normals[here], vectors, noise)
             shading[here[found]] = terms[:, found].T
 
-    over_rows(fit, len(shading))
+    over_rows(fit, len(shading), stack)
     return shading.reshape(field.shading.shape)
 
 

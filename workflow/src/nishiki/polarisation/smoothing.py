@@ -82,12 +82,12 @@ def smooth_planes(
         return Smoothed(planes, noise, None)
     smoothed, doubtful = np.empty_like(planes), np.zeros(-(-rows // BAND))
 
-    def bands(first: int, last: int) -> None:
+    def bands(first: int, last: int, _: np.ndarray) -> None:
         for top in range(first * BAND, min(last * BAND, rows), BAND):
             below = _smooth_rows(series, top, min(top + BAND, rows), noise, colour, smoothed)
             doubtful[top // BAND] = np.count_nonzero(below & counted[top : top + BAND, :, None])
 
-    over_rows(bands, len(doubtful))
+    over_rows(bands, len(doubtful), planes)
     values = np.count_nonzero(counted) * planes.shape[3]
     share = float(doubtful.sum() / values) if len(series.kinds.of_planes) == 1 and values else None
     return Smoothed(smoothed, noise, share)
@@ -175,13 +175,13 @@ COSINES = COSINES.astype(np.float32)
 
 def _smooth_squares(colour, q, variance, usable):
     """Smooth squares (PATCH columns, PATCH rows, squares, n); return them times their weights (squares,), and these."""
-    inside, n = usable.astype(np.float32), q.shape[-1]
-    count = inside.reshape(PATCH * PATCH, -1).sum(axis=0)
-    means, sizes = (np.einsum("abik,abi->ik", each, inside) / np.maximum(count, 1)[:, None] for each in (q, variance))
+    inside, n, count = usable[..., None], q.shape[-1], usable.sum(axis=(0, 1))
+    sums = (np.where(inside, each, 0).sum(axis=(0, 1)) for each in (q, variance))
+    means, sizes = (each / np.maximum(count, 1)[:, None] for each in sums)
     known = (count >= FEWEST) & (sizes > 0).all(axis=1)
     total = np.where(known, sizes.sum(axis=1), np.inf)
     sizes = np.sqrt(np.where(known[:, None], sizes, 1))
-    square = (np.where(usable[..., None], q, means) / sizes).astype(np.float32)
+    square = (np.where(inside, q, means) / sizes).astype(np.float32)
     # the reflection x - mirror (mirror x) takes the colour, divided by the noise, to the first axis (Householder)
     mirror = colour / sizes
     mirror /= np.linalg.norm(mirror, axis=1, keepdims=True)
