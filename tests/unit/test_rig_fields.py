@@ -101,6 +101,15 @@ def test_a_stage_makes_a_mosaic_whose_boards_are_photographed_once(stage, tmp_pa
     assert bench.exposures == sum(roles) + roles[0] + roles[1]
 
 
+def test_fields_are_not_put_into_a_capture_that_is_there(stage, tmp_path):
+    captures, plan = stage
+    bench, before = StageBench(captures), sorted((tmp_path / "left").rglob("*"))
+    with pytest.raises(UserError, match="left"):
+        go(bench, plan, tmp_path / "left")
+    assert bench.exposures == 0
+    assert sorted((tmp_path / "left").rglob("*")) == before
+
+
 def test_a_run_that_stopped_in_the_second_field_goes_on_there(stage, tmp_path):
     captures, plan = stage
     steps = []

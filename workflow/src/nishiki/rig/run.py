@@ -24,7 +24,7 @@ from typing import Any, cast
 
 from nishiki.capture.folder import load_capture
 from nishiki.capture.mosaic import TABLE as MOSAIC
-from nishiki.capture.mosaic import MosaicCapture
+from nishiki.capture.mosaic import MosaicCapture, is_capture, is_mosaic
 from nishiki.capture.schema_base import CameraResponse, validate
 from nishiki.capture.seal import MANIFEST, capture_digest, read_manifest, seal, sha256_of
 from nishiki.capture.taking import channel_names
@@ -56,6 +56,7 @@ GOOD_PEAK = (0.55, 0.85)
 OVERLAP = 0.1
 """Share of a field that its neighbour must show too: matches of the mosaic need about this much."""
 TRIALS = 12  # exposures of an automatic one
+EXISTS = "{}: exists already. Remedy: choose another name; nothing is overwritten"
 SAME_COMMAND = "Nothing is lost: the same command goes on with this frame"
 
 
@@ -100,12 +101,11 @@ def run_capture(
     """
     read, frames = read_frames_of(plan)
     capture, fields = Path(capture), by_field(frames)
-    runs = {
-        name: CaptureRun(rig, read, part, capture / name, observer or RunState(), open_devices, ask, pause)
-        for name, part in ({f"{FIELDS}/{name}": part for name, part in fields.items()} or {".": frames}).items()
-    }
-    before = None
-    for run in runs.values():
+    if fields and not is_mosaic(capture) and is_capture(capture):
+        raise UserError(EXISTS.format(capture))
+    before, parts = None, {f"{FIELDS}/{name}": part for name, part in fields.items()} or {".": frames}
+    for name, part in parts.items():
+        run = CaptureRun(rig, read, part, capture / name, observer or RunState(), open_devices, ask, pause)
         digest = run.complete(plan, like=before)
         if fields and before is None:
             expect_overlap(read, run.capture)
@@ -196,7 +196,7 @@ class CaptureRun:
         """
         checked = any(event["event"] == "checked" for event in self.journal.events())
         if self._is_in_place() and not checked:
-            raise UserError(f"{self.capture}: exists already. Remedy: choose another name; nothing is overwritten")
+            raise UserError(EXISTS.format(self.capture))
         with self._locked():
             try:
                 if not self._is_in_place():
