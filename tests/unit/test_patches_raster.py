@@ -1,5 +1,7 @@
 """The rasteriser against one ray a pixel, its edge rule, and its extremes."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -157,3 +159,17 @@ def test_distortion_moves_the_corners():
     assert np.abs(back - np.argwhere(hit)[:, ::-1]).max() < 0.2
     straight = rasterise(mesh, camera())
     assert (straight.triangle != raster.triangle).mean() > 0.03
+
+
+def test_interpolated_pictures_take_little_more_than_their_own_memory():
+    rng = np.random.default_rng(0)
+    triangle, weights = rng.integers(-1, 50, (800, 800)), np.full((800, 800, 2), 1 / 3, np.float32)
+    corners, attributes = rng.integers(0, 30, (50, 3)), rng.normal(size=(30, 3))
+    tracemalloc.start()
+    values = interpolate(attributes, corners, triangle, weights)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3 * values.nbytes + (1 << 23)
+    expected = np.where((triangle >= 0)[..., None], attributes[corners].mean(axis=1)[triangle], 0)
+    np.testing.assert_allclose(values, expected, atol=1e-6)
+    assert not interpolate(attributes, corners[:0], np.full((2, 2), -1), weights[:2, :2]).any()

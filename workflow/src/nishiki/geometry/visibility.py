@@ -16,7 +16,7 @@ from numba import njit
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.threads import over_rows
+from nishiki.threads import over_rows, strips
 
 
 @dataclass(frozen=True)
@@ -120,9 +120,13 @@ def interpolate(attributes: np.ndarray, corners: np.ndarray, triangle: np.ndarra
 
     corners (f, 3): the triangles' vertices. 0 where triangle is -1.
     """
-    a, b, c = (np.asarray(attributes, np.float64)[corner] for corner in np.moveaxis(corners[triangle], -1, 0))
-    out = c + barycentric[..., :1] * (a - c) + barycentric[..., 1:] * (b - c)
-    return np.where(np.asarray(triangle)[..., None] >= 0, out, 0).astype(np.float32)
+    flat, weights, values = np.ravel(triangle), np.reshape(barycentric, (-1, 2)), np.asarray(attributes, np.float64)
+    out = np.zeros((len(flat), values.shape[1]), np.float32)
+    for some in strips(len(flat), 1 << 16):  # a picture's float64 numbers would take ten times its memory
+        here = some.start + np.flatnonzero(flat[some] >= 0)
+        a, b, c = (values[corner] for corner in corners[flat[here]].T)
+        out[here] = c + weights[here, :1] * (a - c) + weights[here, 1:] * (b - c)
+    return out.reshape(*np.shape(triangle), values.shape[1])
 
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
