@@ -99,33 +99,32 @@ class Photographed:
     def residuals(self, depths: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """(n,) mean robust squared residual of points in the views that see them; -1 where too few do."""
         import cv2
+        from scipy.spatial.distance import cdist
 
         rows, columns = self.pictures.shape[1:3]
         centres = np.array([camera.centre for camera in self.cameras])
         distance = np.linalg.norm(centres - points.mean(axis=0), axis=1).mean()
         tolerance = 2.5 * distance / np.sqrt(abs(np.linalg.det(self.cameras[0].intrinsics)))
-        towards = centres[:, None] - points
-        length = np.linalg.norm(towards, axis=2, keepdims=True)
-        facing = np.einsum("vnx,nx->vn", towards / length, normals)
-        values = np.empty((*facing.shape, self.pictures.shape[3]))
+        facing = (centres @ normals.T - (points * normals).sum(axis=1)) / cdist(centres, points)
+        values = np.zeros((*facing.shape, self.pictures.shape[3]))
         for view, camera in enumerate(self.cameras):
-            pixels, away = camera.project(points)
+            some = np.flatnonzero(facing[view] >= LEAST_COSINE)
+            pixels, away = camera.project(points[some])
             inside = (away > 0) & ((pixels >= 1) & (pixels < (columns - 2, rows - 2))).all(axis=1)
             pixels = np.where(inside[:, None], pixels, 1.0)
             shown = np.where(np.isfinite(depths[view]), depths[view], 0).astype(np.float32)
             deepest = cv2.dilate(shown, np.ones((3, 3), np.uint8))
             column, row = (pixels + 0.5).astype(int).T
-            facing[view, ~inside | (away > deepest[row, column] + tolerance)] = 0
+            facing[view, some[~inside | (away > deepest[row, column] + tolerance)]] = 0
             (column, row), (s, t) = pixels.astype(int).T, (pixels % 1).T[..., None]
             picture = self.pictures[view]
             above, below = ((1 - s) * picture[k, column] + s * picture[k, column + 1] for k in (row, row + 1))
-            values[view] = (1 - t) * above + t * below
-        order = np.argsort(-facing, axis=0, kind="stable")[:MOST_VIEWS]
-        seen = np.take_along_axis(facing, order, axis=0) >= LEAST_COSINE
-        values, towards = (
-            np.take_along_axis(each, order[..., None], axis=0) for each in (values, towards * (distance**2 / length**3))
-        )
-        return np.where(seen.sum(axis=0) >= FEWEST_VIEWS, matt_residuals(values, towards, seen), -1.0)
+            values[view, some] = (1 - t) * above + t * below
+        order = np.argsort(-facing, axis=0, kind="stable")[:MOST_VIEWS].T
+        place, towards = (order, np.arange(len(points))[:, None]), centres[order] - points[:, None]
+        towards *= distance**2 / np.linalg.norm(towards, axis=2, keepdims=True) ** 3
+        seen = facing[place] >= LEAST_COSINE
+        return np.where(seen.sum(axis=1) >= FEWEST_VIEWS, matt_residuals(values[place], towards, seen), -1.0)
 
 
 def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: Photographed) -> tuple[Mesh, list[dict]]:
@@ -312,17 +311,16 @@ class Shown:
 def matt_residuals(values: np.ndarray, towards: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Mean robust squared residual (n,) of I = b . l over the views that see a point; three rounds of weights.
 
-    values (views, n, channels), towards (views, n, 3), seen (views, n) bool.
+    values (n, views, channels), towards (n, views, 3), seen (n, views) bool.
     """
     variance = (RELATIVE_ERROR * values.mean(axis=2)) ** 2 + ERROR**2
     weights, known = seen / variance, np.where(seen[..., None], values, 0)
     for _ in range(3):
-        weighted = weights[..., None] * towards
-        matrix = np.einsum("vnx,vny->nxy", weighted, towards)
+        weighted = np.swapaxes(weights[..., None] * towards, 1, 2)
+        matrix = weighted @ towards
         matrix += (1e-3 * np.trace(matrix, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(3)
-        b = np.linalg.solve(matrix, np.einsum("vnx,vnk->nxk", weighted, known))
-        lit = np.maximum(np.einsum("vnx,nxk->vnk", towards, b), 0)
-        error = np.square(known - lit).mean(axis=2) / variance
+        b = np.linalg.solve(matrix, weighted @ known)
+        error = np.square(known - np.maximum(towards @ b, 0)).mean(axis=2) / variance
         weights = seen / (variance * (1 + error / 4))
-    total = (np.minimum(error, LARGEST) * seen).sum(axis=0)
-    return np.minimum(total / np.maximum(seen.sum(axis=0) - 3, 1), LARGEST)
+    total = (np.minimum(error, LARGEST) * seen).sum(axis=1)
+    return np.minimum(total / np.maximum(seen.sum(axis=1) - 3, 1), LARGEST)
