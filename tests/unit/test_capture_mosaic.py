@@ -163,6 +163,7 @@ def test_relightable_images_become_fields(tmp_path):
     capture = load_capture(tmp_path / "capture")
     assert made.geometry == capture.geometry == "mosaic"
     assert [each.settings.rendered_from for each in capture.captures] == ["relight/info.json", "object.ptm"]
+    assert made.photographs == sum(len(each.frames) for each in capture.captures)
     assert {problem.kind for problem in made.warnings} >= {"rendered"}
 
 

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 from nishiki.capture.balls import find_photographs, read_with_balls
 from nishiki.capture.colmap import colmap_folder, read_colmap, read_transforms, transforms_file
-from nishiki.capture.frames import SourcePhotographs
 from nishiki.capture.layout_writers import MeasuredTable, read_measurements, recognise_table
 from nishiki.capture.layouts import (
     DIRECTIONS,
@@ -49,16 +48,18 @@ UNKNOWN, EMPTY = "no lamps found, nor cameras", "no photographs in this folder"
 
 
 @dataclass(frozen=True)
-class MosaicLayout(SourcePhotographs):
+class MosaicLayout:
     """Fields of a mosaic, each with the layout of its folder."""
 
-    photographs: tuple[Path, ...]  # of all fields; none of relightable images
     fields: tuple[Field, ...]
     layouts: tuple[Layout | Rendering, ...]
     options: ConvertOptions  # for each field
-    name = "fields"
-    geometry = "mosaic"
-    warnings = ()
+    name, geometry, channels, warnings = "fields", "mosaic", (), ()
+
+    @property
+    def count(self) -> int:
+        """Number of the photographs, and of pictures to render, of all fields."""
+        return sum(layout.count for layout in self.layouts)
 
     @property
     def parts(self) -> str:
@@ -155,8 +156,7 @@ def read_mosaic(source: Path, fields: tuple[Field, ...], options: ConvertOptions
         if not isinstance(layout, Layout | Rendering):
             refuse("fields-differ", field.place, "neither photographs of a plane nor relightable", found=layout.name)
         layouts.append(layout)
-    photographs = tuple(path for layout in layouts for path in getattr(layout, "photographs", ()))
-    return MosaicLayout(photographs, fields, tuple(layouts), options)
+    return MosaicLayout(fields, tuple(layouts), options)
 
 
 LAYOUTS = (
