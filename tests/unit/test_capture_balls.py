@@ -15,6 +15,7 @@ from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.spheres import measure
+from nishiki.capture.spheres.findings import SpheresError
 from nishiki.capture.spheres.optics import Highlight
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError
@@ -68,6 +69,18 @@ def test_lamps_are_measured_on_balls_and_these_are_no_object(tmp_path):
     assert mask.mean() == pytest.approx(1 - 2 * np.pi * (1.1 * 28) ** 2 / (220 * 300), abs=0.005)
     assert not mask[int(109.5 - 18 * 4), int(149.5 - 27 * 4)]
     assert cv2.imread(str(tmp_path / "capture" / "mirror_balls.png")) is not None
+
+
+@pytest.mark.parametrize(("outlines", "kind"), [(0, "layout-unknown"), (1, "layout-unknown"), (2, "lamps-unmeasured")])
+def test_one_round_thing_without_highlights_is_no_mirror_ball(tmp_path, monkeypatch, outlines, kind):
+    def fails(given):
+        raise SpheresError("no highlights", SimpleNamespace(outlines=[None] * outlines))
+
+    source = written(tmp_path / "dome", photographs(TWO))
+    monkeypatch.setattr(balls, "measure_spheres", fails)
+    with pytest.raises(CaptureError) as told:
+        convert(source, tmp_path / "capture")
+    assert told.value.problems[0].kind == kind
 
 
 def test_a_photograph_without_its_flash_is_left_out_by_name(tmp_path):

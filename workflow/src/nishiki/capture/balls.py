@@ -41,7 +41,7 @@ def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptio
     try:
         measured = measure_spheres(SphereInput(photographs))
     except SpheresError as e:
-        raise _refusal(source, str(e), "lamps-unmeasured" if e.findings.outlines else "layout-unknown") from e
+        raise _refusal(source, str(e), "lamps-unmeasured" if len(e.findings.outlines) > 1 else "layout-unknown") from e
     except UserError as e:
         raise CaptureError(error("lamps-unmeasured", str(source), str(e))) from e
     scene, sigma = measured.scene, np.degrees(np.median(measured.fit.direction_sigma))
