@@ -1,5 +1,6 @@
 """Atlas and store: every surface point has one place, and what is read there is what the pictures show."""
 
+import tracemalloc
 from types import SimpleNamespace
 
 import numpy as np
@@ -70,6 +71,12 @@ def test_every_place_leads_back_to_its_point(scene):
     assert (tile >= 0).all()
     assert min(s.min(), t.min()) >= 0
     assert max(s.max(), t.max()) <= SIZE - 1
+    tracemalloc.start()
+    many = atlas.locate(np.tile(triangle, 40), np.tile(barycentric, (40, 1)))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3 * sum(values.nbytes for values in many) + (1 << 24)  # the results and a strip of float64 numbers
+    np.testing.assert_array_equal(many[1], np.tile(s, 40))
     points = interpolate(mesh.vertices, mesh.triangles, triangle, barycentric)
     triangles = texel_triangles(atlas)
     positions, normals, inside = texel_points(mesh, atlas, triangles, slice(None))

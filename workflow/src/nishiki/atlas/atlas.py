@@ -8,6 +8,7 @@ import numpy as np
 
 from nishiki.formats.fields import ArrayFields
 from nishiki.formats.stored import load_arrays
+from nishiki.threads import strips
 
 MARGIN = 0.5
 """Texels between a chart and the border of its grid, at least: look-ups then never need a texel beyond it."""
@@ -37,17 +38,18 @@ class Atlas(ArrayFields):
         triangle (...), barycentric (..., 2) as of a `Raster`. Tile -1 where triangle is -1 or has no place. A point
         between two tiles belongs to the later one: s and t are below T - 1 but for rounding.
         """
-        shape, triangle, stride = np.shape(triangle), np.ravel(triangle), self.size - 1
-        chart = np.append(self.chart, -1)[triangle]  # triangle -1 reads the last entry
-        known = np.flatnonzero(chart >= 0)
-        u, v = np.reshape(barycentric, (-1, 2))[known].astype(np.float64).T
-        corners, (first, rows, columns) = self.corners[triangle[known]], self.chart_grid[chart[known]].T
-        row, column = (u * a + v * b + (1 - u - v) * c for a, b, c in corners.T)
-        down = np.clip(np.floor(row / stride).astype(np.intp), 0, rows - 1)
-        across = np.clip(np.floor(column / stride).astype(np.intp), 0, columns - 1)
-        tile, places = np.full(len(chart), -1, np.int32), np.zeros((2, len(chart)), np.float32)
-        tile[known] = self.cells[first + down * columns + across]
-        places[:, known] = np.clip((row - down * stride, column - across * stride), 0, stride)
+        shape, stride, charts = np.shape(triangle), self.size - 1, np.append(self.chart, -1)
+        triangle, weights = np.ravel(triangle), np.reshape(barycentric, (-1, 2))
+        tile, places = np.full(len(triangle), -1, np.int32), np.zeros((2, len(triangle)), np.float32)
+        for some in strips(len(triangle), 1 << 16):  # all float64 numbers of a view would take ten times its memory
+            known = some.start + np.flatnonzero(charts[triangle[some]] >= 0)  # triangle -1 reads the last entry
+            u, v = weights[known].astype(np.float64).T
+            corners, (first, rows, columns) = self.corners[triangle[known]], self.chart_grid[charts[triangle[known]]].T
+            row, column = (u * a + v * b + (1 - u - v) * c for a, b, c in corners.T)
+            down = np.clip(np.floor(row / stride).astype(np.intp), 0, rows - 1)
+            across = np.clip(np.floor(column / stride).astype(np.intp), 0, columns - 1)
+            tile[known] = self.cells[first + down * columns + across]
+            places[:, known] = np.clip((row - down * stride, column - across * stride), 0, stride)
         places[:, tile < 0] = 0
         return tile.reshape(shape), *places.reshape(2, *shape)
 
