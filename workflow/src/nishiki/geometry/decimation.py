@@ -126,12 +126,12 @@ def collapse(vertices: np.ndarray, faces: np.ndarray, target: int) -> np.ndarray
     along = vertices[ends[borders, 1]] - vertices[ends[borders, 0]]
     lengths = np.linalg.norm(along, axis=1)
     across = np.cross(along, normals[borders // 3]) / np.where(lengths > 0, lengths, 1)[:, None]
-    planes = np.concatenate([
-        np.repeat(_quadrics(normals, vertices[faces[:, 0]], sizes / 6), 3, axis=1),
-        np.repeat(_quadrics(across, vertices[ends[borders, 0]], lengths**2), 2, axis=1),
-    ], axis=1)  # fmt: skip
-    places = np.concatenate([nodes, ends[borders].ravel()])
-    quadrics = np.stack([np.bincount(places, values, count) for values in planes], axis=1)
+    places, quadrics = np.concatenate([nodes, ends[borders].ravel()]), np.empty((count, 10))
+    planes = _quadrics(normals, vertices[faces[:, 0]], sizes / 6)
+    edges = _quadrics(across, vertices[ends[borders, 0]], lengths**2)
+    for number, parts in enumerate(zip(planes, edges, strict=True)):  # one by one, which bounds the memory
+        values = np.concatenate([np.repeat(part, corners) for part, corners in zip(parts, (3, 2), strict=True)])
+        quadrics[:, number] = np.bincount(places, values, count)
     # the triangles at each vertex as linked lists, the last one first
     order = np.argsort(nodes, kind="stable")
     same = nodes[order[1:]] == nodes[order[:-1]]
