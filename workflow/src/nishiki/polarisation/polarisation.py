@@ -85,7 +85,7 @@ def components(
             factor = np.asarray(beta, np.float32)
             diffuse = planes[1] / factor
             specular = planes[0] - diffuse
-            valid = valid & (np.broadcast_to(factor, diffuse.shape) > 0).all(axis=-1)
+            valid = valid & (np.atleast_1d(factor) > 0).all(axis=-1)
         elif sums.method == "linear" and phase is None:
             specular = two * np.hypot(planes[1], planes[2], dtype=np.float64).astype(np.float32)
             diffuse, specular = (two * planes[0] - specular) * factor, specular * factor
@@ -94,7 +94,8 @@ def components(
                 sum(weight * plane for weight, plane in zip(weights, planes, strict=True)) * factor
                 for weights in _last_step(sums.method, phase, sense)
             )
-        known = valid & np.isfinite(diffuse).all(axis=-1) & np.isfinite(specular).all(axis=-1)
+        unknown = np.isnan(0 * diffuse + 0 * specular)  # of infinities, too
+        known = valid & ~np.logical_or.reduce([unknown[..., k] for k in range(unknown.shape[-1])])
     shown = known[..., None]
     return SeparatedView(np.where(shown, diffuse, np.float32(0)), np.where(shown, specular, np.float32(0)), known)
 
