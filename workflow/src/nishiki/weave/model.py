@@ -69,23 +69,19 @@ def pieces(shape, width, theta) -> tuple[np.ndarray, np.ndarray]:
     arc = radius * theta_a
     hump_gloss = hump_body = 0.0
     gloss, body = flat * lobe(half, width), flat * cosine
-    for k, side in enumerate((1.0, -1.0)):
+    for k, (side, back, ahead) in enumerate(((1.0, 1, 0), (-1.0, 0, 1))):
         outer, inner = seen[k], seen[k + 2]
         straight, angle = np.maximum(outer - arc, 0.0), np.minimum(outer, arc) / np.maximum(radius, 1e-300)
         hump_gloss += straight * lobe(half - side * theta_a, width)
-        hump_gloss += radius * _over_arc(half, angle, side, width)
+        hump_gloss += radius * lobe_integral(half - back * angle, half + ahead * angle, width)
         hump_body += straight * np.cos(theta_a) * np.cos(theta - side * theta_a)
         # integral of cos(x) cos(theta - side x) over 0..angle
         hump_body += 0.5 * radius * (angle * cosine + np.sin(angle) * np.cos(angle - side * theta))
-        gloss += rows * radius * _over_arc(half, inner, side, width)
+        gloss += rows * radius * lobe_integral(half - back * inner, half + ahead * inner, width)
         body += 0.5 * rows * radius * (inner * cosine + np.sin(inner) * np.cos(inner - side * theta))
     wide = 4.0 * (length * np.cos(theta_a) + radius * np.sin(theta_a)) + flat + 2.0 * rows * radius * np.sin(contact)
     # the first hump with its flat top or contacts, then the second
     return (gloss + 2 * hump_gloss) / wide, (body + 2 * hump_body) / wide
-
-
-def _over_arc(half, angle, side: float, width) -> np.ndarray:
-    return lobe_integral(half - angle, half, width) if side > 0 else lobe_integral(half, half + angle, width)
 
 
 def plane_rows(plane: int, theta) -> np.ndarray:
