@@ -69,5 +69,5 @@ STAGE = Stage(
     geometry="mosaic",
     stands_for=("ingest", "normals", "brdf"),
     libraries=(*ARRAYS, OPENCV),
-    cost=lambda facts: Cost(mib=700 + 12 * len(facts.fields), seconds=3 + 3 * len(facts.fields), us_per_pixel=1.2),
+    cost=lambda facts: Cost(mib=800 + 12 * len(facts.fields), seconds=3 + 3 * len(facts.fields), us_per_pixel=1.2),
 )
