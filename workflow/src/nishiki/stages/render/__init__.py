@@ -76,7 +76,8 @@ class RenderSettings(Guarded, stage="render", version=3):
     most_megapixels: float = Field(
         MOST_MEGAPIXELS,
         gt=0,
-        description="of the maps that pictures are made from; larger ones are averaged over squares of pixels",
+        description="of the maps that pictures are made from; larger ones are averaged over squares of pixels, to at "
+        "most half as many",
     )
     export_normals: bool = Field(True, description="also write the normals as 16-bit PNG (y up) and EXR")
     curves_sha256: dict[str, str] = Field({}, description="digests of the illuminant tables; filled in by the plan")
@@ -87,6 +88,11 @@ def illuminants(settings: RenderSettings) -> set[str]:
     """Return every illuminant that the pictures and sequences name."""
     names = {light.illuminant for picture in settings.pictures for light in picture.lights}
     return names | {sequence.illuminant for sequence in settings.sequences}
+
+
+def _pictured(megapixels: float) -> float:
+    """Megapixels at most that pictures of a painting are made from."""
+    return megapixels if megapixels <= MOST_MEGAPIXELS else MOST_MEGAPIXELS / 2
 
 
 PAINTING = Stage(
@@ -105,9 +111,9 @@ PAINTING = Stage(
     idle={"av": no_film("render", "sequences")},
     deliverables=("*.png", "*.exr", "*.mp4", "*.webp"),
     cost=lambda facts: Cost(
-        mib=380 + 153 * min(facts.pixels / 1e6, MOST_MEGAPIXELS),  # the pixels that pictures are made from
+        mib=400 + 160 * _pictured(facts.pixels / 1e6),
         bytes_per_pixel=0.5,
-        seconds=4 + 30 * min(facts.pixels / 1e6, MOST_MEGAPIXELS),
+        seconds=4 + 30 * _pictured(facts.pixels / 1e6),
         us_per_pixel=2,
     ),
 )

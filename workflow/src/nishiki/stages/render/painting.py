@@ -33,7 +33,8 @@ def run(context: Context) -> dict:
     """Make every picture and sequence that the settings name."""
     settings = context.settings
     maps = PaintingMaps(context.inputs)
-    block = math.ceil(math.sqrt(math.prod(maps.shape) / (1e6 * settings.most_megapixels)))
+    crowd = math.prod(maps.shape) / (1e6 * settings.most_megapixels)
+    block = 1 if crowd <= 1 else math.ceil(math.sqrt(2 * crowd))  # larger maps: two gigabytes of memory are enough
     scene = load_scene(context.inputs, cast_shadows=settings.cast_shadows, block=block)
     lights = [light for picture in settings.pictures for light in picture.lights]
     spectra = {}
