@@ -169,7 +169,7 @@ def facts_table(stage: Stage) -> str:
     """What a stage needs, makes and costs."""
     settings = {name: each.settings() for name, each in CHAIN.items()}
     own = settings[stage.name]
-    wanted = tuple(name for name in stage.wants(own) if name not in stage.requires)
+    wanted = tuple(name for name in stage.optional_inputs(own) if name not in stage.requires)
     read = [PARTS[name] for name in _looked_at(stage, settings)]
     rows = [
         ("captures", GEOMETRIES.get(stage.geometry or "", "all")),
@@ -198,13 +198,13 @@ def _extra(package: str) -> str:
 
 def _looked_at(stage: Stage, settings: Mapping[str, Any]) -> tuple[str, ...]:
     facts = EXAMPLES[stage.geometry or "plane"]
-    return tuple(stage.looks_at(facts, settings, PRODUCTS))
+    return tuple(stage.capture_parts(facts, settings, PRODUCTS))
 
 
 def _left_out(stage: Stage) -> str:
     """The reason why a scene without anything special would not have the stage; empty where every scene has it."""
     bare = SceneFacts("", (), (), 3, 1, False, False, "", geometry=stage.geometry or "plane")
-    reason = stage.lacks(bare, stage.settings())
+    reason = stage.missing_inputs(bare, stage.settings())
     return f"where {reason}" if reason else ""
 
 

@@ -110,14 +110,17 @@ def test_the_command_line_loads_nothing_heavy(command):
 
 def test_conditions_are_of_declared_libraries():
     assert not [
-        (name, package) for name, stage in CHAIN.items() for package in stage.idle if package not in stage.libraries
+        (name, package)
+        for name, stage in CHAIN.items()
+        for package in stage.unused_packages
+        if package not in stage.libraries
     ]
     assert set(EXTRAS) <= set(MODULES)
 
 
 def test_every_optional_package_that_a_stage_declares_has_a_condition():
     for stage in CHAIN.values():
-        assert set(stage.libraries) & set(EXTRAS) <= set(stage.idle)
+        assert set(stage.libraries) & set(EXTRAS) <= set(stage.unused_packages)
 
 
 def test_a_missing_extra_is_told_with_the_command_that_installs_it(monkeypatch):

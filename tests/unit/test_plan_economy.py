@@ -138,7 +138,7 @@ def test_optional_packages_of_a_scene(facts, settings, loaded):
     optional = set(EXTRAS)
     assert {package for names in found.packages.values() for package in names} & optional == loaded
     chain = {package for stage in CHAIN.values() if stage.serves(facts.geometry) for package in stage.libraries}
-    assert set(found.idle) == (chain & optional) - loaded
+    assert set(found.unused_packages) == (chain & optional) - loaded
 
 
 def test_exr_photographs_need_no_opencv_in_ingest():
@@ -223,7 +223,7 @@ def test_versions_of_packages_that_a_scene_does_not_load_are_no_reason_to_run_ag
 def test_a_package_of_a_format_is_loaded_where_it_is_asked_for(facts, stage, formats, loaded):
     found = planned(facts, "export", **{stage: {"formats": formats}})
     assert set(found.packages[stage]) & {"usd-core", "materialx"} == loaded
-    told = {package: why for package, why in found.idle.items() if package in ("usd-core", "materialx")}
+    told = {package: why for package, why in found.unused_packages.items() if package in ("usd-core", "materialx")}
     assert set(told) == {"usd-core", "materialx"} - loaded
 
 

@@ -56,7 +56,7 @@ def scene_plan(flow: "Workflow", name: str) -> dict[str, Any]:
         "reads": reads,
         "optional_packages": {
             "loaded": list(loaded),
-            "not_loaded": dict(made.idle),
+            "not_loaded": dict(made.unused_packages),
             "missing": {package: install_command((package,)) for package in missing},
         },
         "held_out": list(made.held_out),

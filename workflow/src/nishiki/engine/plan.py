@@ -35,7 +35,7 @@ PARTS = {
 
 def idle_reason(stage: Stage, package: str, facts: SceneFacts, settings: SceneSettings) -> str | None:
     """Why a stage does not load one of its libraries in this scene; None where it does."""
-    reason = stage.idle.get(package)
+    reason = stage.unused_packages.get(package)
     return reason(facts, settings) if reason else None
 
 
@@ -67,7 +67,7 @@ class Plan:
     held_out: tuple[str, ...] = ()
     # of each stage, those of its libraries that it loads in this scene
     packages: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    idle: dict[str, str] = field(default_factory=dict)  # heavy packages that none does
+    unused_packages: dict[str, str] = field(default_factory=dict)  # heavy packages that none does
 
     def folder(self, stage: str) -> str:
         """Path of a stage's artifact below the results folder."""
@@ -118,15 +118,15 @@ def make_plan(scene: Scene, facts: SceneFacts, fields: Mapping[str, Plan] = Mapp
         for name, stage in chain.items()
         if name in needed
     }
-    idle = _idle(chain, packages, facts, settings)
+    unused = _unused_packages(chain, packages, facts, settings)
     keys = {"capture": facts.capture_digest}
     stages: dict[str, PlannedStage] = {}
     for name in packages:
         if chain[name].asked_as == "report":
-            reasons_shown = left_out | {f"package {package}": why for package, why in idle.items()}
+            reasons_shown = left_out | {f"package {package}": why for package, why in unused.items()}
             settings[name] = settings[name].model_copy(update={"left_out": reasons_shown})
         values = settings[name].model_dump(mode="json")
-        named = (*CHAIN[name].requires, *CHAIN[name].wants(settings[name]), *CHAIN[name].uses)
+        named = (*CHAIN[name].requires, *CHAIN[name].optional_inputs(settings[name]), *CHAIN[name].uses)
         reads = {joined.get(other, other) for other in named}
         before = ["capture"] if name == "ingest" else [other for other in CHAIN if other in reads and other in stages]
         upstream = {other: keys[other] for other in before}
@@ -134,7 +134,7 @@ def make_plan(scene: Scene, facts: SceneFacts, fields: Mapping[str, Plan] = Mapp
             upstream |= {f"{part}/{each}": plan.stages[each].key for each in joined if joined[each] == name}
         keys[name] = key_of_text(name, CHAIN[name].version, canonical(values), upstream)
         stages[name] = PlannedStage(name, keys[name], values, upstream, packages[name])
-    return Plan(scene, facts, stages, left_out, held_out, packages, idle)
+    return Plan(scene, facts, stages, left_out, held_out, packages, unused)
 
 
 def expect_of_mosaic(scene: Scene) -> None:
@@ -165,7 +165,7 @@ def _read_by_ingest(
         ingest = ingest.model_copy(update={"channels": "all" if colour else "luminance"})
         if not colour and facts.channels > 1:
             reasons["colour"] = "no product asked for needs more than luminance: one channel is decoded and kept"
-    looked = {part for stage in needed for part in CHAIN[stage].looks_at(facts, settings, scene.products)}
+    looked = {part for stage in needed for part in CHAIN[stage].capture_parts(facts, settings, scene.products)}
     without = tuple(part for part in PARTS if facts.parts.get(part) and part not in looked)
     named = [f"{facts.parts[part]} {PARTS[part]}" for part in without]
     if held_out and facts.geometry == "plane" and not {"evaluate", "export"} & needed:
@@ -174,17 +174,17 @@ def _read_by_ingest(
     return ingest.model_copy(update={"without": without}), reasons | dict.fromkeys(named, UNREAD)
 
 
-def _idle(
+def _unused_packages(
     chain: dict[str, Stage], packages: dict[str, tuple[str, ...]], facts: SceneFacts, settings: dict[str, Closed]
 ) -> dict[str, str]:
     """List the optional packages of the chain that no stage of the plan loads, with reasons."""
-    loaded, idle = {name for names in packages.values() for name in names}, {}
+    loaded, unused = {name for names in packages.values() for name in names}, {}
     for stage in chain.values():
         for package in stage.libraries:
-            if package in EXTRAS and package not in loaded and package not in idle:
+            if package in EXTRAS and package not in loaded and package not in unused:
                 reason = idle_reason(stage, package, facts, settings) if stage.name in packages else None
-                idle[package] = reason or f"{stage.name} is not in the plan"
-    return idle
+                unused[package] = reason or f"{stage.name} is not in the plan"
+    return unused
 
 
 def held_out_of(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) -> tuple[str, ...]:
@@ -216,7 +216,11 @@ def _reach(
     if name in needed:
         return True
     known = name in settings
-    reason = CHAIN[name].lacks(facts, settings[name]) if known else f"captures of a {facts.geometry} have no such stage"
+    reason = (
+        CHAIN[name].missing_inputs(facts, settings[name])
+        if known
+        else f"captures of a {facts.geometry} have no such stage"
+    )
     if reason:
         left_out[name] = reason
         return False
@@ -224,7 +228,7 @@ def _reach(
         if not _reach(upstream, facts, settings, needed, left_out, joined):
             left_out[name] = f"it needs {upstream}, which is left out: {left_out[upstream]}"
             return False
-    for upstream in CHAIN[name].wants(settings[name]):
+    for upstream in CHAIN[name].optional_inputs(settings[name]):
         _reach(upstream, facts, settings, needed, left_out, joined)
     needed.add(name)
     return True

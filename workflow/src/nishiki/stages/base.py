@@ -154,21 +154,21 @@ class Stage:
     product : str
         Name under which a scene asks for it, where that is not its own: the `render` of a plane and that of a
         turntable are different stages with one name for the user.
-    requires, wants, uses
+    requires, optional_inputs, uses
         Stages without which it cannot run; those pulled into the plan where the capture can feed them; those that it
         reads where the plan has them anyway.
-    lacks : callable
+    missing_inputs : callable
         Reason why the capture cannot feed the stage, or None.
     needs_colour : bool
         Ingest keeps all channels for it.
-    looks_at : callable
+    capture_parts : callable
         Parts of the capture (see `nishiki.engine.plan`) that it reads, from the facts, all settings of the
         scene and the products asked for.
     filled : callable
         Settings that only the plan knows, from its own settings and those of the scene.
     libraries : tuple of str
         Packages that it loads; their versions decide whether it runs again.
-    idle : mapping of str to callable
+    unused_packages : mapping of str to callable
         Of some of these, the reason why a scene does without, or None where it is loaded.
     outputs : tuple of Output
         The arrays of its `maps.zarr`.
@@ -189,14 +189,14 @@ class Stage:
     stands_for: tuple[str, ...] = ()
     product: str = ""
     requires: tuple[str, ...] = ()
-    wants: Callable[[Any], tuple[str, ...]] = lambda settings: ()
+    optional_inputs: Callable[[Any], tuple[str, ...]] = lambda settings: ()
     uses: tuple[str, ...] = ()
-    lacks: Callable[[SceneFacts, Any], str | None] = lambda facts, settings: None
+    missing_inputs: Callable[[SceneFacts, Any], str | None] = lambda facts, settings: None
     needs_colour: bool = True
-    looks_at: Parts = lambda facts, settings, asked: ()
+    capture_parts: Parts = lambda facts, settings, asked: ()
     filled: Callable[[Any, Any], dict[str, Any]] = lambda block, settings: {}
     libraries: tuple[str, ...] = ("numpy", "numba", "zarr")
-    idle: Mapping[str, Reason] = field(default_factory=dict)
+    unused_packages: Mapping[str, Reason] = field(default_factory=dict)
     outputs: tuple[Output, ...] = ()
     deliverables: tuple[str, ...] = ()
     threads: int = 2

@@ -160,8 +160,10 @@ CLOTH = Stage(
     does="reflectance for every direction of light and view",
     geometry="goniometer",
     requires=("goniometer_samples",),
-    wants=lambda settings: ("weave",) * (not {"auto", "yarns"}.isdisjoint((settings.model, *settings.compare))),
-    looks_at=lambda facts, settings, asked: ("oblique",) * bool(settings["cloth_brdf"].oblique),
+    optional_inputs=lambda settings: (
+        ("weave",) * (not {"auto", "yarns"}.isdisjoint((settings.model, *settings.compare)))
+    ),
+    capture_parts=lambda facts, settings, asked: ("oblique",) * bool(settings["cloth_brdf"].oblique),
     libraries=("numpy", "scipy", "numba"),
     deliverables=("*.npz", "*.csv"),
     # it reads one reflectance of a photograph, whatever the photograph's size

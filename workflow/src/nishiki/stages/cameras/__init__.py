@@ -71,10 +71,10 @@ STAGE = Stage(
     geometry="turntable",
     requires=("ingest",),
     needs_colour=False,
-    lacks=lambda facts, settings: (
+    missing_inputs=lambda facts, settings: (
         None if facts.has_poses else "the capture has no camera matrices, no board pictures and no correspondences"
     ),
-    looks_at=lambda facts, settings, asked: () if poses_of(facts, settings) == "matrices" else ("calibration",),
+    capture_parts=lambda facts, settings, asked: () if poses_of(facts, settings) == "matrices" else ("calibration",),
     libraries=("numpy", "scipy", "zarr", OPENCV),
     threads=1,
     cost=lambda facts: Cost(mib=200, seconds=1.5),

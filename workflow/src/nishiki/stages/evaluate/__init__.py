@@ -36,13 +36,13 @@ PAINTING = Stage(
     outputs=PAINTING_OUTPUTS,
     of_mosaics=True,
     requires=("ingest", "normals"),
-    wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
-    lacks=lambda facts, settings: (
+    optional_inputs=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
+    missing_inputs=lambda facts, settings: (
         None
         if facts.truth_sha256 or facts.check_lights or settings.hold_out
         else "there is no truth, the capture has no check lights and no light is held out (set hold_out)"
     ),
-    looks_at=lambda facts, settings, asked: ("check",),
+    capture_parts=lambda facts, settings, asked: ("check",),
     libraries=ARRAYS,
     cost=lambda facts: (
         Cost(mib=390, bytes_per_pixel=160, seconds=2.8, us_per_pixel=16)
@@ -85,8 +85,8 @@ OBJECT = Stage(
     geometry="turntable",
     product="evaluate",
     requires=("ingest", "mesh", "cameras", "texels", "object_brdf", "residual"),
-    wants=lambda settings: ("polarise",),
-    looks_at=photographs_or_states,
+    optional_inputs=lambda settings: ("polarise",),
+    capture_parts=photographs_or_states,
     libraries=(*ARRAYS, "pywavelets", OPENCV, "dracopy", "imagecodecs"),
     cost=lambda facts: Cost(mib=380, bytes_per_sample=90, seconds=5, us_per_sample=3),
 )
@@ -107,12 +107,12 @@ CLOTH = Stage(
     geometry="goniometer",
     product="evaluate",
     requires=("goniometer_samples", "cloth_brdf"),
-    lacks=lambda facts, settings: (
+    missing_inputs=lambda facts, settings: (
         None
         if facts.measurements > facts.frontal or facts.truth_sha256
         else "the light stood at the normal of the cloth in every measurement: none is left to compare with"
     ),
-    looks_at=lambda facts, settings, asked: ("oblique",),
+    capture_parts=lambda facts, settings, asked: ("oblique",),
     libraries=("numpy", "scipy", "numba"),
     deliverables=("*.csv",),
     threads=1,

@@ -101,10 +101,10 @@ PAINTING = Stage(
     does="files for other programs",
     of_mosaics=True,
     requires=("ingest", "normals"),
-    wants=_wanted,
-    looks_at=lambda facts, settings, asked: ("check",),
+    optional_inputs=_wanted,
+    capture_parts=lambda facts, settings, asked: ("check",),
     libraries=(*ARRAYS, OPENCV, "usd-core", "materialx"),
-    idle={"usd-core": no_format("export", "usd"), "materialx": no_format("export", "materialx")},
+    unused_packages={"usd-core": no_format("export", "usd"), "materialx": no_format("export", "materialx")},
     deliverables=("exports",),
     cost=lambda facts: Cost(mib=620, bytes_per_pixel=40, seconds=5, us_per_pixel=20, us_per_sample=0.5),
 )
@@ -149,9 +149,12 @@ OBJECT = Stage(
     product="export",
     requires=("ingest", "mesh", "cameras", "texels", "object_brdf", "residual"),
     uses=("polarise",),
-    looks_at=photographs_or_states,
+    capture_parts=photographs_or_states,
     libraries=(*ARRAYS, "pywavelets", OPENCV, "usd-core", "materialx"),
-    idle={"usd-core": no_format("object_export", "usd"), "materialx": no_format("object_export", "materialx")},
+    unused_packages={
+        "usd-core": no_format("object_export", "usd"),
+        "materialx": no_format("object_export", "materialx"),
+    },
     deliverables=("exports",),
     threads=1,
     cost=lambda facts: Cost(mib=560, bytes_per_sample=20, seconds=5, us_per_sample=2),
@@ -187,7 +190,9 @@ CLOTH = Stage(
     product="export",
     requires=("cloth_brdf", "cloth_render"),
     libraries=("numpy", "scipy", "numba", "trimesh"),
-    idle={"trimesh": lambda facts, settings: None if settings["cloth_render"].mesh else "no mesh file is draped"},
+    unused_packages={
+        "trimesh": lambda facts, settings: None if settings["cloth_render"].mesh else "no mesh file is draped"
+    },
     deliverables=("exports",),
     cost=lambda facts: Cost(mib=500, seconds=40),
 )

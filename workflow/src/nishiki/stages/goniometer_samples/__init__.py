@@ -100,7 +100,7 @@ STAGE = Stage(
     requires=("ingest",),
     # Asked for by name the reflectances themselves are wanted, all of them. A light within normal_deg counts as along
     # the normal, where ingest would take it for oblique.
-    looks_at=lambda facts, settings, asked: (
+    capture_parts=lambda facts, settings, asked: (
         ("oblique",) if "goniometer_samples" in asked or settings["goniometer_samples"].normal_deg > 1 else ()
     ),
     libraries=(*ARRAYS, OPENCV),

@@ -80,7 +80,7 @@ STAGE = Stage(
     geometry=None,
     needs_colour=False,
     libraries=(*ARRAYS, OPENCV, "OpenEXR", "rawpy"),
-    idle={
+    unused_packages={
         "rawpy": only_files(RAW_SUFFIXES, "camera raw"),
         "OpenEXR": only_files(frozenset({".exr"}), "an EXR file"),
         OPENCV: lambda facts, settings: (

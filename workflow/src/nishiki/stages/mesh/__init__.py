@@ -118,9 +118,9 @@ STAGE = Stage(
     does="the surface, from a file, range scans or silhouettes",
     geometry="turntable",
     requires=("ingest", "cameras"),
-    looks_at=_looks_at,
+    capture_parts=_looks_at,
     libraries=(*ARRAYS, OPENCV, "scikit-image", "trimesh", "pymeshlab"),
-    idle={
+    unused_packages={
         "trimesh": _only_surface(("file", "scans"), "the surface comes from silhouettes"),
         "pymeshlab": _only_surface(("scans",), "there are no range scans to merge"),
         "scikit-image": _only_surface(("silhouettes",), "the surface does not come from silhouettes"),

@@ -122,10 +122,10 @@ STAGE = Stage(
     geometry="turntable",
     product="separate",
     requires=("ingest",),
-    lacks=lambda facts, settings: (
+    missing_inputs=lambda facts, settings: (
         no_method(facts, settings) if len(facts.states) > 1 else "the photographs show one polariser state only"
     ),
-    looks_at=lambda facts, settings, asked: ("photographs", "states", "white_states"),
+    capture_parts=lambda facts, settings, asked: ("photographs", "states", "white_states"),
     libraries=(*ARRAYS, OPENCV),
     deliverables=("*.png", "*.exr"),
     cost=lambda facts: Cost(mib=300, bytes_per_pixel=400, seconds=2.5, us_per_pixel=16, us_per_sample=3.2),

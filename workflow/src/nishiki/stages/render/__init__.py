@@ -100,7 +100,7 @@ PAINTING = Stage(
     does="pictures under any light and view",
     of_mosaics=True,
     requires=("normals",),
-    wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
+    optional_inputs=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
     filled=lambda block, settings: {
         "curves_sha256": {
             table: digest_of(table, "illuminant")
@@ -108,7 +108,7 @@ PAINTING = Stage(
         }
     },
     libraries=(*ARRAYS, OPENCV, "av"),
-    idle={"av": no_film("render", "sequences")},
+    unused_packages={"av": no_film("render", "sequences")},
     deliverables=("*.png", "*.exr", "*.mp4", "*.webp"),
     cost=lambda facts: Cost(
         mib=400 + 160 * _pictured(facts.pixels / 1e6),
@@ -178,7 +178,7 @@ OBJECT = Stage(
     product="render",
     requires=("ingest", "mesh", "cameras", "texels", "object_brdf", "residual"),
     libraries=(*ARRAYS, "pywavelets", OPENCV, "av"),
-    idle={"av": no_film("object_render", "film")},
+    unused_packages={"av": no_film("object_render", "film")},
     deliverables=("*.png", "*.exr", "*.mp4", "*.webp"),
     cost=lambda facts: Cost(mib=270, bytes_per_sample=70, seconds=4, us_per_sample=9.5),
 )
@@ -282,7 +282,7 @@ CLOTH = Stage(
     requires=("cloth_brdf",),
     filled=lambda block, settings: with_digest_of_mesh(block.mesh, "cloth_render"),
     libraries=("numpy", "scipy", "numba", "trimesh", OPENCV, "av"),
-    idle={
+    unused_packages={
         "av": no_film("cloth_render", "film"),
         "trimesh": lambda facts, settings: None if settings["cloth_render"].mesh else "no mesh file is draped",
     },

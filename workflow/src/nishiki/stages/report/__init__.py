@@ -42,7 +42,7 @@ OBJECT = Stage(
     geometry="turntable",
     product="report",
     requires=("ingest",),
-    wants=lambda settings: ("polarise",),
+    optional_inputs=lambda settings: ("polarise",),
     needs_colour=False,
     uses=(
         "cameras",
@@ -74,7 +74,7 @@ CLOTH = Stage(
     geometry="goniometer",
     product="report",
     requires=("ingest", "goniometer_samples"),
-    wants=lambda settings: ("weave",),
+    optional_inputs=lambda settings: ("weave",),
     uses=("cloth_brdf", "cloth_render", "cloth_evaluate", "cloth_export", "cloth_viewer"),
     libraries=("numpy", "scipy", "jinja2", "numba", OPENCV),
     deliverables=("*.html", "thumbnail.jpg"),

@@ -52,8 +52,8 @@ STAGE = Stage(
     does="captured minus model, as coded wavelet coefficients",
     geometry="turntable",
     requires=("ingest", "mesh", "cameras", "texels", "object_brdf"),
-    wants=lambda settings: ("polarise",),
-    looks_at=photographs_or_states,
+    optional_inputs=lambda settings: ("polarise",),
+    capture_parts=photographs_or_states,
     libraries=(*ARRAYS, OPENCV, "pywavelets", "dracopy"),
     cost=lambda facts: Cost(mib=340, bytes_per_sample=22, seconds=14, us_per_sample=20),
 )

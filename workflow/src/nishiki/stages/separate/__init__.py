@@ -59,7 +59,7 @@ STAGE = Stage(
     does="lights that show only diffuse reflection",
     outputs=OUTPUTS,
     requires=("ingest",),
-    lacks=no_method,
+    missing_inputs=no_method,
     filled=lambda block, settings: {"lights": settings.normals.lights},
     cost=lambda facts: Cost(mib=300, tiles=2.0, seconds=2.5, us_per_pixel=2, us_per_sample=0.12),
     scatter=True,

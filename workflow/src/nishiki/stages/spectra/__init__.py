@@ -76,7 +76,7 @@ STAGE = Stage(
     outputs=OUTPUTS,
     of_mosaics=True,
     requires=("ingest", "normals"),
-    lacks=_no_spectra,
+    missing_inputs=_no_spectra,
     filled=lambda block, settings: (
         {} if block.training == "synthetic" else {"training_sha256": digest_of(block.training, "spectra.training")}
     ),

@@ -52,8 +52,8 @@ STAGE = Stage(
     does="what every view shows of every patch of the surface",
     geometry="turntable",
     requires=("ingest", "cameras", "mesh"),
-    wants=lambda settings: ("polarise",),
-    looks_at=photographs_or_states,
+    optional_inputs=lambda settings: ("polarise",),
+    capture_parts=photographs_or_states,
     libraries=(*ARRAYS, OPENCV),
     # with polarisers all light, diffuse and specular part
     cost=lambda facts: Cost(mib=320, bytes_per_sample=16, seconds=4.5, us_per_sample=5 if len(facts.states) > 1 else 2),

@@ -24,7 +24,7 @@ PAINTING = Stage(
     does="interactive page: moving lamps, spectra, layers",
     of_mosaics=True,
     requires=("ingest", "normals"),
-    wants=lambda settings: ("height", "spectra", "brdf"),
+    optional_inputs=lambda settings: ("height", "spectra", "brdf"),
     uses=("evaluate",),
     libraries=("numpy", "numba", "jinja2", "zarr", OPENCV),
     threads=1,
@@ -75,6 +75,8 @@ CLOTH = Stage(
         else with_digest_of_mesh(settings.cloth_render.mesh, "cloth_render")
     ),
     libraries=("numpy", "scipy", "numba", "trimesh", "jinja2"),
-    idle={"trimesh": lambda facts, settings: None if settings["cloth_viewer"].mesh else "no mesh file is shown"},
+    unused_packages={
+        "trimesh": lambda facts, settings: None if settings["cloth_viewer"].mesh else "no mesh file is shown"
+    },
     cost=lambda facts: Cost(mib=340, seconds=40),
 )

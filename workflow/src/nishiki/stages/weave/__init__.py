@@ -68,7 +68,9 @@ STAGE = Stage(
     does="cross-sections of warp and weft, from how they hide each other",
     geometry="goniometer",
     requires=("goniometer_samples",),
-    lacks=lambda facts, settings: None if facts.frontal else "no measurement has its light at the normal of the cloth",
+    missing_inputs=lambda facts, settings: (
+        None if facts.frontal else "no measurement has its light at the normal of the cloth"
+    ),
     libraries=("numpy", "scipy", "numba", OPENCV),
     deliverables=("*.ply", "*.png", "*.svg"),
     cost=lambda facts: Cost(mib=480, seconds=60),
