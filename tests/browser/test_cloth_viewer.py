@@ -62,7 +62,7 @@ def shown(tmp_path_factory):
     text = json.dumps({"default": "ward", "regions": ["cloth"], "models": {"cloth": told}})
     (folder / "cloth_brdf.json").write_text(text)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cloth, "SIDE", 65)
+        patch.setattr(cloth, "FINEST_SIDE", 65)
         patch.setattr(cloth, "SIZE", (180, 240))
         blocks = Blocks(SimpleNamespace(path=lambda name: folder / name), inline_bytes=10**8)
         about = {"title": "Satin", "scene": "satin", "key": "", "version": ""}

@@ -134,7 +134,7 @@ NO_CAMERAS = {"cameras": False}
 BROKEN = {
     "view without camera": ({}, lambda f: edit_text(f / "cameras.csv", "v2,", "v9,"), "view-without-camera", "'v2'"),
     "camera without view": ({}, row("frames/4_", ""), "camera-without-view", "'v4' has no photograph"),
-    "matrix of eleven values": ({}, camera_row("v1", ",".join("1" * 11)), "camera-values", "11 values"),
+    "matrix of eleven values": ({}, camera_row("v1", ",".join("1" * 11)), "camera-values", "12 numbers"),
     "matrix of thirteen values": ({}, camera_row("v1", ",".join("1" * 13)), "camera-values", "12 numbers"),
     "matrix with a word": ({}, camera_row("v1", ",".join("1" * 11) + ",one"), "camera-values", "row 3"),
     "matrix not finite": ({}, camera_row("v1", ",".join("1" * 11) + ",nan"), "camera-not-finite", "1 of 12"),

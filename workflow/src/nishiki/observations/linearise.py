@@ -118,13 +118,15 @@ def check_linearity(values: np.ndarray, reflectances: np.ndarray) -> Linearity:
         raise ValueError(f"3 or more patches with a reflectance each are needed, found {values.shape}")
     if not (np.isfinite(values).all() and np.isfinite(reflectances).all()):
         raise ValueError("patch values and reflectances must be finite")
-    if np.ptp(reflectances) <= 1e-6 * max(1.0, float(np.abs(reflectances).max())):
+    centred = reflectances - reflectances.mean()
+    spread = float(centred @ centred)
+    if spread <= 1e-12 * max(1.0, float(reflectances @ reflectances)):
         raise ValueError("the patches all have the same reflectance")
-    from scipy.stats import linregress
-
-    line = linregress(reflectances, values)
-    deviation = np.abs(values - (line.slope * reflectances + line.intercept))
-    worst, scale = int(np.argmax(deviation)), float(np.abs(values).max()) or 1.0
-    return Linearity(
-        float(line.slope), float(line.intercept), float(line.rvalue**2), float(deviation[worst]) / scale, worst
-    )
+    slope = float(centred @ values) / spread
+    intercept = float(values.mean() - slope * reflectances.mean())
+    residual = values - (slope * reflectances + intercept)
+    total = float(((values - values.mean()) ** 2).sum())
+    r_squared = 1.0 - float(residual @ residual) / total if total > 0 else 0.0
+    worst = int(np.argmax(np.abs(residual)))
+    scale = float(np.abs(values).max()) or 1.0
+    return Linearity(slope, intercept, r_squared, float(abs(residual[worst])) / scale, worst)
