@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from nishiki.capture.frames import parse_state
 from nishiki.capture.goniometer import NORMAL_DEG, GoniometerCapture
-from nishiki.capture.polariser import parse_state
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.images import read_header
 

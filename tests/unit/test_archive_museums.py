@@ -15,7 +15,9 @@ from nishiki.archive.crate import METADATA, TECHNIQUES, PackedScene, PackedStage
 from nishiki.archive.crate_metadata import _rights_id
 from nishiki.archive.museums import CONTEXT, crm_graph, lido_text
 from nishiki.archive.pack import _json
-from nishiki.capture.schema import CaptureFile, GoniometerFile, TurntableFile
+from nishiki.capture.folder import CaptureFile
+from nishiki.capture.goniometer import GoniometerFile
+from nishiki.capture.turntable import TurntableFile
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib")  # of its own parsers
 LIDO = {"lido": "http://www.lido-schema.org"}

@@ -17,8 +17,7 @@ from scipy.io import savemat
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
-from nishiki.capture.frames import Frame
-from nishiki.capture.polariser import parse_state
+from nishiki.capture.frames import Frame, parse_state
 from nishiki.capture.seal import seal
 from nishiki.capture.tables import camera_centre, read_cameras
 from nishiki.cli import main

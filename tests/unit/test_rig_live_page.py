@@ -15,7 +15,7 @@ from pages import parsed
 from refusals import refused
 from rig_devices import Bench, write_plan
 
-from nishiki.capture.schema_base import CameraResponse
+from nishiki.capture.schema import CameraResponse
 from nishiki.errors import UserError
 from nishiki.rig.frame_check import measure
 from nishiki.rig.frames_table import PlannedFrame

@@ -5,7 +5,7 @@ import pytest
 from captures import RING
 from refusals import expect_facts
 
-from nishiki.capture.schema_base import read_mapping
+from nishiki.capture.schema import read_mapping
 from nishiki.cli import main
 from nishiki.errors import UserError
 from nishiki.rig.frames_table import candidate_pairs, expected_fit, read_table, table_text

@@ -16,7 +16,7 @@ from rig_devices import Bench, write_plan
 from nishiki.api import read_observations
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
-from nishiki.capture.schema_base import CameraResponse
+from nishiki.capture.schema import CameraResponse
 from nishiki.capture.seal import MANIFEST, read_manifest, verify_seal
 from nishiki.cli import main
 from nishiki.errors import UserError

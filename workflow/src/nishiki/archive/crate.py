@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from nishiki.artifacts.artifact import Artifact, is_inside
 from nishiki.artifacts.provenance import canonical, stage_program
-from nishiki.capture.schema_base import Session
+from nishiki.capture.schema import Session
 from nishiki.errors import UserError
 from nishiki.formats.files import name_fault
 

@@ -20,7 +20,7 @@ from nishiki.archive.crate import (
 )
 from nishiki.archive.museums import CIDOC_CRM, LIDO
 from nishiki.artifacts.provenance import stage_program
-from nishiki.capture.schema_base import OBJECT_FACTS
+from nishiki.capture.schema import OBJECT_FACTS
 
 CONTEXT = ["https://w3id.org/ro/crate/1.1/context", "https://w3id.org/ro/terms/workflow-run/context"]
 RO_CRATE = "https://w3id.org/ro/crate/1.1"

@@ -9,7 +9,7 @@ import yaml
 
 from nishiki.artifacts.closed import merged
 from nishiki.capture.layouts import photographs_in
-from nishiki.capture.schema_base import read_mapping
+from nishiki.capture.schema import read_mapping
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.taking import settings_text
 from nishiki.errors import UserError

@@ -1,4 +1,4 @@
-"""A capture folder as one frozen value: what was photographed, how, under which lamps."""
+"""A capture folder as one frozen value: the description of a plane, and how folders of every geometry are read."""
 
 import math
 from collections import Counter
@@ -6,10 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
+from pydantic import model_validator
 
+from nishiki.artifacts.closed import Closed
 from nishiki.capture.frames import (
     DIALECTS,
     Frame,
@@ -22,16 +24,54 @@ from nishiki.capture.frames import (
 from nishiki.capture.goniometer import GoniometerCapture, GoniometerFile, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.mosaic import MosaicCapture, examine_mosaic, is_mosaic
-from nishiki.capture.schema import LOST_BY_FIT, CaptureFile, check_settings
-from nishiki.capture.schema_base import Session, read_mapping
+from nishiki.capture.schema import Count, Positive, Session, read_mapping, validate
 from nishiki.capture.tables import Curves, read_curves
-from nishiki.capture.turntable import TurntableCapture, examine_turntable
-from nishiki.capture.turntable_rules import TurntableFile
+from nishiki.capture.turntable import TurntableCapture, TurntableFile, examine_turntable
 from nishiki.colour.colour import ILLUMINANTS
 from nishiki.errors import require
 from nishiki.formats.files import bound, leads_out
 from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, number_of, reading, table_rows
+
+LOST_BY_FIT = (
+    "cast shadows and highlights are as smooth as that fit made them, what it left over is gone, its coefficients have "
+    "8 bits, and neither the scale of brightness nor the strengths and distances of the lamps are known"
+)
+"""What a capture lacks whose pictures were rendered from a relightable image."""
+
+
+class LightsFile(Closed):
+    """Where the lamps were."""
+
+    file: str
+    kind: Literal["direction", "position_mm"] = "direction"
+    intensities: str | None = None
+    axes_confirmed: bool = False  # by the user, so that undecided axes are not warned about
+
+
+class CaptureFile(Session):
+    """capture.yaml of a plane."""
+
+    lights: LightsFile
+    geometry: Literal["plane", "turntable", "goniometer"] = "plane"
+    pixel_pitch_mm: Positive | None = None
+    region_of_interest: tuple[Count, Count, Count, Count] | None = None
+    mask: str | None = None
+    regions: str | None = None
+    rendered_from: str | None = None
+
+    @model_validator(mode="after")
+    def _pitch_for_positions(self) -> "CaptureFile":
+        if self.lights.kind == "position_mm" and self.pixel_pitch_mm is None:
+            raise ValueError("lights of kind position_mm need pixel_pitch_mm (millimetres a pixel on the object)")
+        return self
+
+
+def check_settings(parsed: dict, file: str) -> CaptureFile | TurntableFile | GoniometerFile:
+    """Parse the keys and values of a capture.yaml by its geometry. CaptureError: those of `validate`."""
+    models: dict[Any, type[Any]] = {"turntable": TurntableFile, "goniometer": GoniometerFile}
+    return validate(models.get(parsed.get("geometry"), CaptureFile), parsed, file)
+
 
 MIRROR_BALLS = "mirror_balls.png"
 """Picture in a capture whose lamps were measured on mirror balls, in the axes of the photographs."""

@@ -12,7 +12,7 @@ from nishiki.artifacts.closed import Closed
 from nishiki.capture.frames import ANGLE_COLUMNS, Frame, Photographed, exposure_problems, inside
 from nishiki.capture.goniometer_tables import ReflectanceTable, in_radians, radians_problem, read_table
 from nishiki.capture.options import Azimuths, Values
-from nishiki.capture.schema_base import Positive, Session
+from nishiki.capture.schema import Positive, Session
 from nishiki.formats.files import is_label
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.goniometry.directions import unit

@@ -10,15 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.capture.frames import EXPOSURE_COLUMNS, SHIFT_COLUMNS
+from nishiki.capture.frames import EXPOSURE_COLUMNS, SHIFT_COLUMNS, parse_state
 from nishiki.capture.goniometer_tables import ReflectanceTable, is_table, read_table
 from nishiki.capture.layouts import MASK_SUFFIXES, Layout, masks_in, natural_key, photographs_in, source_problems
 from nishiki.capture.lights import Lights, rearrange
 from nishiki.capture.options import NO_PHOTOGRAPHS, ConvertOptions, file_problems, folder_problems
 from nishiki.capture.pairing import complete_bands, names_apart, pair_by_name, sort_bands
-from nishiki.capture.polariser import parse_state
 from nishiki.capture.registered import Pictures
-from nishiki.capture.schema_base import FORMAT
+from nishiki.capture.schema import FORMAT
 from nishiki.capture.tables import LENS_COLUMNS, MATRIX_COLUMNS
 from nishiki.capture.taking import (
     channel_names,

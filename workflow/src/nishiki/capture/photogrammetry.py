@@ -34,7 +34,7 @@ from nishiki.capture.registered import (
     rigid,
     whole,
 )
-from nishiki.capture.turntable_rules import Intrinsics
+from nishiki.capture.tables import Intrinsics
 from nishiki.formats.files import files_with, read_bytes, read_text
 from nishiki.formats.problems import Problem, error, left_out, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from nishiki.capture.turntable_rules import Intrinsics
+from nishiki.capture.tables import Intrinsics
 from nishiki.errors import require
 from nishiki.formats.files import same_name, walk
 from nishiki.formats.images import read_header

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from nishiki.capture.folder import LOST_BY_FIT
 from nishiki.capture.layout_writers import write_tables
 from nishiki.capture.layouts import RELIGHTABLE as SUFFIXES
 from nishiki.capture.layouts import photographs_in, state_lights
 from nishiki.capture.lights import Lights, lights_from_vectors
 from nishiki.capture.options import NO_PHOTOGRAPHS, ConvertOptions, file_problems
-from nishiki.capture.schema import LOST_BY_FIT
-from nishiki.capture.schema_base import FORMAT
+from nishiki.capture.schema import FORMAT
 from nishiki.capture.taking import COLOUR, take, take_mask
 from nishiki.formats.files import Refused, expect_memory, files_with
 from nishiki.formats.legacy_rti import HshFile, PtmFile, open_hsh, open_ptm

@@ -4,9 +4,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
+from nishiki.artifacts.closed import Closed
+from nishiki.capture.schema import Positive, read_mapping, validate
 from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse
 from nishiki.formats.text_tables import expect_rows, label_problems, reading, table_rows
@@ -202,3 +206,27 @@ def _mistakes(wavelengths: np.ndarray, values: np.ndarray, label: str) -> list:
     elif values.size and not (values > 0).any(axis=0).all():
         problems.append(error("spectra-zero", label, "a curve is zero everywhere"))
     return problems
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Intrinsics(Closed):
+    """intrinsics.yaml: focal lengths and principal point in pixels, Brown's distortion k1, k2, p1, p2, k3."""
+
+    fx: Positive
+    fy: Positive
+    cx: Finite
+    cy: Finite
+    skew: Finite = 0.0
+    distortion: tuple[Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def as_dict(self) -> dict:
+        """matrix (3 rows of 3) and distortion as plain lists."""
+        matrix = [[self.fx, self.skew, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]]
+        return {"matrix": matrix, "distortion": list(self.distortion)}
+
+
+def read_intrinsics(path: Path, name: str) -> Intrinsics:
+    """Parse intrinsics.yaml. CaptureError: yaml-missing, yaml-invalid, unknown-key, missing-key, wrong-value."""
+    return validate(Intrinsics, read_mapping(path), name)

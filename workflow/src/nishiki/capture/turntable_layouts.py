@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.frames import SourcePhotographs
+from nishiki.capture.frames import SourcePhotographs, parse_state, state_warnings
 from nishiki.capture.layouts import natural_key, natural_parts, photographs_in, source_problems
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.polariser import parse_state, state_warnings
 from nishiki.capture.registered import Pictures, Registration, aim_problems, reading_cameras
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.tables import camera_centre, camera_problems

@@ -182,7 +182,7 @@ def expect_outside(target: Path, results: Path) -> None:
 def _scene(flow: "Workflow", name: str, plan: "Plan") -> "PackedScene":
     from nishiki.archive.crate import PackedScene, capture_method
     from nishiki.capture.folder import load_capture
-    from nishiki.capture.schema_base import ABOUT
+    from nishiki.capture.schema import ABOUT
     from nishiki.stages.table import CHAIN
     from nishiki.version import PROJECT_VERSION
 

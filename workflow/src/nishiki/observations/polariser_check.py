@@ -5,8 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nishiki.capture.frames import Frame
-from nishiki.capture.polariser import parse_state
+from nishiki.capture.frames import Frame, parse_state
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.errors import UserError, require
 from nishiki.formats.masks import read_mask

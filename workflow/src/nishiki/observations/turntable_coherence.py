@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nishiki.capture.turntable import TurntableCapture
-from nishiki.capture.turntable_rules import Turntable
+from nishiki.capture.turntable import Turntable, TurntableCapture
 from nishiki.errors import UserError
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.geometry.camera import Camera, cameras_of_matrices

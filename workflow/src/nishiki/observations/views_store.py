@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.capture.frames import Frame
-from nishiki.capture.turntable import TurntableCapture
-from nishiki.capture.turntable_rules import UNITS_MM
+from nishiki.capture.turntable import UNITS_MM, TurntableCapture
 from nishiki.colour.colour import encode
 from nishiki.errors import require
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, field_validator
 
 from nishiki.artifacts.closed import Closed
-from nishiki.capture.polariser import parse_state
+from nishiki.capture.frames import parse_state
 from nishiki.formats.problems import CaptureError
 from nishiki.rig.axes import expect_in_range, not_homed
 from nishiki.rig.device import Baud, DeviceError, Pause, Seconds, ask_operator, closed_on_failure, expect_state

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from nishiki.artifacts.closed import Closed, parse
-from nishiki.capture.schema_base import UnquotedStatesLoader, read_mapping
+from nishiki.capture.schema import UnquotedStatesLoader, read_mapping
 from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError
 from nishiki.packages import installed, optional

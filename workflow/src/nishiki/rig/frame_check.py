@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.capture.schema_base import CameraResponse
+from nishiki.capture.schema import CameraResponse
 from nishiki.colour.colour import decode
 from nishiki.observations.linearise import full_scale, saturation_code
 from nishiki.rig.frames_table import PlannedFrame

@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from nishiki.artifacts.closed import Closed, parse
 from nishiki.capture.lights import Lights, read_lights
-from nishiki.capture.schema_base import Positive
+from nishiki.capture.schema import Positive
 from nishiki.errors import UserError, require
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
 from nishiki.goniometry.directions import between, unit

@@ -14,7 +14,7 @@ import numpy as np
 
 from nishiki.capture.folder import examine
 from nishiki.capture.frames import ANGLE_COLUMNS
-from nishiki.capture.schema_base import FORMAT, CameraResponse
+from nishiki.capture.schema import FORMAT, CameraResponse
 from nishiki.capture.taking import channel_names, choose_encoding, lights_text, settings_text, table_text
 from nishiki.errors import UserError
 from nishiki.formats.files import flush, name_fault, put_file

@@ -25,7 +25,7 @@ from typing import Any, cast
 from nishiki.capture.folder import load_capture
 from nishiki.capture.mosaic import TABLE as MOSAIC
 from nishiki.capture.mosaic import MosaicCapture, is_capture, is_mosaic
-from nishiki.capture.schema_base import CameraResponse, validate
+from nishiki.capture.schema import CameraResponse, validate
 from nishiki.capture.seal import MANIFEST, capture_digest, read_manifest, seal, sha256_of
 from nishiki.capture.taking import channel_names
 from nishiki.capture.taking import table_text as rows_text

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.capture.schema_base import OBJECT_FACTS
+from nishiki.capture.schema import OBJECT_FACTS
 from nishiki.formats.problems import error_text
 from nishiki.report.numbers import degrees, figure, percent
 from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Note, Section, Table
