@@ -24,8 +24,8 @@ PROJECT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(PROJECT / "workflow/src"), str(PROJECT / "scripts")]
 
 from nishiki.capture.folder import load_capture  # noqa: E402
+from nishiki.installation import EXTRAS, MODULES, installed  # noqa: E402
 from nishiki.observations.region import usage_of  # noqa: E402
-from nishiki.packages import EXTRAS, MODULES, installed  # noqa: E402
 from nishiki.stages.table import PRODUCTS  # noqa: E402
 
 SCENES = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}

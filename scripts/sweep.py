@@ -8,7 +8,7 @@ from pathlib import Path
 import _project  # noqa: F401
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.capture.taking import table_text
-from nishiki.engine.sweep_plan import PlannedVariant, SceneSweep
+from nishiki.engine.plan import PlannedVariant, SceneSweep
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError, require
 from nishiki.formats.files import put_file

@@ -11,7 +11,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "workflow/src"))
-from nishiki.archive.survey import Damage, read_file, survey_artifact
+from nishiki.archive.audit import Damage, read_file, survey_artifact
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter, publish
 from nishiki.artifacts.provenance import stage_key

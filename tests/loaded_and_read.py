@@ -2,7 +2,7 @@
 
 import json
 
-from nishiki.packages import EXTRAS
+from nishiki.installation import EXTRAS
 from nishiki.stages.table import CHAIN
 
 LIGHT = {"numpy"}

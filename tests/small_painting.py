@@ -15,13 +15,12 @@ from captures import write_frame
 from pages import make_artifact
 
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter
-from nishiki.artifacts.finite import expect_finite
 from nishiki.artifacts.maps import MapWriter
-from nishiki.artifacts.stage import Context
+from nishiki.artifacts.stage import Context, expect_finite
 from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.capture.folder import load_capture
+from nishiki.installation import installed
 from nishiki.observations.plane_store import write_observations
-from nishiki.packages import installed
 from nishiki.progress import Progress
 from nishiki.stages.brdf import BrdfSettings
 from nishiki.stages.export import ExportSettings, Format

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "workflow" / "src")
 
 from nishiki.engine.plan import PARTS
 from nishiki.engine.project import Configuration
-from nishiki.packages import EXTRAS
+from nishiki.installation import EXTRAS
 from nishiki.stages.base import SceneFacts, Stage
 from nishiki.stages.table import CHAIN, PRODUCTS, chain_of
 

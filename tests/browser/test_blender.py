@@ -10,7 +10,7 @@ from textured_ball import textured_ball
 
 from nishiki.colour.colour import decode, encode
 from nishiki.formats.usd import write_usdz
-from nishiki.packages import installed
+from nishiki.installation import installed
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.look import PaintingSurface
 from nishiki.stages.export.object_surface import SeenPoints, shown_in

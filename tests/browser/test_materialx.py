@@ -11,7 +11,7 @@ from nishiki.brdf.slopes import isotropic_lobe
 from nishiki.colour.colour import decode, encode
 from nishiki.formats.textured_surface import SurfaceLook
 from nishiki.formats.usd import write_materialx
-from nishiki.packages import installed
+from nishiki.installation import installed
 from nishiki.stages.export.object_surface import SeenPoints, shown_in
 
 pytestmark = [

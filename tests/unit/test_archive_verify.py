@@ -9,8 +9,7 @@ import pytest
 from archives import write_archive, write_artifact, write_scene
 from refusals import expect_facts
 
-from nishiki.archive.audit import Counts, References, audit, check_publication, find_artifacts
-from nishiki.archive.survey import KINDS, Damage
+from nishiki.archive.audit import KINDS, Counts, Damage, References, audit, check_publication, find_artifacts
 from nishiki.artifacts.artifact import MANIFEST, open_artifact, run_text
 from nishiki.cli import main
 

@@ -10,9 +10,9 @@ from archives import verify_artifact
 from refusals import refused
 
 from nishiki.artifacts.artifact import MANIFEST, ArtifactWriter, open_artifact, run_text
-from nishiki.artifacts.finite import problems
 from nishiki.artifacts.maps import MapWriter
 from nishiki.artifacts.provenance import stage_key
+from nishiki.artifacts.stage import problems
 from nishiki.errors import UserError
 from nishiki.formats.zarr_store import BandedArray
 from nishiki.processes import host, identity

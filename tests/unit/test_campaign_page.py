@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from refusals import refused
 
-from nishiki.commands.viewing import page_of, write_index
+from nishiki.commands.results import page_of, write_index
 from nishiki.errors import UserError
 from nishiki.report.page import Metric, SceneCard, campaign_page
 

@@ -20,8 +20,7 @@ from unit.test_half_vector_table import look_up, read_bsdf
 
 from nishiki.artifacts.artifact import ArtifactWriter
 from nishiki.artifacts.closed import parse
-from nishiki.artifacts.finite import expect_finite
-from nishiki.artifacts.stage import Context
+from nishiki.artifacts.stage import Context, expect_finite
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.geometry.turn import scaled
 from nishiki.progress import Progress

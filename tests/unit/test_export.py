@@ -28,7 +28,7 @@ from small_painting import (
 )
 
 from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab, xyz_to_srgb_linear
-from nishiki.commands.exporting import FORMATS
+from nishiki.commands.results import FORMATS
 from nishiki.errors import NotFinite, UserError
 from nishiki.formats.banded_pictures import ExrWriter, write_tiff
 from nishiki.stages.export import ExportSettings, Format

@@ -13,7 +13,7 @@ from PIL import Image
 from small_painting import COLUMNS, ROWS, export_context, small_painting
 
 from nishiki.colour.colour import srgb_encode
-from nishiki.packages import installed
+from nishiki.installation import installed
 from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shade import predict_observations
 from nishiki.stages.export import ExportSettings

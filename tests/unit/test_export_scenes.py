@@ -7,7 +7,7 @@ import pytest
 from nishiki.errors import UserError
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.formats.usd import write_materialx, write_usdz
-from nishiki.packages import MODULES
+from nishiki.installation import MODULES
 from nishiki.stages.export.gloss import GltfMaterial, WhiteAtGrazing
 
 RANDOM = np.random.default_rng(5)

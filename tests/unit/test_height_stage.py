@@ -6,10 +6,9 @@ import numpy as np
 from pages import make_artifact
 
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter
-from nishiki.artifacts.finite import expect_finite
 from nishiki.artifacts.limits import check, limit_warnings
 from nishiki.artifacts.maps import Maps
-from nishiki.artifacts.stage import Context
+from nishiki.artifacts.stage import Context, expect_finite
 from nishiki.progress import Progress
 from nishiki.stages.height import LIMITS, HeightSettings
 from nishiki.stages.height.run import run

@@ -13,7 +13,7 @@ from captures import RING, edit_text, edit_yaml, make_capture, write_frame
 from conftest import PROJECT
 from refusals import refused
 
-from nishiki.artifacts.finite import expect_finite
+from nishiki.artifacts.stage import expect_finite
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError

@@ -6,7 +6,7 @@ import shutil
 import pytest
 from captures import make_capture
 
-from nishiki.archive.survey import survey_artifact
+from nishiki.archive.audit import survey_artifact
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.artifacts.closed import Guarded

@@ -9,9 +9,8 @@ from mosaics import CutMosaic, cut_relief, painted_relief
 from pages import make_artifact
 
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter
-from nishiki.artifacts.finite import expect_finite
 from nishiki.artifacts.maps import Maps, MapWriter
-from nishiki.artifacts.stage import Context
+from nishiki.artifacts.stage import Context, expect_finite
 from nishiki.brdf.scene import join_regions
 from nishiki.errors import UserError
 from nishiki.formats.zarr_store import BandedGroup

@@ -11,7 +11,7 @@ import pytest
 
 from nishiki.artifacts.provenance import SOURCE, stage_program
 from nishiki.errors import UserError
-from nishiki.packages import EXTRAS, MODULES, install_command, installed, loaded, optional
+from nishiki.installation import EXTRAS, MODULES, install_command, installed, loaded, optional
 from nishiki.stages.table import CHAIN
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -23,7 +23,7 @@ PLACES = {
     "gphoto2": {"cameras.py"},
     "materialx": {"usd.py"},
     "pymeshlab": {"scans.py"},
-    "pyarrow": {"exporting.py"},
+    "pyarrow": {"results.py"},
     "pyserial": {"description.py", "serial_line.py"},
     "rawpy": {"raw.py"},
     "scikit-image": {"hull.py", "shape.py"},
@@ -101,7 +101,7 @@ def test_optional_packages_are_taken_where_this_list_says():
 
 @pytest.mark.parametrize("command", ["nishiki.cli", "nishiki.commands.inspecting"])
 def test_the_command_line_loads_nothing_heavy(command):
-    code = f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import {command}; from nishiki.packages import loaded"
+    code = f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import {command}; from nishiki.installation import loaded"
     done = subprocess.run(
         [sys.executable, "-c", f"{code}; print(*loaded())"], capture_output=True, text=True, check=True
     )

@@ -11,7 +11,7 @@ from nishiki.commands import inspecting
 from nishiki.engine.plan import PARTS, Plan, make_plan
 from nishiki.engine.project import Scene, StageSettings
 from nishiki.errors import UserError
-from nishiki.packages import EXTRAS
+from nishiki.installation import EXTRAS
 from nishiki.report.page import Facts
 from nishiki.report.scene_page import left_out_blocks
 from nishiki.stages.base import SceneFacts

@@ -23,7 +23,7 @@ def runs(tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("nishiki.commands.engine.call_engine", call)
-    monkeypatch.setattr("nishiki.commands.viewing.page_of", lambda flow, scene, first: tmp_path / "report.html")
+    monkeypatch.setattr("nishiki.commands.results.page_of", lambda flow, scene, first: tmp_path / "report.html")
     photographs(tmp_path / "Größe 1", JPG)
     (tmp_path / "Größe 1" / "a.lp").write_text(listed(JPG))
     return called

@@ -17,7 +17,7 @@ from nishiki.artifacts.provenance import module_of
 from nishiki.artifacts.stage import Context
 from nishiki.capture.folder import load_capture
 from nishiki.colour.sampling import WAVELENGTHS_NM
-from nishiki.engine.facts import truth_digest
+from nishiki.engine.project import truth_digest
 from nishiki.errors import UserError
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations

@@ -13,7 +13,7 @@ import pytest
 from captures import make_capture
 from refusals import refused
 
-from nishiki.commands.demonstrating import photograph_by_rig
+from nishiki.commands.running import photograph_by_rig
 from nishiki.errors import UserError
 from nishiki.rig.description import open_rig
 from nishiki.simulate.rig.bench import PaintingBench, run_at_terminal

@@ -232,7 +232,7 @@ def test_where_nothing_is_connected_the_command_helps(capsys, monkeypatch):
 
 
 def test_without_the_extra_the_remedy_is_named(folder, capsys, monkeypatch):
-    from nishiki.packages import MODULES
+    from nishiki.installation import MODULES
 
     monkeypatch.setitem(MODULES, "pyserial", "serial_that_nobody_has")
     for words in (("rig", "ports"), ("rig", "test", "rig.yaml")):

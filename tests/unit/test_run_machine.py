@@ -10,7 +10,7 @@ import pytest
 from nishiki.artifacts.artifact import expect_links
 from nishiki.commands.engine import engine_environment
 from nishiki.commands.running import _tell_unfinished
-from nishiki.engine.scheduling import memory_arguments, thread_arguments
+from nishiki.engine.workflow import memory_arguments, thread_arguments
 from nishiki.errors import UserError
 from nishiki.formats.files import machine_memory
 from nishiki.threads import over_rows, threads

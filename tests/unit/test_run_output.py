@@ -16,7 +16,7 @@ from snakemake_interface_logger_plugins.tests import MockOutputSettings, TestLog
 from nishiki.stages.runner import _bug
 from snakemake_logger_plugin_nishiki import LogHandler, LogHandlerSettings
 from snakemake_logger_plugin_nishiki.progress import Job, RunProgress
-from snakemake_logger_plugin_nishiki.screen import CLEAR, Screen
+from snakemake_logger_plugin_nishiki.terminal import CLEAR, Screen
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow/src"
 EXPECTED = {"scenes": 3, "finished": 1, "seconds": {"ingest": 10.0, "normals": 30.0}}

@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 
 from nishiki.capture.folder import load_capture
 from nishiki.capture.seal import seal
-from nishiki.engine.facts import scene_facts
 from nishiki.engine.plan import PlannedStage
-from nishiki.engine.project import StageSettings
-from nishiki.engine.scheduling import SHORT_SECONDS, Scheduling
+from nishiki.engine.project import StageSettings, scene_facts
+from nishiki.engine.workflow import SHORT_SECONDS, Scheduling
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
 from nishiki.stages.base import SceneFacts

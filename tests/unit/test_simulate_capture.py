@@ -230,7 +230,7 @@ def test_nothing_is_imported_from_the_fitted_models():
         "nishiki.simulate",
         "nishiki.errors",
         "nishiki.threads",
-        "nishiki.packages",
+        "nishiki.installation",
         "nishiki.colour.colour",
         "nishiki.geometry.visibility",
     )

@@ -4,9 +4,8 @@ import pytest
 import yaml
 from refusals import refused
 
-from nishiki.engine.plan import make_plan
+from nishiki.engine.plan import configuration_of, make_plan, plan_sweep
 from nishiki.engine.project import load_project
-from nishiki.engine.sweep_plan import configuration_of, plan_sweep
 from nishiki.errors import UserError
 from nishiki.stages.base import SceneFacts
 from nishiki.sweep.settings import AS_CONFIGURED

@@ -7,7 +7,7 @@ import re
 import pytest
 from loaded_and_read import WhatIsLoadedAndRead, run_facts
 
-from nishiki.packages import EXTRAS
+from nishiki.installation import EXTRAS
 
 pytestmark = pytest.mark.slow
 

@@ -10,7 +10,7 @@ from iiif_prezi3 import Manifest
 from loaded_and_read import WhatIsLoadedAndRead
 from PIL import Image
 
-from nishiki.packages import installed
+from nishiki.installation import installed
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import zarr
 
-from nishiki.commands.demonstrating import photograph_by_rig
+from nishiki.commands.running import photograph_by_rig
 
 pytestmark = pytest.mark.slow
 

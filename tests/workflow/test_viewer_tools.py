@@ -12,7 +12,7 @@ import pytest
 import viewer_pages
 from PIL import Image
 
-from nishiki.commands.viewing import ResultsHandler
+from nishiki.commands.results import ResultsHandler
 
 pytestmark = [
     pytest.mark.slow,

@@ -11,7 +11,7 @@ if os.path.isdir(SOURCE):  # a checkout; an installed package is on the path
 
 from nishiki.errors import UserError
 from nishiki.artifacts.provenance import canonical
-from nishiki.engine.scheduling import PARTS
+from nishiki.engine.workflow import PARTS
 from nishiki.engine.workflow import Workflow
 from nishiki.stages.table import CHAIN
 from nishiki.engine.running_lock import scenes_to_make

@@ -13,29 +13,29 @@ from nishiki.version import PROJECT_VERSION
 
 SECTIONS = {
     "first steps": {
-        "demo": "demonstrating",
+        "demo": "running",
         "init": "project",
         "run": "running",
         "status": "project",
-        "view": "viewing",
+        "view": "results",
     },
     "photographs and captures": {
         "convert": "capturing",
         "check": "capturing",
         "seal": "capturing",
         "add": "project",
-        "rig": "rig",
+        "rig": "capturing",
         "calibrate": "calibrate",
-        "simulate": "demonstrating",
+        "simulate": "running",
     },
     "results": {
         "plan": "inspecting",
         "explain": "inspecting",
-        "export": "exporting",
+        "export": "results",
         "pack": "archiving",
         "verify": "archiving",
     },
-    "campaigns": {"table": "exporting", "sweep": "exporting", "prune": "archiving"},
+    "campaigns": {"table": "results", "sweep": "results", "prune": "archiving"},
     "maintenance": {
         "install": "maintaining",
         "test": "maintaining",

@@ -16,8 +16,7 @@ from snakemake_interface_logger_plugins.base import LogHandlerBase
 from snakemake_interface_logger_plugins.common import LogEvent
 
 from snakemake_logger_plugin_nishiki.progress import Job, RunProgress, duration
-from snakemake_logger_plugin_nishiki.screen import Screen
-from snakemake_logger_plugin_nishiki.stage_output import StageOutput
+from snakemake_logger_plugin_nishiki.terminal import Screen, StageOutput
 
 LOGGER = "snakemake.logging"
 """Snakemake's own logger."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from zipfile import BadZipFile
 
+from nishiki.archive.audit import CAPTURE, Damage, Survey, survey_artifact
 from nishiki.archive.crate import MANIFEST, METADATA, parse_manifest_text
-from nishiki.archive.survey import CAPTURE, Damage, Survey, survey_artifact
 from nishiki.archive.tree import FolderTree, Listing, Tree, ZipTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import is_inside

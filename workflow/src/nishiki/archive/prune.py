@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from nishiki.archive.audit import ARTIFACT_NAME, CURRENT
-from nishiki.archive.survey import CAPTURE
+from nishiki.archive.audit import ARTIFACT_NAME, CAPTURE, CURRENT
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import INDEX, MANIFEST, RUN, parse_manifest
 from nishiki.artifacts.provenance import place_above

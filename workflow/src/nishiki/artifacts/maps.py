@@ -59,7 +59,7 @@ class MapWriter:
     ) -> BandedArray:
         """Create an array (rows, columns, *trailing) with type, unit and meaning as the stage declares them.
 
-        `nan` states the meaning of NaN; an array without this attribute may not hold one (`nishiki.artifacts.finite`).
+        `nan` states the meaning of NaN; an array without this attribute may not hold one (`nishiki.artifacts.stage`).
         """
         rows, columns = self.shape
         if self.outputs:

@@ -13,7 +13,7 @@ from nishiki.colour.colour import adaptation_matrix, delta_e_2000, srgb_matrix, 
 from nishiki.colour.colour import illuminant as named_illuminant
 from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
 from nishiki.errors import UserError
-from nishiki.packages import optional
+from nishiki.installation import optional
 
 ROWS, COLUMNS = 4, 6
 NEUTRAL = slice(18, 24)

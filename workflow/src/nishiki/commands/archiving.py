@@ -23,10 +23,9 @@ from nishiki.installation import PROJECT
 from nishiki.progress import Progress
 
 if TYPE_CHECKING:
-    from nishiki.archive.audit import AuditTargets, Counts
+    from nishiki.archive.audit import AuditTargets, Counts, Damage
     from nishiki.archive.crate import PackedScene
     from nishiki.archive.prune import Item, Place, Pruning
-    from nishiki.archive.survey import Damage
     from nishiki.artifacts.artifact import Artifact
     from nishiki.engine.plan import Plan
     from nishiki.engine.workflow import Workflow
@@ -84,7 +83,7 @@ def verify(folders, captures, as_json, threads, set_aside) -> int:
 
 def _verify_capture(capture: Path, as_json: bool) -> int:
     """Verify a sealed capture; the number of problems."""
-    from nishiki.archive.survey import Damage
+    from nishiki.archive.audit import Damage
     from nishiki.capture.seal import verify_seal
     from nishiki.formats.problems import group_problems
 
@@ -271,8 +270,8 @@ def prune(configfiles, sweeps, unnamed, delete, as_json, gone) -> int:
 
 def _referenced(configurations: tuple[str, ...], sweeps: tuple[str, ...]) -> "list[tuple[Path, set[Place], set[str]]]":
     """Results folders with what all configurations and sweeps ask for, and the names of the sweeps."""
+    from nishiki.engine.plan import configuration_of, read_sweep
     from nishiki.engine.project import load_yaml
-    from nishiki.engine.sweep_plan import configuration_of, read_sweep
     from nishiki.engine.workflow import Workflow
 
     files: dict[str, list[str]] = {name: [] for name in configurations}
@@ -291,8 +290,8 @@ def _referenced(configurations: tuple[str, ...], sweeps: tuple[str, ...]) -> "li
 
 def _refuse_unknown_sweeps(results: Path, known: set[str], unnamed: bool) -> None:
     """Refuse an unknown sweep, whose artifacts nothing else names: nothing is guessed."""
+    from nishiki.engine.plan import TIMINGS
     from nishiki.engine.project import SWEEPS
-    from nishiki.engine.sweep_plan import TIMINGS
 
     folder = results / SWEEPS
     if unnamed or not folder.is_dir():

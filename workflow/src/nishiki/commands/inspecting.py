@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from nishiki.commands.declare import any_scene_argument, command, option, with_configuration, with_json
 from nishiki.errors import UserError
-from nishiki.packages import EXTRAS, PURPOSE, install_command, installed
+from nishiki.installation import EXTRAS, PURPOSE, install_command, installed
 
 if TYPE_CHECKING:
     from nishiki.engine.plan import Plan

@@ -58,7 +58,7 @@ def test(quick: bool, long: bool, rest: tuple[str, ...]) -> int:
 @option("--plane", "only what paintings need")
 def compile_kernels(plane: bool) -> int:
     """Compile all kernels ahead, by running tiny simulated scenes in a temporary folder; two to three minutes."""
-    from nishiki.packages import installed
+    from nishiki.installation import installed
 
     # The simulated object needs the extra mesh; whoever installs without it digitises no objects.
     scenes = {name: preset for name, preset in TINY.items() if name != "turntable" or installed("scikit-image")}

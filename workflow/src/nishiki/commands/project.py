@@ -55,7 +55,7 @@ def add(capture: str, name: str | None, configfile: str) -> int:
 def status(scene: str | None, configfile: str) -> None:
     """Show each scene: whether it is finished, what comes next, and where its page is."""
     from nishiki.commands.inspecting import planned_workflow
-    from nishiki.commands.viewing import card_of
+    from nishiki.commands.results import card_of
 
     flow = planned_workflow(configfile, scene, leave_out_refused=True)
     cards = {name: card_of(flow, name, "") for name in flow.plans}

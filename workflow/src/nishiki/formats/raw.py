@@ -9,7 +9,7 @@ from nishiki.formats.coding import Coding
 from nishiki.formats.exif import exif_of
 from nishiki.formats.picture_files import ImageHeader, Output, Picture, Wanted
 from nishiki.formats.problems import CaptureError, error
-from nishiki.packages import install_command
+from nishiki.installation import install_command
 
 
 def open_raw(file: BinaryIO, name: str) -> Picture:

@@ -18,7 +18,7 @@ import numpy as np
 
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
-from nishiki.packages import optional
+from nishiki.installation import optional
 
 INPUTS = {
     "colour": ("base_color", "color3"),

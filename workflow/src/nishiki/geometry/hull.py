@@ -15,7 +15,7 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.hull_kernels import MOST_MISSES, fill_slab
 from nishiki.geometry.mesh import Mesh
-from nishiki.packages import optional
+from nishiki.installation import optional
 from nishiki.threads import in_threads
 
 BLOCK = 8

@@ -12,7 +12,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.formats.mesh_heading import KINDS, Element, expect_mesh_file, read_heading
 from nishiki.formats.stored import load_arrays
-from nishiki.packages import optional
+from nishiki.installation import optional
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.packages import optional
+from nishiki.installation import optional
 
 FILTERS = ("generate_surface_reconstruction_screened_poisson", "compute_normal_for_point_clouds")
 """Filters that this project calls."""

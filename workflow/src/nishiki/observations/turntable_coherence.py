@@ -10,7 +10,7 @@ from nishiki.errors import UserError
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.geometry.camera import Camera, cameras_of_matrices
 from nishiki.geometry.mesh import Mesh, face_vectors, read_triangles
-from nishiki.packages import installed
+from nishiki.installation import installed
 
 if TYPE_CHECKING:
     from nishiki.geometry.coherence import Coherence

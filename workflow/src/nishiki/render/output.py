@@ -15,7 +15,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.formats.banded_pictures import ExrWriter
-from nishiki.packages import install_command
+from nishiki.installation import install_command
 from nishiki.render.display import normals_as_colours
 
 # red, green, blue, white: x, y of each.  XYZ itself is an RGB space whose primaries are the corners of the diagram.

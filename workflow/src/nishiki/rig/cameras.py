@@ -20,7 +20,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from nishiki.artifacts.closed import Closed
-from nishiki.packages import optional
+from nishiki.installation import optional
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure, Files, Pause, Seconds, closed_on_failure
 
 WIDGETS = {

@@ -15,7 +15,7 @@ from nishiki.artifacts.closed import Closed, parse
 from nishiki.capture.schema import UnquotedStatesLoader, read_mapping
 from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError
-from nishiki.packages import installed, optional
+from nishiki.installation import installed, optional
 from nishiki.rig.axes import ComXimSettings, ComXimTurntable, Grbl, GrblAxis, GrblSettings
 from nishiki.rig.cameras import FolderSettings, GPhotoCamera, GPhotoSettings, WatchedFolder, run_command
 from nishiki.rig.described import (

@@ -9,7 +9,7 @@ import re
 import time
 from collections.abc import Callable
 
-from nishiki.packages import optional
+from nishiki.installation import optional
 from nishiki.rig.device import DeviceError, DeviceLost
 
 LONGEST_LINE = 4096

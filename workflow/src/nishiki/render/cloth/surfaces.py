@@ -8,7 +8,7 @@ import numpy as np
 from nishiki.artifacts.provenance import file_digest
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh, load_geometry, read_triangles
-from nishiki.packages import optional
+from nishiki.installation import optional
 from nishiki.render.cloth.scene import Surface
 
 

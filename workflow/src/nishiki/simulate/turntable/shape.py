@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.packages import optional
+from nishiki.installation import optional
 from nishiki.threads import strips
 
 PARTS = ("body", "lid", "rope", "handles", "fruit", "animal")
