@@ -58,8 +58,11 @@ def workflow(results, stages, refused=()):
 
 
 @pytest.fixture
-def results(tmp_path):
-    """Scene `one` is published, `two` is not."""
+def results(tmp_path, monkeypatch):
+    """Scene `one` is published, `two` is not; tests/unit/test_finished.py shows when a scene is finished."""
+    monkeypatch.setattr("nishiki.engine.finished.reason_to_run", lambda flow, scene: "")
+    (tmp_path / "results/one/report/k1").mkdir(parents=True)
+    (tmp_path / "results/one/report/k1/artifact.json").write_text("{}")
     current = tmp_path / "results" / "one" / "current"
     (current / "report").mkdir(parents=True)
     (current / "report.html").write_text("report")

@@ -14,6 +14,7 @@ from archives import READS, write_artifact, write_scene
 from nishiki.artifacts.artifact import MANIFEST, RUN, open_artifact, publish, run_text
 from nishiki.artifacts.provenance import canonical, stage_key
 from nishiki.commands.engine import names_targets
+from nishiki.commands.results import card_of
 from nishiki.engine import finished
 from nishiki.engine.plan import PlannedStage
 from nishiki.engine.project import Scene, StageSettings
@@ -164,6 +165,8 @@ def test_a_changed_scene_is_not_finished_and_the_others_are(flow, change, reason
     found = finished.unfinished_scenes(flow)
     assert list(found) == ["second"]
     assert reason in found["second"]
+    flow.artifact = lambda scene, stage: flow.path(scene, stage, flow.plans[scene].stages[stage].key)
+    assert [card_of(flow, name, "").state for name in NAMES] == ["finished", "unfinished", "finished"]
 
 
 def test_new_code_and_new_libraries_concern_every_scene(flow):

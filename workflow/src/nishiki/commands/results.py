@@ -294,13 +294,13 @@ def write_index(flow: "Workflow", why: Mapping[str, str] | None = None) -> Path:
 def card_of(flow: "Workflow", scene: str, why: str):
     """Build the card of a planned scene (`nishiki.report.page.SceneCard`)."""
     from nishiki.artifacts.artifact import INDEX
+    from nishiki.engine.finished import reason_to_run
 
     published = _read(Path(flow.results, scene, "current", INDEX))
-    stages, artifacts = flow.plans[scene].stages, published.get("artifacts", {})
-    waiting = [name for name, stage in stages.items() if artifacts.get(name, {}).get("key") != stage.key]
-    state = "failed" if why else "unfinished" if waiting else "finished"
-    missing = [name for name in waiting if not Path(flow.artifact(scene, name)).is_file()] or waiting
-    return _card(flow.results, scene, state, why or (f"next: {missing[0]}" if missing else ""), published)
+    missing = [name for name in flow.plans[scene].stages if not Path(flow.artifact(scene, name)).is_file()]
+    reason = f"next: {missing[0]}" if missing else reason_to_run(flow, scene)
+    state = "failed" if why else "unfinished" if reason else "finished"
+    return _card(flow.results, scene, state, why or reason, published)
 
 
 def _card(results: str, scene: str, state: str, detail: str, published: dict):
