@@ -11,7 +11,7 @@ from nishiki.stages.table import CHAIN
 
 
 def main() -> None:
-    """Arguments in, links out."""
+    """Publish the links of a scene."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scene", required=True, help="name of the scene")
     parser.add_argument("--stages", required=True, metavar="JSON", help="stage names and their keys")

@@ -22,7 +22,7 @@ RECORDED = ("seconds", "cpu_seconds", "peak_memory_mib", "host", "platform", "py
 
 
 def main() -> None:
-    """Arguments in, one small JSON file out."""
+    """Repeat a stage and write one small JSON file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--first", type=Path, required=True, help="artifact.json of the first run")
     parser.add_argument("--threads", type=int, required=True, help="threads that the stage may use")

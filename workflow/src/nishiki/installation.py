@@ -33,7 +33,7 @@ COMMAND = "nishiki" if INSTALLED else "./nishiki"
 
 
 def cache_folder() -> Path | None:
-    """Folder for compiled kernels and what is known of source files; None where nothing may be written.
+    """Return the folder for compiled kernels and facts of source files; None where nothing may be written.
 
     `.kernels` of a checkout; in an installation `nishiki` below $XDG_CACHE_HOME, or below the system's usual place.
     """
@@ -100,7 +100,7 @@ PARTS_OF_SCIPY = ("fft", "interpolate", "io", "ndimage", "optimize", "sparse", "
 
 
 def loaded() -> tuple[str, ...]:
-    """Heavy packages that this process has loaded.
+    """List the heavy packages that this process has loaded.
 
     scipy counts where a part of it is there that we call: numba takes scipy.linalg for itself, whatever it compiles.
     """

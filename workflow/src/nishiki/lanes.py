@@ -49,7 +49,7 @@ class _Register(models.PrimitiveModel):
 
 
 def _spread(builder, number, kind):
-    """One number in all lanes."""
+    """Spread one number over all lanes."""
     nothing = ir.Constant(VECTORS[kind], ir.Undefined)
     first = builder.insert_element(nothing, number, INDEX(0))
     return builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(INDEX, LANES), None))
@@ -107,12 +107,12 @@ def _readable(array, place):
 
 
 def _bytes_of(array):
-    """Bytes of one number of an array."""
+    """Return the bytes of one number of an array."""
     return array.dtype.bitwidth // 8 if isinstance(array.dtype, types.Float) else 1
 
 
 def _address(context, builder, kinds, values, vector):
-    """Pointer to the lanes at a place of an array. No view of the row is made: counting its references takes time."""
+    """Compute the address of the lanes at a place of an array, without a view of the row, whose counting takes time."""
     (array_type, place_type), (array, place) = kinds[:2], values[:2]
     numbers = context.make_array(array_type)(context, builder, array)
     if isinstance(place_type, types.BaseTuple):
@@ -128,7 +128,7 @@ def _address(context, builder, kinds, values, vector):
 
 @intrinsic
 def load(typing, array, place):
-    """LANES numbers of an array of floats from a place on; of one of bytes or truth values, which are not 0."""
+    """Load LANES numbers of an array of floats from a place on; of bytes or truth values load which are not 0."""
     kinds = {types.float32: NUMBERS, types.float64: WIDE, types.uint8: TRUTHS, types.boolean: TRUTHS}
     if not _readable(array, place) or array.dtype not in kinds:
         return None
@@ -185,7 +185,7 @@ def load_three(typing, array, row, start):
 
 @intrinsic
 def splat(typing, number):
-    """Lanes that all hold this float32 or float64 number."""
+    """Fill all lanes with a float32 or float64 number."""
     kind = {single: kind for kind, single in SINGLE.items()}.get(number)
     if kind is None:
         return None
@@ -194,7 +194,7 @@ def splat(typing, number):
 
 @intrinsic
 def choose(typing, condition, yes, no):
-    """Of each lane, `yes` where the condition holds, else `no`; each lanes or a number of their kind.
+    """Select `yes` or `no` per lane, like numpy.where; each is lanes or a number of their kind.
 
     Of single numbers too, so that one function serves both.
     """
@@ -214,7 +214,7 @@ def choose(typing, condition, yes, no):
 
 
 def _call_llvm(name, value, arguments):
-    """Typed call of an intrinsic function of LLVM on lanes or single float64 numbers of one type."""
+    """Call an intrinsic function of LLVM on lanes or single float64 numbers of one type."""
     vectors = {**VECTORS, types.float64: ir.DoubleType()}
     names = {NUMBERS: f"v{LANES}f32", WIDE: f"v{LANES}f64", types.float64: "f64"}
     if value not in names:

@@ -50,7 +50,7 @@ def _text(path: Path) -> str:
 
 
 def start_ticks(pid: int) -> int | None:
-    """When a process started, in clock ticks since the machine did; None where there is no such process."""
+    """Return when a process started, in clock ticks since the machine did; None where there is no such process."""
     try:
         fields = Path("/proc", str(pid), "stat").read_bytes().rpartition(b")")[2].split()
     except OSError:
@@ -59,7 +59,7 @@ def start_ticks(pid: int) -> int | None:
 
 
 def identity(pid: int | None = None) -> str:
-    """`<pid>-<start ticks>` of a process, of this one where none is given."""
+    """Return `<pid>-<start ticks>` of a process, of this one by default."""
     pid = os.getpid() if pid is None else pid
     return f"{pid}-{start_ticks(pid)}"
 
@@ -74,12 +74,12 @@ def is_alive(name: str) -> bool:
 
 
 def owner() -> str:
-    """`<host>.<identity>` of this process, as it stands in the names of unfinished folders."""
+    """Return `<host>.<identity>` of this process, as it stands in the names of unfinished folders."""
     return f"{host()}.{identity()}"
 
 
 def owner_of(name: str) -> tuple[str, str]:
-    """Host (may be empty) and identity in the name of an unfinished folder, `.<what>.<host>.<identity>.<suffix>`."""
+    """Parse host (may be empty) and identity of an unfinished folder's name, `.<what>.<host>.<identity>.<suffix>`."""
     parts = name.split(".")
     named = len(parts) > 4 and not re.fullmatch(r"[0-9a-f]{12}|old|current", parts[-3])
     return parts[-3] if named else "", parts[-2] if len(parts) > 2 else ""
@@ -96,7 +96,7 @@ def marked(variable: str, value: str) -> list[int]:
 
 
 def pids() -> list[int]:
-    """Numbers of all processes that this one can see."""
+    """List the numbers of all processes that this one can see."""
     return [int(name) for name in os.listdir("/proc") if name.isdigit()]
 
 

@@ -34,7 +34,7 @@ class Progress:
         yield from self.through(items, len(items), what)
 
     def through(self, items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
-        """Like `over`, for items that are made while they are asked for; `total`: their number."""
+        """Pass items on like `over` while they are made; `total`: their number."""
         start = last = time.monotonic()
         for done, item in enumerate(items):
             now = time.monotonic()

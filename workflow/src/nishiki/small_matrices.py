@@ -16,7 +16,7 @@ Factors = namedtuple("Factors", "l10 l20 l30 l40 l21 l31 l41 l32 l42 l43 i0 i1 i
 
 @njit(cache=True, error_model="numpy")
 def eigenvalues(a, b, c, d, e, f):
-    """Smallest and largest eigenvalue of the symmetric matrix [[a, b, c], [b, d, e], [c, e, f]]; numbers or lanes.
+    """Compute the smallest and largest eigenvalue of [[a, b, c], [b, d, e], [c, e, f]]; numbers or lanes.
 
     Of the matrix less its mean, over its spread, and turned over where the two large ones lie closer together, the
     largest is the root of x^3 - 3 x = 2 h in [sqrt 3, 2], h in [0, 1] (O. K. Smith, Eigenvalues of a symmetric 3 x 3
@@ -47,7 +47,7 @@ def eigenvalues(a, b, c, d, e, f):
 
 @njit(cache=True, error_model="numpy")
 def _smaller_root(a, b, c, d, e, f, largest):
-    """Smallest eigenvalue of a symmetric matrix of trace 0, from its largest one, which is far from the others."""
+    """Compute the smallest eigenvalue of a symmetric matrix of trace 0 from its largest, far from the others."""
     # the eigenvector is across the rows of the matrix less the largest: the longest of their three products
     p, q, r = a - largest, d - largest, f - largest
     x, y, z = b * e - c * q, b * c - p * e, p * q - b * b

@@ -29,7 +29,7 @@ LEAST_VALUES = 1 << 15
 
 
 def threads() -> int:
-    """Threads that this process may use: those that its job was given, else one for each processor that it may use.
+    """Return the number of threads for this process: that of its job, else one for each processor that it may use.
 
     A job of a cluster sees all processors of its machine, so their number says nothing.
     """

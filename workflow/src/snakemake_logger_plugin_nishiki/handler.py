@@ -216,7 +216,7 @@ class RunHandler(LogHandlerBase):
         self._tell_failure(f"{text}: failed in a job of {len(jobs)} stages", named, messages[0], "", logs)
 
     def _tell_failure(self, text: str, jobs: Iterable[Job], message: str, status: str, logs: list[str]) -> None:
-        """One line on what failed; the stage's own message stands above it already."""
+        """Print one line on a failure; the stage's own message stands above it already."""
         if self._interrupted:  # its jobs were ended, which is no failure of theirs
             return
         files = [each for each in logging.getLogger(LOGGER).handlers if isinstance(each, logging.FileHandler)]

@@ -95,16 +95,16 @@ class RunProgress:
         return self.running.pop(number, None)
 
     def stages(self) -> tuple[int, int]:
-        """Stages that are done, and all of this run."""
+        """Count the stages that are done, and all of this run."""
         done = sum(number for rule, number in self.done.items() if rule not in UNCOUNTED)
         return done, sum(number for rule, number in self.waiting.items() if rule not in UNCOUNTED)
 
     def scenes_done(self) -> int:
-        """Scenes that are finished, before this run or by it."""
+        """Count the scenes that are finished, before this run or by it."""
         return self.finished + self.done.get("publish", 0)
 
     def seconds_left(self) -> float | None:
-        """Wall-clock seconds that the run still takes; None before a job has started.
+        """Estimate the wall-clock seconds left of the run; None before a job has started.
 
         Expected work that is left over the speed: that of the work done so far, at first that of as many processors as
         the run has.
@@ -143,7 +143,7 @@ class RunProgress:
 
 
 def duration(seconds: float) -> str:
-    """Seconds, minutes or hours, whichever reads best."""
+    """Format a time in seconds, minutes or hours, whichever reads best."""
     if seconds < 10:
         return f"{seconds:.1f} s"
     if seconds < 120:

@@ -178,7 +178,7 @@ def _check_files(survey: Survey, manifest: dict[str, Any], listing: Listing) -> 
 
 
 def read_file(survey: Survey, name: str, sha256: str) -> list[Damage]:
-    """Digest a file of an artifact; what is not as listed."""
+    """Digest a file of an artifact, and return what is not as listed."""
     try:
         digest = survey.tree.digest(survey.named(name))
     except OSError as error:
@@ -205,7 +205,7 @@ class References:
             self._stamps[survey.folder] = (survey.scene, survey.stage)
 
     def digest(self, folder: Path) -> str | None:
-        """Digest of the manifest of an artifact, audited or not; None where there is none."""
+        """Return the digest of an artifact's manifest, audited or not; None where there is none."""
         if folder not in self.digests:
             path = folder / MANIFEST
             if folder.is_symlink() or path.is_symlink() or not path.is_file():
@@ -214,7 +214,7 @@ class References:
         return self.digests[folder]
 
     def problems(self) -> Iterator[Damage]:
-        """Artifacts in a wrong place; upstream artifacts that are lost, or stand there with another content."""
+        """Yield artifacts in a wrong place, and upstream artifacts that are lost or have another content."""
         for folder, (scene, stage) in self._stamps.items():
             yield from self._misplaced(folder, scene, stage)
             if "." not in folder.name:
@@ -241,7 +241,7 @@ class References:
 
 
 def check_publication(folder: Path, references: "References") -> list[Damage]:
-    """Every damage of a folder of published links. References: digests of the artifacts that it may link to."""
+    """List every damage of a folder of published links. references: digests of the artifacts that it may link to."""
     damages = [damage for name in sorted(os.listdir(folder)) if (damage := _of_link(folder / name))]
     index = folder / INDEX
     try:
@@ -322,7 +322,7 @@ class Counts:
 
 
 def find_artifacts(folders: Iterable[Path]) -> AuditTargets:
-    """Everything to audit at or below folders: results, a scene, a stage or an artifact. No link is followed."""
+    """Find everything to audit at or below folders: results, a scene, a stage or an artifact. No link is followed."""
     targets = AuditTargets()
     todo = [Path(folder) for folder in folders]
     while todo:
@@ -369,7 +369,7 @@ def _look(folder: Path, targets: AuditTargets, todo: list[Path]) -> None:
 def audit(
     targets: AuditTargets, counts: Counts, *, threads: int, tell: Callable[[int, int, str], None]
 ) -> Iterator[Damage]:
-    """Every damage of what was found, while it is found, always in the same order.
+    """Yield every damage of the targets while it is found, always in the same order.
 
     tell: called with artifacts done, their number, and what was done last. Held in memory: of every artifact its
     place, digest and upstream artifacts.

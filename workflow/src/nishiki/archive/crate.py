@@ -57,7 +57,7 @@ def quoted(name: str) -> str:
 
 
 def media_type(name: str) -> str:
-    """Media type by the suffix of a name."""
+    """Return the media type for the suffix of a name."""
     return FORMATS.get(PurePosixPath(name).suffix, "application/octet-stream")
 
 
@@ -66,7 +66,7 @@ LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
 def manifest_text(digests: dict[str, str]) -> str:
-    """Lines 'digest  name', sorted by name. Raises UserError for a name that not every system can have."""
+    """Write lines 'digest  name', sorted by name. Raises UserError for a name that not every system can have."""
     for name in digests:
         if fault := name_fault(name):
             raise UserError(f"{name!r}: cannot be packed: {fault}. Remedy: give the file another name")
@@ -74,7 +74,7 @@ def manifest_text(digests: dict[str, str]) -> str:
 
 
 def parse_manifest_text(data: bytes) -> dict[str, str]:
-    """Digest by name. Raises ValueError where a byte is not as `manifest_text` writes it, or a name leads outside."""
+    """Parse digests by name. Raises ValueError for bytes not written by `manifest_text` and names that lead outside."""
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -119,7 +119,7 @@ class PackedStage:
 
 
 def stage_entities(stage: PackedStage, number: int) -> list[Entity]:
-    """Everything about one stage. number: its place in the flow."""
+    """List the entities of one stage. number: its place in the flow."""
     name, manifest, program = stage.name, stage.manifest, f"code/{stage_program(stage.stage)}"
     code = "Made by the packed code" if stage.same_code else "Made by other code than the packed"
     return [
@@ -170,13 +170,13 @@ def stage_entities(stage: PackedStage, number: int) -> list[Entity]:
 
 
 def started(stage: PackedStage) -> str:
-    """When a stage began, ISO 8601."""
+    """Return when a stage began, ISO 8601."""
     end = datetime.fromisoformat(stage.run["finished"])
     return (end - timedelta(seconds=float(stage.run["seconds"]))).isoformat(timespec="seconds")
 
 
 def ended(stage: PackedStage) -> str:
-    """When a stage ended, ISO 8601."""
+    """Return when a stage ended, ISO 8601."""
     return datetime.fromisoformat(stage.run["finished"]).isoformat(timespec="seconds")
 
 
@@ -243,7 +243,7 @@ TECHNIQUES = {
 
 
 def capture_method(described: Session) -> dict[str, Any]:
-    """How a capture was made, as its capture.yaml says: `geometry`, `camera`, `pixel_pitch_mm`."""
+    """Return how a capture was made, from its capture.yaml: `geometry`, `camera`, `pixel_pitch_mm`."""
     scaled = getattr(described, "goniometer", described)
     return {
         "geometry": getattr(described, "geometry", None),
@@ -291,7 +291,7 @@ class PackedScene:
 
 
 def days_of(text: str) -> tuple[str, str] | None:
-    """First and last moment of an ISO 8601 date, or of a date with time; None for any other text.
+    """Return first and last moment of an ISO 8601 date, or of a date with time; None for any other text.
 
     Examples
     --------

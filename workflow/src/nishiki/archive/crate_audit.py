@@ -40,7 +40,7 @@ class CrateAudit:
     stages: list[str] = field(default_factory=list)
 
     def damage(self, name: str, kind: str, detail: str) -> Damage:
-        """One damage of the crate."""
+        """Make one damage of the crate."""
         return Damage(self.root / name if name else self.root, kind, detail)
 
 
@@ -50,7 +50,7 @@ def is_crate(path: Path) -> bool:
 
 
 def audit_crate(audit: CrateAudit, *, threads: int, tell: Callable[[int, int, str], None]) -> Iterator[Damage]:
-    """Every damage of a crate: files, links, manifests, keys, the way from the capture to every result."""
+    """Yield every damage of a crate: files, links, manifests, keys, the way from the capture to every result."""
     try:
         tree = ZipTree(audit.root) if audit.root.is_file() else FolderTree(audit.root)
     except (BadZipFile, OSError, ValueError, NotImplementedError, struct.error) as error:
@@ -107,7 +107,7 @@ def _contents(
     threads: int,
     tell: Callable[[int, int, str], None],
 ) -> Iterator[Damage]:
-    """Digest every listed file once; `digests_read` is filled with their digests."""
+    """Digest every listed file once, and fill `digests_read`."""
     names = [name for name in sorted(listed) if name in listing.files]
     # A ZIP file is one file handle: several threads would only wait for each other.
     most = 1 if isinstance(tree, ZipTree) else threads
@@ -141,7 +141,7 @@ def _artifact(survey: Survey, digests_read: dict[str, str]) -> Iterator[Damage]:
 
 
 def _chain(audit: CrateAudit, surveys: list[Survey]) -> Iterator[Damage]:
-    """Every result was made from results in the crate, and the first from one capture; of one scene."""
+    """Check that every result was made from results in the crate, the first from one capture, all of one scene."""
     digests = {survey.below: survey.digest for survey in surveys}
     scenes: set[str] = set()
     captures = _captures_of(surveys)
@@ -218,7 +218,7 @@ def _capture(
 
 
 def parse_seal(data: bytes) -> dict[str, str]:
-    """Digest by name from the manifest of a bag. Raises ValueError where a line is none or a name leads outside."""
+    """Parse digests by name from a bag's manifest. Raises ValueError for other lines and names that lead outside."""
     from nishiki.capture.seal import manifest_entry
 
     digests = {}

@@ -67,7 +67,7 @@ def _other(name: str) -> Entity:
 
 
 def last_end(stages: list[PackedStage]) -> str:
-    """When the last stage ended, ISO 8601."""
+    """Return when the last stage ended, ISO 8601."""
     return max(ended(stage) for stage in stages)
 
 

@@ -60,7 +60,7 @@ class Finished:
 
 
 def folders_in(parent: Path, pruning: Pruning) -> Iterator[Path]:
-    """Real folders inside a folder, by name; links are noted and left alone, what a removal left is to be removed."""
+    """Yield real folders inside a folder by name; note links, which stay, and the remains of a removal, which go."""
     with os.scandir(parent) as entries:
         inner = sorted(entries, key=lambda entry: entry.name)
     for entry in inner:
@@ -126,7 +126,7 @@ def judge_unfinished(folder: Path, pruning: Pruning, hosts: set[str]) -> None:
 
 
 def size_of(folder: Path) -> int:
-    """Bytes of all files below a folder; links count nothing and are not followed."""
+    """Sum the bytes of all files below a folder; links count nothing and are not followed."""
     return sum(FolderTree(folder).listing().files.values())
 
 
@@ -179,7 +179,7 @@ def _look_into(scene: Path, named: bool, finished: list[Finished], pruning: Prun
 
 
 def _published(results: Path, scenes: set[str]) -> set[Place]:
-    """Artifacts that the folders of published links name."""
+    """Collect the artifacts that the folders of published links name."""
     published = set()
     for scene in scenes:
         try:
@@ -191,7 +191,7 @@ def _published(results: Path, scenes: set[str]) -> set[Place]:
 
 
 def _kept(finished: list[Finished], planned: set[Place], published: set[Place]) -> dict[Path, str]:
-    """Folders that stay, each with the reason; an empty one where a configuration asks for it."""
+    """List folders that stay, each with the reason; an empty one where a configuration names it."""
     standing = [item for item in finished if "." not in item.folder.name]
     kept = {item.folder: "" for item in standing if item.place in planned}
     kept |= {item.folder: "published; run again first" for item in standing if item.place in published - planned}

@@ -34,7 +34,7 @@ class FolderTree:
     root: Path
 
     def listing(self, below: str = "") -> Listing:
-        """Everything below a folder of the tree, names relative to that folder, in a fixed order."""
+        """List everything below a folder of the tree, names relative to that folder, in a fixed order."""
         listing = Listing()
         folders = [""]
         start = os.path.join(self.root, below) if below else str(self.root)
@@ -51,12 +51,12 @@ class FolderTree:
         return listing
 
     def read(self, name: str) -> bytes:
-        """Content of a small file. Raises OSError; ValueError for one that is larger than LARGEST_TEXT."""
+        """Read a small file. Raises OSError; ValueError for one that is larger than LARGEST_TEXT."""
         with _open(os.path.join(self.root, name)) as handle:
             return _read(handle, os.fstat(handle.fileno()).st_size)
 
     def digest(self, name: str) -> str:
-        """SHA-256 of a file, read in blocks. Raises OSError."""
+        """Compute the SHA-256 of a file, read in blocks. Raises OSError."""
         with _open(os.path.join(self.root, name)) as handle:
             return hashlib.file_digest(handle, "sha256").hexdigest()
 
@@ -117,7 +117,7 @@ class ZipTree:
             self.members[member.filename] = member
 
     def listing(self, below: str = "") -> Listing:
-        """Everything below a folder of the tree, names relative to that folder, in a fixed order."""
+        """List everything below a folder of the tree, names relative to that folder, in a fixed order."""
         listing = Listing()
         prefix = f"{below}/" if below else ""
         for name, member in sorted(self.members.items()):
@@ -133,13 +133,13 @@ class ZipTree:
         return listing
 
     def read(self, name: str) -> bytes:
-        """Content of a small file. Raises OSError; ValueError for one that is larger than LARGEST_TEXT."""
+        """Read a small file. Raises OSError; ValueError for one that is larger than LARGEST_TEXT."""
         member = self._member(name)
         with _broken_as_oserror(name), self.archive.open(member) as handle:
             return _read(handle, member.file_size)
 
     def digest(self, name: str) -> str:
-        """SHA-256 of a file, read in blocks. Raises OSError."""
+        """Compute the SHA-256 of a file, read in blocks. Raises OSError."""
         with _broken_as_oserror(name), self.archive.open(self._member(name)) as handle:
             return hashlib.file_digest(handle, "sha256").hexdigest()  # type: ignore[arg-type]  # a ZipExtFile can
 

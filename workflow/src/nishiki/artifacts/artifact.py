@@ -83,7 +83,7 @@ class Artifact:
         return json.loads(path.read_text()) if path.is_file() else {}
 
     def path(self, name: str) -> Path:
-        """Full path of a file of the artifact. UserError where the name leads out of it."""
+        """Return the full path of a file of the artifact. UserError where the name leads out of it."""
         return self.folder / _expect_inside(name)
 
 
@@ -122,7 +122,7 @@ def open_artifact(folder: Path, *, contents: bool = True) -> Artifact:
 
 
 def _read_manifest(folder: Path) -> tuple[dict[str, Any], str]:
-    """Manifest of an artifact and its SHA-256. A campaign reads a hundred thousand at its start: paths are texts."""
+    """Read a manifest and its SHA-256. A campaign reads a hundred thousand at its start: paths are texts."""
     path = f"{folder}/{MANIFEST}"
     if not os.path.isfile(path):
         raise UserError(f"{folder}: no finished artifact here ({MANIFEST} is missing). Remedy: run the stage again.")
@@ -145,7 +145,7 @@ def _bytes_of(path: str) -> bytes:
 
 
 def parse_manifest(data: bytes) -> dict[str, Any]:
-    """Manifest of an artifact from its bytes. Raises ValueError with the reason where it is none.
+    """Parse the manifest of an artifact. Raises ValueError with the reason where it is none.
 
     Every file has a size, a digest and a name inside the folder: whoever follows the names stays in it.
     """
@@ -185,7 +185,7 @@ def is_digest(text: Any) -> bool:
 
 
 def run_text(run: dict[str, Any], manifest: bytes) -> str:
-    """Text of run.json: the facts of the run, the manifest's digest, and a digest of all of that."""
+    """Return the text of run.json: the facts of the run, the manifest's digest, and a digest of both."""
     facts = {**run, "manifest_sha256": hashlib.sha256(manifest).hexdigest()}
     facts["sha256"] = hashlib.sha256(canonical(facts).encode()).hexdigest()
     return json.dumps(facts, indent=1, sort_keys=True) + "\n"
@@ -214,7 +214,7 @@ def _tail(path: Path) -> str:
 
 
 def _size(path: str) -> int | None:
-    """Bytes of a regular file; None where there is none, or a link in its place."""
+    """Return the bytes of a regular file; None where there is none, or a link in its place."""
     try:
         status = os.lstat(path)
     except OSError:
@@ -223,7 +223,7 @@ def _size(path: str) -> int | None:
 
 
 def _files(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Each file below `folder` with its name relative to it, in a fixed order; links count as files."""
+    """Yield each file below `folder` with its name relative to it, in a fixed order; links count as files."""
     start = len(str(folder)) + 1
     for root, folders, names in os.walk(folder):
         folders.sort()
@@ -256,7 +256,7 @@ class ArtifactWriter:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def path(self, name: str) -> Path:
-        """Where to write a file of the artifact. UserError where the name, which data may have given, leads out."""
+        """Return the path to write a file of the artifact to. UserError where its name, maybe from data, leads out."""
         path = self.folder / _expect_inside(name)
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
@@ -368,6 +368,6 @@ def expect_links(results: Path) -> None:
 
 
 def index_text(scene: str, artifacts: dict[str, dict[str, str]], code: str = "") -> str:
-    """Text of the index: of every stage the key and the digest of its artifact, and the digest of the code."""
+    """Return the text of the index: key and digest of every stage's artifact, and the digest of the code."""
     values = {"scene": scene, "artifacts": artifacts} | ({"code": code} if code else {})
     return json.dumps(values, indent=1, sort_keys=True) + "\n"

@@ -78,7 +78,7 @@ def merged(below: dict, above: dict) -> dict:
 
 
 def parse(model: type[Model], values: Any, where: str) -> Model:
-    """`values` as a checked `model`.
+    """Check `values` against a `model`.
 
     Raises UserError naming `where` (a file, or a block of one), the key, what was found and what was expected.
     """

@@ -18,7 +18,7 @@ NAME = "at_bounds"
 
 
 def at_bounds(diagnostics: Mapping[str, Any]) -> list[str]:
-    """Parameters at a bound, each with the block of the diagnostics that it belongs to."""
+    """List parameters at a bound, each with the block of the diagnostics that it belongs to."""
     names = []
     for name, value in diagnostics.items():
         if name == NAME:
@@ -99,12 +99,12 @@ def _part(diagnostics: Mapping[str, Any], path: str) -> Any:
 
 
 def share(part: str, total_path: str) -> Figure:
-    """One diagnostic as a share of another; 0 of nothing is 0."""
+    """Divide one diagnostic by another; 0 of nothing is 0."""
     return _of_two(part, total_path, lambda value, total: value / total if total else 0.0)
 
 
 def excess(part: str, over: str) -> Figure:
-    """One diagnostic less another."""
+    """Subtract one diagnostic from another."""
     return _of_two(part, over, operator.sub)
 
 
@@ -146,7 +146,7 @@ def flagged(name: str, meaning: str, total: str, **rest: Any) -> Limit:
 def limit_checks(
     limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()
 ) -> list[LimitCheck]:
-    """Every figure that has a limit or counts flags, in the order of the limits."""
+    """Check every figure that has a limit or counts flags, in the order of the limits."""
     allow, checks = set(allow), []
     for limit in limits:
         value = limit.figure(diagnostics)
@@ -157,7 +157,7 @@ def limit_checks(
 
 
 def check(stage: str, limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()) -> None:
-    """UserError naming each limit that the result of a stage is beyond, with its remedy, unless it is allowed."""
+    """Raise a UserError that names each limit that a stage's result exceeds, with its remedy, unless it is allowed."""
     beyond = [each for each in limit_checks(limits, diagnostics, allow) if each.beyond and not each.allowed]
     wrong = [each for each in beyond if not each.limit.warns]
     if wrong:

@@ -181,7 +181,7 @@ class StagePart:
 
     @classmethod
     def parse(cls, text: str) -> "StagePart":
-        """Part from `2/4`. Raises UserError for anything else."""
+        """Parse `2/4`. Raises UserError for anything else."""
         number, _, total = text.partition("/")
         if not (number.isdigit() and total.isdigit() and 1 <= int(number) <= int(total)):
             raise UserError(f"--part: expected number/total as in 2/4, found {text!r}")
@@ -204,7 +204,7 @@ class TiledStage:
     merge: Callable[[Any, list[dict[str, Any]]], dict[str, Any]]
 
     def __call__(self, context: Any) -> dict[str, Any]:
-        """Diagnostics of the stage, undivided or joined from its parts; of a part only which one it is."""
+        """Return the diagnostics of the stage, undivided or joined from its parts; of a part only which one it is."""
         if context.parts:
             tallies = [read_tally(part.folder) for part in context.parts]
             join(context.parts, context.output.folder)
@@ -235,7 +235,7 @@ def read_tally(folder: Path) -> dict[str, Any]:
 def in_order(
     parts: Sequence[Artifact], *, key: str, code: str, upstream: dict[str, dict[str, str]]
 ) -> tuple[Artifact, ...]:
-    """Parts in the order of their shares; upstream: keys and digests of what the stage reads.
+    """Sort parts by their shares; upstream: keys and digests of the artifacts that the stage reads.
 
     Raises UserError where they are not all parts of one stage, made alike.
     """

@@ -47,7 +47,7 @@ class Syntax(NamedTuple):
 
 @functools.cache
 def syntax_of(path: Path) -> Syntax:
-    """Syntax of a Python file. Raises SyntaxError."""
+    """Parse a Python file. Raises SyntaxError."""
     data = path.read_bytes()
     store, name = _store(), hashlib.sha256(data).hexdigest()
     syntax = store.known.get(name)
@@ -65,7 +65,7 @@ def syntax_of(path: Path) -> Syntax:
 
 
 def _imported(tree: ast.Module) -> set[str]:
-    """Names in any import statement, late imports inside functions included."""
+    """List names in any import statement, late imports inside functions included."""
     names: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -144,7 +144,7 @@ GEOMETRIES = ("object", "cloth")
 
 
 def canonical(value: Any) -> str:
-    """Canonical JSON text of `value`: keys sorted, 1 and 1.0 equal, Unicode in NFC, no spaces.
+    """Write `value` as canonical JSON: keys sorted, 1 and 1.0 equal, Unicode in NFC, no spaces.
 
     Raises ValueError for NaN and infinities, which have no place in a configuration, and TypeError for other types.
     """
@@ -192,7 +192,7 @@ def place_above(scene: str, name: str) -> tuple[str, str]:
 
 
 def stage_key(stage: str, version: int, settings: dict, upstream: dict[str, str]) -> str:
-    """Key of a stage: 12 hexadecimal digits. `upstream` maps stage names (or `capture`) to their keys or digests."""
+    """Compute a stage's key: 12 hexadecimal digits. `upstream` maps stages (or `capture`) to their keys or digests."""
     return key_of_text(stage, version, canonical(settings), upstream)
 
 
@@ -204,7 +204,7 @@ def key_of_text(stage: str, version: int, settings: str, upstream: dict[str, str
 
 
 def differences(first: dict, second: dict, path: str = "") -> list[str]:
-    """Each place where two settings blocks differ, as `place: first -> second`."""
+    """List each place where two settings blocks differ, as `place: first -> second`."""
     texts = []
     for key in sorted(set(first) | set(second), key=str):
         place = f"{path}.{key}" if path else str(key)
@@ -225,7 +225,7 @@ def module_of(stage: str) -> str:
 
 
 def stage_program(stage: str) -> str:
-    """Path of a stage's code below the folder of a checkout, as in a packed crate."""
+    """Return the path of a stage's code below the folder of a checkout, as in a packed crate."""
     return f"workflow/src/{PACKAGE}/stages/{module_of(stage).replace('.', '/')}.py"
 
 
@@ -315,7 +315,7 @@ def data_files(modules: list[Path]) -> list[Path]:
 
 @functools.cache
 def library_version(name: str) -> str:
-    """Installed version of a library, `absent` where it is not installed (an optional one)."""
+    """Return the installed version of a library, `absent` where an optional one is not installed."""
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
@@ -323,13 +323,13 @@ def library_version(name: str) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file, 64 hexadecimal digits."""
+    """Compute the SHA-256 of a file, 64 hexadecimal digits."""
     with open(path, "rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
 def truth_digest(path: Path) -> str:
-    """Digest of a truth: of a file, of a folder's manifest, or of all files of a folder without one.
+    """Digest a truth: a file, a folder's manifest, or all files of a folder without one.
 
     Raises UserError where there is none.
     """

@@ -44,7 +44,7 @@ class RunFacts:
         self.clock, self.cpu, self.read = time.perf_counter(), time.process_time(), bytes_read()
 
     def finish(self, capture: Path | None) -> dict[str, Any]:
-        """All facts, at the end of the run.
+        """Return all facts at the end of the run.
 
         cpu_seconds: with those of processes that decoded pictures; start_cpu_seconds: until the imports were done;
         bytes_read: since then, of files and from the cache of the operating system alike; packages: heavy ones that
@@ -71,12 +71,12 @@ class RunFacts:
 
 
 def bytes_read() -> int | None:
-    """Bytes that this process has asked the operating system for; None where that is not told."""
+    """Return the bytes that this process requested from the operating system; None where they are not counted."""
     return _of_process("io", "rchar:")
 
 
 def peak_memory_kib() -> int:
-    """Peak of the resident memory of this program.
+    """Return the peak of the resident memory of this program.
 
     ru_maxrss also counts the process that started this one, up to the moment at which it became this program: a small
     stage would show the memory of the workflow engine.
@@ -118,7 +118,7 @@ class Context:
     fields: dict[str, dict[str, Artifact]] = field(default_factory=dict)
 
     def share(self, items: Sequence[Item]) -> Sequence[Item]:
-        """Those of the bands (or other equal pieces of work) that this job does: all, unless it is a part."""
+        """Select the bands (or other equal pieces of work) of this job: all, unless it is a part."""
         return self.part.share(items) if self.part else items
 
 
@@ -273,7 +273,7 @@ def _json(text: str, where: str) -> dict[str, Any]:
 
 
 def _target(output: Path, key: str) -> Path:
-    """Folder of the artifact; raises UserError where the workflow expected another key than the inputs give."""
+    """Return the folder of the artifact. Raises UserError where the inputs give another key than the workflow has."""
     if output.name != MANIFEST:
         return output / key
     if output.parent.name != key:
@@ -313,7 +313,7 @@ def problems(folder: Path) -> Iterator[str]:
 
 
 def _names(folder: Path) -> Iterator[str]:
-    """Files below a folder that hold values, chunks of Zarr arrays apart: they have no suffix, and are many."""
+    """Yield files below a folder that hold values, except chunks of Zarr arrays: they have no suffix, and are many."""
     start = len(str(folder)) + 1
     for root, _, names in os.walk(folder):
         for name in names:

@@ -18,7 +18,7 @@ BAGIT = "BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n"
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 of a file, 64 hexadecimal digits."""
+    """Compute the SHA-256 of a file, 64 hexadecimal digits."""
     with os.fdopen(open_regular(path, path.name), "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

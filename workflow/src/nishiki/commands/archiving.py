@@ -170,7 +170,7 @@ def pack(scene: str, output: str, without_capture: bool, zipped: bool, configfil
 
 
 def expect_outside(target: Path, results: Path) -> None:
-    """UserError where a crate would lie inside the results or inside a sealed capture, which nothing may change."""
+    """Raise a UserError where a crate would lie inside the results or a sealed capture, which nothing may change."""
     for parent in target.resolve().parents:
         if parent == results.resolve():
             raise UserError(f"{target}: inside the results ({results}). Remedy: another folder")
@@ -269,7 +269,7 @@ def prune(configfiles, sweeps, unnamed, delete, as_json, gone) -> int:
 
 
 def _referenced(configurations: tuple[str, ...], sweeps: tuple[str, ...]) -> "list[tuple[Path, set[Place], set[str]]]":
-    """Results folders with what all configurations and sweeps ask for, and the names of the sweeps."""
+    """List results folders, the artifacts that all configurations and sweeps name, and the names of the sweeps."""
     from nishiki.engine.plan import configuration_of, read_sweep
     from nishiki.engine.project import load_yaml
     from nishiki.engine.workflow import Workflow
@@ -340,7 +340,7 @@ def _delete(pruning: "Pruning", as_json: bool) -> int:
 
 
 def _size(number: int) -> str:
-    """Bytes for a reader, in units of 1000."""
+    """Format bytes in units of 1000."""
     value, units = float(number), ["B", "kB", "MB", "GB", "TB"]
     while value >= 1000 and len(units) > 1:
         value /= 1000

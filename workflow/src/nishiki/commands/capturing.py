@@ -286,7 +286,7 @@ def run(rig_file: Path, plan_file: Path, capture: Path, page: int | None, dry_ru
 
 
 def _teller(capture: str) -> Any:
-    """Tells on standard error how far a run is, and what is repeated and why."""
+    """Return a function that prints the progress of a run, and what is repeated and why."""
     from nishiki.progress import Progress
     from nishiki.rig.frames_table import duration
     from nishiki.rig.records import REPEATED, RunState, why

@@ -142,7 +142,7 @@ def call_engine(
 
 
 def _display(flow: Workflow, scenes: list[str], unfinished: int | None, failed: int) -> list[str]:
-    """Options for Snakemake that leave its screen to the project's own logger plugin.
+    """Return options for Snakemake that leave its screen to the project's own logger plugin.
 
     unfinished: number of scenes that the run makes, where it is known; failed: descriptor for what failed. Snakemake's
     log file says more than a user wants to see, the rules with their reasons among it.
@@ -155,7 +155,7 @@ def _display(flow: Workflow, scenes: list[str], unfinished: int | None, failed: 
 
 
 def expected_seconds(flow: Workflow, scenes: Sequence[str]) -> dict[str, float]:
-    """Processor seconds that a job of each rule is expected to take: means over some of the scenes."""
+    """Estimate the processor seconds of a job of each rule: means over some of the scenes."""
     seconds: dict[str, list[float]] = {}
     for scene in scenes[:: max(1, len(scenes) // SAMPLED_SCENES)]:
         for stage in flow.plans[scene].stages:

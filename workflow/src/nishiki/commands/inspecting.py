@@ -36,7 +36,7 @@ def plan(scene: str | None, configfile: str, as_json: bool) -> None:
 
 
 def scene_plan(flow: "Workflow", name: str) -> dict[str, Any]:
-    """Everything that the plan of a scene says, as plain values."""
+    """Return the plan of a scene as plain values."""
     from nishiki.capture.folder import load_capture
     from nishiki.capture.mosaic import MosaicCapture
     from nishiki.observations.region import usage_of
@@ -65,7 +65,7 @@ def scene_plan(flow: "Workflow", name: str) -> dict[str, Any]:
 
 
 def expect_packages(flow: "Workflow") -> None:
-    """UserError where a stage that would run needs a package that is not installed; video has a way without it."""
+    """Raise a UserError where a stage to run needs a package that is not installed; video has a way without it."""
     for name, made in flow.plans.items():
         for stage, packages in made.packages.items():
             missing = tuple(p for p in packages if p in EXTRAS and p != "av" and not installed(p))
@@ -93,7 +93,7 @@ def _stage(flow: "Workflow", made: "Plan", scene: str, stage: str) -> dict[str, 
 
 
 def described(facts: "SceneFacts") -> str:
-    """One line on a capture: its size and how many lights, views, polariser states or pairs of directions it has."""
+    """Describe a capture in one line: size and number of lights, views, polariser states or pairs of directions."""
     channels = f"{facts.channels} channel{'s' * (facts.channels > 1)}"
     if facts.geometry == "goniometer":
         of = "a table of" if facts.table else f"windows of {facts.pixels} pixels,"
@@ -137,7 +137,7 @@ def text_of(summary: dict[str, Any]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Seconds, minutes or hours, whichever reads best."""
+    """Format a time in seconds, minutes or hours, whichever reads best."""
     for unit, size in (("h", 3600), ("min", 60)):
         if seconds >= 2 * size:
             return f"{seconds / size:.0f} {unit}"
@@ -145,7 +145,7 @@ def duration(seconds: float) -> str:
 
 
 def _read_lines(reads: dict[str, Any]) -> list[str]:
-    """Files, channels and tiles: how many of how many."""
+    """Format how many files, channels and tiles are read, of how many."""
     rows = [*reads["files"], {**reads["total"], "what": "all files"}]
     lines = [
         f"  reads {row['read']:>5} of {row['of']:>5}  {row['what']:34} {_size(row['bytes_read'], row['bytes_of'])}"

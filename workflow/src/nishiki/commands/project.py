@@ -202,7 +202,7 @@ def _flags(options: Sequence[str]) -> str:
 
 
 def _captures_of(configfile: str) -> dict[str, Path]:
-    """Capture folder of each scene of the table, which may be empty."""
+    """Return the capture folder of each scene of the table, which may be empty."""
     from nishiki.engine.project import load_project, load_yaml
 
     values = load_yaml(Path(configfile))

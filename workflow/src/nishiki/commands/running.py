@@ -175,7 +175,7 @@ def _announce(flow) -> None:
 
 
 def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Path]] = ()) -> list[str]:
-    """Snakemake's arguments for a shipped profile or a profile folder, and for what a local one may use of the machine.
+    """Return Snakemake's arguments for a shipped profile or a profile folder, with the machine's share of a local one.
 
     scenes: manifests of each scene's artifacts, where stages may get one thread each so that scenes run side by side.
 
@@ -207,7 +207,7 @@ def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Pa
 
 
 def profile_folder(name: str) -> Path:
-    """Folder of a shipped profile, or the folder that is named."""
+    """Return the folder of a shipped profile, or the folder that is named."""
     return PROFILES / name if (PROFILES / name).is_dir() else Path(name)
 
 
@@ -223,7 +223,7 @@ def _tell(flow, seconds: float) -> None:
 
 
 def _tell_unfinished(flow, seconds: float, failures: list[dict[str, str]]) -> None:
-    """Which scenes a run that failed has not finished, where each stands, and why."""
+    """Print which scenes a failed run has not finished, where each stands, and why."""
     from nishiki.engine.finished import reason_to_run
 
     next_of, failed = {}, {failure["scene"] for failure in failures}

@@ -25,7 +25,7 @@ from nishiki.errors import UserError
 
 
 def unfinished_scenes(flow: Workflow, *, contents: bool = False) -> dict[str, str]:
-    """Scenes of a workflow that a run has to look at, in the order of the table, each with the first reason.
+    """List the scenes that a run has to make, in the order of the table, each with the first reason.
 
     contents: look at the files of artifacts more closely than at their sizes (see `open_artifact`).
     """
@@ -102,7 +102,7 @@ class Unsound:
 
 
 def unsound_artifacts(plans: Iterable[tuple[Path, Mapping[str, Path]]], *, contents: bool = False) -> list[Unsound]:
-    """Torn and stale artifacts of some scenes, in the order of the flow.
+    """Find torn and stale artifacts of some scenes, in the order of the flow.
 
     plans: stages in the order of the flow, each its folder, and the folders of what it reads by their names.
     Torn: files missing or of the wrong size, or no readable manifest. Stale: an upstream artifact that stands there is
@@ -178,7 +178,7 @@ DEEPEST = 4  # blocks inside blocks: figures below are lists of a scene's own li
 
 
 def campaign_rows(flow: Workflow) -> Iterator[dict[str, Value]]:
-    """One row a scene of the configuration: scene, capture, geometry, `finished`, and STAGE.FIGURE columns.
+    """Yield a row for each scene of the configuration: scene, capture, geometry, `finished`, and STAGE.FIGURE columns.
 
     Figures are numbers, truth values and words of the diagnostics of the stages that are published; lists are left out.
     """

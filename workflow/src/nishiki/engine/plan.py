@@ -36,7 +36,7 @@ PARTS = {
 
 
 def idle_reason(stage: Stage, package: str, facts: SceneFacts, settings: SceneSettings) -> str | None:
-    """Why a stage does not load one of its libraries in this scene; None where it does."""
+    """Return why a stage does not load one of its libraries in this scene; None where it does."""
     reason = stage.unused_packages.get(package)
     return reason(facts, settings) if reason else None
 
@@ -72,7 +72,7 @@ class Plan:
     unused_packages: dict[str, str] = field(default_factory=dict)  # heavy packages that none does
 
     def folder(self, stage: str) -> str:
-        """Path of a stage's artifact below the results folder."""
+        """Return the path of a stage's artifact below the results folder."""
         return f"{self.scene.name}/{stage}/{self.stages[stage].key}"
 
 
@@ -190,7 +190,7 @@ def _unused_packages(
 
 
 def held_out_of(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) -> tuple[str, ...]:
-    """Lights, or views of a turntable, kept from every fit and predicted instead.
+    """List the lights, or views of a turntable, that are kept from every fit and predicted instead.
 
     auto: a tenth of at least 16 lights, a twelfth of at least 16 views, where neither truth nor check lights exist.
     """
@@ -303,7 +303,7 @@ def configuration_of(path: Path) -> str | None:
 
 
 def plan_sweep(named: str, project: Project, facts_of: Callable[[Scene], SceneFacts]) -> PlannedSweep:
-    """Plans of all variants of all scenes of a sweep. Raises UserError naming the sweep, the variant and the remedy."""
+    """Plan all variants of all scenes of a sweep. Raises UserError naming the sweep, the variant and the remedy."""
     name, sweep = read_sweep(named, project)
     unknown = [scene for scene in sweep.scenes if scene not in project.scenes]
     if unknown:
@@ -351,7 +351,7 @@ def _evaluated(scene: Scene, facts: SceneFacts, where: str) -> Plan:
 
 
 def _merged(plans: dict[str, Plan], evaluation: str, reference: Plan) -> tuple[PlannedVariant, ...]:
-    """Variants with the same evaluation key are one: all that it was made from is the same."""
+    """Merge variants with the same evaluation key: all that it was made from is the same."""
     names: dict[str, list[str]] = {}
     for name, plan in plans.items():
         names.setdefault(plan.stages[evaluation].key, []).append(name)
@@ -388,7 +388,7 @@ def _counted(named: str, sweep: SweepSettings, plans: dict[str, Plan], evaluatio
 
 
 def _before(plan: Plan, stage: str) -> set[str]:
-    """Stages that a stage reads, directly or not."""
+    """List the stages that a stage reads, directly or not."""
     stages: set[str] = set()
     queue = [stage]
     while queue:
@@ -400,5 +400,5 @@ def _before(plan: Plan, stage: str) -> set[str]:
 
 
 def _flow(names: set[str]) -> list[str]:
-    """Stages in the order of the flow."""
+    """Sort stages into the order of the flow."""
     return [name for name in CHAIN if name in names]

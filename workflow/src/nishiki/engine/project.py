@@ -240,7 +240,7 @@ def scene_with_exports(scene: Scene, geometry: str, formats: tuple[str, ...]) ->
 
 
 def scene_facts(scene: Scene) -> SceneFacts:
-    """Facts of a scene. Raises UserError where the capture is missing, not sealed or broken."""
+    """Read the facts of a scene. Raises UserError where the capture is missing, not sealed or broken."""
     try:
         capture = load_capture(scene.capture)
     except UserError as error:
@@ -361,7 +361,7 @@ def _turntable_parts(capture: TurntableCapture) -> dict[str, int]:
 
 
 def _pixels(capture: Capture) -> int:
-    """Pixels of the region of interest, from the header of the first photograph."""
+    """Count the pixels of the region of interest, from the header of the first photograph."""
     region = capture.settings.region_of_interest
     if region is not None:
         return region[2] * region[3]

@@ -89,7 +89,7 @@ def records(results: Path) -> list[Record]:
 
 
 def refuse_while_running(results: Path, what: str) -> None:
-    """UserError where a run is alive on these results, or may be; `what`: what is not done then."""
+    """Raise a UserError where a run is alive on these results, or may be; `what`: the action that is refused."""
     for record in records(results):
         if record.state == "alive":
             raise UserError(f"{results}: {what}: a run is alive: {record}. Remedy: wait for its end")
@@ -98,7 +98,7 @@ def refuse_while_running(results: Path, what: str) -> None:
 
 
 def scenes_to_make(results: Path, scenes: Iterable[str]) -> list[str]:
-    """Scenes that the run which this process is a part of has left to make; all of them outside of such a run."""
+    """Return the scenes that the run of this process has left to make; all of them outside of a run."""
     with suppress(OSError, ValueError, AttributeError, TypeError):
         unfinished = json.loads((results / RUNS / f"{os.environ.get(MARK, '')}.json").read_bytes()).get(UNFINISHED)
         if unfinished is not None:
@@ -210,7 +210,7 @@ def registered(
 
 @contextmanager
 def _one_at_a_time(results: Path) -> Iterator[None]:
-    """While inside, no other run registers on these results; it waits until this one has."""
+    """Hold other runs back from registering on these results until this one has."""
     try:
         (results / RUNS).mkdir(parents=True, exist_ok=True)
         descriptor = os.open(results / RUNS / "register", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)

@@ -39,7 +39,7 @@ SHARE_OF_MEMORY = 0.9
 
 
 def memory_arguments() -> list[str]:
-    """Snakemake's arguments with which stages run side by side only as far as their expected memory fits the machine.
+    """Return Snakemake's arguments that run stages side by side only as far as their expected memory fits the machine.
 
     A stage that is expected to need more than there is runs alone. Another option has to follow: --resources takes all
     words up to the next.
@@ -48,7 +48,7 @@ def memory_arguments() -> list[str]:
 
 
 def thread_arguments(cores: str | None, scenes: Iterable[Iterable[Path]]) -> list[str]:
-    """Snakemake's arguments for one thread a stage, where enough scenes are unfinished to keep every processor at work.
+    """Return Snakemake's arguments for one thread a stage, where unfinished scenes can keep every processor at work.
 
     Parts of every stage have one thread only: scenes side by side use processors better than threads of one scene do.
     cores: as on the command line. scenes: manifests of all artifacts of each scene.
@@ -79,7 +79,7 @@ class Scheduling:
         raise NotImplementedError
 
     def memory_mb(self, scene: str, stage: str, attempt: int = 1, *, beside: int = 0) -> int:
-        """Memory that a stage, or a part of it, may take, in MiB; half as much again at each further attempt.
+        """Estimate the memory of a stage, or of a part of it, in MiB; half as much again at each further attempt.
 
         beside: memory of what runs beside the stage in its job.
         """
@@ -90,7 +90,7 @@ class Scheduling:
         return math.ceil((memory + beside) * 1.5 ** (attempt - 1))
 
     def seconds(self, scene: str, stage: str, share: float = 1.0) -> float:
-        """Processor time that a share of a stage's work is expected to take, in seconds."""
+        """Estimate the processor time of a share of a stage's work, in seconds."""
         pixels, samples = self._size(scene, stage)
         return CHAIN[stage].cost(self.plans[scene].facts).processor_seconds(pixels * share, samples * share)
 
@@ -108,7 +108,7 @@ class Scheduling:
         return scatter.get(stage, 1)
 
     def part_paths(self, scene: str, stage: str, key: str) -> list[str]:
-        """Folders of the parts that a stage is joined from; none where it is not divided."""
+        """List the folders of the parts that a stage is joined from; none where it is not divided."""
         total = self.parts(scene, stage)
         folder = f"{self.results}/{PARTS}/{scene}/{stage}/{key}"
         return [f"{folder}/{number}-of-{total}" for number in range(1, total + 1)] if total > 1 else []
@@ -139,7 +139,7 @@ class Scheduling:
         return max(levels)
 
     def _size(self, scene: str, stage: str) -> tuple[int, int]:
-        """Pixels of a photograph that the stage sees, and samples of all photographs: ingest decodes whole ones."""
+        """Count the pixels of a photograph for a stage, and samples of all photographs: ingest decodes whole ones."""
         facts = self.plans[scene].facts
         pixels = facts.pixels if stage == "ingest" else facts.kept_pixels or facts.pixels
         return pixels, pixels * facts.observations
@@ -243,7 +243,7 @@ class Workflow(Scheduling):
         return make_plan(scene, facts, {field: self.plans[scene_of_field(name, field)] for field in facts.fields})
 
     def _plan_sweep(self, named: str) -> None:
-        """Plans of all variants; a scene's own plan is that of its first variant, the scene as it is configured."""
+        """Plan all variants; a scene's own plan is that of its first variant, the scene as it is configured."""
         self.sweep = plan_sweep(named, self.project, self._facts)
         self.plans = {swept.scene: swept.variants[0].plan for swept in self.sweep.scenes}
         for swept in self.sweep.scenes:
@@ -286,23 +286,23 @@ class Workflow(Scheduling):
         return places
 
     def path(self, scene: str, stage: str, key: str) -> str:
-        """Path of the manifest of an artifact."""
+        """Return the path of an artifact's manifest."""
         return f"{self.results}/{scene}/{stage}/{key}/{MANIFEST}"
 
     def artifact(self, scene: str, stage: str) -> str:
-        """Path of the manifest of a stage's artifact."""
+        """Return the path of the manifest of a stage's artifact."""
         return self.path(scene, stage, self.plans[scene].stages[stage].key)
 
     def artifacts(self, scene: str) -> list[str]:
-        """Manifests of all stages of a scene."""
+        """List the manifests of all stages of a scene."""
         return [self.artifact(scene, stage) for stage in self.plans[scene].stages]
 
     def inputs(self, scene: str, stage: str, key: str) -> list[str]:
-        """Manifests of the artifacts that a stage reads."""
+        """List the manifests of the artifacts that a stage reads."""
         return list(self.above(scene, self.stage(scene, stage, key)).values())
 
     def above(self, scene: str, planned: PlannedStage) -> dict[str, str]:
-        """Manifests of the artifacts that a stage of a scene reads, by the names under which it reads them."""
+        """Map the names under which a stage of a scene reads artifacts to their manifests."""
         return {
             name: self.path(*place_above(scene, name), key)
             for name, key in planned.upstream.items()
@@ -310,7 +310,7 @@ class Workflow(Scheduling):
         }
 
     def source(self, scene: str, stage: str) -> str:
-        """Arguments that name what lies outside the results: the capture, the truth."""
+        """Return the arguments for inputs outside the results: the capture, the truth."""
         of = self.plans[scene].scene
         if stage == "ingest":
             return shlex.join(["--capture", _no_option(of.capture)])
@@ -320,23 +320,23 @@ class Workflow(Scheduling):
 
     @cache  # noqa: B019  one Workflow a process
     def code(self, stage: str) -> str:
-        """Digest of a stage's code."""
+        """Return the digest of a stage's code."""
         return code_digest(program_of(stage))
 
     def libraries(self, scene: str, stage: str, key: str) -> str:
-        """Versions of the libraries that a stage loads in this scene."""
+        """Return the versions of the libraries that a stage loads in this scene."""
         return canonical({name: library_version(name) for name in self.stage(scene, stage, key).packages})
 
     def stages_text(self, scene: str) -> str:
-        """Stages and keys of a scene, as canonical JSON."""
+        """Write the stages and keys of a scene as canonical JSON."""
         return canonical({name: planned.key for name, planned in self.plans[scene].stages.items()})
 
     def sweep_path(self, name: str) -> str:
-        """Path of a file of the sweep's results."""
+        """Return the path of a file of the sweep's results."""
         return f"{self.results}/{SWEEPS}/{self.sweep.name if self.sweep else '-'}/{name}"
 
     def timing(self, scene: str, stage: str, key: str, number: int | str) -> str:
-        """Path of what one repeat of a stage recorded."""
+        """Return the path of the record of one repeat of a stage."""
         return f"{self.results}/{SWEEPS}/{TIMINGS}/{scene}/{stage}/{key}/{number}.json"
 
     def timings(self, swept: SceneSweep, variant: PlannedVariant) -> dict[str, list[str]]:
@@ -350,11 +350,11 @@ class Workflow(Scheduling):
         }
 
     def evaluation(self, swept: SceneSweep, variant: PlannedVariant) -> str:
-        """Manifest of the evaluation of a variant."""
+        """Return the manifest of the evaluation of a variant."""
         return self.path(swept.scene, swept.evaluation, variant.plan.stages[swept.evaluation].key)
 
     def sweep_inputs(self) -> list[str]:
-        """Everything that the page of the sweep is made from."""
+        """List the files that the page of the sweep is made from."""
         pairs = [(swept, variant) for swept in self.sweep.scenes for variant in swept.variants] if self.sweep else []
         inputs = [self.evaluation(*pair) for pair in pairs]
         inputs += [path for pair in pairs for paths in self.timings(*pair).values() for path in paths]
