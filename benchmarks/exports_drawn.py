@@ -40,8 +40,7 @@ from nishiki.render.display import three_channels
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.cloth import LAMPS, VIEWS, ExportedCloth, fitted_cloth
 from nishiki.stages.export.look import PaintingSurface
-from nishiki.stages.export.object_look import METRES, object_look, object_mesh
-from nishiki.stages.export.object_surface import SeenPoints, shown_in
+from nishiki.stages.export.object_look import METRES, SeenPoints, object_look, object_mesh, shown_in
 from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.scene import ExportedScene
 

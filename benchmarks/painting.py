@@ -175,12 +175,11 @@ def budget(made, truth):
     from nishiki.brdf.gloss_profile import GlossProfile, body_shading
     from nishiki.brdf.scene import gloss_table
     from nishiki.brdf.slopes import slope_covariance
-    from nishiki.evaluate.classes import classify
-    from nishiki.evaluate.prediction import light_of, predict_light, spectral_colour
-    from nishiki.evaluate.relighting import truth_difference
+    from nishiki.evaluate.relighting import classify, truth_difference
     from nishiki.observations.plane import Observations
     from nishiki.render.plane.scene import Gloss
     from nishiki.render.plane.shade import PlaneMaps
+    from nishiki.stages.painting_maps import light_of, predict_light, spectral_colour
 
     frames, group = Observations(made["ingest"]), zarr.open_group(truth / "truth.zarr", mode="r")
     maps, spectra = Maps(made["normals"]), Maps(made["spectra"])

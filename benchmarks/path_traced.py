@@ -565,7 +565,7 @@ def write_description(draft: Path, name: str, painting: Painting, view: Observer
 
 
 def write_truth(folder: Path, studio: Studio, height, label, rig, lights: dict, shape) -> None:
-    """truth.zarr, named as nishiki.evaluate.truth reads it."""
+    """truth.zarr, named as nishiki.stages.evaluate.painting reads it."""
     rows, columns = shape
     place = [studio.y.ravel() / PITCH_MM * VERTICES, studio.x.ravel() / PITCH_MM * VERTICES]
     normals = [

@@ -13,7 +13,7 @@ from nishiki.formats.usd import write_usdz
 from nishiki.installation import installed
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.look import PaintingSurface
-from nishiki.stages.export.object_surface import SeenPoints, shown_in
+from nishiki.stages.export.object_look import SeenPoints, shown_in
 from nishiki.stages.export.painting import run
 from nishiki.stages.export.scene import ExportedScene
 

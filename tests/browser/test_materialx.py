@@ -12,7 +12,7 @@ from nishiki.colour.colour import decode, encode
 from nishiki.formats.textured_surface import SurfaceLook
 from nishiki.formats.usd import write_materialx
 from nishiki.installation import installed
-from nishiki.stages.export.object_surface import SeenPoints, shown_in
+from nishiki.stages.export.object_look import SeenPoints, shown_in
 
 pytestmark = [
     pytest.mark.slow,  # a software rasteriser compiles a shader of 100,000 characters

@@ -13,7 +13,7 @@ from nishiki.capture.folder import load_capture
 from nishiki.capture.goniometer_tables import MERL_LIGHTS, MERL_VIEWS
 from nishiki.formats.merl import MERL_BYTES, MERL_SCALE, MERL_SHAPE, merl_bytes, merl_directions, merl_values, read_merl
 from nishiki.formats.problems import CaptureError
-from nishiki.stages.export.renderers import brdf_of
+from nishiki.stages.export.painting import brdf_of
 
 COLOUR = np.array([0.4, 0.3, 0.2])
 MATERIAL = {

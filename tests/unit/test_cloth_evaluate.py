@@ -13,11 +13,11 @@ from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.errors import UserError
-from nishiki.evaluate.cloth import by_incidence, in_plane, judge, plane_name
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.table import ReflectanceSet, write_reflectances
 from nishiki.progress import Progress
 from nishiki.stages.evaluate import ClothEvaluateSettings
+from nishiki.stages.evaluate.cloth import by_incidence, in_plane, judge, plane_name
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "cloth_evaluate", "key": "0" * 12, "version": "0.1.0"}

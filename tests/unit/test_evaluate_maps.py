@@ -9,8 +9,8 @@ from refusals import refused
 from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.errors import UserError
 from nishiki.evaluate.maps import Pool, angular_error_deg, height_error, normal_errors, reflectance_errors, summarise
-from nishiki.evaluate.truth import truth_from
 from nishiki.photometric.flags import ILL_CONDITIONED, TOO_FEW_LIGHTS
+from nishiki.stages.evaluate.painting import truth_from
 
 
 def _rotated(angle):

@@ -12,12 +12,26 @@ from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import assumed_colour, fitted_colour
-from nishiki.evaluate.classes import DIFFUSE, FADGI, HIGHLIGHT, ISO_19264, OUTSIDE, SHADOW, classify, level_of, levels
-from nishiki.evaluate.prediction import channel_colour, light_of, predict_light, seen_from, spectral_colour
-from nishiki.evaluate.relighting import LightComparison, PreviewPair, SquaredError, difference_of, truth_difference
+from nishiki.evaluate.relighting import (
+    DIFFUSE,
+    FADGI,
+    HIGHLIGHT,
+    ISO_19264,
+    OUTSIDE,
+    SHADOW,
+    LightComparison,
+    PreviewPair,
+    SquaredError,
+    classify,
+    difference_of,
+    level_of,
+    levels,
+    truth_difference,
+)
 from nishiki.evaluate.tables import COLUMNS, headlines, rows_of
 from nishiki.render.plane.scene import Gloss, Light
 from nishiki.render.plane.shade import PlaneMaps
+from nishiki.stages.painting_maps import channel_colour, light_of, predict_light, seen_from, spectral_colour
 
 
 def _sensitivities(count=3):

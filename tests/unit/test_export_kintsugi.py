@@ -12,10 +12,9 @@ from PIL import Image
 
 from nishiki.brdf.texels.model import predict
 from nishiki.colour.colour import decode, encode
-from nishiki.stages.export import kintsugi
-from nishiki.stages.export.kintsugi import LobeBasis, lobes
-from nishiki.stages.export.object_look import object_mesh, sample
-from nishiki.stages.export.object_surface import ObjectSurface, SeenPoints
+from nishiki.stages.export import object_renderers as kintsugi
+from nishiki.stages.export.object_look import ObjectSurface, SeenPoints, object_mesh, sample
+from nishiki.stages.export.object_renderers import LobeBasis, lobes
 
 STAMP = {"version": "1", "scene": "ball", "key": "0123456789ab"}
 

@@ -9,7 +9,7 @@ from refusals import refused
 
 from nishiki.errors import UserError
 from nishiki.photometric.interreflection import Facets, lambert
-from nishiki.stages.normals.given import AXES, angles, find_given
+from nishiki.stages.normals.run import AXES, angles, find_given
 
 ROWS, COLUMNS, CORNER = 48, 40, (6, 9)
 LAMPS = np.array([(x, y, 1.0) for x in (-0.6, 0, 0.6) for y in (-0.6, 0, 0.6)])

@@ -16,8 +16,14 @@ from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
 from nishiki.stages.export import OBJECT_LIMITS as LIMITS
 from nishiki.stages.export import object as object_export
 from nishiki.stages.export.object import pitch_mm
-from nishiki.stages.export.object_look import ALPHA_PER_SIGMA, ObjectLook, fill_gaps, sample, texture_atlas
-from nishiki.stages.export.object_surface import direction_to
+from nishiki.stages.export.object_look import (
+    ALPHA_PER_SIGMA,
+    ObjectLook,
+    direction_to,
+    fill_gaps,
+    sample,
+    texture_atlas,
+)
 
 
 @pytest.fixture(scope="module")

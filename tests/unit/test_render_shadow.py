@@ -8,10 +8,10 @@ from refusals import refused
 from scipy import ndimage
 
 from nishiki.errors import UserError
-from nishiki.evaluate.prediction import predict_light
 from nishiki.photometric.height import integrate_normals
 from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shade import PlaneMaps, cast_shadows
+from nishiki.stages.painting_maps import predict_light
 
 
 def relief(rows=40, columns=57, seed=0, amplitude=6.0):

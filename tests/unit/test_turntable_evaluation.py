@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from nishiki.codec.compact import camera_bytes, chart_bytes, cost_of, lamp_bytes
-from nishiki.evaluate.object_quality import (
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.turn import rotation_matrix
+from nishiki.render.display import developed, three_channels
+from nishiki.render.object.renderer import block_mean, coverage, places, reduced
+from nishiki.stages.evaluate.object import (
     AMPLIFIED,
     DECODED,
     INTERPOLATED,
@@ -16,11 +21,6 @@ from nishiki.evaluate.object_quality import (
     figures,
     jpeg2000_psnr,
 )
-from nishiki.geometry.camera import Camera
-from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.turn import rotation_matrix
-from nishiki.render.display import developed, three_channels
-from nishiki.render.object.renderer import block_mean, coverage, places, reduced
 
 
 def camera(distortion=(0.0,) * 5, *, turned=0.4):

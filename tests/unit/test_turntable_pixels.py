@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 
-from nishiki.evaluate.object_quality import Difference, difference, structural_similarity, summary
 from nishiki.render.object.pixels import asked_for, by_tile, extend, look_up, mix
+from nishiki.stages.evaluate.object import Difference, difference, structural_similarity, summary
 
 
 def test_pixels_are_sorted_by_tile_in_their_order():

@@ -15,12 +15,11 @@ from viewer_pages import READ, lamp
 
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.artifacts.maps import Maps
-from nishiki.evaluate.prediction import light_of
 from nishiki.observations.plane import Observations
 from nishiki.progress import Progress
 from nishiki.stages.evaluate.painting import EvaluatedScene
-from nishiki.stages.painting_maps import PaintingMaps
-from nishiki.stages.viewer import painting_maps
+from nishiki.stages.painting_maps import PaintingMaps, light_of
+from nishiki.stages.viewer import painting as painting_maps
 
 pytestmark = [
     pytest.mark.slow,

@@ -1,29 +1,257 @@
 """Object_evaluate: the decoded object against its photographs, left-out views, truth, and the bytes it takes."""
 
+from collections.abc import Iterable
+from dataclasses import asdict, astuple, dataclass
 from typing import Any
 
 import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.codec.compact import cost_of
-from nishiki.colour.colour import encode
+from nishiki.colour.colour import decode, encode
 from nishiki.errors import UserError
 from nishiki.evaluate.object_photographs import ObjectTruth, Photographs
-from nishiki.evaluate.object_quality import (
-    COLUMNS,
-    DECODED,
-    INTERPOLATED,
-    MODEL,
-    compare,
-    comparison,
-    figures,
-    jpeg2000_psnr,
-)
 from nishiki.evaluate.tables import planned_truth, write_tables
 from nishiki.geometry.mesh import Mesh
+from nishiki.render.display import developed, three_channels
 from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.pixels import extend
+from nishiki.render.object.renderer import block_mean
 from nishiki.render.object.shots import ObjectPicture
 from nishiki.render.output import write_png
+
+PEAK = 1.0  # full scale of the camera's codes
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Hold a difference of pictures.
+
+    Sum of squared differences over the channels and number of pixels; uncovered: pixels of the outline that the surface
+    misses; superfluous: pixels that it covers beyond the outline.
+    """
+
+    squares: float
+    samples: int
+    pixels: int
+    uncovered: int = 0
+    superfluous: int = 0
+
+    @property
+    def psnr_db(self) -> float | None:
+        """Peak signal to noise ratio of peak 1; None without pixels or without any difference."""
+        if not self.samples or self.squares <= 0:
+            return None
+        return float(10 * np.log10(PEAK * PEAK * self.samples / self.squares))
+
+    def __add__(self, other: "Difference") -> "Difference":
+        return Difference(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
+
+
+NOTHING = Difference(0.0, 0, 0)
+
+
+def difference(
+    coded: np.ndarray, photograph: np.ndarray, outline: np.ndarray, covered: np.ndarray, valid: np.ndarray
+) -> Difference:
+    """Return difference over all pixels that either shows.
+
+    Parameters
+    ----------
+    coded, photograph : (rows, columns, channels) array
+        In the capture's encoding, full scale 1.
+    outline, covered, valid : (rows, columns) bool array
+        Pixels of the object; pixels that the rendered surface reaches; neither dead nor saturated.
+    """
+    judged = (outline | covered) & valid
+    delta = coded[judged].astype(np.float64) - photograph[judged].astype(np.float64)
+    missed, extra = (int(np.count_nonzero(judged & ~part)) for part in (covered, outline))
+    return Difference(float(np.sum(delta * delta)), delta.size, int(np.count_nonzero(judged)), missed, extra)
+
+
+def structural_similarity(coded: np.ndarray, photograph: np.ndarray, inside: np.ndarray) -> float | None:
+    """Return mean structural similarity over the pixels inside; None without pixels.
+
+    Z. Wang et al., Image quality assessment, IEEE Trans. Image Processing 13(4), 2004: Gaussian window of 1.5 pixels,
+    mean of the channels, outside of the silhouette counted as equal.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    if not inside.any():
+        return None
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    box = slice(max(rows[0] - 6, 0), rows[-1] + 7), slice(max(columns[0] - 6, 0), columns[-1] + 7)
+    mask = inside[box]
+    total = 0.0
+    for channel in range(coded.shape[2]):
+        y = np.where(mask, photograph[box][..., channel], 0).astype(np.float64)
+        x = np.where(mask, coded[box][..., channel], 0).astype(np.float64)
+        mx, my = (gaussian_filter(v, 1.5, truncate=3.5) for v in (x, y))
+        xx, yy, xy = (gaussian_filter(v, 1.5, truncate=3.5) for v in (x * x, y * y, x * y))
+        c1, c2 = (0.01 * PEAK) ** 2, (0.03 * PEAK) ** 2
+        top = (2 * mx * my + c1) * (2 * (xy - mx * my) + c2)
+        bottom = (mx * mx + my * my + c1) * (xx - mx * mx + yy - my * my + c2)
+        total += float(np.mean((top / bottom)[mask]))
+    return total / coded.shape[2]
+
+
+def summary(differences: list[Difference]) -> dict:
+    """Mean and worst PSNR of the views, and that of all pixels taken together; None where nothing was measured."""
+    values = [d.psnr_db for d in differences if d.psnr_db is not None]
+    pooled = sum(differences, NOTHING)
+    return {
+        "views": len(values),
+        "mean_psnr_db": float(np.mean(values)) if values else None,
+        "worst_psnr_db": float(np.min(values)) if values else None,
+        "pooled_psnr_db": pooled.psnr_db,
+        "pixels": pooled.pixels,
+        "uncovered_pixels": pooled.uncovered,
+        "superfluous_pixels": pooled.superfluous,
+    }
+
+
+DECODED, MODEL, INTERPOLATED = "decoded", "model_alone", "interpolated"
+COLUMNS = (
+    "view", "light", "left_out", "picture", "against", "psnr_db", "covered_psnr_db", "similarity", "pixels",
+    "uncovered_pixels", "superfluous_pixels",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Row:
+    """Compare one picture with one counterpart."""
+
+    view: str
+    light: str
+    left_out: bool
+    picture: str  # DECODED, MODEL or INTERPOLATED (a left-out view from its neighbours' residual)
+    against: str  # photograph | truth
+    judged: Difference
+    covered: Difference
+    similarity: float | None
+
+    def as_dict(self) -> dict:
+        """Return plain data with the keys `COLUMNS`."""
+        values = {name: value for name, value in asdict(self).items() if name in COLUMNS}
+        return {
+            **values,
+            "psnr_db": self.judged.psnr_db,
+            "covered_psnr_db": self.covered.psnr_db,
+            "similarity": self.similarity,
+            "pixels": self.judged.pixels,
+            "uncovered_pixels": self.judged.uncovered,
+            "superfluous_pixels": self.judged.superfluous,
+        }
+
+
+def compare(
+    coded: np.ndarray,
+    counterpart: np.ndarray,
+    *,
+    outline: np.ndarray,
+    covered: np.ndarray,
+    valid: np.ndarray,
+    similarity: bool,
+    **named,
+) -> Row:
+    """Return a row over outline and rendered surface together (see `difference`).
+
+    Its figure `covered` is over the pixels of both. named: the other fields of the row.
+    """
+    both = outline & covered
+    return Row(
+        judged=difference(coded, counterpart, outline, covered, valid),
+        covered=difference(coded, counterpart, both, both, valid),
+        similarity=structural_similarity(coded, counterpart, (outline | covered) & valid) if similarity else None,
+        **named,
+    )
+
+
+def figures(rows: Iterable[Row]) -> dict:
+    """Summaries by kind of picture: captured views, the model alone, left-out views, and against truth."""
+    rows = list(rows)
+    summaries = {}
+    for name, picture, left_out, against in (
+        ("captured", DECODED, False, "photograph"),
+        ("model_alone", MODEL, False, "photograph"),
+        ("left_out_interpolated", INTERPOLATED, True, "photograph"),
+        ("left_out_model_alone", MODEL, True, "photograph"),
+        ("captured_truth", DECODED, False, "truth"),
+        ("left_out_interpolated_truth", INTERPOLATED, True, "truth"),
+        ("photograph_truth", "photograph", False, "truth"),
+    ):
+        chosen = [r for r in rows if (r.picture, r.left_out, r.against) == (picture, left_out, against)]
+        if chosen:
+            similarities = [r.similarity for r in chosen if r.similarity is not None]
+            summaries[name] = {
+                **summary([r.judged for r in chosen]),
+                "mean_covered_psnr_db": summary([r.covered for r in chosen])["mean_psnr_db"],
+                "mean_similarity": float(np.mean(similarities)) if similarities else None,
+            }
+    return summaries
+
+
+CODE_BITS = 12  # of pictures for JPEG 2000
+LOWEST_DB, HIGHEST_DB = 15, 80  # of its qualities, in whole dB: PSNR over the whole picture
+FILLED_PX = 16  # around the object; beyond, its mean
+
+
+def jpeg2000_psnr(photograph: np.ndarray, inside: np.ndarray, size: float) -> float | None:
+    """Return PSNR in dB over the pixels inside of one photograph coded as JPEG 2000 in `size` bytes at most.
+
+    photograph (rows, columns, channels) in the capture's encoding, full scale 1; inside (rows, columns) bool. What lies
+    outside continues the object, so that nothing is spent on an edge. None where no quality is as small.
+    """
+    import imagecodecs
+
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    if not len(rows):
+        return None
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    mask, values = inside[box], photograph[box].astype(np.float32)
+    filled = np.where(mask[..., None], values, values[mask].mean(axis=0))
+    extend(filled, mask, rings=FILLED_PX)
+    codes = np.rint(filled.clip(0, 1) * (2**CODE_BITS - 1)).astype(np.uint16)
+    low, high, found = LOWEST_DB, HIGHEST_DB, None
+    while high - low > 1:
+        level = (low + high) // 2
+        coded = imagecodecs.jpeg2k_encode(
+            codes, level=level, bitspersample=CODE_BITS, reversible=False, codecformat="j2k"
+        )
+        low, high = (level, high) if len(coded) <= size else (low, level)
+        found = coded if len(coded) <= size else found
+    if found is None:
+        return None
+    decoded = imagecodecs.jpeg2k_decode(found).reshape(values.shape) / np.float32(2**CODE_BITS - 1)
+    return difference(decoded, values, mask, mask, mask).psnr_db
+
+
+AMPLIFIED = 10  # times the error as shown
+
+
+def comparison(
+    photograph: np.ndarray, rendered: np.ndarray, model: np.ndarray, inside: np.ndarray, encoding: str, columns: int
+) -> dict[str, np.ndarray]:
+    """Return pictures (rows, columns, 3) uint8 cut to the object, of at most `columns`.
+
+    photograph, rendered and model as seen on a screen, black outside of the silhouette; error: grey plus AMPLIFIED
+    times the difference of rendered and photograph. Inputs in the capture's encoding, inside (rows, columns) bool.
+    """
+    rows, across = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    if not len(rows):
+        rows, across = np.arange(inside.shape[0]), np.arange(inside.shape[1])
+    box = slice(rows[0], rows[-1] + 1), slice(across[0], across[-1] + 1)
+    size = max(1, -(-(box[1].stop - box[1].start) // columns))
+    mask = inside[box]
+    out = {}
+    for name, values in (("photograph", photograph), ("rendered", rendered), ("model", model)):
+        linear = np.where(mask[..., None], decode(np.ascontiguousarray(values[box]), encoding), np.float32(0))
+        shown = block_mean(linear.astype(np.float32), size)
+        out[name] = developed(shown, np.ones(shown.shape[:2], np.float32)).pixels
+    delta = three_channels(np.where(mask[..., None], rendered[box] - photograph[box], 0).astype(np.float32))
+    grey = 0.5 + AMPLIFIED * block_mean(delta, size)
+    out["error"] = np.floor(np.clip(grey, 0, 1) * 255 + 0.5).astype(np.uint8)
+    return out
 
 
 def run(context: Context) -> dict:

@@ -22,10 +22,8 @@ from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.renderer import ObjectRenderer, coverage
 from nishiki.render.object.shots import ObjectPicture
 from nishiki.stages.export.iiif import QUALITY, canvas, image, manifest_of, tiles_psnr_db, write_manifest
-from nishiki.stages.export.kintsugi import write_kintsugi
-from nishiki.stages.export.object_look import METRES
-from nishiki.stages.export.object_mitsuba import write_mitsuba
-from nishiki.stages.export.object_surface import ObjectSurface
+from nishiki.stages.export.object_look import METRES, ObjectSurface
+from nishiki.stages.export.object_renderers import write_kintsugi, write_mitsuba
 from nishiki.stages.export.photographs import CodedErrors
 from nishiki.stages.export.registry import write_formats, write_gltf, write_mtlx, write_usd
 

@@ -1,23 +1,371 @@
-"""Export: files of a painting for other programs, and what each of them loses."""
+"""Export: files of a painting for other programs, and what each of them loses.
 
+Maps as pictures of high depth and as a mesh, a scene of Mitsuba 3, tables of the MERL database.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
+
+import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.stages.export import maps, relight, renderers
+from nishiki.brdf.torrance_sparrow import MIRROR, body_factor, specular, transmittance
+from nishiki.colour.colour import srgb_encode
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.errors import UserError, require
+from nishiki.formats.banded_pictures import EnviWriter, ExrWriter, write_tiff
+from nishiki.formats.coding import ROMM, icc_profile
+from nishiki.formats.merl import MERL_HIDDEN, merl_bytes, merl_directions
+from nishiki.formats.textured_surface import faces, heading, vertices
+from nishiki.render.display import normals_as_colours
+from nishiki.stages.export import mitsuba_paint, relight
 from nishiki.stages.export.iiif import write_iiif
 from nishiki.stages.export.look import PaintingSurface
-from nishiki.stages.export.registry import write_formats, write_gltf, write_mtlx, write_usd
-from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.export.registry import software, write_formats, write_gltf, write_mtlx, write_usd
+from nishiki.stages.export.scene import ExportedScene, reliefs
+from nishiki.threads import strips
+
+UP = np.array([0.0, 0.0, 1.0])
+GLOSS = {"beta": "beta", "gamma": "gamma", "index": "refractive_index", "transmission": "transmission"}
+Texture = Callable[[slice], np.ndarray]
+"""Some rows of a texture, of the picture's columns."""
+
+
+def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
+    """Write the folder `mitsuba`; return what of the model it leaves out."""
+    folder = context.output.path("exports/mitsuba/scene.json").parent
+    textures = model_textures(scene)
+    header = {f"nishiki.{name}": text for name, text in context.stamp.items()}
+    for name, read in textures.items():
+        channels = "Y" if name == "regions" else "RGB"
+        with ExrWriter(folder / f"{name}.exr", channels, *scene.shape, header) as exr:
+            for rows in scene.bands():
+                exr.write(read(rows).reshape(-1, scene.shape[1], len(channels)))
+    count = write_relief(folder, context, scene)
+    gloss = (getattr(scene.gloss, name).tolist() for name in GLOSS.values())
+    facts = {
+        "rows": scene.shape[0],
+        "columns": scene.shape[1],
+        "width": scene.shape[1] * scene.pitch,
+        "height": scene.shape[0] * scene.pitch,
+        "unit": scene.unit,
+        "textures": list(textures),
+        "shadows": scene.casts_shadows,
+        "gloss": {"regions": [dict(zip(GLOSS, each, strict=True)) for each in zip(*gloss, strict=True)]},
+        "stamp": dict(context.stamp),
+    }
+    (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
+    (folder / "nishiki_paint.py").write_text(Path(mitsuba_paint.__file__).read_text(encoding="utf-8"))
+    clipped = sum(int(np.count_nonzero(scene.srgb(rows) < 0)) for rows in scene.bands())
+    return {"vertices": count, "clipped": clipped / (3 * scene.shape[0] * scene.shape[1])}
+
+
+def model_textures(scene: ExportedScene) -> dict[str, Texture]:
+    """Return what `nishiki_paint.py` reads, by name."""
+    textures: dict[str, Texture] = {
+        "albedo": scene.srgb,
+        "normals": scene.shading_normals,
+        "shading": lambda rows: body_terms(scene, rows),
+    }
+    if not scene.casts_shadows:
+        textures["directional"] = lambda rows: np.pad(require(scene.shading(rows))[..., 3:], ((0, 0), (0, 0), (0, 1)))
+    if scene.gloss.beta.any():
+        textures["slopes"] = scene.slopes
+    if len(scene.gloss.beta) > 1:
+        textures["regions"] = scene.regions
+    return textures
+
+
+def body_terms(scene: ExportedScene, rows: slice) -> np.ndarray:
+    """Return (r, columns, 3) terms a, b, d of the body shading, (1, 0, 0) for Lambert's law."""
+    terms = scene.shading(rows)
+    return np.full((*scene.known(rows).shape, 3), [1, 0, 0], np.float32) if terms is None else terms[..., :3]
+
+
+def write_relief(folder: Path, context: Context, scene: ExportedScene) -> int:
+    """Write relief.ply, the displaced plane with its texture coordinates, and flat.ply; return the count of vertices.
+
+    Their normals are those of the plane: the model takes those of the faces.
+    """
+    most = context.settings.mesh_vertices
+    counts = np.sum([(len(band.places), len(band.triangles)) for band in reliefs(scene, most, colours=None)], axis=0)
+    with open(folder / "relief.ply", "wb") as file:
+        file.write(heading(*counts))
+        for band in reliefs(scene, most, colours=None):
+            file.write(vertices(band.places, np.broadcast_to(UP, band.places.shape), band.texture))
+        for band in reliefs(scene, most, colours=None):
+            file.write(faces(band.triangles))
+    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], float)
+    size = np.array([scene.shape[1], scene.shape[0]]) * scene.pitch
+    places = np.column_stack([(corners - 0.5) * size * [1, -1], np.zeros(4)])
+    flat = heading(4, 2) + vertices(places, np.tile(UP, (4, 1)), corners) + faces(np.array([[0, 2, 1], [1, 2, 3]]))
+    (folder / "flat.ply").write_bytes(flat)
+    return int(counts[0])
+
+
+def write_merl(context: Context, scene: ExportedScene) -> dict:
+    """Write a table a region: its lobes, and the mean of its body colour and body shading."""
+    beta, gamma, index, lost = (getattr(scene.gloss, name) for name in GLOSS.values())
+    labels = scene.regions(slice(0, scene.shape[0])) if len(index) > 1 else None
+    light, view = merl_directions()
+    spreads = []
+    for region in range(len(index)):
+        colour, shading, spread = mean_body(scene, labels, region)
+        if colour is None:
+            continue
+        brdf = brdf_of(light, view, colour, shading, beta[region], gamma[region], index[region], lost[region])
+        context.output.path(f"exports/merl/region-{region}.binary").write_bytes(merl_bytes(brdf))
+        spreads.append(spread)
+    return {"colour_spread": spreads}
+
+
+def mean_body(
+    scene: ExportedScene, labels: np.ndarray | None, region: int
+) -> tuple[np.ndarray | None, np.ndarray, float]:
+    """Return mean linear sRGB (3,) and terms of the body shading (3,) of a region, and the spread of its colour.
+
+    The spread is the root mean square distance from the mean, relative to it. None where no pixel has an estimate.
+    """
+    count, colours, squares, shadings = 0, np.zeros(3), np.zeros(3), np.zeros(3)
+    for rows in scene.bands():
+        chosen = scene.known(rows)
+        if labels is not None:
+            chosen &= labels[rows] == region
+        colour = scene.srgb(rows)[chosen].astype(np.float64)
+        count += len(colour)
+        colours += colour.sum(axis=0)
+        squares += (colour**2).sum(axis=0)
+        shadings += body_terms(scene, rows)[chosen].sum(axis=0, dtype=np.float64)
+    if not count:
+        return None, shadings, 0.0
+    mean = colours / count
+    spread = np.sqrt(max(float((squares / count - mean**2).sum()), 0.0)) / max(float(np.linalg.norm(mean)), 1e-9)
+    return mean, shadings / count, float(spread)
+
+
+def brdf_of(light, view, colour, shading, beta, gamma, index, transmission) -> np.ndarray:
+    """Return the BRDF (..., 3) per steradian; `MERL_HIDDEN` where light or view is below the surface.
+
+    light, view (..., 3): unit vectors; colour (3,), shading (3,): of the body; beta, gamma (lobes,); index: of
+    refraction; transmission: share of the surface's loss that the body's light suffers.
+    """
+    normal = np.array([0.0, 0.0, 1.0])
+    towards_light, towards_view = light[..., 2], view[..., 2]
+    middle = light + view
+    along = middle[..., 2] / np.linalg.norm(middle, axis=-1)
+    seen = (towards_light > 0) & (towards_view > 0)
+    passed = [1 + transmission * (transmittance(cosine, index) - 1) for cosine in (towards_light, towards_view)]
+    body = passed[0] * passed[1] * body_factor(shading, np.maximum(towards_light, 0), np.maximum(along, 0))
+    gloss = sum(
+        specular(normal, light, view, beta=b, gamma=g, refractive_index=index) for b, g in zip(beta, gamma, strict=True)
+    )
+    gloss = gloss / np.maximum(towards_light, 1e-9)
+    if index >= MIRROR:  # a metal mirrors in its colour
+        body, gloss = gloss, 0 * gloss
+    values = (body[..., None] * colour + gloss[..., None]) / np.pi
+    return np.where(seen[..., None], values, MERL_HIDDEN)
+
+
+AXES = "x right, y up, z out of the surface towards the camera; row 0 is the top"
+
+
+def write_normals(context: Context, scene: ExportedScene) -> dict:
+    """Write `normals.tif` and `normals.exr`; return the angle that 16 bits lose."""
+    down = context.settings.normals_y == "down"
+    convention = (
+        f"Unit normals, {'DirectX (y down)' if down else 'OpenGL (y up)'}: value = (n + 1) / 2 * 65535 of x right, "
+        f"y {'down' if down else 'up'}, z out of the surface towards the camera; 0, 0, 0: no estimate. Linear data, no "
+        "colour."
+    )
+    path = context.output.path
+    largest = squares = count = 0.0
+    header = {**{f"nishiki.{name}": text for name, text in context.stamp.items()}, "comments": f"Unit normals, {AXES}"}
+
+    def bands(exr: ExrWriter) -> Iterator[np.ndarray]:
+        nonlocal largest, squares, count
+        for rows in scene.bands():
+            normals = scene.normals(rows)
+            coded = normals_as_colours(normals)
+            exr.write(normals)
+            # the angle between each normal and its 16-bit code is what the format loses
+            known = coded.any(axis=-1)
+            exact, read = normals[known].astype(np.float64), coded[known] / 65535 * 2 - 1
+            across = np.linalg.norm(np.cross(exact, read), axis=-1)
+            angles = np.degrees(np.arctan2(across, np.sum(exact * read, axis=-1)))
+            largest = max(largest, float(angles.max(initial=0)))
+            squares, count = squares + float(np.sum(angles**2)), count + angles.size
+            if down:
+                coded[..., 1] = np.where(known, 65535 - coded[..., 1], 0)
+            yield coded
+
+    with ExrWriter(path("exports/normals.exr"), ("N.X", "N.Y", "N.Z"), *scene.shape, header) as exr:
+        write_tiff(
+            path("exports/normals.tif"),
+            bands(exr),
+            (*scene.shape, 3),
+            description=f"{convention} {stamped(context)}",
+            software=software(context),
+            pitch_mm=scene.pitch_mm,
+        )
+    return {
+        "largest_deg": largest,
+        "rms_deg": (squares / count) ** 0.5 if count else 0.0,
+    }
+
+
+def stamped(context: Context) -> str:
+    """Return the stamp of an artifact in words."""
+    return "; ".join(f"nishiki.{name}={text}" for name, text in context.stamp.items())
+
+
+VERTEX = np.dtype([("place", "<f4", 3), ("normal", "<f4", 3), ("colour", "u1", 3)])
+FACE = np.dtype([("count", "u1"), ("corner", "<i4", 3)])
+
+
+def write_height(context: Context, scene: ExportedScene) -> dict:
+    """Write `height.tif` and `height.ply`."""
+    path = context.output.path
+    description = (
+        f"Height in {scene.unit}, towards the camera; NaN: none. Integrated from normals: parts that do not touch have "
+        f"each its own zero. {stamped(context)}"
+    )
+    write_tiff(
+        path("exports/height.tif"),
+        (scene.height(rows).astype(np.float32) for rows in scene.bands()),
+        (*scene.shape, 1),
+        description=description,
+        software=software(context),
+        pitch_mm=scene.pitch_mm,
+        nodata="nan",
+    )
+    step, vertices, faces = write_ply(context, scene)
+    return {
+        "pixels_a_vertex": step * step,
+        "vertices": vertices,
+        "faces": faces,
+    }
+
+
+def write_ply(context: Context, scene: ExportedScene) -> tuple[int, int, int]:
+    """Write the mesh row by row; return pixels along the side of a vertex, vertices, faces."""
+    most = context.settings.mesh_vertices
+    step = counted = corners = 0
+    for relief in reliefs(scene, most, colours=None):
+        step, counted, corners = relief.step, counted + len(relief.places), corners + len(relief.triangles)
+    comments = [f"comment nishiki.{name} {text}" for name, text in context.stamp.items()]
+    heading = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *comments,
+        f"comment unit {scene.unit}; x right, y up, z towards the camera; origin: middle of the picture",
+        f"element vertex {counted}",
+        *(f"property float {axis}" for axis in ("x", "y", "z", "nx", "ny", "nz")),
+        *(f"property uchar {name}" for name in ("red", "green", "blue")),
+        f"element face {corners}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    colours = scene.to_srgb()
+    with open(context.output.path("exports/height.ply"), "wb") as file:
+        file.write(("\n".join(heading) + "\n").encode("ascii", "replace"))
+        for relief in reliefs(scene, most, colours=colours):
+            points = np.empty(len(relief.places), VERTEX)
+            points["place"], points["normal"] = relief.places, relief.normals
+            points["colour"] = np.floor(255 * srgb_encode(relief.colours) + 0.5)
+            file.write(points.tobytes())
+        for relief in reliefs(scene, most, colours=None):
+            faces = np.empty(len(relief.triangles), FACE)
+            faces["count"], faces["corner"] = 3, relief.triangles
+            file.write(faces.tobytes())
+    return step, counted, corners
+
+
+def write_albedo(context: Context, scene: ExportedScene) -> dict:
+    """Write `albedo.tif`; return the share of its samples that are outside of the space."""
+    matrix, how = scene.to_xyz_d50()
+    matrix = np.linalg.inv(ROMM.to_xyz()) @ matrix
+    description = (
+        f"Diffuse colour of the surface under D50, relative to a perfect white diffuser, without shading and gloss; "
+        f"0, 0, 0 where there is no estimate. {ROMM.name}, from {how}. {stamped(context)}"
+    )
+    clipped = count = 0
+
+    def bands() -> Iterator[np.ndarray]:
+        nonlocal clipped, count
+        for rows in scene.bands():
+            known = scene.known(rows)[..., None]
+            linear = np.where(known, np.nan_to_num(scene.coefficients(rows)) @ matrix.T, 0)
+            clipped += int(np.count_nonzero((linear < 0) | (linear > 1)))
+            count += 3 * int(np.count_nonzero(known))
+            yield np.floor(65535 * np.clip(linear, 0, 1) ** (1 / ROMM.gamma) + 0.5).astype(np.uint16)
+
+    write_tiff(
+        context.output.path("exports/albedo.tif"),
+        bands(),
+        (*scene.shape, 3),
+        description=description,
+        software=software(context),
+        pitch_mm=scene.pitch_mm,
+        icc=icc_profile(ROMM),
+    )
+    return {"clipped": clipped / max(count, 1), "colour_from": how}
+
+
+REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+ROWS_AT_A_TIME = 32  # of 61 bands in memory
+
+
+def write_spectral(context: Context, scene: ExportedScene) -> dict:
+    """Write `spectra.exr`, and `spectra.img` with its `spectra.hdr`."""
+    basis = scene.basis
+    if basis is None:
+        raise UserError(
+            "export: spectral needs spectra, which this scene has none of. Remedy: give the capture spectra of camera "
+            "and lamp, or leave spectral out of export.formats"
+        )
+    to_rgb = scene.to_srgb().T
+    path = context.output.path
+    # bands of a reflective picture: T, the wavelength with a decimal comma, its unit
+    names = ["T." + f"{wavelength:.6f}nm".replace(".", ",") for wavelength in WAVELENGTHS_NM]
+    header: dict[str, str | float | Sequence[float]] = {
+        "spectralLayoutVersion": "1.0",
+        "chromaticities": REC_709,
+        "comments": "Reflectance relative to a perfect white diffuser; R, G, B: the same under D65 for looking",
+        **{f"nishiki.{name}": text for name, text in context.stamp.items()},
+    }
+    outside = count = 0
+    with (
+        ExrWriter(path("exports/spectra.exr"), [*names, "R", "G", "B"], *scene.shape, header) as exr,
+        EnviWriter(
+            path("exports/spectra.img"),
+            scene.shape,
+            WAVELENGTHS_NM,
+            description=f"Reflectance relative to a perfect white diffuser, 0: no estimate. {stamped(context)}",
+            pitch_mm=scene.pitch_mm,
+        ) as envi,
+    ):
+        for rows in strips(scene.shape[0], ROWS_AT_A_TIME):
+            known = scene.known(rows)[..., None]
+            coefficients = np.where(known, np.nan_to_num(scene.coefficients(rows)), 0)
+            spectra = (coefficients @ basis).astype(np.float32)
+            exr.write(np.concatenate([spectra, coefficients @ to_rgb], axis=-1))
+            envi.write(spectra)
+            outside += int(np.count_nonzero((spectra < 0) | (spectra > 1)))
+            count += spectra.shape[-1] * int(np.count_nonzero(known))
+    return {"outside": outside / max(count, 1)}
+
 
 OF_MAPS = {
-    "normals": maps.write_normals,
-    "height": maps.write_height,
-    "albedo": maps.write_albedo,
+    "normals": write_normals,
+    "height": write_height,
+    "albedo": write_albedo,
     "relight": relight.write,
-    "spectral": maps.write_spectral,
-    "merl": renderers.write_merl,
+    "spectral": write_spectral,
+    "merl": write_merl,
     "iiif": write_iiif,
-    "mitsuba": renderers.write_mitsuba,
+    "mitsuba": write_mitsuba,
 }
 OF_A_SURFACE = {"gltf": write_gltf, "usd": write_usd, "materialx": write_mtlx}
 """Formats that have textures and material in common; the others are written band by band."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, shrink
-from nishiki.evaluate.classes import DIFFUSE, FADGI, HIGHLIGHT, ISO_19264, SHADOW
+from nishiki.evaluate.relighting import DIFFUSE, FADGI, HIGHLIGHT, ISO_19264, SHADOW
 from nishiki.formats.stored import load_arrays
 from nishiki.report.numbers import signed
 from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
