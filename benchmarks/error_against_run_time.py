@@ -23,8 +23,11 @@ PROJECT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(PROJECT / "workflow/src"))
 
 from nishiki.sweep.page import AXIS_NAMES, scene_content  # noqa: E402
-from nishiki.sweep.settings import MeasureSettings  # noqa: E402
-from nishiki.sweep.summary import Spread, VariantRow  # noqa: E402
+from nishiki.sweep.variants import (  # noqa: E402
+    MeasureSettings,
+    Spread,
+    VariantRow,
+)
 
 STORED = PROJECT / "docs/benchmarks"
 DRAWINGS = PROJECT / "docs/sweeps"

@@ -37,9 +37,8 @@ from nishiki.geometry.placement import agreement
 from nishiki.geometry.surface import shape_of
 from nishiki.geometry.visibility import interpolate, rasterise
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.render.object.pixels import extend
+from nishiki.render.object.pixels import DepthMaps, extend
 from nishiki.render.object.shots import Neighbours
-from nishiki.render.object.visibility import DepthMaps
 
 STAGES = ("ingest", "mesh", "cameras", "texels", "object_brdf", "residual")
 PEERS = {"jpeg2000_db": (jpeg2000, range(36, 56)), "av1_db": (av1, range(36, 100, 8))}  # and their qualities

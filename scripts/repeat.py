@@ -15,7 +15,7 @@ from pathlib import Path
 import _project
 from nishiki.artifacts.artifact import MANIFEST, Artifact, open_artifact
 from nishiki.formats.files import put_file
-from nishiki.sweep.summary import processor
+from nishiki.sweep.variants import processor
 from nishiki.threads import ALONE, VARIABLES
 
 RECORDED = ("seconds", "cpu_seconds", "peak_memory_mib", "host", "platform", "python", "cpus", "finished")

@@ -13,8 +13,16 @@ from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError, require
 from nishiki.formats.files import put_file
 from nishiki.sweep.page import render_sweep, scene_content, sweep_content, table_rows
-from nishiki.sweep.settings import MeasureSettings
-from nishiki.sweep.summary import VariantRow, as_measure, candidates, compared, paths_in, values_of, variant_row
+from nishiki.sweep.variants import (
+    MeasureSettings,
+    VariantRow,
+    as_measure,
+    candidates,
+    compared,
+    paths_in,
+    values_of,
+    variant_row,
+)
 from nishiki.version import PROJECT_VERSION
 
 

@@ -9,8 +9,8 @@ from stability.samples import EXTREME, tilted
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.errors import UserError
 from nishiki.render.display import display_image, normals_as_colours
-from nishiki.render.plane.flags import NORMAL_MISSING, TURNED_AWAY, UNUSABLE
 from nishiki.render.plane.frame import render
+from nishiki.render.plane.kernel import NORMAL_MISSING, TURNED_AWAY, UNUSABLE
 from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
 from nishiki.render.plane.shade import PlaneMaps, cast_shadows, predict_observations
 

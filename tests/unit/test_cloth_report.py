@@ -26,8 +26,7 @@ from nishiki.stages.evaluate import ClothEvaluateSettings
 from nishiki.stages.goniometer_samples import GoniometerSamplesSettings
 from nishiki.stages.render import ClothRenderSettings
 from nishiki.stages.report import ClothReportSettings
-from nishiki.stages.report.cloth_reflection import disc_directions, disc_picture, error_chart, lobes_plot, plane_chart
-from nishiki.stages.report.weave import (
+from nishiki.stages.report.cloth import (
     YARN_MEANINGS,
     curve,
     notes,
@@ -37,6 +36,7 @@ from nishiki.stages.report.weave import (
     tile_picture,
     yarn_table,
 )
+from nishiki.stages.report.cloth_reflection import disc_directions, disc_picture, error_chart, lobes_plot, plane_chart
 from nishiki.stages.weave import WeaveSettings
 
 PROJECT = Path(__file__).resolve().parents[2]

@@ -9,9 +9,7 @@ from nishiki.brdf.cloth.interface import gloss_of
 from nishiki.errors import UserError
 from nishiki.geometry.camera import look_at
 from nishiki.geometry.mesh import Mesh
-from nishiki.render.cloth.around import Surroundings, lookup, openness, shares
-from nishiki.render.cloth.local import disc_point
-from nishiki.render.cloth.models import dyed, share_of
+from nishiki.render.cloth.models import Surroundings, disc_point, dyed, lookup, openness, share_of, shares
 from nishiki.render.cloth.scene import AmbientLight, ClothScene, Lamp, Matte, Surface, together
 from nishiki.render.cloth.studio import RenderVariant, framed, linear_colour, render
 from nishiki.render.cloth.surfaces import cylinder, paper, sheet, swatch

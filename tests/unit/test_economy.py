@@ -8,8 +8,7 @@ from nishiki.colour.estimate import estimate_spectra, fit_estimator
 from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.goniometry.table import ReflectanceSet
-from nishiki.model_selection.decision import Decision, economy
-from nishiki.model_selection.gloss import decide_gloss, unseen_gain
+from nishiki.model_selection.decision import Decision, decide_gloss, economy, unseen_gain
 from nishiki.model_selection.lights import (
     FEWEST,
     WORTH,

@@ -13,7 +13,7 @@ from unit.test_patches_charts import around
 
 from nishiki.brdf.texels.model import Lighting, predict
 from nishiki.geometry.camera import Camera
-from nishiki.report.numbers import figure
+from nishiki.report.svg import figure
 from nishiki.stages.export.object_look import SeenPoints, object_mesh, sample
 from nishiki.stages.export.object_renderers import lamp_facts, nearest_pinhole, write_folder
 from nishiki.stages.report.capture import lost

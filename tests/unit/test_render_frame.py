@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from nishiki.errors import UserError
-from nishiki.render.plane import camera
-from nishiki.render.plane.flags import BACKGROUND, NORMAL_MISSING
+from nishiki.render.plane import frame as camera
 from nishiki.render.plane.frame import reduce_maps, render
+from nishiki.render.plane.kernel import BACKGROUND, NORMAL_MISSING
 from nishiki.render.plane.scene import Ambient, Gloss, Light, PlaneScene, View
 from nishiki.render.plane.shade import cast_shadows, pixel_to_plane, shade_xyz
 

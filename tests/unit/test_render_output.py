@@ -13,8 +13,9 @@ from refusals import refused
 
 from nishiki.colour.colour import illuminant, white_xyz
 from nishiki.errors import UserError
-from nishiki.render.display import display_image, normals_as_colours
-from nishiki.render.output import (
+from nishiki.render.display import (
+    display_image,
+    normals_as_colours,
     write_animated_png,
     write_exr,
     write_normals_exr,
@@ -49,7 +50,7 @@ def png_chunks(path):
 
 
 def test_a_full_disk_is_told_by_the_system_s_reason(tmp_path, monkeypatch):
-    monkeypatch.setattr("nishiki.render.output._unfinished", lambda path: "/dev/full")
+    monkeypatch.setattr("nishiki.render.display._unfinished", lambda path: "/dev/full")
     with pytest.raises(OSError) as told:
         write_exr(tmp_path / "x.exr", picture(), stamp={})
     assert told.value.errno == errno.ENOSPC

@@ -6,10 +6,10 @@ from refusals import refused
 
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.errors import UserError
-from nishiki.render.plane.flags import NORMAL_MISSING
+from nishiki.render.plane.kernel import NORMAL_MISSING
 from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
 from nishiki.render.plane.shade import PlaneMaps, cast_shadows, predict_observations
-from nishiki.render.sequence import circle_of_directions, light_sequence, moved_lights, orbit, view_sequence
+from nishiki.stages.render.painting import circle_of_directions, light_sequence, moved_lights, orbit, view_sequence
 
 GLOSS = Gloss([[0.7], [164.0]], [[0.2], [0.07]], [1.45, 1.5])
 

@@ -11,8 +11,7 @@ from nishiki.brdf.gloss_profile import GlossProfile
 from nishiki.brdf.scene import parameters_at_bounds
 from nishiki.evaluate.camera_colour import display_map
 from nishiki.render.display import adapted_exposure, display_image
-from nishiki.render.plane.camera import screen_to_plane
-from nishiki.render.plane.frame import render
+from nishiki.render.plane.frame import render, screen_to_plane
 from nishiki.render.plane.scene import Light, PlaneScene
 from nishiki.stages.render import LightSettings, SequenceSettings, ViewSettings
 from nishiki.stages.render.painting import direction, film_view, load_scene, outline, view_of, white_sheet

@@ -19,7 +19,7 @@ from nishiki.brdf.torrance_sparrow import (
 )
 from nishiki.colour.colour import cie_1931_cmfs, illuminant, white_xyz
 from nishiki.errors import UserError
-from nishiki.render.plane.flags import COLOUR_MISSING, NORMAL_MISSING, OVERFLOW, TURNED_AWAY
+from nishiki.render.plane.kernel import COLOUR_MISSING, NORMAL_MISSING, OVERFLOW, TURNED_AWAY
 from nishiki.render.plane.scene import Ambient, Gloss, Light, PlaneScene
 from nishiki.render.plane.shade import FRONTAL_EYE, pixel_to_plane, shade_xyz
 

@@ -12,7 +12,6 @@ from refusals import expect_facts
 
 from nishiki.artifacts.maps import shrink
 from nishiki.colour.colour import decode, srgb_matrix, xyz_to_lab
-from nishiki.report.numbers import degrees, figure, percent, plain, signed
 from nishiki.report.page import Figures, Table
 from nishiki.report.pictures import (
     MISSING,
@@ -30,7 +29,7 @@ from nishiki.report.pictures import (
     sea,
 )
 from nishiki.report.scene_page import conditions, flat, settings_rows, text
-from nishiki.report.svg import Axis, Curve, bars, chart, lights_plot, ticks
+from nishiki.report.svg import Axis, Curve, bars, chart, degrees, figure, lights_plot, percent, plain, signed, ticks
 from nishiki.stages.render import RenderSettings
 from nishiki.stages.report.painting import choices, describe, exposed, gloss_section, verdict
 from nishiki.stages.report.painting_prediction import chosen, signed_difference, signed_end

@@ -5,7 +5,7 @@ import pytest
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
 from nishiki.stages.table import CHAIN
-from nishiki.sweep.settings import AS_CONFIGURED, SweepSettings, expand, nested
+from nishiki.sweep.variants import AS_CONFIGURED, SweepSettings, expand, nested
 
 
 def variants(**block):

@@ -3,8 +3,7 @@
 import pytest
 
 from nishiki.errors import UserError
-from nishiki.sweep.settings import MeasureSettings
-from nishiki.sweep.summary import NORMALS, as_measure, candidates, compared, paths_in, values_of
+from nishiki.sweep.variants import NORMALS, MeasureSettings, as_measure, candidates, compared, paths_in, values_of
 
 DIAGNOSTICS = {
     "a": {"b": 2.0, "text": "x", "yes": True},

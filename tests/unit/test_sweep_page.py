@@ -10,8 +10,7 @@ import pytest
 
 from nishiki.sweep.front import Point, axis_over, plot
 from nishiki.sweep.page import render_sweep, scene_content, sweep_content, table_rows
-from nishiki.sweep.settings import MeasureSettings, SweepSettings
-from nishiki.sweep.summary import Spread, variant_row
+from nishiki.sweep.variants import MeasureSettings, Spread, SweepSettings, variant_row
 
 ERROR = MeasureSettings(path="deg", label="angle", unit="°")
 

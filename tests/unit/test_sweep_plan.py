@@ -8,7 +8,7 @@ from nishiki.engine.plan import configuration_of, make_plan, plan_sweep
 from nishiki.engine.project import load_project
 from nishiki.errors import UserError
 from nishiki.stages.base import SceneFacts
-from nishiki.sweep.settings import AS_CONFIGURED
+from nishiki.sweep.variants import AS_CONFIGURED
 
 PLANE = SceneFacts(
     capture_digest="0" * 64,

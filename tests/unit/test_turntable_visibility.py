@@ -5,7 +5,7 @@ import numpy as np
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import rotation_matrix
-from nishiki.render.object.visibility import STEEP, DepthMaps
+from nishiki.render.object.pixels import STEEP, DepthMaps
 
 
 def plates():

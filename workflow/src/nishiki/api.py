@@ -355,8 +355,7 @@ def save_picture(path: str | Path, linear: np.ndarray, *, exposure: float = 1.0)
     >>> import nishiki
     >>> nishiki.save_picture("ramp.png", np.linspace(0, 1, 256).reshape(1, 256).repeat(16, axis=0))
     """
-    from nishiki.render.display import encoded
-    from nishiki.render.output import write_exr, write_png
+    from nishiki.render.display import encoded, write_exr, write_png
 
     path, values = Path(path), np.asarray(linear, np.float32)
     values = np.repeat(values[..., None], 3, axis=-1) if values.ndim == 2 else values

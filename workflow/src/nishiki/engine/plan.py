@@ -18,7 +18,7 @@ from nishiki.installation import EXTRAS
 from nishiki.observations.region import LIGHT
 from nishiki.stages.base import SceneFacts, SceneSettings, Stage
 from nishiki.stages.table import CHAIN, chain_of
-from nishiki.sweep.settings import AS_CONFIGURED, SweepSettings, Variant, expand, nested
+from nishiki.sweep.variants import AS_CONFIGURED, SweepSettings, Variant, expand, nested
 
 PARTS = {
     "check": "photographs under check lights",

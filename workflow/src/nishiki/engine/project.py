@@ -28,7 +28,7 @@ from nishiki.observations.blocks import CHECK_BLOCK
 from nishiki.observations.region import object_mask, region_around, region_of
 from nishiki.stages.base import SceneFacts
 from nishiki.stages.table import CHAIN, PRODUCTS, chain_of
-from nishiki.sweep.settings import SweepName, SweepSettings
+from nishiki.sweep.variants import SweepName, SweepSettings
 
 CONFIGURATION = "config/config.yaml"
 COLUMNS = ("scene", "capture", "truth", "products", "settings")

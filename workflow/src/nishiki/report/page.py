@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.report.numbers import figure
 from nishiki.report.pictures import PagePicture, Ruler
+from nishiki.report.svg import figure
 
 MOST_PICTURES = 8  # of one kind on a page
 LONGEST_TABLE = 20

@@ -7,7 +7,7 @@ import numpy as np
 
 from nishiki.artifacts.maps import shrink
 from nishiki.colour.colour import decode, srgb_encode
-from nishiki.report.numbers import plain
+from nishiki.report.svg import plain
 
 # Control points in CIELAB (D65): hue and chroma only steer; lightness is replaced by an even ramp.
 _HEAT = np.array([[8, 12, -18], [28, 26, -40], [46, 42, -16], [62, 44, 22], [80, 14, 58], [97, -6, 34]], float)

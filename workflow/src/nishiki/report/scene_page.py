@@ -11,7 +11,6 @@ from nishiki.artifacts.closed import Closed
 from nishiki.artifacts.limits import Limit, at_bounds, limit_checks, limit_warnings
 from nishiki.artifacts.provenance import canonical
 from nishiki.artifacts.stage import Context
-from nishiki.report.numbers import figure, plain
 from nishiki.report.page import (
     Block,
     Cell,
@@ -27,6 +26,7 @@ from nishiki.report.page import (
     render_page,
 )
 from nishiki.report.pictures import file_jpeg
+from nishiki.report.svg import figure, plain
 
 PLANNED = ("hold_out", "positions_mm", "without", "truth_sha256", "training_sha256", "left_out")
 """Settings that the plan fills in; a user does not write them."""

@@ -6,11 +6,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from nishiki.report.numbers import figure
 from nishiki.report.page import Block, Facts, Figure, Figures, Note, Page, Section, Table, render_page
+from nishiki.report.svg import figure
 from nishiki.sweep.front import AXES, Point, advice, front, plot
-from nishiki.sweep.settings import MeasureSettings, SweepSettings
-from nishiki.sweep.summary import VariantRow
+from nishiki.sweep.variants import MeasureSettings, SweepSettings, VariantRow
 
 AXIS_NAMES = {"seconds": "time", "cpu_seconds": "CPU time"}
 KINDS = {"default": "default", "paper": "paper", "peer": "of others", "apart": "not compared"}

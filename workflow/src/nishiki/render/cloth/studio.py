@@ -15,9 +15,7 @@ from nishiki.geometry.camera import Camera, look_at
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import rotation_matrix, scaled
 from nishiki.geometry.visibility import rasterise
-from nishiki.render.cloth.around import Surroundings, added_up
-from nishiki.render.cloth.local import Fragments, gather, lit
-from nishiki.render.cloth.models import share_of
+from nishiki.render.cloth.models import Fragments, Surroundings, added_up, gather, lit, share_of
 from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, Lamp, Matte, Surface, together
 from nishiki.render.cloth.surfaces import cylinder, paper
 from nishiki.threads import over_items

@@ -25,7 +25,7 @@ from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import camera_between, fit_turn, scaled
 from nishiki.geometry.visibility import interpolate, rasterise
 from nishiki.render.display import developed
-from nishiki.render.object.pixels import asked_for, by_tile, extend, look_up, mix
+from nishiki.render.object.pixels import DepthMaps, asked_for, by_tile, extend, look_up, mix
 from nishiki.render.object.shots import (
     DecodedTile,
     FreeLighting,
@@ -39,7 +39,6 @@ from nishiki.render.object.shots import (
     lit_by,
     neighbours,
 )
-from nishiki.render.object.visibility import DepthMaps
 from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
 

@@ -27,7 +27,7 @@ import numpy as np
 from nishiki.brdf.torrance_sparrow import MIRROR, transmittance
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
 from nishiki.errors import UserError
-from nishiki.render.plane import horizon, kernel
+from nishiki.render.plane import kernel
 from nishiki.render.plane.scene import Ambient, Gloss, Light, PlaneScene
 from nishiki.threads import over_rows
 
@@ -106,7 +106,7 @@ def _sweep_light(surface, pieces, count: int, light: Light, pitch: float) -> np.
     def lines(begin, end):
         begin, end = first + begin, first + end
         lamp = elevation, light.angular_radius, floor
-        horizon.sweep(begin, end, (phase, slope, step), surface, pieces, count, lamp, out)
+        kernel.sweep(begin, end, (phase, slope, step), surface, pieces, count, lamp, out)
 
     over_rows(lines, last - first + 1)
     out = out[:, ::-1] if flip else out
@@ -123,7 +123,7 @@ def _march_light(surface, pieces, light, pitch, out) -> None:
         column, row = column + (columns - 1) / 2, row + (rows - 1) / 2
     highest = float(np.nanmax(surface)) / pitch if np.any(np.isfinite(surface)) else 0.0
     lamp = column, row, scaled[2], source[3], light.angular_radius
-    over_rows(horizon.march, len(surface), surface, pieces, pitch, lamp, highest, out)
+    over_rows(kernel.march, len(surface), surface, pieces, pitch, lamp, highest, out)
 
 
 FRONTAL_EYE = np.array([0.0, 0.0, 1.0, 0.0])
@@ -147,7 +147,7 @@ class Shading:
     values: (
         np.ndarray
     )  # (rows, columns, channels) float32, linear, a perfect white of Y = 1 facing a lamp of intensity 1
-    flags: np.ndarray  # (rows, columns) uint8, bits of nishiki.render.plane.flags
+    flags: np.ndarray  # (rows, columns) uint8, bits of nishiki.render.plane.kernel
 
 
 def colour_groups(scene: PlaneScene, lights: list[Light], ambient: Ambient) -> ColourGroups:
@@ -291,7 +291,7 @@ class Prediction:
     """One light's predicted photograph."""
 
     observations: np.ndarray  # (rows, columns, channels) float32, a perfect white that faces the lamp is 1
-    flags: np.ndarray  # (rows, columns) uint8, bits of nishiki.render.plane.flags
+    flags: np.ndarray  # (rows, columns) uint8, bits of nishiki.render.plane.kernel
     visibility: np.ndarray | None  # (rows, columns) float32, what each pixel sees of the lamp; None without a height
 
 

@@ -14,8 +14,7 @@ from nishiki.brdf.texels.parameters import ParameterWriter
 from nishiki.brdf.texels.texel_fit import Capture, Tile
 from nishiki.colour.colour import encoding_slope
 from nishiki.errors import UserError
-from nishiki.model_selection.decision import Decision, economy
-from nishiki.model_selection.gloss import decide_object_gloss, unseen_gain
+from nishiki.model_selection.decision import Decision, decide_object_gloss, economy, unseen_gain
 from nishiki.observations.views import Views
 from nishiki.threads import threads
 

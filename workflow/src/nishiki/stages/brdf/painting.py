@@ -22,8 +22,7 @@ from nishiki.brdf.scene import (
     without_gloss,
 )
 from nishiki.brdf.torrance_sparrow import MIRROR
-from nishiki.model_selection.decision import Decision, economy
-from nishiki.model_selection.gloss import decide_gloss
+from nishiki.model_selection.decision import Decision, decide_gloss, economy
 from nishiki.observations.parcels import parcels
 from nishiki.observations.plane import Observations
 from nishiki.stages.brdf import PAINTING_OUTPUTS

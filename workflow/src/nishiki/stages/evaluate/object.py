@@ -13,12 +13,11 @@ from nishiki.errors import UserError
 from nishiki.evaluate.object_photographs import ObjectTruth, Photographs
 from nishiki.evaluate.tables import planned_truth, write_tables
 from nishiki.geometry.mesh import Mesh
-from nishiki.render.display import developed, three_channels
+from nishiki.render.display import developed, three_channels, write_png
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.pixels import extend
 from nishiki.render.object.renderer import block_mean
 from nishiki.render.object.shots import ObjectPicture
-from nishiki.render.output import write_png
 
 PEAK = 1.0  # full scale of the camera's codes
 

@@ -19,7 +19,7 @@ from nishiki.geometry.silhouettes import display, segment
 from nishiki.geometry.surface import fewest_triangles, shape_of, smoothed, snapped, without_small_parts
 from nishiki.observations.turntable_coherence import FEWEST_VIEWS, describe_coherence
 from nishiki.observations.views import Views
-from nishiki.render.output import write_png
+from nishiki.render.display import write_png
 
 COARSE_CELLS, HOLLOW_CELLS = 128, 96
 DARK = 60

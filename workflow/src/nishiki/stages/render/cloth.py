@@ -13,8 +13,7 @@ from nishiki.render.cloth.models import ClothModels, dyed
 from nishiki.render.cloth.scene import Brdf, Surface
 from nishiki.render.cloth.studio import ClothPicture, Lighting, Studio, Viewpoint, linear_colour, studio, tubes, turning
 from nishiki.render.cloth.surfaces import from_direction, from_texture, read_drape, read_surface, sheet
-from nishiki.render.display import DisplayImage, developed, exposure_for
-from nishiki.render.output import write_exr, write_png, write_video
+from nishiki.render.display import DisplayImage, developed, exposure_for, write_exr, write_png, write_video
 from nishiki.stages.render import ClothRenderSettings, MeshSettings
 
 FINEST_SIDE = 193

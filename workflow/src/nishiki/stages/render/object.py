@@ -4,11 +4,18 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
-from nishiki.render.display import developed, three_channels
+from nishiki.render.display import (
+    developed,
+    three_channels,
+    write_exr,
+    write_normals_exr,
+    write_normals_png,
+    write_png,
+    write_video,
+)
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.renderer import ObjectRenderer, coverage, frames
 from nishiki.render.object.shots import FreeLamp, FreeLighting, ObjectPicture, Shot, lit_by
-from nishiki.render.output import write_exr, write_normals_exr, write_normals_png, write_png, write_video
 from nishiki.stages.render import ObjectRenderSettings
 
 

@@ -7,9 +7,8 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.capture.schema import OBJECT_FACTS
 from nishiki.formats.problems import error_text
-from nishiki.report.numbers import degrees, figure, percent
 from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Note, Section, Table
-from nishiki.report.svg import bars, lights_plot
+from nishiki.report.svg import bars, degrees, figure, lights_plot, percent
 
 FACTS = (
     ("object_id", "Object"),

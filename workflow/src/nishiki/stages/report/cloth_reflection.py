@@ -8,10 +8,9 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.goniometry.table import Reflectances
 from nishiki.render.cloth.models import ClothModels
-from nishiki.report.numbers import figure
 from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
 from nishiki.report.pictures import PagePicture, Scale, coloured, encoded, heat, hexadecimal
-from nishiki.report.svg import GRID, INK, PALETTE, SOFT, Curve, Drawing, chart, outline
+from nishiki.report.svg import GRID, INK, PALETTE, SOFT, Curve, Drawing, chart, figure, outline
 
 INCIDENCES_DEG = (0, 30, 60)
 AZIMUTHS = {"warp": np.pi / 2, "weft": 0.0}

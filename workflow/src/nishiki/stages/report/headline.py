@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from nishiki.report.numbers import figure
+from nishiki.report.svg import figure
 
 CLOSE, PLAIN = 1.0, 3.0  # % of full scale, rms, from which a rendered view is told from its photograph, and at a glance
 FEW_VIEWS = 24  # of an object: steps of more than 15 degrees, between which gloss moves further than its width

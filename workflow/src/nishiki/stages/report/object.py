@@ -9,7 +9,6 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.stage import Context
 from nishiki.formats.stored import load_arrays
 from nishiki.geometry.camera import load_cameras
-from nishiki.report.numbers import figure, percent
 from nishiki.report.page import (
     MOST_PICTURES,
     Block,
@@ -27,7 +26,7 @@ from nishiki.report.page import (
 )
 from nishiki.report.pictures import bright_picture, encoded, file_picture
 from nishiki.report.scene_page import Head, write_scene_page
-from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing
+from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing, figure, percent
 from nishiki.stages.report.capture import export_section, facts_of_object
 from nishiki.stages.report.headline import object_headline
 from nishiki.stages.report.object_reflection import model_section, residual_section

@@ -9,10 +9,9 @@ from nishiki.atlas.atlas import Atlas
 from nishiki.atlas.quality import atlas_picture
 from nishiki.atlas.store import ATLAS
 from nishiki.brdf.texels.parameters import ParameterMaps, TexelFlag
-from nishiki.report.numbers import figure, percent
 from nishiki.report.page import Block, Facts, Figure, Figures, Fold, Section, Table
 from nishiki.report.pictures import brightened, brightening, colour_picture, scalar_picture, sea
-from nishiki.report.svg import bars
+from nishiki.report.svg import bars, figure, percent
 
 LIGHTING = {
     "camera": "a lamp beside the camera",

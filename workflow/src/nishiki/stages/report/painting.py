@@ -9,7 +9,6 @@ from nishiki.artifacts.maps import Maps, shrink
 from nishiki.artifacts.stage import Context
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.observations.plane import Observations
-from nishiki.report.numbers import plain
 from nishiki.report.page import (
     MOST_PICTURES,
     Block,
@@ -25,7 +24,7 @@ from nishiki.report.page import (
 )
 from nishiki.report.pictures import Ruler, block_of, class_picture, file_picture, ruler
 from nishiki.report.scene_page import Head, text, write_scene_page
-from nishiki.report.svg import PALETTE, Curve, chart
+from nishiki.report.svg import PALETTE, Curve, chart, plain
 from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting, kind_of
 from nishiki.stages.report.headline import headline
 from nishiki.stages.report.mosaic import LAMPS_OF_FIELDS, mosaic_head, mosaic_section

@@ -9,7 +9,6 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, shrink
 from nishiki.evaluate.relighting import DIFFUSE, FADGI, HIGHLIGHT, ISO_19264, SHADOW
 from nishiki.formats.stored import load_arrays
-from nishiki.report.numbers import signed
 from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
 from nishiki.report.pictures import (
     balance,
@@ -21,6 +20,7 @@ from nishiki.report.pictures import (
     heat,
     scalar_picture,
 )
+from nishiki.report.svg import signed
 
 MOST_LIGHTS = 4  # on the page, the worst among them
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB, IEC 61966-2-1

@@ -18,7 +18,6 @@ from nishiki.colour.colour import (
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.photometric import flags as bits
-from nishiki.report.numbers import figure
 from nishiki.report.page import Block, Figure, Figures, Heading, Section, Table
 from nishiki.report.pictures import (
     Ruler,
@@ -34,7 +33,7 @@ from nishiki.report.pictures import (
     scalar_picture,
     sea,
 )
-from nishiki.report.svg import DASHES, PALETTE, SOFT, Curve, chart
+from nishiki.report.svg import DASHES, PALETTE, SOFT, Curve, chart, figure
 
 # From harmless to grave: later ones win where a block of pixels has several.
 CLASSES = (

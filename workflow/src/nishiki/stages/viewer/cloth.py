@@ -10,9 +10,8 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.interface import gloss_of
 from nishiki.progress import Progress
-from nishiki.render.cloth import around, scene
-from nishiki.render.cloth.local import LEAST_COSINE, LIFT
-from nishiki.render.cloth.models import ClothModels, dyed
+from nishiki.render.cloth import scene
+from nishiki.render.cloth.models import LEAST_COSINE, LIFT, ClothModels, dyed, grid_views, shares
 from nishiki.render.cloth.scene import Brdf, BrdfTable, Surface
 from nishiki.render.cloth.studio import Studio, Viewpoint, studio, tubes
 from nishiki.render.cloth.surfaces import read_drape, sheet, swatch
@@ -150,11 +149,11 @@ def unit_steps(vectors: np.ndarray) -> np.ndarray:
 def material_arrays(brdf: Brdf) -> dict[str, dict[str, np.ndarray]]:
     """Return a model's blocks: its table and share of even light, its gloss alone and the albedo that a dye needs."""
     gloss = gloss_of(brdf)
-    of_all, of_gloss = around.shares(brdf, gloss)
+    of_all, of_gloss = shares(brdf, gloss)
     dye = dyed(gloss, {"white": (1.0, 1.0, 1.0)}, of_gloss)["white"]
     through = {
         "albedo": dye.gloss_albedo.astype(np.float32),
-        "albedo_of_views": dye.gloss_albedo_at(around.grid_views()).astype(np.float32),
+        "albedo_of_views": dye.gloss_albedo_at(grid_views()).astype(np.float32),
         "mean_albedo": np.array([dye.mean_albedo], np.float32),
     }
     parts = {}

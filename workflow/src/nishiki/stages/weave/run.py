@@ -7,7 +7,7 @@ from nishiki.brdf.cloth.store import save_brdf
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.geometry.mesh import Mesh, write_ply
 from nishiki.goniometry.table import Reflectances
-from nishiki.render.output import write_png
+from nishiki.render.display import write_png
 from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing, outline
 from nishiki.weave.fit import WeaveFit, fit_weave, planes_of
 from nishiki.weave.section import USUAL, WovenSurface, harness_of, make_surface, shade

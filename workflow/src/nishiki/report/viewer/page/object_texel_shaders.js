@@ -88,7 +88,7 @@ void main() {
   gl_FragDepth = min(square / 4.0, 1.0);
 }`;
 
-/** How well a captured view sees each texel, 0..1 (nishiki.render.object.visibility). */
+/** How well a captured view sees each texel, 0..1 (nishiki.render.object.pixels). */
 export const VISIBILITY_FRAGMENT = `${CAMERA}
 uniform sampler2D positions, normals, depths;
 uniform vec3 eye;
