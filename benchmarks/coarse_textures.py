@@ -34,8 +34,8 @@ from nishiki.observations.plane import Observations
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.gloss import GltfMaterial, RegionGloss
 from nishiki.stages.export.look import PaintingLook, PaintingSurface
-from nishiki.stages.export.photographs import CodedErrors, Photographs
-from nishiki.stages.export.scene import ExportedScene, block_mean
+from nishiki.stages.export.registry import CodedErrors
+from nishiki.stages.export.scene import ExportedScene, Photographs, block_mean
 
 STAGES = ("ingest", "normals", "height", "spectra", "brdf")
 

@@ -30,8 +30,8 @@ from nishiki.colour.colour import encode, illuminant, white_xyz, xyz_to_srgb_lin
 from nishiki.observations.plane import Observations
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Light, PlaneScene
-from nishiki.stages.export.photographs import CodedErrors, Photographs
-from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.export.registry import CodedErrors
+from nishiki.stages.export.scene import ExportedScene, Photographs
 from nishiki.stages.render.painting import load_scene
 
 STAGES = ("ingest", "normals", "height", "spectra", "brdf")

@@ -43,9 +43,8 @@ from nishiki.artifacts.artifact import open_artifact
 from nishiki.formats.picture_tiles import jpeg_bytes
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.light_models import PrincipalModel, TabulatedModel
-from nishiki.stages.export.photographs import GridPictures, Photographs
 from nishiki.stages.export.relight import SAMPLES, StoredModel, model_of
-from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.export.scene import ExportedScene, GridPictures, Photographs
 
 SCENES = ("painting", "diligent_cat", "diligent_cat-12", "rti_fossil")
 KEPT_BACK = ("diligent_ball", "diligent_ball-12", "rti_marble", "uw_owl", "uw_horse")

@@ -22,8 +22,7 @@ from nishiki.stages.export.light_models import (
     ptm_weights,
     solve,
 )
-from nishiki.stages.export.photographs import GridPictures, Photographs
-from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.export.scene import ExportedScene, GridPictures, Photographs
 
 pytestmark = pytest.mark.slow
 

@@ -1,6 +1,8 @@
 """Headlines of reports on objects and cloths: what is good, doubtful, and would improve most."""
 
-from nishiki.stages.report.headline import cloth_headline, headline, object_headline
+from nishiki.report.scene_page import headline
+from nishiki.stages.report.cloth import cloth_headline
+from nishiki.stages.report.object import object_headline
 
 GOOD, DOUBTFUL, REMEDY = "Good", "Doubtful", "To improve it most"
 

@@ -45,6 +45,17 @@ class Head(NamedTuple):
     warnings: Sequence[str] = ()
 
 
+def headline(good: list[str], doubtful: list[str], advice: list[tuple[bool, str, str]]) -> list[tuple[str, str]]:
+    """Return label and text of each line; a line without anything to say is left out.
+
+    advice : whether a lack holds, the lack, and its remedy; the first that holds is what would improve most.
+    """
+    doubtful = doubtful + [lack for holds, lack, _ in advice if holds]
+    remedy = next((remedy for holds, _, remedy in advice if holds), "")
+    rows = [("Good", "; ".join(good)), ("Doubtful", "; ".join(doubtful)), ("To improve it most", remedy)]
+    return [(label, text[:1].upper() + text[1:] + ".") for label, text in rows if text]
+
+
 def write_scene_page(
     context: Context,
     stages: Mapping[str, Any],

@@ -243,7 +243,7 @@ def grid_views() -> np.ndarray:
 
 
 def shares(*brdfs: Brdf) -> list[np.ndarray]:
-    """Share of even light that each cloth sends to each view of the grid, (VIEW_THETAS + 1, VIEW_PHIS + 1, 3), at most 1.
+    """Share of even light that cloths send to each view of the grid, (VIEW_THETAS + 1, VIEW_PHIS + 1, 3), at most 1.
 
     Integrated over LIGHTS directions of equal projected area.
     """

@@ -13,9 +13,8 @@ from nishiki.colour.colour import decode, encode, srgb_encode
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.gloss import PaintingGloss, RegionGloss, painting_gloss
-from nishiki.stages.export.photographs import CodedErrors, Photographs
-from nishiki.stages.export.registry import ExportedSurface, GltfLook
-from nishiki.stages.export.scene import ExportedScene, reliefs
+from nishiki.stages.export.registry import CodedErrors, ExportedSurface, GltfLook
+from nishiki.stages.export.scene import ExportedScene, Photographs, reliefs
 
 FIGURES = {"roughness": "roughness", "specular": "strength", "ior": "index", "metallic": "metallic"}
 METRES = 1e-3  # of a millimetre; of a pixel where the capture states no scale

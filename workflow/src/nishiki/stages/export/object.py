@@ -24,8 +24,7 @@ from nishiki.render.object.shots import ObjectPicture
 from nishiki.stages.export.iiif import QUALITY, canvas, image, manifest_of, tiles_psnr_db, write_manifest
 from nishiki.stages.export.object_look import METRES, ObjectSurface
 from nishiki.stages.export.object_renderers import write_kintsugi, write_mitsuba
-from nishiki.stages.export.photographs import CodedErrors
-from nishiki.stages.export.registry import write_formats, write_gltf, write_mtlx, write_usd
+from nishiki.stages.export.registry import CodedErrors, write_formats, write_gltf, write_mtlx, write_usd
 
 LAYERS = {
     "view": "As photographed, from the coded object",

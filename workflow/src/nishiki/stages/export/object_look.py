@@ -26,8 +26,7 @@ from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.geometry.visibility import rasterise
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.stages.export.photographs import CodedErrors
-from nishiki.stages.export.registry import INDEX, NORMAL_REFLECTANCE, ExportedSurface, GltfLook
+from nishiki.stages.export.registry import INDEX, NORMAL_REFLECTANCE, CodedErrors, ExportedSurface, GltfLook
 
 GAP = 2  # texels between two charts
 

@@ -1,4 +1,4 @@
-"""The formats that a scene is exported to: how each is written, and those that paintings and objects share."""
+"""The formats that a scene is exported to: how each is written, its errors, and those that several scenes share."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -43,6 +43,42 @@ def write_formats(context: Context, writers: Mapping[str, Callable[[], dict[str,
 def software(context: Context) -> str:
     """Return the program and its version."""
     return f"Nishiki {context.stamp['version']}"
+
+
+class CodedErrors:
+    """Squared errors of coded pictures against photographs, by light."""
+
+    def __init__(self, lights: int):
+        self._squares, self._counts = np.zeros(lights), np.zeros(lights, np.int64)
+
+    def add(self, number: int, shown: np.ndarray, values: np.ndarray, valid: np.ndarray) -> None:
+        """Add pixels (n, 3) under one light: what a viewer shows, the photograph, and where it counts (n,) bool."""
+        self._squares[number] += np.sum((np.clip(shown[valid], 0, 1) - values[valid]) ** 2)
+        self._counts[number] += 3 * np.count_nonzero(valid)
+
+    @classmethod
+    def of_strip(cls, shown: np.ndarray, values: np.ndarray, valid: np.ndarray) -> "CodedErrors":
+        """Compare pixels (lights, 3, n) under all lights where valid (lights, n); `shown` is overwritten."""
+        errors = cls(len(values))
+        np.clip(shown, 0, 1, out=shown)
+        shown -= values
+        shown *= valid[:, None]
+        errors._squares[:] = np.einsum("lkn,lkn->l", shown, shown)
+        errors._counts[:] = 3 * valid.sum(axis=1)
+        return errors
+
+    def include(self, others: "CodedErrors") -> None:
+        """Add the errors of other pixels."""
+        self._squares += others._squares
+        self._counts += others._counts
+
+    def decibels(self, lights: slice = slice(None)) -> dict[str, float]:
+        """Return the PSNR, dB, peak 1, at most 120: some lights together and the worst; the number of lights."""
+        squares, counts = self._squares[lights], self._counts[lights]
+        means = squares / np.maximum(counts, 1)
+        together = squares.sum() / max(counts.sum(), 1)
+        all_db, worst_db = -10 * np.log10(np.maximum([together, means.max()], 1e-12))
+        return {"all": float(all_db), "worst": float(worst_db), "lights": len(means)}
 
 
 @dataclass(frozen=True)

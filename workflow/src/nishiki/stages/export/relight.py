@@ -23,8 +23,8 @@ from nishiki.stages.export.light_models import (
     PrincipalModel,
     TabulatedModel,
 )
-from nishiki.stages.export.photographs import CodedErrors, GridPictures, Photographs
-from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.export.registry import CodedErrors
+from nishiki.stages.export.scene import ExportedScene, GridPictures, Photographs
 from nishiki.threads import in_threads, over_items
 
 PTM = "painting.ptm"

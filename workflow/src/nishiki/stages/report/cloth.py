@@ -24,11 +24,10 @@ from nishiki.report.page import (
     read_json,
 )
 from nishiki.report.pictures import PagePicture, encoded, file_picture
-from nishiki.report.scene_page import Head, write_scene_page
+from nishiki.report.scene_page import Head, headline, write_scene_page
 from nishiki.report.svg import INK, PALETTE, Curve, chart, figure, percent
 from nishiki.stages.report.capture import FACTS, export_section
 from nishiki.stages.report.cloth_reflection import curves_section, errors_section, model_name, reflection_section
-from nishiki.stages.report.headline import cloth_headline
 from nishiki.stages.table import chain_of
 
 
@@ -78,6 +77,38 @@ def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any] | None, regi
     if samples.get("noise_relative") is not None:
         tiles.append(Metric(100 * samples["noise_relative"], "%", "noise of a measurement, median"))
     return tiles
+
+
+CLOTH_ERROR = 0.15  # relative error on directions left out from which a cloth's gloss looks different
+NOISE = 0.05  # relative noise of a reflectance from which it hides the weave
+
+
+def cloth_headline(samples: dict[str, Any], evaluation: dict[str, Any] | None, region: str) -> list[tuple[str, str]]:
+    """Return the headline of a cloth; samples : diagnostics of goniometer_samples; evaluation : evaluation.json."""
+    found: tuple[list[str], list[str]] = [], []  # doubtful, good
+    models = ((evaluation or {}).get("regions", {}).get(region) or {}).get("models", {})
+    fitted = models.get((evaluation or {}).get("default")) or {}
+    errors = [part["rms_rel"] for part in ((fitted.get("held_out") or {}).get("by_incidence") or {}).values()]
+    if errors:
+        error = sum(errors) / len(errors)
+        text = f"directions that no fit used are predicted with a mean error of {100 * error:.0f} %"
+        found[error < CLOTH_ERROR].append(text)
+    noise = samples.get("noise_relative")
+    if noise is not None:
+        found[noise < NOISE].append(f"half of the measurements have a noise below {figure(100 * noise, 2)} %")
+    saturated = sum(samples.get("saturated") or [])
+    above, cut = samples.get("normal_incidence"), f"{saturated} measurements are saturated: the gloss is cut off"
+    advice = [
+        (above == 0, "nothing was lit along the normal", "measure one set of views with the light along the normal"),
+        (saturated > 0, cut, "measure the brightest directions again with a shorter exposure"),
+        (
+            not errors,
+            "no direction was left out to test the others",
+            "run cloth_evaluate, with a second plane of light",
+        ),
+        (noise is None, "the noise of a measurement is not known", "measure some directions twice"),
+    ]
+    return headline(found[True], found[False], advice)
 
 
 def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> Section | None:

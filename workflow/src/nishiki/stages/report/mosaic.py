@@ -11,9 +11,8 @@ from nishiki.colour.colour import xyz_to_srgb_linear
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Metric, Note, Section, Table, read_json
 from nishiki.report.pictures import block_of, brightened, brightening, colour_picture
-from nishiki.report.scene_page import Head
+from nishiki.report.scene_page import Head, headline
 from nishiki.stages.report.capture import about_capture
-from nishiki.stages.report.headline import headline
 from nishiki.stages.report.painting_surface import PageMaps
 
 FIT_PX, SEAM_DE, SEAM_DEG = 0.5, 2.0, 2.0

@@ -25,10 +25,9 @@ from nishiki.report.page import (
     read_json,
 )
 from nishiki.report.pictures import bright_picture, encoded, file_picture
-from nishiki.report.scene_page import Head, write_scene_page
+from nishiki.report.scene_page import Head, headline, write_scene_page
 from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing, figure, percent
 from nishiki.stages.report.capture import export_section, facts_of_object
-from nishiki.stages.report.headline import object_headline
 from nishiki.stages.report.object_reflection import model_section, residual_section
 from nishiki.stages.table import chain_of
 
@@ -82,6 +81,50 @@ def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Metric]:
         ((diagnostics.get("mesh") or {}).get("triangles"), "", "triangles"),
     ]
     return [Metric(*tile) for tile in tiles if tile[0] is not None]
+
+
+CLOSE, PLAIN = 1.0, 3.0  # % of full scale, rms, from which a rendered view is told from its photograph, and at a glance
+FEW_VIEWS = 24  # of an object: steps of more than 15 degrees, between which gloss moves further than its width
+UNSEEN = 0.05  # share of a surface that may lie hidden without a word
+
+
+def object_headline(diagnostics: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
+    """Return the headline of a turntable scene; diagnostics : of its stages."""
+    found: tuple[list[str], list[str]] = [], []  # doubtful, good
+    psnr = (diagnostics.get("object_evaluate") or {}).get("psnr") or {}
+    left_out = next((part for name, part in psnr.items() if name.startswith("left_out") and part), None)
+    for part, what, limit in (
+        (psnr.get("captured"), "rendered views differ from their photographs by", CLOSE),
+        (left_out, "views that took no part are predicted with errors of", PLAIN),
+    ):
+        if part:
+            error = 100 * 10 ** (-part["mean_psnr_db"] / 20)
+            found[error < limit].append(f"{what} {figure(error, 2)} % of full scale")
+    covered = ((diagnostics.get("mesh") or {}).get("fit") or {}).get("iou_mean")
+    if covered is not None:
+        found[covered > 1 - UNSEEN].append(f"the surface covers {100 * covered:.1f} % of the outlines")
+    ingest, views = diagnostics["ingest"], len(diagnostics["ingest"]["views"])
+    unseen = (diagnostics.get("object_brdf") or {}).get("unseen_share") or 0.0
+    unit = ((ingest.get("capture") or {}).get("turntable") or {}).get("unit", "mm")
+    hidden, untold = f"{100 * unseen:.0f} % of the surface is in no photograph", bool(psnr) and left_out is None
+    pictures = (diagnostics.get("residual") or {}).get("pictures") or {}
+    carried = "captured views are stored as pictures, because texels of the surface in as many bytes reach "
+    carried += f"{figure(pictures.get('equal_bytes_psnr_db'), 3)} dB; these figures do not hold for views between them"
+    scan = "give a mesh or scans of the object"
+    scan += "" if "polarise" in diagnostics else ", or photograph it through polarisers"
+    advice = [
+        (bool(pictures), carried, scan),
+        (1 < views < FEW_VIEWS, f"{views} views are few", "photograph the object every ten degrees"),
+        (unseen > UNSEEN, hidden, "add a turn with the camera higher, or with the object laid down"),
+        (
+            untold,
+            "no view was left out to test views between the photographs",
+            "name some in the setting texels.hold_out",
+        ),
+        (not ingest.get("boards"), "no white board: brightness is relative", "photograph a white board (--white)"),
+        (unit in (None, "none"), "no unit of length: sizes are relative", "state turntable.unit"),
+    ]
+    return headline(found[True], found[False], advice)
 
 
 def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> Section | None:

@@ -23,10 +23,9 @@ from nishiki.report.page import (
     read_json,
 )
 from nishiki.report.pictures import Ruler, block_of, class_picture, file_picture, ruler
-from nishiki.report.scene_page import Head, text, write_scene_page
+from nishiki.report.scene_page import Head, headline, text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart, plain
 from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting, kind_of
-from nishiki.stages.report.headline import headline
 from nishiki.stages.report.mosaic import LAMPS_OF_FIELDS, mosaic_head, mosaic_section
 from nishiki.stages.report.painting_prediction import part_name, relighting_section, worst_level, worst_part
 from nishiki.stages.report.painting_surface import PageMaps, colour_section, shape_section
