@@ -68,7 +68,7 @@ _PLACES = {
     "torrance_sparrow": "brdf.torrance_sparrow:specular",
     "write_cloth": "brdf.cloth.store:save_brdf",
 }
-"""Module below this package and name in it of what is not in `api`."""
+"""Module and name, below this package, of public names that are not defined in `api`."""
 
 
 def __getattr__(name: str):

@@ -1,4 +1,4 @@
-"""What the public functions of `nishiki` need beside the functions that the stages call: whole captures and results.
+"""Public functions of `nishiki` on whole captures and results, beside the functions that the stages call.
 
 The workflow works band by band on files; these functions hold one capture or one object in memory.
 """

@@ -1,4 +1,4 @@
-"""The command line: its commands by section, and how it ends. A command is declared on the function that runs it."""
+"""Parse the command line and run its command. A command is declared on the function that runs it."""
 
 import importlib
 import os

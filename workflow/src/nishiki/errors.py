@@ -1,4 +1,4 @@
-"""Mistakes that a user can mend, as distinct from bugs."""
+"""Errors that a user can mend, as distinct from bugs."""
 
 import errno
 import os
@@ -65,7 +65,7 @@ OF_THE_MACHINE = {
     ),
     "Remedy: connect the disk or the network share again, then run again; what is finished is kept",
 )
-"""What a machine may refuse, as the system numbers it, and what to do then."""
+"""Remedy for each error number with which a machine refuses an operation."""
 
 
 def of_the_machine(error: OSError | MemoryError) -> str | None:

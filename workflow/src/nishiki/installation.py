@@ -19,7 +19,7 @@ PACKAGE = Path(__file__).resolve().parent
 SOURCE = PACKAGE.parent
 """The folder on the path of Python that holds the package."""
 PACKAGES = (PACKAGE.name, "snakemake_logger_plugin_nishiki")
-"""What of that folder is the project's; Snakemake finds its plugin for messages by its name."""
+"""Packages of the project in that folder; Snakemake finds its logger plugin by its name."""
 CARRIED = PACKAGE / "project"
 """Copies of the project's files; only in an installation."""
 INSTALLED = CARRIED.is_dir()
@@ -29,7 +29,7 @@ SNAKEFILE = PROJECT / "Snakefile"
 PROFILES = PROJECT / "workflow" / "profiles"
 SCRIPTS = PROJECT / "scripts"
 COMMAND = "nishiki" if INSTALLED else "./nishiki"
-"""How a user calls the command, for messages."""
+"""The command as a user types it, for messages."""
 
 
 def cache_folder() -> Path | None:

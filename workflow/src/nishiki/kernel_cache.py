@@ -16,7 +16,7 @@ from numba.core.caching import UserProvidedCacheLocator
 
 PACKAGE = Path(__file__).resolve().parent
 PATIENCE_S = 1.0
-"""Seconds of compilation in a process after which it is told."""
+"""Seconds of compilation in a process after which a message is printed."""
 COMPILING = "nishiki: compiling kernels for their first use, which takes up to two minutes; they are kept"
 
 
@@ -35,7 +35,7 @@ class ByModule(UserProvidedCacheLocator):
 
 
 class Announcement(event.Listener):
-    """Tell once in a process, on standard error, that kernels are compiled, where that takes a while.
+    """Print once in a process, on standard error, that kernels are being compiled, where that takes a while.
 
     `message` is what it tells; a stage sets its own.
     """

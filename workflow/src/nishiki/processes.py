@@ -1,4 +1,4 @@
-"""Who a process is: a host, a process number, and the moment of its start, so that a number used again is not mistaken.
+"""Identify a process by host, number and start time, so that a number used again is not mistaken.
 
 Process numbers are given out again, after a restart of the machine to quite other programs. Number and start (in clock
 ticks since the machine started) together name one process; neither depends on the time of day.

@@ -1,4 +1,4 @@
-"""One line of progress on long work."""
+"""Print one line of progress on long work."""
 
 import sys
 import time
@@ -9,7 +9,7 @@ Item = TypeVar("Item")
 
 
 class Progress:
-    """Tells at most every two seconds how far a stage is, on standard error; silent on short work."""
+    """Print the progress of a stage at most every two seconds, on standard error; nothing on short work."""
 
     def __init__(self, label: str, *, every_s: float = 2.0, stream=None):
         self.label = label

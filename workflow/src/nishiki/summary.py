@@ -1,4 +1,4 @@
-"""Short texts of results, for prompts and notebooks."""
+"""Print results as short texts in prompts and notebooks."""
 
 from collections.abc import Mapping
 from html import escape

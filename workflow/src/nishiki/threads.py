@@ -1,4 +1,4 @@
-"""How many threads a process may use, and rows of pictures shared out among them.
+"""Limit the threads of a process, and divide rows of pictures among them.
 
 Compiled kernels release the interpreter while they run. A kernel writes only its own rows, so the result cannot depend
 on the number of threads; and it compiles in half the time that a parallel loop of the compiler's would take.
@@ -17,15 +17,15 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
-"""What each library reads its number of threads from; the workflow sets all of them for every job."""
+"""Environment variables from which libraries read their number of threads; the workflow sets all for every job."""
 ALONE = {"OPENBLAS_NUM_THREADS": "1"}
-"""Set for every job, too. Each of our threads multiplies matrices itself; OpenBLAS's own threads would only wait
+"""Also set for every job. Each of our threads multiplies matrices itself; OpenBLAS's own threads would only wait
 busily: with two of each, the export of relightable images took twice the processor time."""
 STRIPS_A_THREAD = 4
 """More strips than threads, so that a thread with easy rows helps out where rows are hard."""
 
 LEAST_VALUES = 1 << 15
-"""Of arrays that are worth several threads."""
+"""Least number of values of arrays for which several threads are used."""
 
 
 def threads() -> int:

@@ -1,3 +1,3 @@
-"""The project's version, apart from everything else so that asking for it loads nothing."""
+"""The project's version, in a module of its own so that reading it loads nothing else."""
 
 PROJECT_VERSION = "0.1.0"

@@ -13,7 +13,7 @@ from snakemake_logger_plugin_nishiki.handler import RunHandler
 
 @dataclass
 class LogHandlerSettings(LogHandlerSettingsBase):
-    """What the command line tells the handler: `--logger-nishiki-...`."""
+    """Options of the handler on Snakemake's command line: `--logger-nishiki-...`."""
 
     expected: str = field(
         default="",

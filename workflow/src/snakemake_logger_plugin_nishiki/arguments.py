@@ -1,4 +1,4 @@
-"""Which words of a command line are options of Snakemake, and which are its targets."""
+"""Separate options of Snakemake from its targets on a command line."""
 
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -7,7 +7,7 @@ from nishiki.errors import UserError
 from nishiki.stages.table import NAMES
 
 BESIDE_STAGES = ("all", "publish", "part", "repeat", "sweep")
-"""Rules that are no stages."""
+"""Rules that are not stages."""
 
 
 def parse_words(words: Sequence[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""What of Snakemake's log records and of the stages' own messages a user is shown."""
+"""Select the log records of Snakemake and the messages of stages that are printed for the user."""
 
 import atexit
 import json
@@ -25,7 +25,7 @@ STAGE_PROGRESS = re.compile(r"([\w-]+)/(\w+): (.*)")
 EXIT_STATUS = re.compile(r"exit status (\d+)|died with <Signals\.(\w+)")
 INTERRUPTED = "Terminating processes on user request"
 JOINED = re.compile(r"(?<=.)(?=nishiki [\w-]+/\w+: )")
-"""Between messages of two stages that were written at the same moment."""
+"""Boundary between messages of two stages that were written at the same moment."""
 RETRY = re.compile(r"Trying to restart job (\S+)\.")
 KILLED = 128
 """A shell reports a signal as this number plus the signal's."""
@@ -34,7 +34,7 @@ REPEATED = (
     *("At least one job did not complete successfully", "Exiting because a job execution failed"),
     "Cannot restore",  # the output of a failed job that had none before
 )
-"""What Snakemake says where a job failed, which was told of already."""
+"""Messages of Snakemake about a failed job, which has been reported already."""
 CHAINED = ("During handling of the above exception", "The above exception was the direct cause")
 LOG_TAIL = 2**16
 """Bytes of the end of a cluster's log of a failed job that are looked through."""
@@ -48,7 +48,7 @@ class RunHandler(LogHandlerBase):
     """
 
     stream: TextIO | None = None
-    """Where to print, for tests; None: standard error, and that of the jobs is read."""
+    """Stream to print to, for tests; None: standard error, and that of the jobs is read."""
     writes_to_stream = True  # Snakemake itself prints nothing then
     writes_to_file = False  # Snakemake writes its log file itself
     has_filter = True  # every record is wanted, whatever is quiet in the log file

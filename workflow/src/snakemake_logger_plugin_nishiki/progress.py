@@ -1,13 +1,13 @@
-"""How far a run is: jobs that wait, run and are done, and the time that is left."""
+"""Track the progress of a run: jobs that wait, run and are done, and the time left."""
 
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 UNCOUNTED = ("all", "publish")
-"""Rules that are no stages: the target of a run, and the links to a scene's artifacts."""
+"""Rules that are not stages: the target of a run, and the links to a scene's artifacts."""
 USUAL_SECONDS = 1.0
-"""Expected processor seconds of a job that no cost model knows."""
+"""Expected processor seconds of a job without a cost model."""
 PRIOR_SECONDS = 20.0
 """The expected speed weighs as much as the speed measured over this time."""
 RUNNING_SHARE = 0.9

@@ -11,15 +11,15 @@ from typing import TextIO
 from nishiki.errors import printable
 
 CLEAR = "\r\x1b[K"
-"""Back to the beginning of the line, and empty it."""
+"""Return to the beginning of the line, and clear it."""
 COLUMNS = 80
-"""Width of a terminal that does not say its own."""
+"""Width of a terminal that does not report one, in characters."""
 QUIET_SECONDS = 60.0
-"""Without a terminal, the state is told after so long without another line."""
+"""Seconds without another line after which the state is printed where there is no terminal."""
 
 
 class Screen:
-    """Where the lines go. Not thread-safe: the caller holds a lock.
+    """Output of lines. Not thread-safe: the caller holds a lock.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ PATIENCE_S = 2.0
 
 
 class StageOutput:
-    """Put a pipe in the place of descriptor 2, and pass on what is written to it.
+    """Replace descriptor 2 by a pipe, and pass on the lines that are written to it.
 
     Jobs inherit the descriptor. Once this process is gone, a job that still writes gets a broken pipe; the next run
     would end it anyway.

@@ -36,7 +36,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Damage:
-    """One thing that is not as it should be. artifact: folder of the artifact that is no longer sound, if any is."""
+    """One damage that an audit found. artifact: folder of the artifact that is no longer sound, if any is."""
 
     path: Path
     kind: str
@@ -53,7 +53,7 @@ KEY = re.compile(r"[0-9a-f]{12}")
 
 @dataclass
 class Survey:
-    """What is known of one artifact before its files are read."""
+    """Facts of one artifact from its names, sizes and manifest, before its files are read."""
 
     tree: Tree
     below: str
@@ -296,7 +296,7 @@ CURRENT = "current"
 
 @dataclass
 class AuditTargets:
-    """What stands below some folders: artifacts, published links, stray links, unfinished and set-aside folders."""
+    """Contents of some folders: artifacts, published links, stray links, unfinished and set-aside folders."""
 
     artifacts: list[Path] = field(default_factory=list)
     crates: list[Path] = field(default_factory=list)
@@ -313,7 +313,7 @@ class AuditTargets:
 
 @dataclass
 class Counts:
-    """What was audited so far."""
+    """Running totals of an audit."""
 
     artifacts: int = 0
     files: int = 0

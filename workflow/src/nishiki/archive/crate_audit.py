@@ -1,4 +1,4 @@
-"""Auditing a packed scene where nothing else is there: no results, no configuration, perhaps no photographs.
+"""Audit a packed scene by itself: without results, configuration or, perhaps, photographs.
 
 A crate may come from a stranger: nothing is written, no link is followed, no name leads outside, and no file is held in
 memory but manifests of a bounded size.
@@ -28,7 +28,7 @@ CAPTURE_FOLDER, SEAL = "capture/", "manifest-sha256.txt"
 
 @dataclass
 class CrateAudit:
-    """What an audit of a crate has found so far."""
+    """Running findings of an audit of a crate."""
 
     root: Path
     digest: str = ""

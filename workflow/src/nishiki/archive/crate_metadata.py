@@ -1,4 +1,4 @@
-"""The description of a packed scene: JSON-LD after the profile Provenance Run Crate 0.5 of RO-Crate 1.1.
+"""Describe a packed scene in JSON-LD after the profile Provenance Run Crate 0.5 of RO-Crate 1.1.
 
 A function of what is packed: the same artifacts give the same bytes. https://www.researchobject.org/workflow-run-crate
 """

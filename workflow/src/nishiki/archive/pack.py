@@ -1,4 +1,4 @@
-"""Packing one scene: everything that its results were made from, in one folder that explains and proves itself.
+"""Pack one scene, with everything that its results were made from, into one folder that can be verified by itself.
 
 Every file is read once, while it is copied; one that is not what its manifest says stops the packing. The same
 artifacts give the same bytes: names are sorted, and no time is written that the artifacts do not record.
@@ -24,7 +24,7 @@ from nishiki.errors import UserError
 from nishiki.installation import CARRIED, PACKAGES, SOURCE
 
 CODE = ("Snakefile", "LICENSE", "pyproject.toml", "uv.lock", "workflow", "scripts", "envs")
-"""What of the project is packed: what runs, and the lock of its libraries."""
+"""Files of the project that are packed: the program, and the lock of its libraries."""
 CODE_SUFFIXES = {"", *".py .smk .yaml .txt .toml .lock .csv .npz .json .j2 .css .sh .md".split()}
 BLOCK = 2**20
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)

@@ -26,13 +26,13 @@ from nishiki.stages.table import CHAIN
 ASIDE = re.compile(r"[0-9a-f]{12}\.set-aside-[0-9a-z-]+")
 UNFINISHED = re.compile(r"\.([0-9a-f]{12}|current)\..*\.(partial|pruned)")
 PRUNED = ".pruned"
-"""What the name of a folder ends with that is being removed."""
+"""Suffix of the name of a folder that is being removed."""
 Place = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
 class Item:
-    """A folder and what is said of it. bytes: of its files."""
+    """A folder, the reason for its treatment, and the bytes of its files."""
 
     folder: Path
     why: str
@@ -41,7 +41,7 @@ class Item:
 
 @dataclass
 class Pruning:
-    """What would go, in this order; what stays though no configuration names it; what is not ours to judge."""
+    """Folders to remove, in this order, to keep though no configuration names them, and to leave as no artifacts."""
 
     remove: list[Item] = field(default_factory=list)
     keep: list[Item] = field(default_factory=list)
@@ -50,7 +50,7 @@ class Pruning:
 
 @dataclass(frozen=True)
 class Finished:
-    """A finished artifact that stands there: its place, digest and upstream artifacts (stage -> key, digest)."""
+    """A finished artifact: its place, digest and upstream artifacts (stage -> key, digest)."""
 
     folder: Path
     place: Place

@@ -1,4 +1,4 @@
-"""Files below a folder, or inside a ZIP file, seen without following any link."""
+"""List and read files below a folder, or inside a ZIP file, without following any link."""
 
 import hashlib
 import os
@@ -19,7 +19,7 @@ BLOCK = 2**18
 
 @dataclass
 class Listing:
-    """What stands below a folder: sizes of regular files, targets of links, other things, what cannot be read."""
+    """Contents of a folder: sizes of regular files, targets of links, other entries, unreadable entries."""
 
     files: dict[str, int] = field(default_factory=dict)
     links: dict[str, str] = field(default_factory=dict)

@@ -40,7 +40,7 @@ ENTRIES = {
     "files": dict,
     "diagnostics": dict,
 }
-"""What every manifest holds."""
+"""Entries of every manifest, with their types."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ def _files(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 class ArtifactWriter:
-    """Writes one artifact in a temporary folder beside its final place; `finish` makes it appear whole.
+    """Write one artifact in a temporary folder beside its final place; `finish` makes it appear whole.
 
     Left without `finish` (an exception, a kill), nothing appears and an earlier artifact in its place is untouched.
     """

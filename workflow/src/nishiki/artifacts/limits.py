@@ -73,7 +73,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class LimitCheck:
-    """One figure of a result beside its limit. allowed: beyond it, and told to pass."""
+    """One figure of a result beside its limit. allowed: beyond it, and listed in the setting `allow`."""
 
     limit: Limit
     value: float

@@ -31,7 +31,7 @@ STORE = "maps.zarr"
 
 
 class MapWriter:
-    """Writes the maps of one artifact."""
+    """Write the maps of one artifact."""
 
     def __init__(
         self,

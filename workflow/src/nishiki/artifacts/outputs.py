@@ -1,4 +1,4 @@
-"""Declare what a stage writes: the arrays of its `maps.zarr`."""
+"""Declare the outputs of a stage: the arrays of its `maps.zarr`."""
 
 import re
 from collections.abc import Iterable

@@ -35,7 +35,7 @@ from nishiki.errors import UserError
 from nishiki.installation import SCRIPTS, SOURCE, cache_folder
 
 MOST = 5000
-"""Entries that are kept at most; more are those of edited files, and none is kept then but the present ones."""
+"""Most entries that are kept; beyond it only those of the present files are kept."""
 
 
 class Syntax(NamedTuple):
@@ -76,7 +76,7 @@ def _imported(tree: ast.Module) -> set[str]:
 
 
 class _Store:
-    """Syntaxes by the digest of the file, as they were kept, and those of this process."""
+    """Cache of syntaxes by the digest of the file."""
 
     def __init__(self, path: Path | None):
         self.path = path

@@ -100,7 +100,7 @@ NAMELESS = "scene"
 
 @dataclass(frozen=True)
 class Context:
-    """What a stage's function is given.
+    """Argument of a stage's function: settings, inputs, output and place in the run.
 
     inputs: artifacts by stage; one that stands for other stages is there under their names, too. fields: artifacts of
     the scenes of a mosaic's fields, by field and stage.

@@ -1,4 +1,4 @@
-"""Commands that measure what captures need: each leaves a folder with figures, tables and a page."""
+"""Commands that calibrate lamps, cameras and devices: each writes a folder with figures, tables and a page."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The form of every command, the options that several commands share, and the completion of scene names."""
+"""Declare commands, the options that several of them share, and the completion of scene names."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path

@@ -28,7 +28,7 @@ LOOKS_ONLY = {
     *("--list-untracked", "--lc", "--list-changes", "--li", "--list-input-changes", "--lp", "--list-params-changes"),
     *("-h", "--help", "-v", "--version", "--unlock"),
 }
-"""Options with which Snakemake runs nothing."""
+"""Options with which Snakemake prints or plans but runs no job."""
 HOW_ONLY = {
     *("-k", "--keep-going", "-p", "--printshellcmds", "-q", "--quiet", "--verbose", "--show-failed-logs", "--nocolor"),
     *("--rerun-incomplete", "--ri", "-j", "--jobs", "-T", "--retries", "-w", "--latency-wait", "--local-cores"),

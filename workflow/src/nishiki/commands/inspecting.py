@@ -1,4 +1,4 @@
-"""Commands that look and change nothing: plan, explain, schema; and the state of a stage."""
+"""Commands that change nothing: plan, explain, schema; and the state of a stage."""
 
 import json
 from functools import cache

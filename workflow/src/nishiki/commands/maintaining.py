@@ -1,4 +1,4 @@
-"""Commands that keep the installation: installing, tests, compiled kernels, completion in the shell."""
+"""Commands for the installation: install, test, compile, completion."""
 
 import os
 import shutil
@@ -21,7 +21,7 @@ render: {sequences: [{name: moving-light, frames: 2, columns: 48}]}
 object_render: {views: 4, between: 1, film: {frames_per_step: 1, columns: 48, supersampling: 1}}
 cloth_render: {view: {rows: 48, columns: 48}, supersampling: 1}
 """
-"""Configuration of runs of which only the compiled kernels are wanted."""
+"""Configuration of runs that only compile kernels."""
 
 
 @command("install", "install --extras rig export", "install --all")

@@ -175,7 +175,7 @@ PAGE = "index.html"
 NOTES = "annotations.json"
 VIEWERS = ("viewer/index.html", "object_viewer/index.html", "cloth_viewer/index.html")
 OPENED_FIRST = (*VIEWERS, "report.html")
-"""What is opened of a scene: the first that is there, in its folder `current`."""
+"""Pages of a scene in its folder `current`; the first that exists is opened."""
 
 
 @command("view", "view altarpiece", "view altarpiece --beside icon", "view --serve 8000")

@@ -26,7 +26,7 @@ from nishiki.errors import UserError
 from nishiki.installation import INSTALLED, PROFILES, PROJECT, SCRIPTS
 
 NAMED = 20
-"""Scenes that are told by name: unfinished ones, failed ones."""
+"""Most unfinished or failed scenes that are printed by name."""
 
 
 @command(
@@ -258,7 +258,7 @@ DEMOS = {
     "satin": ("satin", "config/cloth.yaml", "a simulated satin, 5,940 photographs: three minutes of processor time"),
     "rig": ("painting", "config/painting_by_rig.yaml", "a simulated dome and painting: 40 seconds of processor time"),
 }
-"""Preset of the simulator, configuration, and what is told beforehand; times with compiled kernels."""
+"""Preset of the simulator, configuration, and the text printed beforehand; times with compiled kernels."""
 
 
 @command("demo", "demo --object", "demo --cloth", passed_on=True)

@@ -1,4 +1,4 @@
-"""Which runs are alive on some results: never two of one scene, and recovery after a run that was killed.
+"""Register runs on results, so that no two make one scene at a time, and recover after a killed run.
 
 Every run keeps a record in `<results>/.runs/` under an exclusive flock(2), which its Snakemake inherits: the kernel
 gives the lock free when both have ended, however they ended. So a record whose lock can be taken, and that was written
@@ -29,7 +29,7 @@ RUNS = ".runs"
 MARK = "NISHIKI_RUN"
 """Environment variable that all processes of a run carry."""
 UNFINISHED = "unfinished"
-"""Entry of a run's record: scenes that its Snakemake is to look at; all, where there is none."""
+"""Entry of a run's record: scenes that its Snakemake makes; all, where the entry is missing."""
 PATIENCE_S = 2.0
 """Time that an interrupted run's jobs have to end in order."""
 LARGEST = 2**24
@@ -38,7 +38,7 @@ LARGEST = 2**24
 
 @dataclass(frozen=True)
 class Record:
-    """A run as it registered itself, and what has become of it.
+    """The record of a run, and its state.
 
     alive; dead: killed, which is certain; ended: by itself, without success; elsewhere: cannot be told from here.
     """

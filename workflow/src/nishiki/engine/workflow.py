@@ -35,7 +35,7 @@ from nishiki.stages.table import CHAIN
 from nishiki.threads import threads
 
 SHARE_OF_MEMORY = 0.9
-"""Of the machine's memory, for stages; the rest is the system's and the workflow's."""
+"""Share of the machine's memory for stages; the rest is for the system and the workflow."""
 
 
 def memory_arguments() -> list[str]:
@@ -61,7 +61,7 @@ def thread_arguments(cores: str | None, scenes: Iterable[Iterable[Path]]) -> lis
 SHORT_SECONDS = 120
 """Jobs that are expected to take less than this share one job of a cluster with their neighbours."""
 TIME_MARGIN = 4
-"""Time limit over expected time."""
+"""Ratio of a job's time limit to its expected time."""
 PART_SECONDS, MOST_PARTS = 900, 64
 """scatter: auto makes parts that take about this time, and at most so many."""
 PARTS = ".parts"
@@ -146,7 +146,7 @@ class Scheduling:
 
 
 LEAVE_OUT = "NISHIKI_LEAVE_OUT_REFUSED"
-"""Environment variable: Snakemake leaves out scenes that cannot be planned, which the command line has told."""
+"""Environment variable: Snakemake leaves out scenes that cannot be planned; the command line has named them."""
 
 
 class Plans(Mapping):
@@ -190,7 +190,7 @@ class Plans(Mapping):
 
 
 class Workflow(Scheduling):
-    """All plans of a configuration, and what follows from them for the rules."""
+    """All plans of a configuration, and the paths, inputs and parameters of the rules."""
 
     def __init__(
         self,
