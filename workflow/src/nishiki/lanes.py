@@ -1,7 +1,7 @@
-"""Numbers of LANES neighbouring pixels as one value of compiled code: it reads as that of one pixel.
+"""Hold LANES neighbouring pixels as one value in compiled code, which reads like code for one pixel.
 
-Of a loop over pixels the compiler makes vector code that keeps the sums of a block in memory, where each addition is
-bound by loading and storing; and it splits vectors of 512 bits in two. A value of type `Lanes` is one vector register
+From a loop over pixels the compiler makes vector code that keeps the sums of a block in memory, where loading and
+storing bound each addition; and it splits vectors of 512 bits in two. A value of type `Lanes` is one vector register
 (several of a narrower processor), so that a loop over the lights adds up in registers:
 
     total = splat(zero)

@@ -175,7 +175,9 @@ def is_inside(name: str) -> bool:
 
 def _expect_inside(name: str) -> str:
     if not is_inside(name):
-        raise UserError(f"{name!r}: expected a file name inside an artifact. Remedy: rename what it is called by.")
+        raise UserError(
+            f"file name {name!r} would leave its artifact. Remedy: rename the light, view or region it comes from"
+        )
     return name
 
 

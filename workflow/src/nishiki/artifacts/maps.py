@@ -214,7 +214,9 @@ class TiledStage:
             write_tally(context.output.folder, tallies[0])
             return {"part": str(context.part)}
         if any(tally["same"] != tallies[0]["same"] for tally in tallies):
-            raise UserError("parts differ in what all must have in common. Remedy: the same installation on all nodes")
+            raise UserError(
+                "the parts of this stage disagree. Remedy: use the same installation on all nodes, and run again"
+            )
         return self.merge(context, tallies)
 
 
@@ -268,4 +270,6 @@ def join(parts: Sequence[Artifact], folder: Path) -> None:
                 except OSError:  # another file system, or one without hard links
                     shutil.copyfile(part.path(name), target)
             elif file_digest(target) != file_digest(part.path(name)):
-                raise UserError(f"{part.path(name)}: another part has another. Remedy: delete the parts and run again")
+                raise UserError(
+                    f"{part.path(name)}: differs between two parts of the stage. Remedy: delete them and run again"
+                )
