@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from nishiki.brdf.texels.model import Lighting
+from nishiki.brdf.texels.environment import Sample, place_lamp
+from nishiki.brdf.texels.model import Lighting, predict
 from nishiki.brdf.texels.object_fit import fit_object
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
 from nishiki.brdf.texels.texel_fit import Capture, Tile, lambert
@@ -243,3 +244,27 @@ def test_radiometric_scale_does_not_matter(scale):
     for n in tiles:
         np.testing.assert_allclose(two[n].kd / scale, one[n].kd, atol=1e-5)
         np.testing.assert_allclose(two[n].sigma, one[n].sigma, rtol=1e-4)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.4, -0.1), (-0.3, 0.25)])
+@pytest.mark.parametrize("encoding", ["linear", "srgb"])
+def test_a_lamp_beside_the_camera_is_found_by_shading_and_gloss(place, encoding):
+    """Within a fortieth of the camera's distance, with cast shadows and noise; a lamp at the camera stays there."""
+    rng, cameras = np.random.default_rng(5), ring()
+    normals = rng.normal(size=(1500, 3)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    kd = rng.uniform(0.1, 0.8, (1500, 3)).astype(np.float32)
+    lighting = Lighting("position", ((place[0] * DISTANCE / 4, place[1] * DISTANCE / 4, 0.0),))
+    values, visible = np.zeros((1500, len(cameras), 3), np.float32), np.zeros((1500, len(cameras)), bool)
+    for k, camera in enumerate(cameras):
+        lamp = lighting.lamp(camera)
+        parts = predict(kd, np.full_like(kd, 0.2), np.full(1500, 0.12), normals, normals, camera.centre, lamp)
+        values[:, k] = sum(parts)
+        visible[:, k] = (normals * (camera.centre - normals)).sum(axis=1) > 0.2 * DISTANCE
+    values[rng.random(visible.shape) < 0.03] = 0
+    values += rng.normal(0, 0.005, values.shape).astype(np.float32)
+    sample = Sample(normals, normals, values, visible)
+    found = place_lamp(sample, cameras, np.arange(len(cameras)), encoding)
+    if not any(place):
+        assert found == (0.0, 0.0, 0.0)
+    assert np.abs(np.array(found) - lighting.vectors[0]).max() < DISTANCE / 40

@@ -67,7 +67,7 @@ OBJECT_LIMITS = (
 )
 
 
-class ObjectBrdfSettings(Guarded, stage="object_brdf", version=2, limits=OBJECT_LIMITS):
+class ObjectBrdfSettings(Guarded, stage="object_brdf", version=3, limits=OBJECT_LIMITS):
     """Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
 
     width: Literal["smooth", "texel", "object"] = Field(
@@ -77,8 +77,9 @@ class ObjectBrdfSettings(Guarded, stage="object_brdf", version=2, limits=OBJECT_
     )
     lighting: Literal["auto", "camera", "fitted"] = Field(
         "auto",
-        description="auto: the capture's lamps, fitted where it states none; camera: a lamp at the camera; fitted: an "
-        "irradiance over the normal whatever the capture states",
+        description="auto: the capture's lamps, fitted where it states none; one stated at the camera is placed beside "
+        "it where shading and gloss say so; camera: a lamp at the camera; fitted: an irradiance over the normal "
+        "whatever the capture states",
     )
     components: Literal["auto", "apart", "total"] = Field(
         "auto",

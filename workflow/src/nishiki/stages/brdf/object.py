@@ -28,7 +28,10 @@ def run(context: Context) -> dict:
     lighting, cameras, light_of = lamps(texels, views, settings.lighting)
     numbers = list(range(texels.tiles))
     sample = sample_texels(read, numbers)
-    lighting, settled = settle(lighting, sample, cameras, light_of, falloff=settings.falloff, encoding=texels.encoding)
+    lighting, settled = settle(
+        lighting, sample, cameras, light_of, falloff=settings.falloff, encoding=texels.encoding,
+        beside=settings.lighting == "auto",
+    )  # fmt: skip
     capture = Capture(
         np.array([camera.centre for camera in cameras]),
         [lighting.lamp(camera, int(light)) for camera, light in zip(cameras, light_of, strict=True)],
