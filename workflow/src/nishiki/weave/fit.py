@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.weave.intervals import Identifiability, identify, noise_variance, profile_intervals
+from nishiki.weave.intervals import Identifiability, identify, profile_intervals
 from nishiki.weave.model import PAPER, SHADED, SIZE, columns, plane_rows, shape_of
 from nishiki.weave.search import UNKNOWNS, Problem, at_bounds, search
 from nishiki.weave.section import HALF_PI, WarpSection, WeftSection
@@ -193,7 +193,7 @@ def fit_weave(
         fits.append((problem, *search(problem, start)))
     problem, p, cost = min(fits, key=lambda each: each[2])
     model = model_of(p, weft, warp, reading)
-    variance = noise_variance(problem, cost)
+    variance = cost / problem.freedom
     ranges = profile_intervals(problem, p, cost, confidence=confidence, variance=variance) if confidence else {}
     rms_rel = {}
     for name, plane in (("weft", weft), ("warp", warp)):
@@ -224,7 +224,6 @@ def _problem(weft: Plane, warp: Plane, reading: int, contact, harness, index) ->
         split=weft.theta_r.size,
         y=np.concatenate([weft.mean, warp.mean]),
         weight=1.0 / np.concatenate([weft.sigma, warp.sigma]),
-        shared=True,
         reading=reading,
         free=np.flatnonzero(searched),
     )

@@ -10,13 +10,6 @@ from nishiki.weave.search import Problem, bounds, cell_of, clipped, descend, in_
 ROUNDS, WIDENINGS, HALVINGS = 25, 16, 7
 
 
-def noise_variance(problem: Problem, cost: float, *, known: bool = False) -> float:
-    """Variance of the weighted residuals: that of the fit, not below 1 where the noise is known."""
-    strengths = 2 if problem.shared else 4
-    freedom = max(problem.y.size - problem.free.size - strengths, 1)
-    return max(cost / freedom, 1.0) if known else cost / freedom
-
-
 def profile_intervals(problem: Problem, p, cost: float, *, confidence: float, variance: float) -> dict:
     """Compute the interval (low, high) of every reported unknown by its name.
 
@@ -51,8 +44,7 @@ def profile_interval(problem: Problem, p, cost: float, at: int, *, confidence: f
     """
     from scipy.stats import f
 
-    freedom = max(problem.y.size - problem.free.size - 2, 1)
-    allowed = cost + variance * float(f.ppf(confidence, 1, freedom))
+    allowed = cost + variance * float(f.ppf(confidence, 1, problem.freedom))
     low, high = bounds()
     rest = np.ascontiguousarray(problem.free[problem.free != at])
     edges = [problem.edges(plane) for plane in (0, 1)]

@@ -35,7 +35,7 @@ def strengths(a: np.ndarray, b: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, 
 
 def residuals(points: np.ndarray, data) -> np.ndarray:
     """(points, n) = weight (model - y) at every row of points (points, UNKNOWNS); data: of a `Problem`."""
-    rows, split, y, weight, shared, reading = data
+    rows, y, weight, reading = data
     out = np.empty((len(points), len(y)))
     for some in strips(len(points)):
         p, here = points[some], out[some]
@@ -43,10 +43,8 @@ def residuals(points: np.ndarray, data) -> np.ndarray:
         widths = np.exp(p[:, [3, SIZE + 3]]).T[:, :, None]
         work = columns(weft, warp, widths, rows, f0=np.exp(p[:, 2 * SIZE :]), reading=reading)
         a, b = np.moveaxis(work * weight[:, None], -1, 0)
-        for part in (slice(None),) if shared else (slice(0, split), slice(split, None)):
-            target = weight[part] * y[part]
-            gloss, body = strengths(a[:, part], b[:, part], target)
-            here[:, part] = gloss[:, None] * a[:, part] + body[:, None] * b[:, part] - target
+        gloss, body = strengths(a, b, weight * y)
+        here[:] = gloss[:, None] * a + body[:, None] * b - weight * y
     return out
 
 
@@ -60,7 +58,7 @@ def jacobian(points, low, high, free, data) -> tuple[np.ndarray, np.ndarray, np.
 
     Steps stay within the bounds low, high (k, UNKNOWNS).
     """
-    step, (count, n) = 1e-6 * np.maximum(high - low, 1e-9), (len(free), len(data[2]))
+    step, (count, n) = 1e-6 * np.maximum(high - low, 1e-9), (len(free), len(data[1]))
     up, down = np.minimum(points + step, high)[:, free], np.maximum(points - step, low)[:, free]
     around = np.tile(points[:, None], (1, 2 * count + 1, 1))
     around[:, np.arange(count), free], around[:, np.arange(count, 2 * count), free] = up, down
@@ -122,7 +120,7 @@ def descend(points, low, high, free, data, rounds: int, tolerance: float) -> tup
             damping[mine] = np.where(better, np.maximum(ladder[first] * 0.2, 1e-12), ladder[:, -1] * 4.0)
             trying, factors = trying[~better & (damping[mine] < 1e10)], LADDER
         sums[going] = cost - gained
-        going = going[(gained > tolerance * cost) & (sums[going] >= 1e-30 * len(data[2]))]
+        going = going[(gained > tolerance * cost) & (sums[going] >= 1e-30 * len(data[1]))]
         if not last or not len(going):
             break
         here, slopes, sums[going] = jacobian(points[going], low[going], high[going], free, data)
@@ -144,20 +142,24 @@ ROUNDS, TOLERANCE, RETURNS = 60, 1e-10, 3
 
 @dataclass(frozen=True)
 class Problem:
-    """Hold reflectances in both planes, weft first. shared: one pair of strengths. free: unknowns that are searched."""
+    """Hold reflectances in both planes, weft first. free: unknowns that are searched."""
 
     rows: np.ndarray
     split: int
     y: np.ndarray
     weight: np.ndarray
-    shared: bool
     reading: int
     free: np.ndarray
 
     @property
-    def data(self) -> tuple[np.ndarray, int, np.ndarray, np.ndarray, bool, int]:
+    def data(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
         """What the functions of the search take."""
-        return self.rows, self.split, self.y, self.weight, self.shared, self.reading
+        return self.rows, self.y, self.weight, self.reading
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom: values less unknowns, gloss and body among them, at least 1."""
+        return max(self.y.size - self.free.size - 2, 1)
 
     def only(self, plane: int) -> "Problem":
         """One plane's data and unknowns."""
