@@ -11,7 +11,7 @@ from nishiki.brdf.cloth.interface import hemisphere
 from nishiki.brdf.cloth.models import BEST, fit_models, left_out_error
 from nishiki.brdf.cloth.store import load_brdf, save_brdf
 from nishiki.brdf.cloth.yarn_facets import beckmann_shadow, facet_reflection
-from nishiki.brdf.cloth.yarn_fit import Measured
+from nishiki.brdf.cloth.yarn_fit import Measured, refit_facets
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import unit
 from nishiki.lanes import LANES, store
@@ -138,7 +138,7 @@ def test_yarns_touch_where_they_cross(binding):
 @pytest.mark.parametrize("binding", [PLAIN, TWILL, SATIN])
 def test_what_is_seen_fills_the_view_from_everywhere(binding, theta_deg):
     """The visible surface, projected towards any direction, covers the cloth's own projection exactly once."""
-    points, _ = yarns(binding, soft=np.log(0.01)).points((40, 30))
+    points, _ = yarns(binding).points(1200)
     for phi_deg in (0, 40, 90):
         towards = unit(np.radians(theta_deg), np.radians(phi_deg))
         cosine = towards @ points[:3]
@@ -212,6 +212,38 @@ def test_woven_light_is_predicted_better_by_its_yarns_than_by_facets():
         fit_models(measured, basic, ["yarns"])
 
 
+def test_oblique_images_refine_the_facets_of_yarns_and_are_ignored_where_they_contradict_each_other():
+    truth = yarns(TWILL)
+    wrong = replace(truth, rough=truth.rough * [[0.8, 1.3], [1.3, 0.8]], tail=0.9)
+    start = InterlacedYarns(wrong, np.array([0.04]), np.array([0.0]), np.ones((2, 8)))
+    measured = measured_of(truth)
+    oblique = np.flatnonzero(~measured.normal)
+    images, judged = oblique[::4], oblique[1::4]
+    chosen = measured.take(np.concatenate([np.flatnonzero(measured.normal), images]))
+    rest = measured.take(judged)
+
+    def error(brdf):
+        return np.linalg.norm(brdf.evaluate(rest.incident, rest.outgoing) - rest.values)
+
+    refined = refit_facets(start, chosen)
+    assert error(refined) < 0.5 * error(start)
+    np.testing.assert_array_equal(refined.shape.form.half_width, start.shape.form.half_width)
+    right = InterlacedYarns(truth, np.array([0.05]), np.array([0.0]), np.ones((2, 8)))
+    noisy = replace(chosen, values=chosen.values.copy())
+    signs = np.random.default_rng(5).permutation(np.arange(len(images)) % 2 * 2 - 1)
+    noisy.values[~noisy.normal] *= 1 + 0.4 * signs[:, None]
+    assert refit_facets(right, noisy) is right
+    assert refit_facets(right, measured.take(np.flatnonzero(measured.normal))) is right
+
+
+def test_few_points_reflect_as_many_do():
+    i, o = unit(np.radians([0.0, 45, 75, 75]), np.radians([0.0, 0, 0, 90])), unit(np.radians(50.0), np.radians(200.0))
+    for binding in (PLAIN, SATIN):
+        weave = yarns(binding)
+        few, many = (weave.parts(i, np.tile(o, (4, 1)), weave.points(density)) for density in (COARSE, 3000))
+        np.testing.assert_allclose(few.sum(axis=1), many.sum(axis=1), rtol=0.1)
+
+
 def test_spread_samples_lie_far_from_each_other_and_from_mirror_images():
     theta, phi = np.meshgrid(np.radians(np.arange(5, 86, 10)), np.radians(np.arange(0, 360, 15)))
     views = unit(theta.ravel(), phi.ravel())
@@ -222,7 +254,7 @@ def test_spread_samples_lie_far_from_each_other_and_from_mirror_images():
 
 def truth_of(weave, views, body=0.05):
     flat = np.ascontiguousarray(views.reshape(-1, 3))
-    terms = weave.parts(np.tile([0, 0, 1.0], (len(flat), 1)), flat, weave.points((24, 16)))
+    terms = weave.parts(np.tile([0, 0, 1.0], (len(flat), 1)), flat, weave.points(400))
     return (terms[:, :1] + terms[:, 2:3] + body * (terms[:, 1:2] + terms[:, 3:])).reshape(*views.shape[:-1], 1)
 
 
@@ -235,7 +267,7 @@ def measured_of(weave, *, body=0.05, normal_only=False):
         aside = unit(theta.ravel(), phi.ravel())
         for lamp in unit(np.radians([30.0, 60.0]), np.radians([0.0, 90.0])):
             views, light = np.concatenate([views, aside]), np.concatenate([light, np.tile(lamp, (len(aside), 1))])
-    terms = weave.parts(light, views, weave.points((24, 16)))
+    terms = weave.parts(light, views, weave.points(400))
     values = terms[:, :1] + terms[:, 2:3] + body * (terms[:, 1:2] + terms[:, 3:])
     return Measured(light, views, values, light[:, 2] > 0.9999, True)
 

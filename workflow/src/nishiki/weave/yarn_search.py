@@ -11,13 +11,12 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from nishiki.brdf.cloth.yarn_fit import Measured, normal_weights, refuse_black, solve_linear
+from nishiki.brdf.cloth.yarn_fit import EVEN, FACETS, Measured, normal_weights, refuse_black, solve_linear
 from nishiki.errors import UserError
 from nishiki.weave.yarn_weave import (
     COARSE,
     PLAIN,
-    POINTS_ACROSS,
-    POINTS_ALONG,
+    POINTS,
     Binding,
     InterlacedYarns,
     YarnWeave,
@@ -30,20 +29,19 @@ from nishiki.weave.yarn_weave import (
 # filaments as in `brdf.cloth.yarn_facets`.
 NAMES = (
     "spacing_ratio", "fill_warp", "fill_weft", "aspect_warp", "aspect_weft", "crimp", "bend", "arch", "upright",
-    "rough_along_warp", "rough_across_warp", "rough_along_weft", "rough_across_weft", "gain", "soft", "tail",
+    "rough_along_warp", "rough_across_warp", "rough_along_weft", "rough_across_weft", "gain", "tail",
 )  # fmt: skip
 CENTRE = np.array([
     np.log(1.2), 2.9, 2.2, np.log(0.55), np.log(0.55), -0.4, np.log(0.6), 0.0, 1.1, np.log(0.12), np.log(0.28),
-    np.log(0.12), np.log(0.28), 0.0, np.log(0.1), 0.0,
+    np.log(0.12), np.log(0.28), 0.0, 0.0,
 ])  # fmt: skip
-SPREAD = np.array([0.25, 0.7, 0.7, 0.4, 0.4, 0.7, 0.2, 0.01, 1.5, 0.5, 0.35, 0.5, 0.35, 0.07, 0.8, 2.5])
-LOGITS, ARCH = (1, 2, 5, 8, 15), 7
+SPREAD = np.array([0.25, 0.7, 0.7, 0.4, 0.4, 0.7, 0.2, 0.01, 1.5, *FACETS])
+LOGITS, ARCH = (1, 2, 5, 8, 14), 7
 GEOMETRY = 9  # the first ones, which the surface depends on
 COUNTED = 0.02  # relative error of a ratio of spacings from counted threads
 STEP = 0.03  # of the differences, in prior standard deviations: the horizons are smooth no finer
 GAIN = 1e-3  # of the cost, below which a fit ends
 REACH = 4.0  # prior standard deviations to either side that are searched
-LAMBERT = 0.05  # standard deviation about 0 of the albedo of light that has passed through yarns
 USUAL = {  # woven most: plain, twills of three and four, satins of five and eight, either side up
     PLAIN, *(Binding(*one) for one in ((2, 1), (1, 2), (3, 1), (1, 3), (2, 2))),
     *(Binding(*one) for one in ((4, 1, 2), (1, 4, 2), (7, 1, 3), (1, 7, 3))),
@@ -123,8 +121,7 @@ def weave_of(x: np.ndarray, binding: Binding) -> YarnWeave:
         upright=float(share[8]),
         rough=e[9:13].reshape(2, 2),
         gain=float(e[13]),
-        soft=float(e[14]),
-        tail=float(share[15]),
+        tail=float(share[14]),
     )
 
 
@@ -135,7 +132,7 @@ def prior_of(binding: Binding, spacing_ratio: float | None) -> tuple[np.ndarray,
     """
     centre, spread = CENTRE.copy(), SPREAD.copy()
     if binding.under > binding.over:
-        centre = CENTRE[[0, 2, 1, 4, 3, 5, 6, 7, 8, 11, 12, 9, 10, 13, 14, 15]]
+        centre = CENTRE[[0, 2, 1, 4, 3, 5, 6, 7, 8, 11, 12, 9, 10, 13, 14]]
         centre[[0, 5]] *= -1
     if spacing_ratio is not None:
         centre[0], spread[0] = np.log(spacing_ratio), COUNTED
@@ -183,13 +180,13 @@ def fit_binding(
     *,
     spacing_ratio: float | None = None,
     start=None,
-    density=(POINTS_ACROSS, POINTS_ALONG),
+    density=POINTS,
     evaluations=10,
 ) -> YarnFit:
     """Fit yarns of this binding to the samples; the linear parts are eliminated at every step."""
     from scipy.optimize import least_squares
 
-    limits, channels = np.array([np.inf, LAMBERT]), samples.values.shape[1]
+    limits, channels = np.array([np.inf, EVEN]), samples.values.shape[1]
     lambert, needed = np.full(len(samples.weight), 1 / np.pi), horizons_of(samples.incident, samples.outgoing)
 
     @lru_cache(maxsize=2)

@@ -264,9 +264,10 @@ def weave_sums(incident, outgoing, surface, facets, soft, out):
             out[k, 2 * family + 1] = scale * add_up(body, scratch) / math.pi
 
 
-POINTS_ACROSS, POINTS_ALONG = 16, 8  # points over a warp yarn's column, and from weft yarn to weft yarn
-COARSE = (10, 6)
-GAP = 2  # places on a gap between yarns
+POINTS, COARSE = 180, 96  # places where a warp yarn crosses a weft yarn
+GOLDEN = 0.5 * (5**0.5 - 1)  # their step across the warp yarn: so they lie evenly however many they are
+GAP = 0.12  # share of places, of either system, that lie on the gaps between yarns
+SOFT = 0.05  # radians over which a horizon lets through: enough for smooth sums, and grazing light is not lost
 TABLE = (24, 20)  # heights over a column, and from weft yarn to weft yarn
 INDEX = 1.54  # of refraction
 
@@ -328,16 +329,15 @@ def bindings(weave: str = "unknown", most: int = 8, harness: int | None = None) 
     return sorted(every, key=lambda one: one.harness)
 
 
-def _over_a_yarn(half_width: float, spacing: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Place samples over one spacing, its yarn in the middle; return places and their shares.
+def _over_a_yarn(share: np.ndarray, half_width: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Place shares (n,) of 0 to 1 over one spacing; return the places and the spacing's share at each of them.
 
-    `count` lie on the yarn, denser towards its sides, and GAP on the gap beside it.
+    They lie on the yarn in the middle, denser towards its sides, and on the gap beside it.
     """
-    turn = (np.arange(count) + 0.5) / count * np.pi - 0.5 * np.pi
-    on, share = half_width * np.sin(turn), np.cos(turn) / np.cos(turn).sum() * 2 * half_width / spacing
-    gap = spacing - 2 * half_width
-    beside = half_width + (np.arange(GAP) + 0.5) / GAP * gap
-    return np.concatenate([on, beside]), np.concatenate([share, np.full(GAP, gap / GAP / spacing)])
+    turn, gap = np.pi * (share / (1 - GAP) - 0.5), spacing - 2 * half_width
+    on, beside = share < 1 - GAP, half_width + (share - 1 + GAP) / GAP * gap
+    density = np.where(on, np.pi * half_width * np.cos(turn) / (1 - GAP), gap / GAP) / spacing
+    return np.where(on, half_width * np.sin(turn), beside), density
 
 
 def _middles(crossed: np.ndarray) -> np.ndarray:
@@ -367,8 +367,8 @@ class YarnWeave:
     rough: np.ndarray  # (2, 2): roughness of warp and weft along and across the fibres
     tail: float  # share of GGX's long tails in the facets' distribution
     gain: float  # of the gloss
-    soft: float  # radians, scatter of the horizons, for yarns differ
     index: float = INDEX
+    soft: float = SOFT
     upright: float = 1.0  # 1: a section stands across the yarn's way, 0: across the cloth, for its fibres slide
 
     def as_arrays(self) -> dict[str, np.ndarray]:
@@ -401,19 +401,18 @@ class YarnWeave:
             self.binding.step, self.binding.together,
         )  # fmt: skip
 
-    def points(self, density: tuple[int, int] = (POINTS_ACROSS, POINTS_ALONG), needed: np.ndarray = EVERY):
+    def points(self, density: int = POINTS, needed: np.ndarray = EVERY):
         """Compute points of the columns that stand for the cloth and their horizons, in lanes; see `in_lanes`.
 
-        needed: (AZIMUTHS,) horizons to be computed, see `horizons_of`; the others are level.
+        density: places where two yarns cross; needed: (AZIMUTHS,) horizons to be computed, see `horizons_of`; the
+        others are level.
         """
-        across, along = density
         q, harness, together, form = self.spacing_ratio, self.binding.harness, self.binding.together, self.form
-        x, wide = _over_a_yarn(form.half_width[0], 1.0, across)
-        x, wide = (x + np.arange(together)[:, None]).ravel(), np.tile(wide, together) / together
-        y, long = _over_a_yarn(form.half_width[1], q, along)
-        y = (y + q * np.arange(harness)[:, None]).ravel()
-        xx, yy = np.meshgrid(x, y, indexing="ij")
-        places = np.stack([xx.ravel(), yy.ravel(), np.outer(wide, np.tile(long, harness) / harness).ravel()], axis=1)
+        number = np.arange(density * harness * together)
+        along, across = (number + 0.5) / density / together, number * GOLDEN % 1.0 * together
+        x, wide = _over_a_yarn(across % 1.0, form.half_width[0], 1.0)
+        y, long = _over_a_yarn(along % 1.0, form.half_width[1], q)
+        places = np.stack([x + np.floor(across), y + q * np.floor(along), wide * long / number.size], axis=1)
         rows, columns = together * TABLE[0], harness * TABLE[1]
         x = (np.arange(rows) + 0.5) / rows * together - 0.5
         y = np.arange(columns) / columns * form.up.shape[0] * form.ratio
@@ -445,7 +444,7 @@ class YarnWeave:
 
         Also the weft's share of the surface visible from above.
         """
-        points, split = self.points((3 * POINTS_ACROSS, 4 * POINTS_ALONG), ~EVERY)
+        points, split = self.points(10 * POINTS, ~EVERY)
         weight = points[WEIGHT] * points[2]
         weight /= weight.sum()
         out = {}
@@ -460,15 +459,16 @@ class YarnWeave:
 
 @dataclass(frozen=True)
 class InterlacedYarns(YarnFacets):
-    """Reflect light as interlaced yarns do, with what lies within the fibres, corrected as the facets on yarns are."""
+    """Reflect light as interlaced yarns do, with what lies within the fibres."""
 
     KIND: ClassVar[str] = "yarns"
     SHAPE: ClassVar[Any] = YarnWeave
     shape: YarnWeave
 
     @cached_property
-    def _compiled(self):
+    def points(self):
+        """Points of `YarnWeave.points` that stand for the cloth."""
         return self.shape.points(COARSE)
 
     def _parts(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        return self.shape.parts(incident, outgoing, self._compiled)
+        return self.shape.parts(incident, outgoing, self.points)

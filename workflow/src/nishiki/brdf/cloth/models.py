@@ -16,6 +16,7 @@ from nishiki.brdf.cloth.yarn_fit import (
     fit_normal,
     fit_yarn_facets,
     match_measurements,
+    refit_facets,
 )
 from nishiki.errors import UserError
 
@@ -73,10 +74,10 @@ def fit_models(
                     "weave.yarns: true, or cloth_brdf.model: yarn_facets"
                 )
             weave, facts = yarns
-            brdf = match_measurements(weave, measured.take(np.concatenate([normal, chosen])), basic[0])
+            used = np.concatenate([normal, chosen])
+            brdf = refit_facets(weave, measured.take(used))
             facts = {**facts, "oblique": len(chosen), "body": brdf.body.tolist(), "lambert": brdf.lambert.tolist()}
-            alone = match_measurements(weave, measured.take(normal), basic[0])
-            out[name] = Fitted(brdf, np.concatenate([normal, chosen]), facts, alone)
+            out[name] = Fitted(brdf, used, facts, weave)
         else:
             out[name] = Fitted(PUBLISHED[name].of(basic[1]), normal)
     return out

@@ -20,7 +20,8 @@ before the images are taken.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +57,8 @@ class ShapeFit:
     misfit: float  # of the residuals alone
     evaluations: int
     at_bounds: tuple[int, ...] = ()  # parameters that ended `REACH` prior standard deviations away
+    # (n, channels) weighted residuals, each as if its measurement had not been fitted, by its leverage
+    left_out: np.ndarray = field(default_factory=lambda: np.empty((0, 1)))
 
 
 def solve_linear(fixed, columns, values, weight, limits) -> np.ndarray:
@@ -105,14 +108,17 @@ def fit_shape(
     first = np.clip(np.array(centre if start is None else start, float), low, high)
     solution = least_squares(residual, first, x_scale=spread, bounds=(low, high), diff_step=STEP, max_nfev=evaluations)
     rest, c = solved(solution.x)
+    information = solution.jac.T @ solution.jac
+    leverage = np.sum(solution.jac * np.linalg.solve(information, solution.jac.T).T, axis=1)[: rest.size]
     return ShapeFit(
         x=solution.x,
         coefficients=c,
-        information=solution.jac.T @ solution.jac,
+        information=information,
         cost=float(2 * solution.cost),
         misfit=float(np.sum(rest * rest)),
         evaluations=int(solution.nfev),
         at_bounds=tuple(np.flatnonzero(np.abs(solution.x - centre) >= 0.999 * REACH * spread).tolist()),
+        left_out=rest / (1 - leverage.reshape(rest.shape)),
     )
 
 
@@ -120,7 +126,10 @@ NORMAL = np.array([0.0, 0.0, 1.0])
 MISS = 0.06  # relative deviation that the model is expected to have at normal incidence
 WORTH = 40.0  # independent measurements that all views of normal incidence together stand for
 MISS_OBLIQUE = 0.12  # of a single oblique measurement
+MISS_AFTER = 0.24  # of one where the facets of yarns are fitted again
 LAMBERT = 0.003  # standard deviation of the Lambert term's albedo about 0
+EVEN = 0.05  # of that of interlaced yarns, which let light pass
+FACETS = np.array([0.5, 0.35, 0.5, 0.35, 0.07, 2.5])  # prior deviations of what `refit_facets` fits
 FEWEST = 8  # measurements along the normal
 TILTS, TURNS = 16, 72  # grid of the correction
 FLOOR = 0.05  # share of the whole below which a mirror reflection is not corrected
@@ -271,6 +280,39 @@ def match_measurements(brdf: YarnFacets, chosen: Measured, basic) -> YarnFacets:
     places = places_of(images.incident, images.outgoing)
     weights = fit_ratio(places, images.grey, modelled, chosen.quarter)
     return replace(brdf, images=places, image_weights=weights, quarter=chosen.quarter)
+
+
+def refit_facets(brdf: Any, chosen: Measured) -> Any:
+    """Fit roughness, tail, gain and albedos of interlaced yarns to oblique images as well; their geometry stays.
+
+    brdf: an `InterlacedYarns`; it is returned where the images, each left out in turn, are met no better. chosen: with
+    measurements of normal incidence.
+    """
+    shape, images = brdf.shape, ~chosen.normal
+    if not images.any():
+        return brdf
+    weight = np.empty(len(images))
+    weight[~images] = normal_weights(chosen.take(~images))
+    level = levels(brdf, chosen.incident[images])
+    weight[images] = single(chosen.grey[images], level, miss=MISS_AFTER)
+    lambert = np.full(len(images), 1 / np.pi)
+
+    def shape_at(x):
+        tail = float(1 / (1 + np.exp(-x[5])))
+        return replace(shape, rough=np.exp(x[:4]).reshape(2, 2), gain=float(np.exp(x[4])), tail=tail)
+
+    def parts(x):
+        terms = shape_at(x).parts(chosen.incident, chosen.outgoing, brdf.points)
+        return terms[:, 0] + terms[:, 2], np.stack([terms[:, 1] + terms[:, 3], lambert], axis=1)
+
+    centre = np.concatenate([np.log([*shape.rough.ravel(), shape.gain]), [np.log(shape.tail / (1 - shape.tail))]])
+    limits = np.array([np.inf, EVEN])
+    fit = fit_shape(parts, chosen.values, weight, centre=centre, spread=FACETS, limits=limits)
+    before = (brdf.evaluate(chosen.incident, chosen.outgoing) - chosen.values) * weight[:, None]
+    if np.sum(fit.left_out[images] ** 2) * before.shape[1] >= np.sum(before[images] ** 2):
+        return brdf
+    body, lambert_albedo = fit.coefficients.T
+    return replace(brdf, shape=shape_at(fit.x), body=body.copy(), lambert=lambert_albedo.copy())
 
 
 def brdf_of(fit: ShapeFit) -> YarnFacets:

@@ -28,7 +28,7 @@ LIMITS = (
 )
 
 
-class WeaveSettings(Guarded, stage="weave", version=7, limits=LIMITS):
+class WeaveSettings(Guarded, stage="weave", version=8, limits=LIMITS):
     """Cross-sections of a cloth from its reflectances in the planes of warp and weft."""
 
     yarns: bool = Field(
