@@ -19,13 +19,13 @@ from goniometer_captures import HEADING
 from refusals import refused
 from zarr.codecs import ZstdCodec
 
+from nishiki.capture.convert import recognise
 from nishiki.capture.folder import load_capture
 from nishiki.capture.frames import read_frames
 from nishiki.capture.goniometer_tables import read_table
 from nishiki.capture.layouts import natural_key
 from nishiki.capture.lights import read_lights
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.registry import recognise
 from nishiki.capture.seal import read_manifest
 from nishiki.engine.project import load_project
 from nishiki.errors import UserError

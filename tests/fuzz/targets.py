@@ -18,14 +18,13 @@ from fuzz.corpus import FOLDER, IMAGES, LIGHTS, MESHES, STORES, TABLES, YAML, co
 from fuzz.watch import paused
 
 from nishiki.artifacts.artifact import MANIFEST, open_artifact
-from nishiki.capture.colmap import read_transforms
+from nishiki.capture.convert import read_source
 from nishiki.capture.folder import check_settings, examine, read_intensities
 from nishiki.capture.frames import read_frames
 from nishiki.capture.goniometer_tables import read_table
 from nishiki.capture.lights import lights_from_vectors, read_lights
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.photogrammetry import read_bundler, read_meshroom, read_metashape
-from nishiki.capture.registry import read_source
+from nishiki.capture.photogrammetry import read_bundler, read_meshroom, read_metashape, read_transforms
 from nishiki.capture.relightable import SUFFIXES, open_relightable
 from nishiki.capture.rti_projects import read_relight
 from nishiki.capture.schema import read_mapping

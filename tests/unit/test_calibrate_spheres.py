@@ -13,10 +13,10 @@ from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.lights import read_lights
 from nishiki.capture.rti_projects import read_relight
-from nishiki.capture.spheres.findings import SphereInput
 from nishiki.capture.spheres.lamps import _centred
 from nishiki.capture.spheres.optics import SphereCamera, outline_points, pixel_of_direction, reflected_rays, sphere_of
 from nishiki.capture.spheres.outline import fit_outline
+from nishiki.capture.spheres.search import SphereInput
 from nishiki.errors import UserError
 
 

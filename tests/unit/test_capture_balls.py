@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from mirror_rays import Scene, dome
 
-from nishiki.capture import balls
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.spheres import measure
-from nishiki.capture.spheres.findings import SpheresError
+from nishiki.capture.spheres import measure as balls
 from nishiki.capture.spheres.optics import Highlight
+from nishiki.capture.spheres.search import SpheresError
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture

@@ -9,9 +9,9 @@ import pytest
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
-from nishiki.capture.colmap import read_colmap
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
+from nishiki.capture.registered import read_colmap
 from nishiki.formats.problems import CaptureError
 from nishiki.geometry.camera import Camera
 

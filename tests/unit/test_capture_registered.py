@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from turned_cameras import COLUMNS, ROWS, turn
 
-from nishiki.capture.convert import convert
+from nishiki.capture.convert import convert, read_source
 from nishiki.capture.folder import load_capture
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.registry import read_source
 from nishiki.formats.matlab import read_matlab
 from nishiki.formats.problems import CaptureError
 from nishiki.geometry.camera import Camera

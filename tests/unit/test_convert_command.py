@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from nishiki.capture.convert import LAYOUTS
 from nishiki.capture.folder import load_capture
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.registry import LAYOUTS
 from nishiki.cli import main
 
 LIGHTS = np.array([[0.6, 0, 0.8], [0, 0.6, 0.8], [-0.6, 0, 0.8], [0, -0.48, 0.8773], [0.1, 0.2, 0.9747]])

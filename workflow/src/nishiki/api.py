@@ -207,9 +207,9 @@ def find_lights(folder: str | Path, **options) -> dict[str, np.ndarray]:
     a2 (3,)
     a3 (3,)
     """
+    from nishiki.capture.convert import read_source
     from nishiki.capture.layouts import Layout
     from nishiki.capture.options import ConvertOptions
-    from nishiki.capture.registry import read_source
     from nishiki.capture.relightable import Rendering
 
     layout = read_source(Path(folder), ConvertOptions(**options))

@@ -7,9 +7,9 @@ import numpy as np
 
 from nishiki.calibrate.result import Calibration, finite
 from nishiki.capture.lights import read_lights
-from nishiki.capture.spheres.findings import Findings, SphereInput, SpheresError, draw_findings, draw_sphere
 from nishiki.capture.spheres.lamps import LampFit
 from nishiki.capture.spheres.measure import MeasuredSpheres, measure_spheres
+from nishiki.capture.spheres.search import Findings, SphereInput, SpheresError, draw_findings, draw_sphere
 from nishiki.capture.taking import lights_text
 from nishiki.errors import UserError
 from nishiki.report.page import Block, Figure, Figures, Section, Table

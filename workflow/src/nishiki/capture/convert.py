@@ -1,19 +1,294 @@
-"""An existing folder of photographs and lamps made into a capture folder; the sources are only read."""
+"""Make a capture folder from an existing folder of photographs and lamps; the sources are only read.
+
+The registry of folder layouts states what each is recognised by, and what reads it. A further layout is one entry there
+and one module with its two functions. The first entry whose `matches` returns evidence is read, so that lamps come
+before cameras, and photographs before what was computed from them.
+"""
 
 import os
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
-from nishiki.capture.layout_writers import MeasuredTable, write_plane, write_round, write_table_capture
-from nishiki.capture.layouts import Layout
-from nishiki.capture.mosaic import COLUMNS, TABLE, within
+from nishiki.capture.layout_writers import (
+    MeasuredTable,
+    read_measurements,
+    recognise_table,
+    write_plane,
+    write_round,
+    write_table_capture,
+)
+from nishiki.capture.layouts import (
+    DIRECTIONS,
+    RELIGHTABLE,
+    Layout,
+    find_lights_file,
+    find_spheres,
+    read_diligent,
+    read_rtibuilder,
+    read_with_lights_file,
+    read_with_spheres,
+)
+from nishiki.capture.mosaic import COLUMNS, NAME, TABLE, Field, is_capture, is_mosaic, read_fields, within
 from nishiki.capture.options import ConvertOptions, file_problems, folder_problems
-from nishiki.capture.registry import MosaicLayout, read_source
-from nishiki.capture.relightable import Rendering, write_rendered
-from nishiki.capture.turntable_layouts import RoundLayout
-from nishiki.formats.files import whole_folder
-from nishiki.formats.problems import Problem, raise_errors, refuse
+from nishiki.capture.photogrammetry import read_bundler, read_meshroom, read_metashape, read_transforms, transforms_file
+from nishiki.capture.registered import Pictures, Registration, colmap_folder, read_colmap
+from nishiki.capture.relightable import Rendering, read_relightable, recognise_relightable, write_rendered
+from nishiki.capture.rti_projects import find_rti_project
+from nishiki.capture.spheres.measure import find_photographs, read_with_balls
+from nishiki.capture.turntable_layouts import (
+    RoundLayout,
+    find_camera_list,
+    find_matrices,
+    find_states,
+    place_registered,
+    read_middlebury,
+    read_numbered,
+    read_series,
+)
+from nishiki.formats.files import Refused, bound, files_with, leads_out, whole_folder
+from nishiki.formats.picture_files import IMAGE_SUFFIXES
+from nishiki.formats.problems import CaptureError, Problem, expect_one, name_some, raise_errors, refuse
+
+UNKNOWN, EMPTY = "no lamps found, nor cameras", "no photographs in this folder"
+
+
+@dataclass(frozen=True)
+class MosaicLayout:
+    """Fields of a mosaic, each with the layout of its folder."""
+
+    fields: tuple[Field, ...]
+    layouts: tuple[Layout | Rendering, ...]
+    options: ConvertOptions  # for each field
+    name, geometry, channels, warnings = "fields", "mosaic", (), ()
+
+    @property
+    def count(self) -> int:
+        """Number of the photographs, and of pictures to render, of all fields."""
+        return sum(layout.count for layout in self.layouts)
+
+    @property
+    def parts(self) -> str:
+        """Fields and photographs in words."""
+        return f"{len(self.fields)} fields, {self.count} photographs"
+
+
+SourceLayout = Layout | RoundLayout | Rendering | MeasuredTable | MosaicLayout
+"""What readers return: `name`, `count` of the photographs, `parts` in words, `geometry`, `channels` and `warnings`.
+Each has a writer, see `convert.WRITERS`."""
+
+
+@dataclass(frozen=True)
+class FolderLayout:
+    """One kind of source."""
+
+    name: str  # what users call it
+    # function (source, options) -> evidence, such as the lights file, or None; quick. CaptureError where the layout is
+    # recognised and ambiguous.
+    matches: Callable[[Path, ConvertOptions], Any]
+    # function (source, evidence, options) -> SourceLayout. CaptureError where the source cannot be used.
+    read: Callable[[Path, Any, ConvertOptions], SourceLayout]
+    files: bool = False  # whether a source may be a file
+
+
+HEAD_BYTES = 1 << 16
+"""Of a file of cameras, in which it tells what it is."""
+
+
+def file_of_cameras(suffix: str, *marks: bytes, name: str = "", places: tuple[str, ...] = (".",)) -> Callable:
+    """Make what finds the only file with a suffix and with these marks in its head; one of this name comes first."""
+
+    def find(source: Path) -> Path | None:
+        for folder in filter(Path.is_dir, (source / place for place in places)):
+            found = []
+            for path in files_with(folder, (suffix,)):
+                with path.open("rb") as stream:
+                    head = stream.read(HEAD_BYTES)
+                found += [path] if all(mark in head for mark in marks) else []
+            named = [path for path in found if path.name == name] or found
+            remedy = f"Keep the one of these photographs{f', or call it {name}' if name else ''}"
+            if one := expect_one(named, source, f"several files {suffix} of cameras", remedy):
+                return one
+        return None
+
+    return find
+
+
+CAMERAS: tuple[tuple[str, Callable[[Path], Path | None], Callable[[Path, Pictures], Registration]], ...] = (
+    ("COLMAP", colmap_folder, read_colmap),
+    ("Meshroom", file_of_cameras(".sfm", name="cameras.sfm"), read_meshroom),
+    ("transforms.json", transforms_file, read_transforms),
+    ("Metashape", file_of_cameras(".xml", b"<chunk", b"<sensors"), read_metashape),
+    ("Bundler", file_of_cameras(".out", b"# Bundle file", name="bundle.out", places=(".", "bundle")), read_bundler),
+)
+"""Programs whose cameras are read: name, what finds their file or folder, and what reads it."""
+
+
+def cameras_of(program: str, find: Callable, read: Callable[[Path, Pictures], Registration]) -> FolderLayout:
+    """Make the entry of folders whose cameras a program found."""
+
+    def read_registered(source: Path, cameras: Path, options: ConvertOptions) -> RoundLayout:
+        pictures = Pictures(source)
+        return place_registered(source, program, cameras.name, read(cameras, pictures), pictures)
+
+    return FolderLayout(f"cameras of {program}", lambda source, options: find(source), read_registered)
+
+
+def find_fields(source: Path, options: ConvertOptions) -> tuple[Field, ...] | None:
+    """Return the fields of a table, or all folders with photographs where the user says that these are fields."""
+    if is_mosaic(source):
+        return read_fields(source)
+    if not options.fields:
+        return None
+    kinds = IMAGE_SUFFIXES.union(RELIGHTABLE)
+    folders = [each for each in sorted(source.iterdir()) if each.is_dir() and files_with(each, kinds)]
+    unusable = [each.name for each in folders if not NAME.fullmatch(each.name)]
+    if unusable:
+        expected, remedy = "letters, digits, _ and single -", f"Rename it, or name its field in {TABLE}: field,path"
+        refuse("field-name", unusable[0], "no name for a field", expected=expected, remedy=remedy)
+    if len(folders) < 2:
+        refuse("fields-few", str(source), "too few fields", expected="two folders of photographs or more")
+    return tuple(Field(each.name, each.name, each) for each in folders)
+
+
+def read_mosaic(source: Path, fields: tuple[Field, ...], options: ConvertOptions) -> MosaicLayout:
+    """Read the folder of each field; lamps that lie beside these folders are those of all fields."""
+    options.refuse("Each field has a mask of its own: put it beside the photographs", "mask")
+    lights = options.lights_file or find_lights_file(source, options)
+    options = replace(options, fields=False, lights_file=lights, title=options.title or source.name)
+    layouts = []
+    for field in fields:
+        layout = read_source(field.path, options)
+        if not isinstance(layout, Layout | Rendering):
+            refuse("fields-differ", field.place, "neither photographs of a plane nor relightable", found=layout.name)
+        layouts.append(layout)
+    return MosaicLayout(fields, tuple(layouts), options)
+
+
+LAYOUTS = (
+    FolderLayout("fields", find_fields, read_mosaic),
+    FolderLayout("RTIBuilder project", find_rti_project, read_rtibuilder),
+    FolderLayout("lights file", find_lights_file, read_with_lights_file),
+    FolderLayout(
+        "DiLiGenT",
+        lambda source, options: source / DIRECTIONS if (source / DIRECTIONS).is_file() else None,
+        read_diligent,
+    ),
+    FolderLayout("mirror spheres", find_spheres, read_with_spheres),
+    *(cameras_of(*program) for program in CAMERAS),
+    FolderLayout("list of cameras", find_camera_list, read_middlebury),
+    FolderLayout("camera matrices", find_matrices, read_numbered),
+    FolderLayout("polarisation series", find_states, read_series),
+    FolderLayout("relightable image", recognise_relightable, read_relightable, files=True),
+    FolderLayout("table of reflectances", recognise_table, read_measurements, files=True),
+)
+
+LAST_RESORT = FolderLayout("mirror balls", find_photographs, read_with_balls)
+"""Read where no entry of the registry matches. It is none itself, because whether it applies needs all pixels."""
+
+
+def recognise(source: Path, options: ConvertOptions) -> tuple[FolderLayout, Any] | None:
+    """Find the layout of a file or folder and its evidence; None where it is of no known layout."""
+    for entry in LAYOUTS:
+        if source.is_dir() or (entry.files and source.is_file()):
+            evidence = entry.matches(source, options)
+            if evidence is not None:
+                return entry, evidence
+    return None
+
+
+def read_source(source: Path, options: ConvertOptions, *, search: bool = True) -> SourceLayout:
+    """Recognise a source and read it; search: look for mirror balls in photographs of no known layout.
+
+    Raises CaptureError (folder-missing, layout-unknown, and those of the layout's reader).
+    """
+    known = recognise(source, options)
+    if known is not None:
+        return known[0].read(source, known[1], options)
+    if not source.is_dir():
+        remedy = "Name the folder of the photographs; a lights file outside of it by --lights FILE"
+        what = "no folder, no table of reflectances and no relightable image" if source.exists() else "no such folder"
+        refuse("folder-missing", str(source), what, remedy=remedy)
+    photographs = LAST_RESORT.matches(source, options)  # says what is wrong with pictures that are not read
+    if photographs and search:
+        try:
+            return LAST_RESORT.read(source, photographs, options)
+        except CaptureError as e:
+            if e.problems[0].kind != "layout-unknown":
+                raise
+    if files_with(source, IMAGE_SUFFIXES):
+        remedy = (
+            "Name the lights file with --lights. Without one, photograph mirror balls under the same lamps and measure "
+            "these: ./nishiki calibrate spheres BALLS CALIBRATION, then --lights CALIBRATION/lamps.dome. Everything "
+            "that is recognised by itself: docs/capture-folder.md and docs/imports.md"
+        )
+        found = "photographs, but no lights file, and no mirror ball in them"
+        refuse("layout-unknown", str(source), UNKNOWN, found=found, remedy=remedy)
+    inner = [each for each in sorted(source.iterdir()) if each.is_dir() and files_with(each, IMAGE_SUFFIXES)]
+    inner.sort(key=lambda each: "mask" in each.name.lower())  # the photographs first
+    named = shlex.quote(str(inner[0] if inner else source))
+    remedy = f"Name one of them: ./nishiki run {named}" if inner else "Name the folder that holds the photographs"
+    remedy += "; or add --fields where they are overlapping fields of one painting" if len(inner) > 1 else ""
+    remedy += f"; what each folder holds: ./nishiki convert {shlex.quote(str(source))} --list"
+    found = f"some in {name_some(each.name for each in inner)}" if inner else ""
+    refuse("layout-unknown", str(source), EMPTY, found=found, remedy=remedy)
+
+
+NOTHING = ConvertOptions()
+
+
+class ArchiveEntry(NamedTuple):
+    """One folder or file: path relative to the archive, name of its layout, its parts in words, reason or ''."""
+
+    path: str
+    layout: str
+    parts: str
+    reason: str
+
+
+def list_archive(archive: Path) -> Iterator[ArchiveEntry]:
+    """Recognise each folder below an archive, and each file where a folder holds several that stand for themselves.
+
+    A folder that is recognised, a capture, or a Zarr store is not entered. `reason`: why a source cannot be read.
+    """
+    pending = [(archive, 0)]
+    while pending:
+        place, depth = pending.pop()
+        inner = sorted(path for path in place.iterdir() if not path.name.startswith("."))
+        entered = (path for path in inner if path.is_dir() and path.suffix != ".zarr")
+        folders = [path for path in entered if not leads_out(path, archive)]
+        if is_capture(place):
+            yield ArchiveEntry(str(place.relative_to(archive)), "capture", "", "it is a capture already")
+            continue
+        entry = _entry_of(place, archive)
+        single = [path for path in inner if path.is_file() and recognise(path, NOTHING) is not None]
+        if entry.reason and len(single) > 1:
+            yield from (_entry_of(path, archive) for path in single)
+        elif entry.layout or not folders:
+            yield entry
+        if not entry.layout and depth < bound("folder_depth"):
+            pending += [(path, depth + 1) for path in reversed(folders)]
+
+
+def _entry_of(source: Path, archive: Path) -> ArchiveEntry:
+    """Describe one source; the layout is '' where none is recognised and no picture lies there."""
+    name, layout = str(source.relative_to(archive)), ""
+    try:
+        found = recognise(source, NOTHING)
+        layout = found[0].name if found else ""
+        return ArchiveEntry(name, layout, read_source(source, NOTHING, search=False).parts, "")
+    except (CaptureError, Refused) as problem:
+        problems = problem.problems if isinstance(problem, CaptureError) else (problem,)
+        pictures = len(files_with(source, IMAGE_SUFFIXES)) if source.is_dir() else 0
+        known = layout or problems[0].what not in (UNKNOWN, EMPTY)
+        reason = f"{problems[0]}" + (f" (and {len(problems) - 1} more)" if len(problems) > 1 else "")
+        if not known:
+            reason = f"{UNKNOWN}; convert searches the pictures for mirror balls" if pictures else UNKNOWN
+        parts = f"{pictures} pictures" if pictures else ""
+        return ArchiveEntry(name, layout or ("unknown" if pictures else ""), parts, reason)
+
 
 JUDGED = (
     *("camera-moved", "lamps-near", "lamp-failed", "photograph-repeated", "room-light", "lights-axes-undecided"),

@@ -1,4 +1,4 @@
-"""Cameras that photogrammetry programs export: Bundler, Meshroom (AliceVision) and Agisoft Metashape.
+"""Cameras that photogrammetry programs export: Bundler, Meshroom (AliceVision), Agisoft Metashape, and NeRF programs.
 
 Bundler: a point X is seen at p = R X + t; x, y = -p_x / p_z, -p_y / p_z (x right, y up, looking along -z). Distorted by
 1 + k1 r^2 + k2 r^4 it falls on f x, f y: pixels from the middle of the picture, y upwards.
@@ -6,7 +6,8 @@ Bundler: a point X is seen at p = R X + t; x, y = -p_x / p_z, -p_y / p_z (x righ
 Meshroom: a point X of the world is seen at R (X - C): `rotation` holds R column by column, `center` C; x right, y down,
 z into the scene. The point x, y on the plane at depth 1 is moved by the lens' distortion and falls on the pixel
 (fx x + w/2 + cx, fy y + h/2 + cy), which counts from the centre of the top left one: AliceVision reads the pixel (i, j)
-of a picture at (i, j). fx is `focalLength` w / `sensorWidth`. Older versions of the file state pixels: see `_lens`.
+of a picture at (i, j). fx is `focalLength` w / `sensorWidth`. Older versions of the file state pixels,
+see `_meshroom_lens`.
 
 Metashape (File, Export, Export Cameras) and PhotoScan: `transform` of a camera takes its points to the chunk's own
 world: x right, y down, z into the scene. The transform of the camera's component, else of the chunk, takes these to the
@@ -14,9 +15,15 @@ world that meshes are exported in: s R x + t. A point x, y on the plane at depth
 u = w/2 + cx + x (f + b1) + y b2, v = h/2 + cy + y f, pixels from the corner of the first one. p1 and p2 are exchanged
 against OpenCV's. Files of PhotoScan before 1.2 state fx, fy, skew and a principal point from the corner, with p1 and p2
 in OpenCV's order.
+
+NeRF programs: `transforms.json` is as Blender's exporters, instant-ngp, nerfstudio and others write it:
+`transform_matrix` takes points of the camera to the world; the camera's axes are OpenGL's (x right, y up, looking along
+-z). `fl_x`, `fl_y`, `cx`, `cy` are in pixels from the corner of the first one, `camera_angle_x` is the angle of view
+over the whole width in radians; k1, k2, p1, p2, k3 are Brown's, as OpenCV orders them. A frame may have its own.
 """
 
 import json
+import math
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -25,18 +32,21 @@ import numpy as np
 from nishiki.capture.registered import (
     CORNER,
     GL,
+    NEAR,
+    UNDISTORT,
     Pictures,
     RegisteredView,
     Registration,
+    aims_at,
     finite,
     positive,
     reading_cameras,
     rigid,
     whole,
 )
-from nishiki.capture.tables import Intrinsics
+from nishiki.capture.tables import LENS_COLUMNS, Intrinsics
 from nishiki.formats.files import files_with, read_bytes, read_text
-from nishiki.formats.problems import Problem, error, left_out, raise_errors, refuse, warning
+from nishiki.formats.problems import CaptureError, Problem, error, left_out, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading
 
 LINES = 5  # of a camera
@@ -120,14 +130,14 @@ def _furthest(lines: list[bytes], count: int) -> np.ndarray:
     return seen
 
 
-REMEDY = "Take the file that the node StructureFromMotion wrote; ConvertSfMFormat saves it as .sfm (JSON)"
+MESHROOM_REMEDY = "Take the file that the node StructureFromMotion wrote; ConvertSfMFormat saves it as .sfm (JSON)"
 # Names of the distortions that are read, and where Brown's k1, k2, p1, p2, k3 stand among their parameters.
-NONE, RADIAL1, RADIAL3, BROWN = (), (0, None, None, None, None), (0, 1, None, None, 2), (0, 1, 3, 4, 2)
+NONE, RADIAL1, RADIAL3, BROWN_PLACES = (), (0, None, None, None, None), (0, 1, None, None, 2), (0, 1, 3, 4, 2)
 DISTORTIONS = {
     **{name: NONE for name in ("pinhole", "none")},
     **{name: RADIAL1 for name in ("radial1", "radialk1")},
     **{name: RADIAL3 for name in ("radial3", "radialk3")},
-    "brown": BROWN,
+    "brown": BROWN_PLACES,
 }
 
 
@@ -137,10 +147,10 @@ def read_meshroom(path: Path, pictures: Pictures | None = None) -> Registration:
     Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
     numbers.
     """
-    with reading_cameras(path.name, "Meshroom", REMEDY):
+    with reading_cameras(path.name, "Meshroom", MESHROOM_REMEDY):
         content = json.loads(read_text(path, "json_bytes"))
         version = tuple(whole(each) for each in content["version"])
-        lenses = {str(each["intrinsicId"]): _lens(each, version, path.name) for each in content["intrinsics"]}
+        lenses = {str(each["intrinsicId"]): _meshroom_lens(each, version, path.name) for each in content["intrinsics"]}
         poses = {}  # (3, 4) each: R and -R C
         for each in content.get("poses", []):
             transform = each["pose"]["transform"]
@@ -162,7 +172,7 @@ def read_meshroom(path: Path, pictures: Pictures | None = None) -> Registration:
     return Registration(tuple(views))
 
 
-def _lens(intrinsic: dict, version: tuple[int, ...], file: str) -> tuple[int, int, Intrinsics]:
+def _meshroom_lens(intrinsic: dict, version: tuple[int, ...], file: str) -> tuple[int, int, Intrinsics]:
     """Rows, columns, and the lens in pixels, by the version of the file.
 
     Before 1.2 there is one focal length in pixels, in 1.2.0 and 1.2.1 two; from 1.2.2 on one in millimetres and
@@ -322,3 +332,116 @@ def _sensor_lens(sensor: ElementTree.Element, file: str) -> tuple[tuple[int, int
         raise ValueError(f"the sensor '{label}' of {columns} x {rows} pixels with focal lengths {fx:g} and {fy:g}")
     found = Intrinsics(fx=fx, fy=fy, cx=cx - CORNER, cy=cy - CORNER, skew=skew, distortion=(k1, k2, p1, p2, k3))
     return (rows, columns), found
+
+
+TRANSFORMS = "transforms.json"
+TRANSFORMS_PARTS = "transforms_"  # of a set in parts: transforms_train.json, transforms_val.json, transforms_test.json
+NERF_LENSES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV", "PERSPECTIVE")
+OTHER_NAMES = ("k4", "k5", "k6", "k7", "k8", "p3", "p4", "s1", "s2", "s3", "s4")  # of richer models, and of fish-eyes
+SAME_ANGLE = 0.01  # relative difference of a focal length and an angle of view that state the same
+MIDDLE = (0.2, 0.8)  # where principal points lie, of the picture's sides
+
+
+def transforms_file(source: Path) -> Path | None:
+    """Find `transforms.json` of a folder, else the first part of a set in parts; None without."""
+    names = {path.name: path for path in files_with(source, (".json",))}
+    return names.get(
+        TRANSFORMS, next((path for name, path in names.items() if name.startswith(TRANSFORMS_PARTS)), None)
+    )
+
+
+def read_transforms(path: Path, pictures: Pictures) -> Registration:
+    """Read the photographs of all frames, of all parts of a set in parts.
+
+    Raises CaptureError: cameras-unreadable, cameras-many, photograph-missing; cameras-distorted where a lens cannot be
+    said by Brown's five numbers; camera-values where the focal length or the principal point is not of the photograph.
+    """
+    frames: dict[str, dict] = {}
+    files = (
+        [path]
+        if path.name == TRANSFORMS
+        else [p for p in files_with(path.parent, (".json",)) if p.name.startswith(TRANSFORMS_PARTS)]
+    )
+    with reading_cameras(path.name, "NeRF", "Write the file again with the program that made it"):
+        for file in files:
+            with reading(file.name, "cameras"):
+                content = json.loads(read_text(file, "json_bytes"))
+            shared = {key: value for key, value in content.items() if key != "frames"}
+            expect_rows(len(frames) + len(content["frames"]), "views", path.name, "cameras")
+            for frame in content["frames"]:
+                before = frames.setdefault(str(frame["file_path"]), {**shared, **frame})
+                if before["transform_matrix"] != frame["transform_matrix"]:
+                    raise ValueError(f"two cameras of {frame['file_path']}")
+        matrices = []
+        for frame in frames.values():
+            matrix = np.array([[finite(value) for value in row] for row in frame["transform_matrix"]])
+            if matrix.shape not in ((4, 4), (3, 4)):
+                raise ValueError(f"a transform_matrix of {' x '.join(map(str, matrix.shape))} numbers")
+            matrices.append(np.column_stack([rigid(matrix[:3, :3]), matrix[:3, 3]]))
+        if not frames:
+            raise ValueError("no frames")
+    pictures.paths(list(frames), path.name)
+    lenses = [_nerf_lens(frame, pictures.size(name, path.name), name) for name, frame in frames.items()]
+    poses, notes = _poses(np.array(matrices), path.name)
+    views = zip(frames, lenses, poses, strict=True)
+    return Registration(tuple(RegisteredView.of(name, *lens, pose) for name, lens, pose in views), notes)
+
+
+def _poses(matrices: np.ndarray, file: str) -> tuple[np.ndarray, tuple[Problem, ...]]:
+    """(n, 3, 4) from world to camera, and a note where the file has another convention than it should.
+
+    Scripts write matrices of OpenCV's axes, or from world to camera, into the same key. The cameras then look away from
+    the object, or their lines of sight miss each other; a reading that makes all of them meet is taken where it is the
+    only one.
+    """
+    rotation, place = matrices[:, :, :3], matrices[:, :, 3:]
+    inverse = np.concatenate([rotation.transpose(0, 2, 1), -rotation.transpose(0, 2, 1) @ place], axis=2)
+    readings = {
+        "camera to world, axes of OpenGL": GL @ inverse,
+        "camera to world, axes of OpenCV": inverse,
+        "world to camera, axes of OpenGL": GL @ matrices,
+        "world to camera, axes of OpenCV": matrices,
+    }
+    usual, *others = readings
+    aims = {name: aims_at(poses) for name, poses in readings.items()}
+    fitting = [name for name in others if aims[name] is not None and aims[name] < NEAR]
+    if len(fitting) != 1 or (aims[usual] is not None and aims[usual] < NEAR):
+        return readings[usual], ()
+    what = "the cameras would look away from the object: transform_matrix is read otherwise than such files have it"
+    note = warning("cameras-convention", file, what, expected=usual, found=fitting[0], remedy="Check the mesh's shape")
+    return readings[fitting[0]], (note,)
+
+
+def _nerf_lens(frame: dict, size: tuple[int, int], name: str) -> tuple[tuple[int, int], Intrinsics]:
+    """Rows and columns, and the lens in pixels from the centre of the first one."""
+    try:
+        model, fisheye = str(frame.get("camera_model", "OPENCV")).upper(), frame.get("is_fisheye", False)
+        if model not in NERF_LENSES or fisheye or any(finite(frame.get(key, 0)) for key in OTHER_NAMES):
+            what, expected = f"a lens of the model {'fish-eye' if fisheye else model}", "none, or Brown's distortion"
+            refuse("cameras-distorted", name, what, expected=expected, remedy=UNDISTORT)
+        rows, columns = whole(frame.get("h", size[0])), whole(frame.get("w", size[1]))
+        fx = _focal_length(frame, "x", columns)
+        fy = _focal_length(frame, "y", rows) or fx
+        fx = fx or fy
+        if fx is None:
+            raise ValueError("neither fl_x nor camera_angle_x")
+        cx, cy = (finite(frame.get(key, side / 2)) for key, side in (("cx", columns), ("cy", rows)))
+        if not all(MIDDLE[0] <= at / side <= MIDDLE[1] for at, side in ((cx, columns), (cy, rows))):
+            raise ValueError(f"principal point {cx:g}, {cy:g} in a picture of {columns} x {rows} pixels")
+        distortion = tuple(finite(frame.get(key, 0)) for key in LENS_COLUMNS)
+    except (ValueError, TypeError) as e:
+        remedy = "Give the photographs that the file was made for, or mend its numbers"
+        raise CaptureError(error("camera-values", name, "camera", found=str(e)[:120], remedy=remedy)) from e
+    return (rows, columns), Intrinsics(fx=fx, fy=fy, cx=cx - CORNER, cy=cy - CORNER, distortion=distortion)
+
+
+def _focal_length(frame: dict, axis: str, side: int) -> float | None:
+    """Pixels, from the focal length or the angle of view; None without. ValueError where the two disagree."""
+    length, angle = frame.get(f"fl_{axis}"), frame.get(f"camera_angle_{axis}")
+    stated = None if length is None else positive(length, f"fl_{axis}")
+    if angle is None:
+        return stated
+    implied = side / 2 / math.tan(min(positive(angle, f"camera_angle_{axis}"), math.pi - 1e-6) / 2)
+    if stated and abs(implied / stated - 1) > SAME_ANGLE:
+        raise ValueError(f"fl_{axis} {stated:g}, but camera_angle_{axis} makes {implied:g} over {side} pixels")
+    return stated or implied

@@ -1,4 +1,7 @@
-"""Photographs whose cameras another program found: their files, lenses and poses, and whether these can be."""
+"""Photographs whose cameras another program found: their files, lenses and poses, and the files of COLMAP.
+
+COLMAP: `cameras` and `images`, as text or binary.
+"""
 
 import math
 import re
@@ -12,13 +15,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from nishiki.capture.tables import Intrinsics
+from nishiki.capture.tables import LENS_COLUMNS, Intrinsics
 from nishiki.errors import require
-from nishiki.formats.files import same_name, walk
+from nishiki.formats.files import bound, read_bytes, same_name, walk
 from nishiki.formats.images import read_header
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse, warning
-from nishiki.formats.text_tables import reading
+from nishiki.formats.text_tables import expect_rows, reading
 from nishiki.geometry.camera import Camera, point_in_sight
 
 CORNER = 0.5  # pixels that count from the corner of the top left one, where ours count from its centre
@@ -176,3 +179,161 @@ def whole(value: object) -> int:
     if not finite(value).is_integer():
         raise ValueError(f"'{str(value)[:40]}' where a whole number is expected")
     return int(finite(value))
+
+
+PLACES = (".", "sparse", "sparse/0")
+KINDS = (".txt", ".bin")
+COLMAP_REMEDY = "Export the model again, as text or binary"
+# Name, number of parameters, and how many of these come before the distortion, by COLMAP's number of the model; 0 where
+# the model is none of Brown's, as are all of larger numbers. The distortion begins with k1, k2, p1, p2, k3 of Brown's
+# model as far as it goes; what follows is another model's.
+MODELS = (
+    ("SIMPLE_PINHOLE", 3, 3),
+    ("PINHOLE", 4, 4),
+    ("SIMPLE_RADIAL", 4, 3),
+    ("RADIAL", 5, 3),
+    ("OPENCV", 8, 4),
+    ("OPENCV_FISHEYE", 8, 0),
+    ("FULL_OPENCV", 12, 4),
+)
+NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?(nan|inf)", re.IGNORECASE)
+HEADING = re.compile(rb"Number of images:\s*([0-9]{1,9})")
+
+
+SizedLens = tuple[tuple[int, int], Intrinsics]
+"""Rows and columns, and the lens."""
+Image = tuple[str, int, tuple[float, ...]]
+"""Name, number of the camera, and the pose: w, x, y, z of the rotation from world to camera, then the translation."""
+
+
+def colmap_folder(source: Path) -> Path | None:
+    """Find the reconstruction of a folder of photographs: in it, in `sparse` or in `sparse/0`; None without."""
+    for place in PLACES:
+        if any(all((source / place / f"{part}{kind}").is_file() for part in ("cameras", "images")) for kind in KINDS):
+            return source / place
+    return None
+
+
+def read_colmap(folder: Path, pictures: Pictures | None = None) -> Registration:
+    """Read the registered photographs.
+
+    Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
+    numbers.
+    """
+    kind = ".bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else ".txt"
+    file, notes = f"images{kind}", []
+    with reading_cameras(f"cameras{kind}", "COLMAP", COLMAP_REMEDY):
+        content = read_bytes(folder / f"cameras{kind}", "table_bytes")
+        cameras = _text_cameras(content) if kind == ".txt" else _binary_cameras(content)
+    with reading_cameras(file, "COLMAP", COLMAP_REMEDY):
+        content = read_bytes(folder / file, "table_bytes")
+        images = _text_images(content, notes) if kind == ".txt" else _binary_images(content)
+    expect_rows(len(images), "views", file, "cameras")
+    return Registration(tuple(_view(image, cameras, file) for image in images), tuple(notes))
+
+
+def _view(image: Image, cameras: dict[int, SizedLens], file: str) -> RegisteredView:
+    from scipy.spatial.transform import Rotation
+
+    name, camera, numbers = image
+    if camera not in cameras:
+        refuse("cameras-unreadable", file, f"the photograph '{name}' names the camera {camera}, which is not there")
+    if not np.isfinite(numbers).all() or not any(numbers[:4]):
+        refuse("camera-values", file, f"pose of the photograph '{name}'")
+    pose = np.column_stack([Rotation.from_quat(np.roll(numbers[:4], -1)).as_matrix(), numbers[4:]])
+    return RegisteredView.of(name, *cameras[camera], pose)
+
+
+def _camera(model: str, parameters: Sequence[float], rows: int, columns: int) -> SizedLens:
+    """CaptureError (cameras-distorted) where the camera has another distortion than Brown's."""
+    plain = next((before for name, _, before in MODELS if name == model), 0)
+    distortion = [float(value) for value in parameters[plain:]]
+    if not plain or any(distortion[len(LENS_COLUMNS) :]):
+        what = f"the camera {model} of {columns} x {rows} pixels has a distortion that is not read"
+        expected = "PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV"
+        refuse("cameras-distorted", "cameras", what, expected=expected, remedy=UNDISTORT)
+    fx, fy = (parameters[0], parameters[0]) if plain == 3 else parameters[:2]
+    cx, cy = (value - CORNER for value in parameters[plain - 2 : plain])
+    brown = tuple((*distortion, *[0.0] * 5)[: len(LENS_COLUMNS)])
+    if not (np.isfinite([fx, fy, cx, cy, *brown]).all() and min(fx, fy) > 0):
+        raise ValueError(f"camera {model} with {' '.join(f'{value:g}' for value in parameters)}")
+    return (rows, columns), Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, distortion=brown)
+
+
+def _text_cameras(content: bytes) -> dict[int, SizedLens]:
+    cameras = {}
+    for line in _lines(content):
+        number, model, columns, rows, *parameters = line.split()
+        count = {name: count for name, count, _ in MODELS}.get(model, len(parameters))
+        if count != len(parameters):
+            raise ValueError(f"camera {number}: model {model} with {len(parameters)} parameters")
+        cameras[int(number)] = _camera(model, list(map(float, parameters)), int(rows), int(columns))
+    return cameras
+
+
+def _text_images(content: bytes, notes: list[Problem]) -> list[Image]:
+    """Lines `number quaternion translation camera name`, each followed by a line of triples for its points.
+
+    Files that people and scripts write for known poses lack the lines of points, all or some: a line of points is
+    known by its numbers, so that no photograph is taken for one.
+    """
+    images, points = [], True
+    for line in _lines(content):
+        words = line.split(maxsplit=9)
+        if len(line.split()) % 3 == 0 and all(map(_is_number, line.split())):
+            if points:
+                raise ValueError(f"a line of points without its photograph: {line[:60]}")
+            points = True
+        elif len(words) == 10 and all(map(_is_number, words[:9])):
+            images.append((words[9], int(words[8]), tuple(map(float, words[1:8]))))
+            points = False
+        else:
+            raise ValueError(f"neither a photograph nor points: {line[:60]}")
+    stated = HEADING.search(content)
+    if stated and int(stated[1]) != len(images):
+        what = f"expected {int(stated[1])} photographs as its heading says, found {len(images)}"
+        remedy = "If some are missing, export the model again; it may have been cut off"
+        notes.append(warning("cameras-count", "images.txt", what, remedy=remedy))
+    return images
+
+
+def _is_number(word: str) -> bool:
+    return NUMBER.fullmatch(word) is not None
+
+
+def _lines(content: bytes) -> list[str]:
+    lines = (line.strip() for line in content.decode("utf-8-sig").split("\n"))
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+def _binary_cameras(content: bytes) -> dict[int, SizedLens]:
+    cameras, at = {}, 8
+    for _ in range(_count(content)):
+        number, model, columns, rows = struct.unpack_from("<iiQQ", content, at)
+        if not 0 <= model < 1 << 16:
+            raise ValueError(f"camera {number}: model number {model}")
+        name, count, _ = MODELS[model] if model < len(MODELS) else (f"of model {model}", 0, 0)
+        cameras[number] = _camera(name, struct.unpack_from(f"<{count}d", content, at + 24), rows, columns)
+        at += 24 + 8 * count
+    return cameras
+
+
+def _binary_images(content: bytes) -> list[Image]:
+    images, at = [], 8
+    for _ in range(_count(content)):
+        _, *numbers, camera = struct.unpack_from("<i7di", content, at)
+        end = content.index(b"\0", at + 64)
+        (points,) = struct.unpack_from("<Q", content, end + 1)
+        images.append((content[at + 64 : end].decode(), camera, tuple(numbers)))
+        at = end + 9 + 24 * points
+        if at > len(content):
+            raise ValueError(f"the file ends before the {points} points of '{images[-1][0]}'")
+    return images
+
+
+def _count(content: bytes) -> int:
+    """Return the number of entries that a file begins with, which a broken one may state as any number."""
+    (count,) = struct.unpack_from("<Q", content)
+    if count > bound("views"):
+        raise ValueError(f"{count} entries, more than the {bound('views')} views that are read")
+    return count

@@ -120,7 +120,7 @@ def spheres(photographs, folder, into, board, seeds, **given) -> None:
     """
     from nishiki.calibrate.result import list_photographs
     from nishiki.calibrate.spheres_result import calibrate_spheres
-    from nishiki.capture.spheres.findings import SphereInput
+    from nishiki.capture.spheres.search import SphereInput
 
     boards = list_photographs([board], what="board") if board else ()
     pictures = list_photographs(photographs)

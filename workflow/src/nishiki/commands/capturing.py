@@ -174,7 +174,7 @@ def convert_source(source: Path, capture: Path, given: dict, *, checked: bool):
 
 def _list(archive: Path) -> None:
     """Print a line for each source below a folder: path, layout, parts, and why it cannot be converted."""
-    from nishiki.capture.registry import list_archive
+    from nishiki.capture.convert import list_archive
 
     if not archive.is_dir():
         raise UserError(f"{archive}: expected a folder to list. Remedy: correct the path")

@@ -4,26 +4,23 @@ from itertools import combinations, product
 
 import numpy as np
 
-from nishiki.capture.spheres.findings import (
-    LEAST_LAMPS,
-    MARGIN,
-    Crop,
-    Findings,
-    SphereInput,
-    corner_of,
-    crop_around,
-    read_crops,
-)
-from nishiki.capture.spheres.lamps import triangulate
-from nishiki.capture.spheres.lens import LENSES, set_lens
+from nishiki.capture.spheres.lamps import LENSES, set_lens, triangulate
 from nishiki.capture.spheres.optics import SphereCamera, reflected_rays
 from nishiki.capture.spheres.outline import Circle, propose_circles, solve_outline
 from nishiki.capture.spheres.search import (
+    LEAST_LAMPS,
+    MARGIN,
     Cluster,
+    Crop,
+    Findings,
     Overview,
+    SphereInput,
     bright_blocks,
     cluster_highlights,
+    corner_of,
+    crop_around,
     find_moving_highlights,
+    read_crops,
     residual_of,
 )
 from nishiki.errors import UserError
