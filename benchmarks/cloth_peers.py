@@ -20,7 +20,7 @@ from nishiki.brdf.cloth.store import KINDS
 from nishiki.brdf.cloth.yarn_fit import MISS, MISS_OBLIQUE, Measured, ShapeFit, fit_shape, normal_weights, refuse_black
 from nishiki.brdf.torrance_sparrow import fresnel
 from nishiki.errors import UserError
-from nishiki.formats.fields import ArrayFields
+from nishiki.formats.stored import ArrayFields
 
 WIDTHS = (1e-6, 1e6)
 EXPONENTS = (0.0, 1e12)

@@ -29,7 +29,7 @@ from nishiki.brdf.cloth.models import Fitted
 from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, great_circle_view
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.brdf.torrance_sparrow import fresnel
-from nishiki.formats.fields import ArrayFields
+from nishiki.formats.stored import ArrayFields
 from nishiki.goniometry.interpolation import coefficients, evaluate
 
 REFERENCES = ("facets", "bard_scaled")

@@ -40,7 +40,7 @@ sys.path.insert(0, str(PROJECT / "tests"))
 import relight_planes as relight
 
 from nishiki.artifacts.artifact import open_artifact
-from nishiki.formats.picture_tiles import jpeg_bytes
+from nishiki.formats.banded_pictures import jpeg_bytes
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.light_models import PrincipalModel, TabulatedModel
 from nishiki.stages.export.relight import SAMPLES, StoredModel, model_of

@@ -9,7 +9,7 @@ from small_painting import COLUMNS, PITCH_MM, ROWS, export_context, small_painti
 from textured_ball import textured_ball
 
 from nishiki.colour.colour import decode, encode
-from nishiki.formats.usd import write_usdz
+from nishiki.formats.textured_surface import write_usdz
 from nishiki.installation import installed
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.look import PaintingSurface

@@ -8,7 +8,7 @@ import pytest
 import viewer_pages
 from npm_packages import npm_folder
 
-from nishiki.formats.picture_tiles import write_iiif_image
+from nishiki.formats.banded_pictures import write_iiif_image
 from nishiki.stages.export.iiif import LAYERS, canvas, image, manifest, manifest_of, write_manifest
 from nishiki.stages.export.object import BEHAVIOR
 

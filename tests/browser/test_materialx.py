@@ -9,8 +9,7 @@ from textured_ball import textured_ball
 
 from nishiki.brdf.slopes import isotropic_lobe
 from nishiki.colour.colour import decode, encode
-from nishiki.formats.textured_surface import SurfaceLook
-from nishiki.formats.usd import write_materialx
+from nishiki.formats.textured_surface import SurfaceLook, write_materialx
 from nishiki.installation import installed
 from nishiki.stages.export.object_look import SeenPoints, shown_in
 

@@ -27,10 +27,10 @@ from nishiki.capture.seal import capture_digest, manifest_text, read_manifest, s
 from nishiki.engine.project import load_project, load_yaml
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError, printable
-from nishiki.formats import plain_yaml
 from nishiki.formats.files import name_fault
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.stored import load_arrays
+from nishiki.formats.text_tables import load_plain
 from nishiki.geometry.mesh import read_triangles
 from nishiki.observations.check import check_capture
 
@@ -350,7 +350,7 @@ def test_a_billion_laughs_are_not_laughed(tmp_path, quick):
     path.write_text("format: 1\n" + "\n".join(lines) + "\nlights: *a11\n")
     with pytest.raises(CaptureError, match=r"line 2.*anchors"):
         check_settings(read_mapping(path), path.name)
-    assert plain_yaml.load("a: [1, 2]\nb: 'text & more * !'\n") == {"a": [1, 2], "b": "text & more * !"}
+    assert load_plain("a: [1, 2]\nb: 'text & more * !'\n") == {"a": [1, 2], "b": "text & more * !"}
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ from nishiki.engine.project import load_project
 from nishiki.errors import UserError
 from nishiki.formats.files import BOUNDS, bound, read_json
 from nishiki.formats.images import read_codes, read_header
-from nishiki.formats.matlab import read_matlab
+from nishiki.formats.picture_process import read_matlab
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.stored import load_arrays, open_array, open_group
 from nishiki.geometry.mesh import read_triangles

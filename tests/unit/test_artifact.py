@@ -14,7 +14,7 @@ from nishiki.artifacts.maps import MapWriter
 from nishiki.artifacts.provenance import stage_key
 from nishiki.artifacts.stage import problems
 from nishiki.errors import UserError
-from nishiki.formats.zarr_store import BandedArray
+from nishiki.formats.stored import BandedArray
 from nishiki.processes import host, identity
 
 CAPTURE = "5" * 64

@@ -14,7 +14,7 @@ from turned_cameras import COLUMNS, ROWS, turn
 from nishiki.capture.convert import convert, read_source
 from nishiki.capture.folder import load_capture
 from nishiki.capture.options import ConvertOptions
-from nishiki.formats.matlab import read_matlab
+from nishiki.formats.picture_process import read_matlab
 from nishiki.formats.problems import CaptureError
 from nishiki.geometry.camera import Camera
 from nishiki.observations.views import Views

@@ -15,7 +15,7 @@ from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.layouts import photographs_in
 from nishiki.capture.relightable import lamps_for, open_relightable, recognise_relightable
-from nishiki.formats.picture_tiles import write_deep_zoom
+from nishiki.formats.banded_pictures import write_deep_zoom
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.relight import bilinear_weights
 from nishiki.observations.check import check_capture

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_painting import COLUMNS, PITCH_MM, ROWS, STAMP, exported_painting
 
-from nishiki.formats.picture_tiles import read_jpeg, write_iiif_image
+from nishiki.formats.banded_pictures import read_jpeg, write_iiif_image
 from nishiki.render.display import normals_as_colours
 from nishiki.stages.export.iiif import manifest
 from nishiki.stages.export.scene import ExportedScene

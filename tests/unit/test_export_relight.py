@@ -10,7 +10,7 @@ from relightable_images import corners
 from small_painting import COLUMNS, ROWS, dome, exported_painting
 
 from nishiki.colour.colour import srgb_encode
-from nishiki.formats.picture_tiles import read_full_resolution, read_jpeg, write_deep_zoom
+from nishiki.formats.banded_pictures import read_full_resolution, read_jpeg, write_deep_zoom
 from nishiki.formats.relight import gaussian_weights, grid_directions
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.light_models import (

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from nishiki.errors import UserError
-from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
-from nishiki.formats.usd import write_materialx, write_usdz
+from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh, write_materialx, write_usdz
 from nishiki.installation import MODULES
 from nishiki.stages.export.gloss import GltfMaterial, WhiteAtGrazing
 

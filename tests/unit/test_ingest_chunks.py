@@ -11,8 +11,7 @@ from refusals import refused
 from zarr.codecs import ZstdCodec
 
 from nishiki.errors import UserError
-from nishiki.formats.stored import open_group
-from nishiki.formats.zarr_store import BandedGroup, read_chunk, write_chunk
+from nishiki.formats.stored import BandedGroup, open_group, read_chunk, write_chunk
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])

@@ -13,7 +13,7 @@ from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.artifacts.stage import Context, expect_finite
 from nishiki.brdf.scene import join_regions
 from nishiki.errors import UserError
-from nishiki.formats.zarr_store import BandedGroup
+from nishiki.formats.stored import BandedGroup
 from nishiki.observations.plane import STORE, Observations
 from nishiki.progress import Progress
 from nishiki.stages.mosaic import MosaicSettings

@@ -21,14 +21,14 @@ PLACES = {
     "av": {"output.py"},
     "colour-science": {"target.py"},
     "gphoto2": {"cameras.py"},
-    "materialx": {"usd.py"},
+    "materialx": {"textured_surface.py"},
     "pymeshlab": {"scans.py"},
     "pyarrow": {"results.py"},
     "pyserial": {"description.py", "serial_line.py"},
-    "rawpy": {"raw.py"},
+    "rawpy": {"decoders.py"},
     "scikit-image": {"hull.py", "shape.py"},
     "trimesh": {"mesh.py", "scans.py", "surfaces.py"},
-    "usd-core": {"usd.py"},
+    "usd-core": {"textured_surface.py"},
 }
 """The modules that take a package of an extra. Of a new one, `idle` of the declaration says which scenes load it."""
 

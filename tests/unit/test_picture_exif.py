@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from nishiki.formats.exif import Exif, exif_of
 from nishiki.formats.images import read_exif
+from nishiki.formats.picture_files import Exif, exif_of
 
 EXPOSURE, APERTURE, ISO, TAKEN, FRACTION, SPACE = 0x829A, 0x829D, 0x8827, 0x9003, 0x9291, 0xA001
 

@@ -24,8 +24,7 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.outputs import Output, output_of
 from nishiki.artifacts.provenance import file_digest
 from nishiki.errors import UserError
-from nishiki.formats.stored import open_group
-from nishiki.formats.zarr_store import BandedArray, BandedGroup
+from nishiki.formats.stored import BandedArray, BandedGroup, open_group
 
 STORE = "maps.zarr"
 

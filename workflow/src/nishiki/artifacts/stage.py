@@ -30,7 +30,7 @@ from nishiki.artifacts.provenance import canonical, name_above, stage_key
 from nishiki.errors import NotFinite, UserError, of_the_machine
 from nishiki.formats.files import read_json
 from nishiki.formats.picture_process import end_children
-from nishiki.formats.zarr_store import METADATA, BandedArray
+from nishiki.formats.stored import METADATA, BandedArray
 from nishiki.installation import loaded
 from nishiki.progress import Progress
 from nishiki.threads import in_threads, threads

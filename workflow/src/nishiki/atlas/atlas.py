@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.formats.fields import ArrayFields
-from nishiki.formats.stored import load_arrays
+from nishiki.formats.stored import ArrayFields, load_arrays
 from nishiki.threads import strips
 
 MARGIN = 0.5

@@ -9,10 +9,9 @@ import yaml
 from pydantic import Field, ValidationError, field_validator
 
 from nishiki.artifacts.closed import Closed, Fault, faults
-from nishiki.formats import plain_yaml
 from nishiki.formats.files import Refused, is_plain, read_text
 from nishiki.formats.problems import CaptureError, Problem, error, refuse
-from nishiki.formats.text_tables import refusal
+from nishiki.formats.text_tables import SafeLoader, load_plain, refusal
 
 FORMAT = 1  # of the file; readers refuse others
 OBJECT_FACTS = {
@@ -97,7 +96,7 @@ class Session(Closed):
         return value
 
 
-class UniqueKeyLoader(plain_yaml.SafeLoader):
+class UniqueKeyLoader(SafeLoader):
     """Safe YAML in which a key that appears twice is an error instead of the last one winning silently; and TEXTS."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
@@ -131,7 +130,7 @@ UnquotedStatesLoader.add_implicit_resolver(
 def read_mapping(path: Path, loader: type[UniqueKeyLoader] = UniqueKeyLoader) -> dict:
     """Keys and values of a plain YAML file. CaptureError: yaml-missing, yaml-invalid."""
     try:
-        parsed = plain_yaml.load(read_text(path, "settings_bytes"), loader)
+        parsed = load_plain(read_text(path, "settings_bytes"), loader)
     except FileNotFoundError as e:
         remedy = "Write one, or make a capture folder from photographs with the convert command"
         raise CaptureError(error("yaml-missing", path.name, "file is missing", remedy=remedy)) from e

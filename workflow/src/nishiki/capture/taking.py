@@ -14,11 +14,9 @@ import yaml
 
 from nishiki.capture.frames import EXPOSURE_COLUMNS, LIT_ROLES
 from nishiki.formats.coding import coding_used
-from nishiki.formats.exif import Exif
-from nishiki.formats.exr import several_layers
 from nishiki.formats.images import read_codes, read_exif, read_header
 from nishiki.formats.masks import examine_mask
-from nishiki.formats.picture_files import ImageHeader
+from nishiki.formats.picture_files import Exif, ImageHeader, several_layers
 from nishiki.formats.problems import CaptureError, Problem, refuse, warning
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)

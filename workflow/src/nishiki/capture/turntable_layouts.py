@@ -17,8 +17,8 @@ from nishiki.capture.tables import camera_centre, camera_problems
 from nishiki.errors import require
 from nishiki.formats.files import bound, files_with, read_text
 from nishiki.formats.images import read_header
-from nishiki.formats.matlab import read_matlab
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
+from nishiki.formats.picture_process import read_matlab
 from nishiki.formats.problems import (
     CaptureError,
     Problem,

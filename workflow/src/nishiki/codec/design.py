@@ -11,7 +11,7 @@ import numpy as np
 
 from nishiki.codec.transform import Block, Plane, analysis_matrix, cosine_matrix, levels_of, plane_transform
 from nishiki.errors import UserError
-from nishiki.formats.fields import PlainFields
+from nishiki.formats.stored import PlainFields
 
 
 def visible_arc(seen: np.ndarray, *, full_turn: bool) -> tuple[int, int]:

@@ -29,7 +29,7 @@ from nishiki.colour.kernels import ILL_CONDITIONED, NEGATIVE_RESPONSE, NOT_FINIT
 from nishiki.colour.local import ResponseSpace, distances, response_space
 from nishiki.colour.sampling import channel_weights, checked_spectra
 from nishiki.errors import UserError
-from nishiki.formats.fields import ArrayFields
+from nishiki.formats.stored import ArrayFields
 from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
 

@@ -20,10 +20,10 @@ from nishiki.capture.mosaic import MosaicCapture, is_mosaic, read_fields
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.errors import UserError
-from nishiki.formats import plain_yaml
 from nishiki.formats.files import is_plain, read_text
 from nishiki.formats.images import read_header
 from nishiki.formats.problems import CaptureError
+from nishiki.formats.text_tables import load_plain
 from nishiki.observations.blocks import CHECK_BLOCK
 from nishiki.observations.region import object_mask, region_around, region_of
 from nishiki.stages.base import SceneFacts
@@ -119,9 +119,9 @@ class Project:
 
 
 def load_yaml(path: Path) -> dict:
-    """Load keys and values of a YAML file (see `plain_yaml`). Raises UserError naming file, line and remedy."""
+    """Load keys and values of a YAML file (see `load_plain`). Raises UserError naming file, line and remedy."""
     try:
-        values = plain_yaml.load(read_text(path, "settings_bytes", name=str(path))) or {}
+        values = load_plain(read_text(path, "settings_bytes", name=str(path))) or {}
     except FileNotFoundError:
         remedy = "Remedy: ./nishiki init makes one, or name it with --configfile; ./nishiki demo makes one to try"
         raise UserError(f"{path}: file not found" + (f". {remedy}" if str(path) == CONFIGURATION else "")) from None

@@ -8,10 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.formats.exif import NO_EXIF, Exif
-from nishiki.formats.exr import match_channels
 from nishiki.formats.files import BOUNDS, Refused, bound, open_regular, remedy
-from nishiki.formats.picture_files import ImageHeader
+from nishiki.formats.picture_files import NO_EXIF, Exif, ImageHeader, match_channels
 from nishiki.formats.picture_process import hold, request_codes, request_header
 from nishiki.formats.problems import CaptureError, Problem, error, refuse
 from nishiki.formats.text_tables import refusal

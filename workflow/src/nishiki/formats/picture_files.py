@@ -1,13 +1,9 @@
-"""Decoding of picture files, in the child process of `nishiki.formats.picture_process`.
+"""What a camera wrote beside a photograph: exposure, orientation, colour space, model (Exif 2.32, CIPA DC-008)."""
 
-PNG and JPEG are decoded here, by imagecodecs; TIFF, EXR and camera raw in modules of their own.
-
-Files are read from an open handle and never by name. A damaged one may raise anything: the process reports it. Pixels
-stay as the sensor wrote them: the orientation is told and not applied.
-"""
-
+import io
+import logging
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, BinaryIO, Literal
 
@@ -24,8 +20,133 @@ from nishiki.formats.coding import (
     icc_profile,
     png_coding,
 )
-from nishiki.formats.exif import NO_EXIF, Exif, exif_of, jpeg_segments, png_chunks
 from nishiki.formats.problems import CaptureError, error, refuse
+
+MOST_BYTES = 1 << 16  # of the Exif block of a JPEG or PNG: a JPEG segment holds no more
+_FACTS = (272, 274, 33434, 33437, 34665, 34855)  # model, orientation, exposure, aperture, Exif directory, sensitivity
+_ADOBE_RGB = b"R03"  # interoperability index of Adobe RGB (DCF 2.0)
+
+
+@dataclass(frozen=True)
+class Exif:
+    """Facts that a camera recorded; None or '' where the file does not state them."""
+
+    exposure_s: float | None = None  # exposure time in seconds
+    f_number: float | None = None  # focal length over aperture
+    iso: float | None = None  # sensitivity
+    orientation: int = 1  # 1 to 8, how a viewer would turn the picture (1: not at all)
+    colour_space: str = ""  # 'srgb', 'adobe' or ''
+    model: str = ""  # of the camera
+    # date and time of the exposure as 'YYYY:MM:DD HH:MM:SS' with a fraction of a second where it is stated
+    taken: str = ""
+    focal_35mm: float | None = None  # focal length in mm of a lens with the same field on 36 x 24 mm
+
+
+NO_EXIF = Exif()
+
+
+def exif_of(file: BinaryIO) -> Exif:
+    """Read the camera's facts of an open JPEG, PNG, TIFF or TIFF-like raw file; none where they are damaged."""
+    try:
+        block = _exif_block(file)
+        if block is None:
+            return NO_EXIF
+        import tifffile
+
+        quiet_tifffile()
+        with tifffile.TiffFile(block, name="picture") as tiff:
+            return exif_of_page(tiff.pages.first)
+    except (struct.error, ValueError, OSError, RuntimeError, KeyError, IndexError, TypeError, OverflowError):
+        return NO_EXIF
+
+
+def exif_of_page(page: Any) -> Exif:
+    """Read the facts in the directory of a TIFF page of tifffile, and in its Exif directory."""
+    tags = {tag.name: tag.value for tag in page.tags if tag.code in _FACTS}
+    inner = tags.get("ExifTag")
+    values = {**tags, **inner} if isinstance(inner, dict) else tags
+    index, place = b"", values.get("InteroperabilityTag")
+    if isinstance(place, int):  # a directory whose first field, of 12 bytes after the count, ends in the index
+        page.parent.filehandle.seek(place + 10)
+        index = page.parent.filehandle.read(3)
+    orientation = positive_number(values.get("Orientation"))
+    space = "srgb" if values.get("ColorSpace") == 1 else "adobe" if index == _ADOBE_RGB else ""
+    taken, fraction = (str(values.get(key) or "").strip() for key in ("DateTimeOriginal", "SubsecTimeOriginal"))
+    return Exif(
+        exposure_s=positive_number(values.get("ExposureTime")),
+        f_number=positive_number(values.get("FNumber")),
+        iso=positive_number(values.get("ISOSpeedRatings")),
+        focal_35mm=positive_number(values.get("FocalLengthIn35mmFilm")),
+        orientation=int(orientation) if orientation and orientation <= 8 else 1,
+        colour_space=space,
+        model=str(values.get("Model") or "").strip()[:100],
+        taken=f"{taken}.{fraction}" if taken and fraction.isdecimal() else taken,
+    )
+
+
+def quiet_tifffile() -> None:
+    """Keep tifffile from logging what it makes of damaged files, and that an Exif block has no pixels."""
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)
+
+
+def positive_number(value: Any) -> float | None:
+    """Read a positive finite number from a whole number, a rational (numerator, denominator) or a list of one."""
+    if isinstance(value, tuple) and len(value) == 2 and value[1]:
+        value = value[0] / value[1]
+    elif isinstance(value, tuple) and value:
+        value = value[0]
+    return float(value) if isinstance(value, (int, float)) and 0 < value < float("inf") else None
+
+
+def _exif_block(file: BinaryIO) -> BinaryIO | None:
+    """Open the TIFF stream that holds the facts: the file itself, or the block inside a JPEG or PNG."""
+    file.seek(0)
+    start = file.read(12)
+    if start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        file.seek(0)
+        return file
+    segments = jpeg_segments(file) if start[:2] == b"\xff\xd8" else png_chunks(file) if start[1:4] == b"PNG" else ()
+    for mark, place, length in segments:
+        file.seek(place)
+        content = file.read(min(length, MOST_BYTES)) if mark in (b"\xff\xe1", b"eXIf") else b""
+        if mark == b"eXIf" or content.startswith(b"Exif\0\0"):
+            return io.BytesIO(content.removeprefix(b"Exif\0\0"))
+    return None
+
+
+def jpeg_segments(file: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
+    """Yield (marker of two bytes, place, length) of each segment of a JPEG before its first scan."""
+    place = 2
+    while True:
+        file.seek(place)
+        marker = file.read(2)
+        while marker == b"\xff\xff":
+            place += 1
+            marker = b"\xff" + file.read(1)
+        if len(marker) < 2 or marker[0] != 0xFF:
+            return
+        if marker[1] == 0x01 or 0xD0 <= marker[1] < 0xD8:
+            place += 2
+            continue
+        (length,) = struct.unpack(">H", file.read(2))
+        yield marker, place + 4, length - 2
+        if marker[1] == 0xDA or length < 2:
+            return
+        place += 2 + length
+
+
+def png_chunks(file: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
+    """Yield (type of four bytes, place, length) of each chunk of a PNG before its pixels."""
+    place = 8
+    while True:
+        file.seek(place)
+        heading = file.read(8)
+        if len(heading) < 8 or heading[4:] == b"IDAT":
+            return
+        (length,) = struct.unpack(">I", heading[:4])
+        yield heading[4:], place + 8, length
+        place += 12 + length
+
 
 Kind = Literal["png", "jpeg", "tiff", "exr", "raw"]
 Sample = Literal["uint8", "uint16", "float32"]
@@ -119,7 +240,7 @@ def open_picture(file: BinaryIO, suffix: str, name: str) -> Picture:
     file.seek(0)
     start = file.read(32)
     if suffix.lower() in RAW_SUFFIXES:
-        from nishiki.formats.raw import open_raw
+        from nishiki.formats.decoders import open_raw
 
         return open_raw(file, name)
     if start.startswith(b"\x89PNG\r\n\x1a\n"):
@@ -127,11 +248,11 @@ def open_picture(file: BinaryIO, suffix: str, name: str) -> Picture:
     if start.startswith(b"\xff\xd8"):
         return open_jpeg(file, name)
     if start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-        from nishiki.formats.tiff import open_tiff
+        from nishiki.formats.decoders import open_tiff
 
         return open_tiff(file, name)
     if start.startswith(b"\x76\x2f\x31\x01"):
-        from nishiki.formats.exr import open_exr
+        from nishiki.formats.decoders import open_exr
 
         return open_exr(file, name)
     expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
@@ -246,3 +367,29 @@ def _develop(picture: Picture, wanted: Wanted, output: Output) -> np.ndarray:
         out[place : place + 256, :, :3][(band == top).any(axis=2)] = 65535
     out[:, :, 3:] = codes[:, :, 3:].astype(np.uint16) * np.uint16(65535 // top)
     return out
+
+
+_COLOURS = {"red": ("R", "red"), "green": ("G", "green"), "blue": ("B", "blue"), "grey": ("Y", "L"), "gray": ("Y", "L")}
+
+
+def match_channels(present: tuple[str, ...], names: tuple[str, ...]) -> list[str]:
+    """Which of a file's channels of light stand for the wanted ones, in their order.
+
+    A wanted name matches a channel of the same name (capitals apart), or R, G, B for red, green, blue; where they do
+    not match, all channels are taken in the file's order. ValueError where the counts differ.
+    """
+    folded = {name.casefold(): name for name in present}
+    matched = []
+    for name in names:
+        aliases = (name, *_COLOURS.get(name.casefold(), ()))
+        matched += [folded[alias.casefold()] for alias in aliases if alias.casefold() in folded][:1]
+    if len(matched) == len(names):
+        return matched
+    if len(present) != len(names) or several_layers(present):
+        raise ValueError(f"channels {', '.join(present)} do not give {len(names)} ({', '.join(names)})")
+    return list(present)
+
+
+def several_layers(names: tuple[str, ...]) -> bool:
+    """Whether channels belong to different layers, so that somebody has to choose."""
+    return len({name.rpartition(".")[0] for name in names}) > 1

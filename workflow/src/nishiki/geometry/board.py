@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.formats.fields import PlainFields
+from nishiki.formats.stored import PlainFields
 
 LEAST_CORNERS = 4  # of a pose
 

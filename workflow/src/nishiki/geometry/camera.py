@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.formats.fields import PlainFields
+from nishiki.formats.stored import PlainFields
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 ROUNDING = 1e-12  # of a depth, relative to its terms

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.formats.fields import PlainFields
+from nishiki.formats.stored import PlainFields
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors, row_numbers
 from nishiki.geometry.surface import parts_of

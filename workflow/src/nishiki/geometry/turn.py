@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.formats.fields import PlainFields
+from nishiki.formats.stored import PlainFields
 from nishiki.geometry.camera import Camera
 
 LARGEST_STEP = 1.6  # of a full turn, relative to the median step

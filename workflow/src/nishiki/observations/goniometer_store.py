@@ -16,8 +16,7 @@ from nishiki.errors import UserError, require
 from nishiki.formats.files import read_json
 from nishiki.formats.masks import label_problems
 from nishiki.formats.problems import Problem, group_problems
-from nishiki.formats.stored import load_arrays, open_group, understood
-from nishiki.formats.zarr_store import BandedGroup
+from nishiki.formats.stored import BandedGroup, load_arrays, open_group, understood
 from nishiki.goniometry.directions import Symmetry
 from nishiki.goniometry.readings import Photograph
 from nishiki.observations.blocks import block_edges, picture_edges, positions

@@ -7,8 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nishiki.formats.stored import open_made_by, understood
-from nishiki.formats.zarr_store import chunk_path, read_chunk
+from nishiki.formats.stored import chunk_path, open_made_by, read_chunk, understood
 from nishiki.observations.blocks import Edges, edges_between
 from nishiki.observations.linearise import StoredArrays
 from nishiki.threads import in_threads, strips

@@ -11,7 +11,7 @@ import numpy as np
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
 from nishiki.formats.problems import Problem
-from nishiki.formats.zarr_store import BandedGroup, chunk_path, write_chunk
+from nishiki.formats.stored import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.blocks import bands_with_object, edges_between, rows_of_band
 from nishiki.observations.consistency import ReducedPhotographs
 from nishiki.observations.corrections import find_corrections

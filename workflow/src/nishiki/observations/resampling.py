@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.formats.images import Region
-from nishiki.formats.zarr_store import chunk_path, write_chunk
+from nishiki.formats.stored import chunk_path, write_chunk
 from nishiki.observations.blocks import field_rows
 from nishiki.observations.plane import Observations
 from nishiki.photometric.lambert_fit import solve_normals

@@ -11,8 +11,8 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.seal import sha256_of
 from nishiki.formats.files import Refused
 from nishiki.formats.problems import CaptureError, Problem, error, group_problems, warning
+from nishiki.formats.stored import BandedGroup
 from nishiki.formats.text_tables import refusal
-from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.frames import FrameReader
 
 if TYPE_CHECKING:

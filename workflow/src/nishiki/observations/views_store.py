@@ -13,7 +13,7 @@ from nishiki.colour.colour import encode
 from nishiki.errors import require
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
 from nishiki.formats.problems import Problem, refuse
-from nishiki.formats.zarr_store import BandedGroup
+from nishiki.formats.stored import BandedGroup
 from nishiki.observations.blocks import Edges, picture_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.linearise import LUMA_WEIGHTS, count_unusable

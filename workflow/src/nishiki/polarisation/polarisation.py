@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError, require
-from nishiki.formats.stored import open_made_by
-from nishiki.formats.zarr_store import BandedGroup, chunk_path, read_chunk, write_chunk
+from nishiki.formats.stored import BandedGroup, chunk_path, open_made_by, read_chunk, write_chunk
 from nishiki.polarisation.polariser_states import StateSums
 
 

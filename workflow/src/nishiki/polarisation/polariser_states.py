@@ -17,9 +17,9 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, parse
 from nishiki.errors import UserError
-from nishiki.formats import plain_yaml
 from nishiki.formats.files import read_text
-from nishiki.formats.matlab import read_matlab
+from nishiki.formats.picture_process import read_matlab
+from nishiki.formats.text_tables import load_plain
 
 
 def polariser(angle: float) -> np.ndarray:
@@ -140,7 +140,7 @@ def read_instrument(path: Path) -> InstrumentFile:
         import yaml
 
         try:
-            values = plain_yaml.load(read_text(path, "settings_bytes"))
+            values = load_plain(read_text(path, "settings_bytes"))
         except (OSError, ValueError, yaml.YAMLError) as error:
             raise UserError(f"{path.name}: cannot be read ({error}). Remedy: check turntable.calibration") from None
         return parse(InstrumentFile, values, path.name)

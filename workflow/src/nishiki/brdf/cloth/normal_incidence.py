@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from nishiki.brdf.cloth.interface import only_above
-from nishiki.formats.fields import ArrayFields
+from nishiki.formats.stored import ArrayFields
 from nishiki.goniometry.interpolation import coefficients, evaluate
 
 GRAZING_COSINE = float(np.cos(np.radians(89.0)))  # 1 / cos^2 goes on as a constant beyond 89 degrees

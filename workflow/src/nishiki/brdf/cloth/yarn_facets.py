@@ -40,7 +40,7 @@ from numba import njit
 
 from nishiki.brdf.cloth.interface import halves, off_horizon, only_above
 from nishiki.brdf.torrance_sparrow import exp2_negative, fresnel_scalar
-from nishiki.formats.fields import ArrayFields
+from nishiki.formats.stored import ArrayFields
 from nishiki.lanes import LANES, choose, load, root, splat, store
 from nishiki.threads import STRIPS_A_THREAD, over_items, threads
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.formats.fields import PlainFields
+from nishiki.formats.stored import PlainFields
 from nishiki.geometry.camera import Camera
 
 KINDS = ("camera", "direction", "position", "environment", "unknown")

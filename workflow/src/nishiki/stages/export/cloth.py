@@ -24,8 +24,8 @@ from nishiki.brdf.cloth.interface import halves, only_above
 from nishiki.brdf.half_vector_table import HalfVectorTable
 from nishiki.brdf.slopes import anisotropic_lobe
 from nishiki.colour.colour import decode, delta_e_2000, srgb_encode, srgb_matrix, xyz_to_lab
+from nishiki.formats.banded_pictures import png_bytes
 from nishiki.formats.merl import bsdf_bytes
-from nishiki.formats.picture_tiles import png_bytes
 from nishiki.formats.textured_surface import Glb
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import write_ply

@@ -15,7 +15,7 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.capture.schema import OBJECT_FACTS
 from nishiki.colour.colour import srgb_encode
-from nishiki.formats.picture_tiles import iiif_size, picture_on_disk, read_iiif_tiles, write_iiif_image
+from nishiki.formats.banded_pictures import iiif_size, picture_on_disk, read_iiif_tiles, write_iiif_image
 from nishiki.render.display import normals_as_colours
 from nishiki.stages.export.scene import ExportedScene
 

@@ -14,7 +14,7 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import encode
 from nishiki.evaluate.object_photographs import Photographs
-from nishiki.formats.picture_tiles import write_iiif_image
+from nishiki.formats.banded_pictures import write_iiif_image
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.display import developed, normals_as_colours, three_channels

@@ -10,8 +10,7 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.texels.model import DISTANT, POINT, ViewLamp, predict
 from nishiki.colour.colour import decode, srgb_encode
-from nishiki.formats.banded_pictures import ExrWriter
-from nishiki.formats.picture_tiles import png_bytes
+from nishiki.formats.banded_pictures import ExrWriter, png_bytes
 from nishiki.formats.textured_surface import Glb, TexturedMesh, faces, heading, vertices
 from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.render.display import three_channels

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.formats.picture_tiles import png_bytes
-from nishiki.formats.textured_surface import Glb, SurfaceLook, TexturedMesh
-from nishiki.formats.usd import write_materialx, write_usdz
+from nishiki.formats.banded_pictures import png_bytes
+from nishiki.formats.textured_surface import Glb, SurfaceLook, TexturedMesh, write_materialx, write_usdz
 
 INDEX = 1.5  # of refraction, what a viewer of glTF takes where the file says nothing
 NORMAL_REFLECTANCE = ((INDEX - 1) / (INDEX + 1)) ** 2

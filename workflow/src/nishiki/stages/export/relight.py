@@ -11,8 +11,14 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import srgb_encode
+from nishiki.formats.banded_pictures import (
+    picture_on_disk,
+    read_full_resolution,
+    read_jpeg,
+    write_deep_zoom,
+    write_jpeg,
+)
 from nishiki.formats.legacy_rti import read_ptm, write_ptm
-from nishiki.formats.picture_tiles import picture_on_disk, read_full_resolution, read_jpeg, write_deep_zoom, write_jpeg
 from nishiki.observations.plane import Observations
 from nishiki.render.display import normals_as_colours
 from nishiki.stages.export.light_models import (

@@ -13,7 +13,7 @@ from nishiki.capture.turntable import TurntableCapture
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample, under_one_lamp
 from nishiki.errors import UserError, require
-from nishiki.formats.zarr_store import BandedGroup
+from nishiki.formats.stored import BandedGroup
 from nishiki.observations.goniometer_store import STORE as WINDOWS
 from nishiki.observations.goniometer_store import write_goniometer
 from nishiki.observations.plane import STORE

@@ -14,7 +14,7 @@ from nishiki.colour.colour import delta_e_2000
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.formats.files import read_json
-from nishiki.formats.zarr_store import BandedArray, BandedGroup
+from nishiki.formats.stored import BandedArray, BandedGroup
 from nishiki.model_selection.decision import economy
 from nishiki.mosaic.adjustment import Placement, adjust
 from nishiki.mosaic.blending import blend_band, compare_fields
