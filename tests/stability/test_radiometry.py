@@ -12,10 +12,8 @@ from nishiki.colour.colour import encode
 from nishiki.errors import UserError
 from nishiki.formats.coding import LINEAR, SRGB
 from nishiki.formats.problems import CaptureError
-from nishiki.observations.block_kernels import block_levels
-from nishiki.observations.blocks import block_edges, picture_edges
-from nishiki.observations.linearise import check_linearity, code_table, saturation_code
-from nishiki.observations.plane_decode import ANY_CODE, decode_codes
+from nishiki.observations.kernels import ANY_CODE, block_levels, decode_codes
+from nishiki.observations.linearise import block_edges, check_linearity, code_table, picture_edges, saturation_code
 from nishiki.observations.reference import white_field
 from nishiki.photometric.light_selection import METHODS, select_diffuse
 

@@ -10,10 +10,20 @@ from hypothesis import strategies as st
 from nishiki.colour import colour
 from nishiki.formats.coding import LINEAR, SRGB
 from nishiki.formats.problems import CaptureError
-from nishiki.observations.block_kernels import block_levels, count_outliers
-from nishiki.observations.blocks import block_edges, blocks_around, cells, edges_between, on_one_grid, positions
-from nishiki.observations.linearise import check_linearity, code_table, count_unusable, saturation_code, to_luma
-from nishiki.observations.plane_decode import decode_codes
+from nishiki.observations.kernels import block_levels, count_outliers, decode_codes
+from nishiki.observations.linearise import (
+    block_edges,
+    blocks_around,
+    cells,
+    check_linearity,
+    code_table,
+    count_unusable,
+    edges_between,
+    on_one_grid,
+    positions,
+    saturation_code,
+    to_luma,
+)
 from nishiki.observations.reference import white_field
 
 RNG = np.random.default_rng(7)

@@ -17,8 +17,8 @@ from nishiki.artifacts.stage import expect_finite
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
-from nishiki.observations.blocks import rows_of_band
 from nishiki.observations.check import check_capture
+from nishiki.observations.linearise import rows_of_band
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
 from nishiki.stages.ingest import IngestSettings

@@ -17,9 +17,8 @@ from refusals import refused
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.formats.coding import LINEAR, SRGB
-from nishiki.observations.blocks import picture_edges
-from nishiki.observations.linearise import code_table
-from nishiki.observations.plane_decode import ANY_CODE, decode_codes
+from nishiki.observations.kernels import ANY_CODE, decode_codes
+from nishiki.observations.linearise import code_table, picture_edges
 from nishiki.observations.views import Views, decode, encode
 from nishiki.observations.views_store import write_views
 from nishiki.stages.ingest import IngestSettings

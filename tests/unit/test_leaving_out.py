@@ -12,8 +12,8 @@ from refusals import refused
 from nishiki.capture.folder import load_capture
 from nishiki.capture.seal import seal
 from nishiki.formats.problems import CaptureError
-from nishiki.observations.blocks import bands_with_object
 from nishiki.observations.goniometer_store import Measurements, write_goniometer
+from nishiki.observations.linearise import bands_with_object
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
 from nishiki.observations.region import chosen, usage_of

@@ -24,7 +24,7 @@ from nishiki.formats.files import is_plain, read_text
 from nishiki.formats.images import read_header
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.text_tables import load_plain
-from nishiki.observations.blocks import CHECK_BLOCK
+from nishiki.observations.linearise import CHECK_BLOCK
 from nishiki.observations.region import object_mask, region_around, region_of
 from nishiki.stages.base import SceneFacts
 from nishiki.stages.table import CHAIN, PRODUCTS, chain_of

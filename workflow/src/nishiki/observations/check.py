@@ -22,16 +22,14 @@ from nishiki.formats.files import walk
 from nishiki.formats.images import expect_channels, read_header
 from nishiki.formats.picture_files import ImageHeader
 from nishiki.formats.problems import CaptureError, Problem, error, warning
-from nishiki.observations.blocks import CHECK_BLOCK, block_edges
 from nishiki.observations.consistency import Judgement, ReducedPhotographs, judgement_problems
-from nishiki.observations.frames import FrameReader, unusable_coding
-from nishiki.observations.goniometer_check import look_at_windows, table_problems
-from nishiki.observations.linearise import count_unusable
+from nishiki.observations.frames import FrameReader, attempt, examine_frames, unusable_coding
+from nishiki.observations.goniometer_store import look_at_windows, table_problems
+from nishiki.observations.linearise import CHECK_BLOCK, block_edges, count_unusable
 from nishiki.observations.plane_store import frame_problems
 from nishiki.observations.polariser_check import silhouette_problems, turntable_content_problems
 from nishiki.observations.reference import DarkField, board_field, measure_darks
 from nishiki.observations.region import AnyCapture, object_mask, region_numbers, region_of
-from nishiki.observations.store_parts import attempt, examine_frames
 from nishiki.photometric.lambert_fit import FEWEST_LAMPS
 
 SAME_DIRECTION = np.cos(np.radians(0.1))

@@ -8,8 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from nishiki.formats.stored import chunk_path, open_made_by, read_chunk, understood
-from nishiki.observations.blocks import Edges, edges_between
-from nishiki.observations.linearise import StoredArrays
+from nishiki.observations.linearise import Edges, StoredArrays, edges_between
 from nishiki.threads import in_threads, strips
 
 STORE, FORMAT = "frames.zarr", 1  # name and version of the file; readers refuse others
@@ -130,7 +129,7 @@ class Observations(StoredArrays):
         channel: Literal["mean"] | int | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Decode codes of these lights whose first row and column are these into values and validity; see `read`."""
-        from nishiki.observations.plane_decode import decode_codes  # names and masks alone need no compiled code
+        from nishiki.observations.kernels import decode_codes  # names and masks alone need no compiled code
 
         rows, width = codes.shape[1:3]
         usable = self._usable[start : start + rows, left : left + width]

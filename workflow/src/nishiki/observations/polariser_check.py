@@ -10,11 +10,9 @@ from nishiki.capture.turntable import TurntableCapture
 from nishiki.errors import UserError, require
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning
-from nishiki.observations.blocks import CHECK_BLOCK, picture_edges
-from nishiki.observations.frames import FrameReader
-from nishiki.observations.linearise import count_unusable
+from nishiki.observations.frames import FrameReader, Tick, examine_frames
+from nishiki.observations.linearise import CHECK_BLOCK, count_unusable, picture_edges
 from nishiki.observations.reference import measure_darks
-from nishiki.observations.store_parts import Tick, examine_frames
 from nishiki.observations.turntable_coherence import Pictures, capture_problems
 from nishiki.observations.views_store import measure_whites, read_silhouette, view_problems
 from nishiki.polarisation.polariser_states import equal_steps, sums_of

@@ -13,9 +13,9 @@ import numpy as np
 from nishiki.capture.frames import Frame
 from nishiki.capture.taking import SAME_EXPOSURE
 from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
-from nishiki.observations.block_kernels import block_levels, count_outliers
-from nishiki.observations.blocks import Edges
 from nishiki.observations.frames import FrameReader
+from nishiki.observations.kernels import block_levels, count_outliers
+from nishiki.observations.linearise import Edges
 
 TOO_DARK = 0.02  # of full scale: below it noise and rounding are several percent of the board
 BAD_SHARE = 0.25  # of a block's samples

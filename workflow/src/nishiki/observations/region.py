@@ -16,7 +16,7 @@ from nishiki.errors import require
 from nishiki.formats.images import Region
 from nishiki.formats.masks import Mask, examine_mask, expect_size, label_problems, read_labels
 from nishiki.formats.problems import Problem, refuse
-from nishiki.observations.blocks import blocks_around
+from nishiki.observations.linearise import blocks_around
 
 MANY_REGIONS = 256  # labels of 8 bits
 MARGIN = 8

@@ -16,7 +16,7 @@ import numpy as np
 
 from nishiki.formats.images import Region
 from nishiki.formats.stored import chunk_path, write_chunk
-from nishiki.observations.blocks import field_rows
+from nishiki.observations.linearise import field_rows
 from nishiki.observations.plane import Observations
 from nishiki.photometric.lambert_fit import solve_normals
 from nishiki.threads import strips

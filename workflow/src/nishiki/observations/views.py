@@ -9,8 +9,7 @@ import numpy as np
 from nishiki.colour.colour import decode, encode
 from nishiki.errors import UserError
 from nishiki.formats.stored import open_made_by, understood
-from nishiki.observations.blocks import picture_edges
-from nishiki.observations.linearise import StoredArrays
+from nishiki.observations.linearise import StoredArrays, picture_edges
 
 __all__ = ["Views", "decode", "encode"]
 STORE, FORMAT = "views.zarr", 1  # name and version of the file; readers refuse others
@@ -67,7 +66,7 @@ class Views(StoredArrays):
         without polariser, else full scale at the longest exposure time. Valid: finite, no defect, gain known, saturated
         in no channel; code 0 is a valid measurement. A saturated sample keeps its value; what cannot be formed is 0.
         """
-        from nishiki.observations.plane_decode import ANY_CODE, decode_codes  # cameras alone need no compiled code
+        from nishiki.observations.kernels import ANY_CODE, decode_codes  # cameras alone need no compiled code
 
         frame = self.index(view, state=state, light=light)
         codes = self.codes(view, state=state, light=light)

@@ -14,14 +14,9 @@ from nishiki.errors import require
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
 from nishiki.formats.problems import Problem, refuse
 from nishiki.formats.stored import BandedGroup
-from nishiki.observations.blocks import Edges, picture_edges
-from nishiki.observations.frames import FrameReader
-from nishiki.observations.linearise import LUMA_WEIGHTS, count_unusable
-from nishiki.observations.plane_decode import ANY_CODE, decode_codes
-from nishiki.observations.reference import DarkField, board_fields, measure_darks
-from nishiki.observations.region import chosen
-from nishiki.observations.store_parts import (
+from nishiki.observations.frames import (
     ALL_SATURATED,
+    FrameReader,
     PhotographCounter,
     Settings,
     Tick,
@@ -30,6 +25,10 @@ from nishiki.observations.store_parts import (
     sample_warnings,
     write_small_arrays,
 )
+from nishiki.observations.kernels import ANY_CODE, decode_codes
+from nishiki.observations.linearise import LUMA_WEIGHTS, Edges, count_unusable, picture_edges
+from nishiki.observations.reference import DarkField, board_fields, measure_darks
+from nishiki.observations.region import chosen
 from nishiki.observations.views import FORMAT, STORE
 
 

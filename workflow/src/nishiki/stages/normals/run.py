@@ -16,7 +16,7 @@ from nishiki.errors import UserError
 from nishiki.formats.images import read_codes, read_header
 from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.lights import choose_lights
-from nishiki.observations.blocks import Edges, field_rows
+from nishiki.observations.linearise import Edges, field_rows
 from nishiki.observations.parcels import Parcel, parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric import flags as bits
