@@ -8,7 +8,7 @@ import pytest
 from boards import COLUMNS, DISTORTION, LENS, POSES, ROWS, SHAPE, board_camera, photograph, rotation_of
 from refusals import refused
 
-from nishiki.calibrate.geometry import calibrate_geometry, print_board, resting_point, resting_point_with_sigma
+from nishiki.calibrate.camera import calibrate_geometry, print_board, resting_point, resting_point_with_sigma
 from nishiki.calibrate.result import write_calibration
 from nishiki.errors import UserError
 from nishiki.geometry.board import detect_boards

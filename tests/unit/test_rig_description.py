@@ -10,7 +10,8 @@ from refusals import expect_facts, refused
 
 from nishiki.cli import main
 from nishiki.errors import UserError
-from nishiki.rig import described, serial_line
+from nishiki.rig import described
+from nishiki.rig import device as lines
 from nishiki.rig.description import open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
 from nishiki.simulate.rig.comxim import SimulatedComXim
@@ -243,5 +244,5 @@ def test_without_the_extra_the_remedy_is_named(folder, capsys, monkeypatch):
 
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch):
-    monkeypatch.setattr(serial_line, "QUIET_S", 0.05)
+    monkeypatch.setattr(lines, "QUIET_S", 0.05)
     monkeypatch.setattr(described, "GREETING_S", 1.0)

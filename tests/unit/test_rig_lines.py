@@ -13,7 +13,8 @@ from refusals import refused
 
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
-from nishiki.rig import axes, described, serial_line
+from nishiki.rig import axes, described
+from nishiki.rig import device as lines
 from nishiki.rig.axes import ComXimSettings, ComXimTurntable, Grbl, GrblAxis, GrblSettings
 from nishiki.rig.described import (
     BracketDome,
@@ -25,8 +26,7 @@ from nishiki.rig.described import (
     HomeMadeLamps,
     HomeMadePolariser,
 )
-from nishiki.rig.device import DeviceError, DeviceLost
-from nishiki.rig.serial_line import LONGEST_LINE, SerialLine
+from nishiki.rig.device import LONGEST_LINE, DeviceError, DeviceLost, SerialLine
 from nishiki.simulate.rig.comxim import SimulatedComXim
 from nishiki.simulate.rig.dome import SimulatedDome
 from nishiki.simulate.rig.grbl import SimulatedGrbl
@@ -39,7 +39,7 @@ DESTRUCTIVE = [fault for fault in FAULTS if fault not in ("halves", "noise")]
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch):
     """Simulated devices answer at once: a missing answer need not be waited for as long as a real one."""
-    monkeypatch.setattr(serial_line, "QUIET_S", 0.05)
+    monkeypatch.setattr(lines, "QUIET_S", 0.05)
     for module in (axes, described):
         monkeypatch.setattr(module, "ANSWER_S", 0.6)
         monkeypatch.setattr(module, "GREETING_S", 1.0)

@@ -17,10 +17,9 @@ from rig_devices import Bench, write_plan
 
 from nishiki.capture.schema import CameraResponse
 from nishiki.errors import UserError
-from nishiki.rig.frame_check import measure
 from nishiki.rig.frames_table import PlannedFrame
 from nishiki.rig.live_page import SCRIPT, page_html, serve
-from nishiki.rig.records import RunState
+from nishiki.rig.records import RunState, measure
 from nishiki.rig.run import run_capture
 
 CAMERA = CameraResponse(channels=CHANNELS, bits=12, black_level=100)

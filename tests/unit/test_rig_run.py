@@ -24,8 +24,7 @@ from nishiki.formats.images import read_exif
 from nishiki.photometric.solve import estimate_normals
 from nishiki.rig.description import expect_devices, reachable_angle
 from nishiki.rig.device import DeviceError, DeviceLost
-from nishiki.rig.frame_check import measure, sharpness
-from nishiki.rig.records import Journal
+from nishiki.rig.records import Journal, measure, sharpness
 from nishiki.rig.run import read_frames_of, run_capture
 
 

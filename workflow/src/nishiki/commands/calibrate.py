@@ -159,7 +159,7 @@ def camera(series, folder, into, bits) -> None:
 @option("--distortion none|radial|tangential|full", "terms of the distortion", default="tangential")
 def geometry(photographs, folder, into, board, dictionary, print_only, stage, distortion) -> None:
     """Measure the lens, a turntable's axis and a goniometer's centre with a ChArUco board, or print a board."""
-    from nishiki.calibrate.geometry import calibrate_geometry, print_board
+    from nishiki.calibrate.camera import calibrate_geometry, print_board
     from nishiki.calibrate.result import list_photographs
     from nishiki.geometry.board import BoardShape
 

@@ -18,8 +18,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from nishiki.artifacts.closed import Closed
-from nishiki.rig.device import Baud, DeviceError, DeviceLost, ask_operator, closed_on_failure
-from nishiki.rig.serial_line import SerialLine
+from nishiki.rig.device import Baud, DeviceError, DeviceLost, SerialLine, ask_operator, closed_on_failure
 
 GREETING = r"^Grbl"
 TOO_OLD = r"^Grbl 0\."

@@ -15,8 +15,16 @@ from nishiki.artifacts.closed import Closed
 from nishiki.capture.frames import parse_state
 from nishiki.formats.problems import CaptureError
 from nishiki.rig.axes import expect_in_range, not_homed
-from nishiki.rig.device import Baud, DeviceError, Pause, Seconds, ask_operator, closed_on_failure, expect_state
-from nishiki.rig.serial_line import SerialLine
+from nishiki.rig.device import (
+    Baud,
+    DeviceError,
+    Pause,
+    Seconds,
+    SerialLine,
+    ask_operator,
+    closed_on_failure,
+    expect_state,
+)
 
 GREETING_S = 3.0
 """Seconds that an Arduino needs to start after its port was opened."""

@@ -1,10 +1,15 @@
-"""Define the interface of the devices of a capture rig, and the person who works them by hand.
+"""Define the interface of the devices of a capture rig, the dialogue over a serial line, and who works by hand.
 
-A laboratory adds a device of its own by writing one class with the methods below; no base class is needed.
+A laboratory adds a device of its own by writing one class with the methods below; no base class is needed. Every device
+behind a serial port speaks through `SerialLine`, so that time-outs, partial lines, noise and restarts in the middle are
+treated in one place.
 """
 
+import errno
+import re
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +18,7 @@ from typing import Annotated, Protocol
 from pydantic import Field
 
 from nishiki.errors import UserError
+from nishiki.installation import optional
 
 Baud = Annotated[int, Field(ge=50, le=4_000_000)]
 Files = Annotated[int, Field(ge=1, le=2)]
@@ -207,3 +213,228 @@ def expect_state(name: str, state: str, states: tuple[str, ...]) -> None:
             f"{name}: expected one of the states {', '.join(states)}, found '{state}'. "
             "Remedy: correct the plan, or the states in the description of the rig"
         )
+
+
+LONGEST_LINE = 4096
+"""Bytes without an end of line beyond which what arrives is noise: no device here sends so long a line."""
+WRITE_S = 2.0
+"""Seconds that a port may take to accept a line."""
+QUIET_S = 0.3
+"""Seconds without a byte after which a greeting is complete."""
+SHOWN = 300
+"""Characters of what was received that a message repeats."""
+
+
+class SerialLine:
+    """An open serial port that sends and receives lines.
+
+    Parameters
+    ----------
+    device : str
+        Name of the device in messages.
+    port : str
+        The serial port, such as /dev/ttyUSB0 or COM3.
+    baud : int
+        Bits per second.
+    ending : str
+        What ends a line that the device sends, and is added to each line that is sent.
+    restart : str
+        Regular expression of a line that the device sends when it starts; empty: it sends none. Where one comes after
+        the greeting, the device has restarted and DeviceLost is raised.
+    ignore : bytes
+        Bytes that carry no meaning wherever they appear, such as the heartbeat of a turntable.
+    """
+
+    def __init__(
+        self, device: str, port: str, baud: int, ending: str = "\n", restart: str = "", ignore: bytes = b""
+    ) -> None:
+        self.device, self.port, self.baud = device, port, baud
+        self.ending, self.ignore = ending.encode(), ignore
+        self.restart = re.compile(restart) if restart else None
+        self.buffer = b""
+        self.sent = ""
+        serial = optional("pyserial")
+        try:
+            self.serial = serial.Serial(port, baud, timeout=0, write_timeout=WRITE_S, exclusive=True)
+        except ValueError as error:
+            raise DeviceError(f"{device}: {port} at {baud} baud: {error}. Remedy: correct the description") from None
+        except Exception as error:  # SerialException, or termios.error, which is no OSError
+            raise _not_opened(device, port, error) from None
+
+    def close(self) -> None:
+        """Close the port; a second call does nothing."""
+        try:
+            self.serial.close()
+        except OSError:
+            pass  # the port has gone
+
+    def greeting(self, pattern: str, timeout_s: float) -> str:
+        """Wait for the line that a device sends when it starts, and for the end of its greeting.
+
+        Parameters
+        ----------
+        pattern : str
+            Regular expression of that line.
+        timeout_s : float
+            Seconds to wait for it.
+
+        Returns
+        -------
+        str
+            The line; empty where none came in time.
+        """
+        end = time.monotonic() + timeout_s
+        while (line := self._next_line(end)) is not None:
+            if re.search(pattern, line):
+                self.discard()
+                return line
+        return ""
+
+    def discard(self) -> None:
+        """Throw away what arrives, until nothing has arrived for QUIET_S (at most for ten times as long)."""
+        start = last = time.monotonic()
+        self.buffer = b""
+        while time.monotonic() < min(last + QUIET_S, start + 10 * QUIET_S):
+            if self._read():
+                last = time.monotonic()
+            self.buffer = b""
+
+    def send(self, text: str, ending: bool = True) -> None:
+        """Send a line. What arrived before it is thrown away, after a look whether the device has restarted meanwhile.
+
+        Raises DeviceLost where the port has gone or accepts nothing.
+        """
+        while (line := self._next_line(0)) is not None:
+            self._expect_no_restart(line)
+        self.buffer = b""
+        self.sent = text
+        data = text.encode() + (self.ending if ending else b"")
+        try:
+            self.serial.write(data)
+        except OSError as error:  # SerialTimeoutException is one
+            raise self._lost(f"cannot be sent ({error})") from None
+
+    def receive(self, timeout_s: float) -> str | None:
+        """Return the next complete line without its ending; None on a timeout (its beginning stays in the buffer).
+
+        Raises DeviceLost where the port has gone, or the device has restarted.
+        """
+        line = self._next_line(time.monotonic() + timeout_s)
+        if line is not None:
+            self._expect_no_restart(line)
+        return line
+
+    def ask(
+        self,
+        text: str,
+        expect: str,
+        timeout_s: float,
+        refused: str = "",
+        explain: Callable[[re.Match[str]], str] | None = None,
+        ending: bool = True,
+    ) -> re.Match[str]:
+        """Send a line and wait for the answer that is expected; other lines before it count as noise.
+
+        Parameters
+        ----------
+        text : str
+            Line to send.
+        expect, refused : str
+            Regular expressions of the answer, and of an answer that refuses. They are searched for in each line.
+        timeout_s : float
+            Seconds to wait for the answer.
+        explain : callable, optional
+            What a refusal means, and the remedy, as whole sentences.
+        ending : bool
+            Whether the line ends as lines do; False for single characters that a device obeys at once.
+
+        Raises
+        ------
+        DeviceError
+            The device refuses.
+        DeviceLost
+            No answer in time, or the port has gone.
+        """
+        self.send(text, ending)
+        return self.answer(expect, timeout_s, refused, explain)
+
+    def answer(
+        self, expect: str, timeout_s: float, refused: str = "", explain: Callable[[re.Match[str]], str] | None = None
+    ) -> re.Match[str]:
+        """Wait for an answer to the line that was sent last; parameters and errors as of `ask`."""
+        lines: list[str] = []
+        end = time.monotonic() + timeout_s
+        while (line := self._next_line(end)) is not None:
+            self._expect_no_restart(line)
+            lines.append(line)
+            refusal = re.search(refused, line) if refused else None
+            if refusal:
+                why = explain(refusal) if explain else "Remedy: see the device's manual"
+                raise DeviceError(f"{self.device} at {self.port}: sent {self.sent!r}, received {line!r}. {why}")
+            match = re.search(expect, line)
+            if match:
+                return match
+        raise self._lost(self._instead(lines, expect, timeout_s))
+
+    def _instead(self, lines: list[str], expect: str, timeout_s: float) -> str:
+        """Describe the lines that came in place of the answer."""
+        partial = self._text(self.buffer)
+        parts = [repr(line) for line in lines] + ([f"{partial!r} without an end of line"] if partial else [])
+        received = ", ".join(parts) or "nothing"
+        if len(received) > SHOWN:
+            received = f"{received[:SHOWN]} ..."
+        return f"expected an answer with {expect!r} within {timeout_s:g} s, received {received}"
+
+    def _next_line(self, end: float) -> str | None:
+        """Return the next complete line that arrives before a moment of the monotonic clock."""
+        while True:
+            line, found, rest = self.buffer.partition(self.ending)
+            if found:
+                self.buffer = rest
+                if line.strip():
+                    return self._text(line)
+                continue
+            if len(self.buffer) > LONGEST_LINE:
+                self.buffer = self.buffer[-LONGEST_LINE:]
+                raise self._lost(f"received {LONGEST_LINE} bytes without an end of line")
+            if not self._read():
+                if time.monotonic() >= end:
+                    return None
+                time.sleep(0.005)
+
+    def _read(self) -> bool:
+        """Take what has arrived into the buffer. Returns whether something had."""
+        try:
+            data = self.serial.read(LONGEST_LINE)
+        except (OSError, TypeError) as error:  # TypeError: pyserial, of a port that was closed meanwhile
+            raise self._lost(f"the port has gone ({error})") from None
+        if self.ignore:
+            data = data.translate(None, self.ignore)
+        self.buffer += data
+        return bool(data)
+
+    def _expect_no_restart(self, line: str) -> None:
+        if self.restart and self.restart.search(line):
+            what = f"received {line!r}: the device has restarted in the middle, its positions are not known any more"
+            raise self._lost(what)
+
+    def _lost(self, what: str) -> DeviceLost:
+        sent = f"sent {self.sent!r}, " if self.sent else ""
+        remedy = f"check its power, the cable and the speed ({self.baud} baud), then run the same command again"
+        return DeviceLost(f"{self.device} at {self.port}: {sent}{what}. Remedy: {remedy}")
+
+    @staticmethod
+    def _text(data: bytes) -> str:
+        return data.decode("ascii", "backslashreplace").strip()
+
+
+def _not_opened(device: str, port: str, error: Exception) -> DeviceError:
+    """Why a port does not open, and what to do."""
+    reason = errno.errorcode.get(getattr(error, "errno", None) or 0, "")
+    if reason in ("EACCES", "EPERM"):
+        remedy = "allow it with 'sudo usermod -aG dialout $USER' and log in again"
+        return DeviceError(f"{device}: no permission to open {port}. Remedy: {remedy}")
+    if reason in ("EBUSY", "EAGAIN"):
+        return DeviceError(f"{device}: {port} is used by another program. Remedy: close that program and run again")
+    remedy = "plug it in and switch it on; ./nishiki rig ports lists what is connected"
+    return DeviceLost(f"{device}: {port} cannot be opened ({error}). Remedy: {remedy}")

@@ -13,9 +13,8 @@ from nishiki.observations.linearise import saturation_code
 from nishiki.report.page import Block, Facts, Figure, Figures, Metric, Note, Page, Section, Table, render_page
 from nishiki.report.pictures import colour_picture
 from nishiki.report.svg import PALETTE, Curve, Drawing, chart
-from nishiki.rig.frame_check import light_of
 from nishiki.rig.frames_table import duration
-from nishiki.rig.records import LastPhotograph, RunState, why
+from nishiki.rig.records import LastPhotograph, RunState, light_of, why
 from nishiki.version import PROJECT_VERSION
 
 ADDRESS = "127.0.0.1"

@@ -1,6 +1,12 @@
-"""Write what a capture run leaves behind: its journal, its progress, and the tables of the capture."""
+"""Measure each photograph of a capture run as it is taken, and write what the run leaves behind: journal and tables.
+
+Light failures show in the brightness: on a flat diffuse surface it follows the cosine of the lamp's angle (over the
+squared distance), and lamps that stand beside each other light the object alike. Movement shows in the sharpness: the
+ratio of the finest detail to detail twice as coarse, which hardly depends on the contrast.
+"""
 
 import json
+import math
 import os
 import threading
 import time
@@ -16,13 +22,172 @@ from nishiki.capture.folder import examine
 from nishiki.capture.frames import ANGLE_COLUMNS
 from nishiki.capture.schema import FORMAT, CameraResponse
 from nishiki.capture.taking import channel_names, choose_encoding, lights_text, settings_text, table_text
+from nishiki.colour.colour import decode
 from nishiki.errors import UserError
 from nishiki.formats.files import flush, name_fault, put_file
 from nishiki.formats.picture_files import ImageHeader
 from nishiki.formats.problems import CaptureError
-from nishiki.rig.frame_check import Measures
+from nishiki.observations.linearise import full_scale, saturation_code
 from nishiki.rig.frames_table import PlannedFrame
-from nishiki.rig.plan import GEOMETRIES, DomePlan, ReadPlan, TurntablePlan
+from nishiki.rig.plan import GEOMETRIES, DomePlan, ReadPlan, TurntablePlan, frame_distance, incidence_cosines
+
+SAMPLES_PX = 1000  # about as many pixels a side are measured
+DETAIL_PX = 1024  # side of the central window whose sharpness is measured
+NO_LIGHT = 0.002  # of full scale, above the black level
+DARK_LEVEL = 0.05  # of full scale: a dark frame above saw light
+EXPOSURE_TOLERANCE = 0.15  # relative: EXIF rounds to the steps of the camera's dial
+
+
+@dataclass(frozen=True)
+class Measures:
+    """What is measured in a photograph."""
+
+    rows: int  # rows, columns, channels: its size
+    columns: int
+    channels: int
+    sample: str  # type of its codes: uint8, uint16, float32
+    level: float  # mean of all channels above the black level, of full scale
+    saturated: float  # saturated, dark: shares of the pixels with a saturated channel, and without light in any
+    dark: float
+    peak: float  # code, of full scale, that one pixel of a thousand exceeds
+    sharpness: float | None  # ratio of the energies of fine and coarser detail; None where there is none
+    exposure_s: float | None  # as EXIF tells
+
+
+def measure(codes: np.ndarray, camera: CameraResponse, exposure_s: float | None) -> Measures:
+    """Measure codes (rows, columns, channels) of a camera; `exposure_s` is what EXIF tells."""
+    step = max(1, min(codes.shape[:2]) // SAMPLES_PX)
+    codes_measured = codes[::step, ::step]
+    light = light_of(codes_measured, camera)
+    limit = saturation_code(codes.dtype, camera.saturation, camera.bits)
+    return Measures(
+        rows=codes.shape[0],
+        columns=codes.shape[1],
+        channels=codes.shape[2],
+        sample=str(codes.dtype),
+        level=float(light.mean()),
+        saturated=float((codes_measured >= limit).any(axis=2).mean()),
+        dark=float((light < NO_LIGHT).all(axis=2).mean()),
+        peak=float(np.quantile(light.max(axis=2), 0.999)),
+        sharpness=sharpness(codes),
+        exposure_s=exposure_s,
+    )
+
+
+def light_of(codes: np.ndarray, camera: CameraResponse) -> np.ndarray:
+    """Linear light above the black level, of full scale; a coding that only the file states is taken to be sRGB."""
+    scale, stated = full_scale(codes.dtype, camera.bits), "srgb" if codes.dtype == np.uint8 else "linear"
+    encoding = stated if camera.encoding == "file" else camera.encoding
+    return decode(codes / scale, encoding) - decode(np.array(camera.black_level / scale), encoding)
+
+
+def sharpness(codes: np.ndarray) -> float | None:
+    """Variance of the Laplacian in the middle over that at half size; None where nothing is to be seen."""
+    import cv2
+
+    top, left = (max(0, (size - DETAIL_PX) // 2) for size in codes.shape[:2])
+    grey = codes[top : top + DETAIL_PX, left : left + DETAIL_PX].astype(np.float32).mean(axis=2)
+    if min(grey.shape) < 8:
+        return None
+    half = cv2.resize(grey, (grey.shape[1] // 2, grey.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    fine, coarse = (float(cv2.Laplacian(picture, cv2.CV_32F).var()) for picture in (grey, half))
+    return fine / coarse if coarse > 0 else None
+
+
+def _size(measures: Measures) -> str:
+    size = f"{measures.rows} x {measures.columns} pixels"
+    return f"{size} with {measures.channels} channels of {measures.sample}"
+
+
+COMPARED = {"dome": 4, "turntable": 2, "goniometer": 2}
+"""Neighbours that a frame is compared with."""
+
+
+@dataclass(frozen=True)
+class KeptFrame:
+    """A frame that is kept: what was measured in it, and its exposure in seconds where that is known."""
+
+    frame: PlannedFrame
+    measures: Measures
+    exposure_s: float | None
+
+    @property
+    def rate(self) -> float:
+        """Level for one second of exposure."""
+        return self.measures.level / (self.exposure_s or 1.0)
+
+
+class Neighbours:
+    """The frames of a plan, for comparison with each other.
+
+    Attributes
+    ----------
+    references : dict
+        By file, what the brightness of a frame is proportional to; see `incidence_cosines`.
+    """
+
+    def __init__(self, plan: ReadPlan, frames: tuple[PlannedFrame, ...]) -> None:
+        self._plan, self._by_file = plan, {frame.file: frame for frame in frames}
+        self.references = incidence_cosines(plan, frames)
+
+    def reasons_against(
+        self, frame: PlannedFrame, measures: Measures, exposure_s: float | None, kept: Mapping[str, Mapping[str, Any]]
+    ) -> list[str]:
+        """Find why a photograph cannot be kept, by itself and beside those that are (kept: their events)."""
+        known = {
+            file: KeptFrame(self._by_file[file], Measures(**event["measures"]), event["exposure_s"])
+            for file, event in kept.items()
+            if file in self._by_file
+        }
+        checks, reasons, size = self._plan.settings.checks, [], _size(measures)
+        wanted = next((_size(one.measures) for one in known.values()), size)
+        if size != wanted:
+            reasons.append(f"expected {wanted} as the first frame, found {size}: set the camera as it was")
+        if exposure_s and measures.exposure_s and abs(measures.exposure_s / exposure_s - 1) > EXPOSURE_TOLERANCE:
+            found = f"EXIF tells an exposure of {measures.exposure_s:g} s, not {exposure_s:g} s"
+            reasons.append(f"{found}: set the camera to M")
+        if frame.group == "dark":
+            if measures.level > DARK_LEVEL:
+                found = f"a dark frame of {measures.level:.0%} of full scale"
+                reasons.append(f"{found}: close the lens, or darken the room")
+            return reasons
+        most = checks.white_saturated if frame.group == "white" else checks.saturated
+        if most is not None and measures.saturated > most:
+            found = f"{measures.saturated:.1%} of the pixels are saturated, at most {most:.1%} may be"
+            reasons.append(f"{found}: expose shorter")
+        if checks.dark is not None and measures.dark > checks.dark:
+            reasons.append(f"{measures.dark:.1%} of the pixels have no light: check that the lamp shines")
+        sharp = [one.measures.sharpness for one in known.values() if one.frame.group == "object"]
+        if frame.group == "object" and checks.sharpness is not None and measures.sharpness is not None and any(sharp):
+            relative = measures.sharpness / next(filter(None, sharp))
+            if relative < checks.sharpness:
+                reasons.append(f"sharpness is {relative:.2f} of the first frame's: check that nothing moves")
+        expected, factor = self._expected(frame, known, exposure_s), checks.brightness
+        if expected and factor and not 1 / factor <= (ratio := max(measures.level, 0.0) / expected) <= factor:
+            found = f"brightness is {ratio:.2g} of what its neighbours lead to expect (1/{factor:g} to {factor:g})"
+            reasons.append(f"{found}: check this lamp, or the frames before")
+        return reasons
+
+    def _expected(self, frame: PlannedFrame, known: dict[str, KeptFrame], exposure_s: float | None) -> float | None:
+        """Compute the level that a frame should have by its neighbours; None without any."""
+        near = [(frame_distance(self._plan, frame, one.frame), file) for file, one in known.items()]
+        near = sorted(pair for pair in near if math.isfinite(pair[0]))[: COMPARED[self._plan.settings.kind]]
+        boards = {known[file].frame.light: file for file in known if file.startswith("white/")} if frame.light else {}
+        lights = {frame.light, *(known[file].frame.light for _, file in near)}
+        use_boards = frame.group == "object" and lights <= set(boards)
+
+        def reference(file: str) -> float:
+            """Return the expected relative brightness of a frame: its board's, or the cosine of its lamp's angle."""
+            if not use_boards:
+                return self.references[file]
+            return known[boards[self._by_file[file].light]].rate
+
+        pairs = [(reference(file), known[file].rate) for _, file in near]
+        pairs = [(value, rate) for value, rate in pairs if value > 0 and rate > 0]
+        if not pairs:
+            return None
+        brighter = float(np.median([level / known for known, level in pairs]))
+        return reference(frame.file) * brighter * (exposure_s or 1.0)
 
 
 class Journal:

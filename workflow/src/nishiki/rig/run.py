@@ -35,10 +35,18 @@ from nishiki.formats.images import read_codes, read_exif, read_header
 from nishiki.formats.problems import CaptureError, group_problems
 from nishiki.rig.description import OpenedRig, expect_devices, open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Rig, ask_operator
-from nishiki.rig.frame_check import Measures, Neighbours, measure
 from nishiki.rig.frames_table import AUTOMATIC, FIELDS, PlannedFrame, by_field, read_table, summary, table_text
 from nishiki.rig.plan import ReadPlan, read_plan
-from nishiki.rig.records import Journal, RunState, capture_settings, refuse_unusable_settings, write_tables
+from nishiki.rig.records import (
+    Journal,
+    Measures,
+    Neighbours,
+    RunState,
+    capture_settings,
+    measure,
+    refuse_unusable_settings,
+    write_tables,
+)
 
 REQUESTS = {
     "white": "put the white board in the object's place",
