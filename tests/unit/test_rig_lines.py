@@ -43,10 +43,7 @@ def short_waits(monkeypatch):
     for module in (axes, described):
         monkeypatch.setattr(module, "ANSWER_S", 0.6)
         monkeypatch.setattr(module, "GREETING_S", 1.0)
-    monkeypatch.setattr(axes, "COMXIM_ANSWER_S", 0.6)
     monkeypatch.setattr(axes, "MOVE_S", 1.0)
-    monkeypatch.setattr(axes, "HOMING_S", 1.0)
-    monkeypatch.setattr(axes, "TURN_S", 0.8)
 
 
 @pytest.fixture

@@ -18,19 +18,24 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from nishiki.artifacts.closed import Closed
-from nishiki.rig.device import Baud, DeviceError, DeviceLost, SerialLine, ask_operator, closed_on_failure
+from nishiki.rig.device import (
+    ANSWER_S,
+    GREETING_S,
+    MOVE_S,
+    POLL_S,
+    Baud,
+    DeviceError,
+    DeviceLost,
+    SerialLine,
+    ask_operator,
+    closed_on_failure,
+)
 
 GREETING = r"^Grbl"
 TOO_OLD = r"^Grbl 0\."
 """Greeting of releases before 1.1, whose status reports have another form."""
 RESET = "\x18"
 """Ctrl-X: restarts the controller at once."""
-GREETING_S = 2.5
-"""Seconds that an Arduino needs to start after its port was opened."""
-ANSWER_S = 5.0
-HOMING_S = 120.0
-MOVE_S = 120.0
-POLL_S = 0.05
 STANDS_WITHIN = 0.02
 """Controller's units by which a position may differ from what was asked: it reports three decimals of whole steps."""
 MM_PER_INCH = 25.4  # exact
@@ -99,9 +104,9 @@ class Grbl:
             return
         if self.alarmed:
             self._restart()
-        self._command("$H", HOMING_S)
+        self._command("$H", MOVE_S)
         self._command("G21 G90", ANSWER_S)
-        _, position = self._wait_until_idle(time.monotonic() + HOMING_S)
+        _, position = self._wait_until_idle(time.monotonic() + MOVE_S)
         self.home_position = position
 
     def move(self, letter: str, target: float) -> None:
@@ -249,9 +254,6 @@ def not_homed(name: str) -> DeviceError:
     return DeviceError(f"{name}: its position is not known since it was opened or failed. Remedy: home it first")
 
 
-COMXIM_ANSWER_S = 3.0
-TURN_S = 180.0
-"""Seconds that a whole turn may take at the slowest speed."""
 STEP_DEG = 0.01
 """Angles are sent with two decimals, and counted as they were sent."""
 
@@ -279,7 +281,7 @@ class ComXimTurntable:
         with closed_on_failure(self.line):
             # Opening the port can reach the table as noise, which it answers with CR+ERR: either answer shows that it
             # is there.
-            self.line.ask("CT()", r"CR\+(OK|ERR)", COMXIM_ANSWER_S)
+            self.line.ask("CT()", r"CR\+(OK|ERR)", ANSWER_S)
             self.line.discard()
 
     def home(self) -> None:
@@ -291,8 +293,7 @@ class ComXimTurntable:
         else:
             # A table that stands at zero already acknowledges TOZERO and never says that it ended: it is moved first.
             self._turn(1.0)
-            self._ask("CT+TOZERO()")
-            self.line.answer(r"CR\+EVENT=TB_END", TURN_S, r"CR\+ERR=(\d+)", self._explain)
+            self._turn_by("CT+TOZERO()")
         self.angle = 0.0
 
     def move_to(self, degrees: float) -> None:
@@ -314,11 +315,14 @@ class ComXimTurntable:
 
     def _turn(self, degrees: float) -> None:
         direction = 0 if degrees > 0 else 1
-        self._ask(f"CT+{self.settings.command}({direction},{abs(degrees):.2f})".replace(".00)", ")"))
-        self.line.answer(r"CR\+EVENT=TB_END", TURN_S, r"CR\+ERR=(\d+)", self._explain)
+        self._turn_by(f"CT+{self.settings.command}({direction},{abs(degrees):.2f})".replace(".00)", ")"))
+
+    def _turn_by(self, text: str) -> None:
+        self._ask(text)
+        self.line.answer(r"CR\+EVENT=TB_END", MOVE_S, r"CR\+ERR=(\d+)", self._explain)
 
     def _ask(self, text: str) -> None:
-        self.line.ask(text, r"CR\+OK", COMXIM_ANSWER_S, r"CR\+ERR=(\d+)", self._explain)
+        self.line.ask(text, r"CR\+OK", ANSWER_S, r"CR\+ERR=(\d+)", self._explain)
 
     def _explain(self, refusal: re.Match[str]) -> str:
         other = "TURNSINGLE" if self.settings.command == "TRUNSINGLE" else "TRUNSINGLE"

@@ -16,6 +16,8 @@ from nishiki.capture.frames import parse_state
 from nishiki.formats.problems import CaptureError
 from nishiki.rig.axes import expect_in_range, not_homed
 from nishiki.rig.device import (
+    ANSWER_S,
+    GREETING_S,
     Baud,
     DeviceError,
     Pause,
@@ -25,10 +27,6 @@ from nishiki.rig.device import (
     closed_on_failure,
     expect_state,
 )
-
-GREETING_S = 3.0
-"""Seconds that an Arduino needs to start after its port was opened."""
-ANSWER_S = 3.0
 
 
 class DomeSettings(Closed):
@@ -48,7 +46,7 @@ class Exchange(Closed):
     send: str = Field(description="line to send; {degrees} and {lamp} stand for the angle and the number of the lamp")
     expect: str = Field(min_length=1, description="text that the answer contains; {lamp}: number of the lamp")
     error: str = Field("error", description="text that an answer contains which refuses; upper and lower case alike")
-    timeout_s: Seconds = Field(5.0, description="seconds to wait for the answer")
+    timeout_s: Seconds = Field(ANSWER_S, description="seconds to wait for the answer")
 
     @field_validator("send")
     @classmethod
@@ -68,7 +66,7 @@ class Line(Closed):
     baud: Baud = Field(115200, description="bits per second")
     ending: str = Field("\n", min_length=1, description="what ends a line, in both directions")
     greeting: str = Field("", description="text that the device sends when it starts; empty: it sends none")
-    greeting_s: Seconds = Field(3.0, description="seconds to wait for the greeting after the port was opened")
+    greeting_s: Seconds = Field(GREETING_S, description="seconds to wait for the greeting after the port was opened")
 
 
 class DescribedLamps(Line):
@@ -112,12 +110,12 @@ def check_state(name: str) -> str:
         raise ValueError(str(error)) from None
 
 
-def _check_states(states: Any) -> Any:
-    """Angles need no quotes."""
+def _named(states: Any) -> Any:
     return tuple(check_state(str(state)) for state in states) if isinstance(states, list | tuple) else states
 
 
-States = Annotated[tuple[str, ...], BeforeValidator(_check_states)]
+States = tuple[Annotated[str, BeforeValidator(lambda state: check_state(str(state)))], ...]
+"""Names of polariser states; angles need no quotes."""
 
 
 class _Device:

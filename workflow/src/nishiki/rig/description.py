@@ -114,8 +114,13 @@ def open_rig(path: Path) -> Rig:
             lamps=lamps,
             axes=_open_axes(description.axes, path, opened),
             polarisers={
-                name: _keep(_open_polariser(f"polariser {name}", polariser, path), opened)
-                for name, polariser in description.polarisers.items()
+                name: _keep(
+                    PromptedPolariser(f"polariser {name}", settings.states)
+                    if isinstance(settings, PromptSettings)
+                    else _open_own(f"polariser {name}", settings, path, DescribedPolariser, HomeMadePolariser),
+                    opened,
+                )
+                for name, settings in description.polarisers.items()
             },
             camera=_keep(_open_camera(description.camera, path, lamps), opened),
         )
@@ -142,12 +147,6 @@ def _open_axes(axes: dict[str, Any], path: Path, opened: ExitStack) -> dict[str,
         else:
             devices[name] = _keep(_open_own(name, axis, path, DescribedAxis, HomeMadeAxis), opened)
     return devices
-
-
-def _open_polariser(name: str, settings: Any, path: Path) -> Any:
-    if isinstance(settings, PromptSettings):
-        return PromptedPolariser(name, settings.states)
-    return _open_own(name, settings, path, DescribedPolariser, HomeMadePolariser)
 
 
 def _open_camera(settings: Any, path: Path, lamps: Any) -> Any:

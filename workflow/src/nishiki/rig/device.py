@@ -219,8 +219,18 @@ LONGEST_LINE = 4096
 """Bytes without an end of line beyond which what arrives is noise: no device here sends so long a line."""
 WRITE_S = 2.0
 """Seconds that a port may take to accept a line."""
+POLL_S = 0.05
+"""Seconds between two looks whether something has moved or arrived."""
+GREETING_S = 3.0
+"""Seconds that an Arduino needs to start after its port was opened."""
+ANSWER_S = 5.0
+"""Seconds that a device may take to answer a line that moves nothing."""
+MOVE_S = 180.0
+"""Seconds that homing, a whole turn at the slowest speed, or any other movement may take."""
+DELIVERY_S = 60.0
+"""Seconds that a camera may take to deliver a photograph beyond the exposure, and a command to release it."""
 QUIET_S = 0.3
-"""Seconds without a byte after which a greeting is complete."""
+"""Seconds without a byte after which a greeting is complete, and without an event after which an exposure is."""
 SHOWN = 300
 """Characters of what was received that a message repeats."""
 

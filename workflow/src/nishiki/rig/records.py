@@ -31,8 +31,7 @@ from nishiki.observations.linearise import full_scale, saturation_code
 from nishiki.rig.frames_table import PlannedFrame
 from nishiki.rig.plan import GEOMETRIES, DomePlan, ReadPlan, TurntablePlan, frame_distance, incidence_cosines
 
-SAMPLES_PX = 1000  # about as many pixels a side are measured
-DETAIL_PX = 1024  # side of the central window whose sharpness is measured
+SIDE_PX = 1024  # of the pixels that are measured, of the window whose sharpness is, and of the copy that is shown
 NO_LIGHT = 0.002  # of full scale, above the black level
 DARK_LEVEL = 0.05  # of full scale: a dark frame above saw light
 EXPOSURE_TOLERANCE = 0.15  # relative: EXIF rounds to the steps of the camera's dial
@@ -56,7 +55,7 @@ class Measures:
 
 def measure(codes: np.ndarray, camera: CameraResponse, exposure_s: float | None) -> Measures:
     """Measure codes (rows, columns, channels) of a camera; `exposure_s` is what EXIF tells."""
-    step = max(1, min(codes.shape[:2]) // SAMPLES_PX)
+    step = max(1, min(codes.shape[:2]) // SIDE_PX)
     codes_measured = codes[::step, ::step]
     light = light_of(codes_measured, camera)
     limit = saturation_code(codes.dtype, camera.saturation, camera.bits)
@@ -85,8 +84,8 @@ def sharpness(codes: np.ndarray) -> float | None:
     """Variance of the Laplacian in the middle over that at half size; None where nothing is to be seen."""
     import cv2
 
-    top, left = (max(0, (size - DETAIL_PX) // 2) for size in codes.shape[:2])
-    grey = codes[top : top + DETAIL_PX, left : left + DETAIL_PX].astype(np.float32).mean(axis=2)
+    top, left = (max(0, (size - SIDE_PX) // 2) for size in codes.shape[:2])
+    grey = codes[top : top + SIDE_PX, left : left + SIDE_PX].astype(np.float32).mean(axis=2)
     if min(grey.shape) < 8:
         return None
     half = cv2.resize(grey, (grey.shape[1] // 2, grey.shape[0] // 2), interpolation=cv2.INTER_AREA)
@@ -228,8 +227,6 @@ class Journal:
                 yield event
 
 
-SEEN_PX = 900
-"""Longest side of the copy of the last photograph that is held."""
 REPEATED = ("rejected", "lost", "missing")
 """Events after which a frame is taken again."""
 
@@ -279,7 +276,7 @@ class RunState:
 
     def photographed(self, frame: PlannedFrame, codes: np.ndarray, measures: Measures) -> None:
         """Record a photograph that was read, before it is accepted or rejected."""
-        step = -(-max(codes.shape[:2]) // SEEN_PX)
+        step = -(-max(codes.shape[:2]) // SIDE_PX)
         with self.lock:
             self.last = LastPhotograph(frame, codes[::step, ::step].copy(), measures)
 
@@ -318,9 +315,6 @@ def why(event: dict[str, Any]) -> str:
     return "; ".join(event.get("reasons", [])) or event.get("message") or "its file is gone, or changed"
 
 
-FULL_TURN_DEG = 360.0
-
-
 def capture_settings(plan: ReadPlan, header: ImageHeader | None = None) -> dict[str, Any]:
     """Keys of capture.yaml: those of the plan, and what follows from it and from a photograph, once there is one."""
     settings = plan.settings
@@ -331,7 +325,7 @@ def capture_settings(plan: ReadPlan, header: ImageHeader | None = None) -> dict[
     values = {"format": FORMAT, "geometry": GEOMETRIES[settings.kind], **settings.capture, "camera": camera}
     if isinstance(settings, DomePlan):
         values["lights"] = {**(values.get("lights") or {}), "file": "lights.lp", "kind": settings.lights_kind}
-    if isinstance(settings, TurntablePlan) and settings.turn_deg == FULL_TURN_DEG and settings.steps > 1:
+    if isinstance(settings, TurntablePlan) and settings.turn_deg == 360 and settings.steps > 1:
         values["turntable"] = {"full_turn": True, **(values.get("turntable") or {})}
     return values
 
