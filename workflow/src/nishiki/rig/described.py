@@ -7,7 +7,7 @@ continued. The dome's computer answers in words, and lights all diodes when it s
 
 import re
 import time
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
@@ -90,32 +90,25 @@ class DescribedAxis(Line):
     range_deg: tuple[float, float] = Field((0.0, 360.0), description="smallest and largest angle")
 
 
-class DescribedPolariser(Line):
-    """A polariser on a servo motor."""
-
-    states: dict[str, Exchange] = Field(min_length=1, description="what to send for each state, named as in frames.csv")
-    settle_s: Pause = Field(0.0, description="seconds from the answer until the polariser stands")
-
-    @field_validator("states")
-    @classmethod
-    def _states_of_captures(cls, states: dict[str, Exchange]) -> dict[str, Exchange]:
-        return {check_state(name): exchange for name, exchange in states.items()}
-
-
-def check_state(name: str) -> str:
-    """Return the canonical name of a polariser state. ValueError where frames.csv knows none such."""
+def check_state(name: object) -> str:
+    """Return the canonical name of a polariser state, or of an angle. ValueError where frames.csv knows none such."""
     try:
-        return parse_state(name).name
+        return parse_state(str(name)).name
     except CaptureError as error:
         raise ValueError(str(error)) from None
 
 
-def _named(states: Any) -> Any:
-    return tuple(check_state(str(state)) for state in states) if isinstance(states, list | tuple) else states
+State = Annotated[str, BeforeValidator(check_state)]
+"""Name of a polariser state; an angle needs no quotes."""
 
 
-States = tuple[Annotated[str, BeforeValidator(lambda state: check_state(str(state)))], ...]
-"""Names of polariser states; angles need no quotes."""
+class DescribedPolariser(Line):
+    """A polariser on a servo motor."""
+
+    states: dict[State, Exchange] = Field(
+        min_length=1, description="what to send for each state, named as in frames.csv"
+    )
+    settle_s: Pause = Field(0.0, description="seconds from the answer until the polariser stands")
 
 
 class _Device:

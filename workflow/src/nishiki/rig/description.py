@@ -27,7 +27,7 @@ from nishiki.rig.described import (
     HomeMadeAxis,
     HomeMadeLamps,
     HomeMadePolariser,
-    States,
+    State,
 )
 from nishiki.rig.device import Exposure, PromptedPolariser, Rig, closed_on_failure
 from nishiki.rig.frames_table import PlannedFrame
@@ -54,7 +54,7 @@ class PromptSettings(Closed):
     """A polariser that a person turns."""
 
     kind: Literal["prompt"]
-    states: States = Field(("off", "on"), min_length=1, description="its states, named as in frames.csv")
+    states: tuple[State, ...] = Field(("off", "on"), min_length=1, description="its states, named as in frames.csv")
 
 
 CameraSettings = Annotated[GPhotoSettings | FolderSettings | PythonDevice, Field(discriminator="kind")]

@@ -16,7 +16,7 @@ from nishiki.capture.schema import Positive
 from nishiki.errors import UserError, require
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
 from nishiki.goniometry.directions import between, unit
-from nishiki.rig.described import States
+from nishiki.rig.described import State
 from nishiki.rig.description import read_yaml
 from nishiki.rig.frames_table import AUTOMATIC, FIELDS, PlannedFrame
 
@@ -171,7 +171,7 @@ class TurntablePlan(Plan):
     turn_deg: Annotated[float, Field(gt=0, le=360)] = Field(360.0, description="angle that the steps share")
     axis: str = Field("turntable", description="name of the axis in the rig's description")
     lamps: tuple[Annotated[int, Field(ge=1)], ...] = Field((), description="numbers; left out: lamps are not switched")
-    states: States = Field((), description="states of the polarisers, named as in frames.csv")
+    states: tuple[State, ...] = Field((), description="states of the polarisers, named as in frames.csv")
     polarisers: tuple[str, ...] = Field(
         ("polariser",), min_length=1, max_length=2, description="names in the rig's description; two: G/A in states"
     )
