@@ -24,7 +24,7 @@ PLACES = {
     "materialx": {"textured_surface.py"},
     "pymeshlab": {"scans.py"},
     "pyarrow": {"results.py"},
-    "pyserial": {"description.py", "serial_line.py"},
+    "pyserial": {"description.py", "device.py"},
     "rawpy": {"decoders.py"},
     "scikit-image": {"hull.py", "shape.py"},
     "trimesh": {"mesh.py", "scans.py", "surfaces.py"},

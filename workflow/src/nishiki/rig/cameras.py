@@ -21,7 +21,18 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed
 from nishiki.installation import optional
-from nishiki.rig.device import DeviceError, DeviceLost, Exposure, Files, Pause, Seconds, closed_on_failure
+from nishiki.rig.device import (
+    DELIVERY_S,
+    POLL_S,
+    QUIET_S,
+    DeviceError,
+    DeviceLost,
+    Exposure,
+    Files,
+    Pause,
+    Seconds,
+    closed_on_failure,
+)
 
 WIDGETS = {
     "seconds": ("shutterspeed", "shutterspeed2", "exposuretime"),
@@ -31,10 +42,6 @@ WIDGETS = {
 """Names of the settings of an exposure, by libgphoto2's drivers."""
 LARGEST_STEP = 2.0
 """Ratio beyond which the nearest setting of a camera is not what was asked for: one stop."""
-LONGEST_WAIT_S = 60.0
-"""Seconds that a camera may take to deliver a photograph, beyond the exposure."""
-QUIET_MS = 300
-"""Milliseconds without an event after which no further file of an exposure is expected."""
 LOST = {-7, -10, -33, -35, -52, -105, -110}
 """libgphoto2's errors of cameras that are gone or asleep: input and output, time-outs, USB, not found, busy."""
 CLAIMED = -53
@@ -109,9 +116,9 @@ class GPhotoCamera:
         """Release, and wait for all files of the exposure: their folders and names on the camera."""
         first = self.camera.capture(self.gphoto.GP_CAPTURE_IMAGE)
         places = {(first.folder, first.name)}
-        end = time.monotonic() + LONGEST_WAIT_S + self.exposure_s
+        end = time.monotonic() + DELIVERY_S + self.exposure_s
         while time.monotonic() < end:
-            kind, data = self.camera.wait_for_event(QUIET_MS)
+            kind, data = self.camera.wait_for_event(int(1000 * QUIET_S))
             if kind == self.gphoto.GP_EVENT_FILE_ADDED:
                 places.add((data.folder, data.name))
             elif kind == self.gphoto.GP_EVENT_TIMEOUT and len(places) >= self.files:
@@ -244,9 +251,6 @@ def number_of(text: str) -> float | None:
 
 UNFINISHED = (".tmp", ".part", ".partial", ".crdownload", "~")
 """Ends of the names of files that are being written."""
-POLL_S = 0.05
-COMMAND_S = 60.0
-"""Seconds that a command may take that releases the camera."""
 
 
 class FolderSettings(Closed):
@@ -372,7 +376,7 @@ def run_command(name: str, command: tuple[str, ...]) -> Callable[[], None]:
     def release() -> None:
         text = " ".join(command)
         try:
-            done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=COMMAND_S)
+            done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=DELIVERY_S)
         except (OSError, subprocess.TimeoutExpired) as error:
             raise DeviceError(f"{name}: the command '{text}' failed ({error}). Remedy: correct 'release'") from None
         if done.returncode:
