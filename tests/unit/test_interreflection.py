@@ -61,7 +61,9 @@ def photographed(size: int, *, hollow: bool = True, level: float = 1.0, white_bo
         truth=normals,
         inside=inside,
         values=radiance.astype(np.float32),
-        read=lambda rows, lights: (radiance[lights, rows].astype(np.float32), valid[lights, rows]),
+        bands=lambda: [slice(0, size // 2), slice(size // 2, size)],
+        codes=lambda rows, lights: (radiance[lights, rows], rows.start),
+        decoded=lambda codes, lights, row: (codes.astype(np.float32), valid[lights, row : row + codes.shape[1]]),
     )
 
 
@@ -136,13 +138,13 @@ def test_lamps_that_give_no_normals_throw_no_light():
 
 def test_a_lamp_without_samples_decides_nothing():
     frames = photographed(48)
-    whole = frames.read
+    whole = frames.decoded
 
-    def read(rows: slice, lights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        values, valid = whole(rows, lights)
+    def decoded(codes: np.ndarray, lights: np.ndarray, row: int) -> tuple[np.ndarray, np.ndarray]:
+        values, valid = whole(codes, lights, row)
         return values, valid & (lights != 3)[:, None, None]
 
-    frames.read = read
+    frames.decoded = decoded
     assert find_thrown_light(frames, np.arange(17), NormalsSettings())[0] is not None
 
 

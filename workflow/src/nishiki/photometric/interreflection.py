@@ -100,12 +100,12 @@ def form_factors(normals: np.ndarray, valid: np.ndarray) -> sparse.csr_array:
     places = np.stack([column, -row, height[row, column]], axis=-1).astype(np.float64)
     area = 1 / np.maximum(facing[:, 2], STEEPEST)
     surface = np.where(valid, height, -np.inf)
-    blocks = []
-    for first in range(0, len(places), TOGETHER):
-        here, towards = places[first : first + TOGETHER], facing[first : first + TOGETHER]
-        apart = places - here[:, None]
-        square = np.maximum(np.einsum("ikx,ikx->ik", apart, apart), DARK)
-        leaving, arriving = np.einsum("ix,ikx->ik", towards, apart), -np.einsum("kx,ikx->ik", facing, apart)
+    offset, lengths, blocks = np.einsum("kx,kx->k", facing, places), np.square(places).sum(axis=1), []
+    for start in range(0, len(places), TOGETHER):
+        here, towards = places[start : start + TOGETHER], facing[start : start + TOGETHER]
+        square = np.maximum(np.square(here).sum(axis=1)[:, None] + lengths - 2 * here @ places.T, DARK)
+        leaving = towards @ places.T - offset[start : start + TOGETHER, None]
+        arriving = here @ facing.T - offset
         factors = np.maximum(leaving, 0) * np.maximum(arriving, 0) / square * area
         factors /= np.pi * np.maximum(square, area / np.pi)
         i, k = np.nonzero(factors > FAINTEST)

@@ -110,10 +110,14 @@ def read_facets(frames: Observations, lights: np.ndarray, step: int, settings: N
     rows, columns = (-(-size // step) for size in frames.shape)
     sums = np.zeros((len(lights), rows, columns, len(frames.channels)))
     counts, starts = np.zeros((len(lights), rows, columns)), np.arange(0, frames.shape[1], step)
-    for number, row in enumerate(np.minimum(np.arange(rows) * step + step // 2, frames.shape[0] - 1)):
-        values, known = frames.read(slice(int(row), int(row) + 1), lights=lights)
-        sums[:, number] = np.add.reduceat(np.where(known[..., None], values, 0)[:, 0], starts, axis=1)
-        counts[:, number] = np.add.reduceat(known[:, 0].astype(int), starts, axis=1)
+    middle = np.minimum(np.arange(rows) * step + step // 2, frames.shape[0] - 1)
+    for band in frames.bands():
+        codes, first = frames.codes(band, lights=lights)
+        for number in np.flatnonzero((middle >= first) & (middle < band.stop)):
+            row = int(middle[number])
+            values, known = frames.decoded(codes[:, row - first : row - first + 1], lights, row)
+            sums[:, number] = np.add.reduceat(np.where(known[..., None], values, 0)[:, 0], starts, axis=1)
+            counts[:, number] = np.add.reduceat(known[:, 0].astype(int), starts, axis=1)
 
     def fit(values: np.ndarray, valid: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         values = values.astype(np.float32)
