@@ -34,10 +34,16 @@ from nishiki.simulate.capture import (
     write_image,
 )
 from nishiki.simulate.painting.objects import SimulatedObject
-from nishiki.simulate.painting.paints import make_palette
 from nishiki.simulate.painting.photographs import make_tables
-from nishiki.simulate.painting.settings import LampPose, LightSettings, SimulationSettings, planck_spectrum, vignette
-from nishiki.simulate.painting.shading import shade
+from nishiki.simulate.painting.relief import shade
+from nishiki.simulate.painting.settings import (
+    LampPose,
+    LightSettings,
+    SimulationSettings,
+    make_palette,
+    planck_spectrum,
+    vignette,
+)
 
 PITCH_MM = 0.1
 FAR_MM = 1e6

@@ -209,7 +209,7 @@ def load(file, lamps):
 
 def solved(samples, lights, valid, how):
     """Normals (1, pixels, 3) by one of METHODS."""
-    from nishiki.photometric.body_colour import body_intensity
+    from nishiki.photometric.body import body_intensity
     from nishiki.photometric.light_selection import select_diffuse
     from nishiki.photometric.solve import estimate_normals
 
@@ -227,11 +227,10 @@ def solved(samples, lights, valid, how):
 
 def joint_fit(samples, lights, valid):
     """Normals (1, pixels, 3) as the stage makes them of few lamps: the default, then the joint fit if gloss counts."""
-    from nishiki.photometric.body_colour import body_intensity
+    from nishiki.photometric.body import body_intensity, diffuse_reflectance
     from nishiki.photometric.gloss import GlossTile, refine_normals
     from nishiki.photometric.gloss_scene import fit_scene_gloss
     from nishiki.photometric.light_selection import select_diffuse
-    from nishiki.photometric.reflectance import diffuse_reflectance
     from nishiki.photometric.solve import estimate_normals
 
     usable = select_diffuse(samples.mean(axis=-1), lights, valid=valid).usable

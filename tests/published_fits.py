@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.brdf import variable_projection as vp
+from nishiki.brdf import fit as vp
 from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, specular_samples
 from nishiki.brdf.torrance_sparrow import attenuation, body_factor, half_vector_geometry
 

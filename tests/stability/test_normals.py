@@ -12,10 +12,10 @@ from stability.samples import EXTREME, dome, matt_pixels, same, tilted, turned_c
 from nishiki.brdf.gloss_profile import LADDER, GlossProfile
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
+from nishiki.photometric.body import diffuse_reflectance
 from nishiki.photometric.gloss import JointSettings, refine_normals
 from nishiki.photometric.height import integrate_normals
 from nishiki.photometric.light_selection import METHODS, select_diffuse
-from nishiki.photometric.reflectance import diffuse_reflectance
 from nishiki.photometric.solve import SOLVERS, estimate_normals
 from nishiki.small_matrices import eigenvalues
 

@@ -8,7 +8,7 @@ from stability.cases import case, powers_of_ten, relative, worst_over
 from nishiki.errors import UserError
 from nishiki.polarisation.polarisation import board_ratio, common_phase, components, reflected_sense, sum_planes
 from nishiki.polarisation.polariser_states import Arm, design_matrix, solvable, sums_of
-from nishiki.polarisation.statistics import statistics_of
+from nishiki.polarisation.series import statistics_of
 
 SHAPE = (5, 7, 3)
 

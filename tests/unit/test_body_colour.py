@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from nishiki.photometric import body_colour
-from nishiki.photometric.body_colour import body_intensity
-from nishiki.photometric.body_terms import shading_of_mean
+from nishiki.photometric import body
+from nishiki.photometric.body import body_intensity, shading_of_mean
 from nishiki.photometric.light_selection import select_diffuse
-from nishiki.photometric.refine import WIDTH
-from nishiki.photometric.solve import PRIOR, estimate_normals
+from nishiki.photometric.normal_kernels import PRIOR, WIDTH
+from nishiki.photometric.solve import estimate_normals
 from nishiki.stages.normals.parcel import WEIGHTED
 
 DARK_RED = np.array([0.12, 0.015, 0.01])
@@ -19,23 +18,23 @@ def reference(samples, valid):
     mean = samples.mean(axis=1)
     lit = valid & (mean > 0)
     lower = mean[lit & (mean <= mean[lit].mean())].mean() if lit.any() else 0.0
-    lit &= mean >= body_colour.LIT * lower
+    lit &= mean >= body.LIT * lower
     direction = (samples - mean[:, None])[lit].sum(axis=0)
-    if lit.sum() < body_colour.AT_LEAST or np.linalg.norm(direction) == 0:
+    if lit.sum() < body.AT_LEAST or np.linalg.norm(direction) == 0:
         return mean
     across = samples @ (direction / np.linalg.norm(direction)) / np.sqrt(samples.shape[1])
     kept, saturation = lit, 0.0
-    for _ in range(body_colour.CONCENTRATIONS + 1):
+    for _ in range(body.CONCENTRATIONS + 1):
         kept = lit & (across >= saturation * mean)
         saturation = max(across[kept].sum() / mean[kept].sum(), 0.0)
     gloss = np.clip((mean - across / saturation)[lit] / lower, 0, 1)
     square, channels = saturation**2, samples.shape[1]
     rest = np.sum((samples - mean[:, None])[lit] ** 2) - channels * np.sum(across[lit] ** 2)
     noise = max(rest, 0) / lower**2 / max((lit.sum() - 1) * max(channels - 2, 1), 1)
-    unsure = body_colour.NOISE * noise * (1 + 1 / square) / channels
+    unsure = body.NOISE * noise * (1 + 1 / square) / channels
     variance = max(np.mean(gloss**2) - unsure, 0)
-    t = variance / (variance + body_colour.ERROR**2 + noise) * square / (square + body_colour.FAINT**2)
-    t = min(t, body_colour.MOST)
+    t = variance / (variance + body.ERROR**2 + noise) * square / (square + body.FAINT**2)
+    t = min(t, body.MOST)
     return ((1 - t) * mean + saturation * across) / (1 - t + square)
 
 

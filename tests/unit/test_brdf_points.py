@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from published_fits import fit_lobe, fit_points
 from scipy.optimize import minimize_scalar, nnls
 
-from nishiki.brdf import variable_projection as vp
+from nishiki.brdf import fit as vp
 from nishiki.brdf.fit import FitFlag, fit_torrance_sparrow
 from nishiki.errors import UserError
 

@@ -7,9 +7,8 @@ from lit_relief import degrees, dome, photographs
 
 from nishiki.capture.lights import read_lights
 from nishiki.formats.problems import error_text
-from nishiki.photometric.consistency import LEAST_AMBIENT, examine_photographs
+from nishiki.photometric.consistency import LEAST_AMBIENT, examine_photographs, measure_width
 from nishiki.photometric.lambert_fit import solve_normals
-from nishiki.photometric.near_lamps import measure_width
 
 
 @pytest.mark.parametrize("options", [{}, {"gloss": 0.5}, {"albedo": (0.01, 0.03)}])

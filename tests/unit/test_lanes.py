@@ -58,8 +58,8 @@ def test_planes_begin_at_a_register():
 SUMS_OF_A_BLOCK = """
 import sys
 import numpy as np
-from nishiki.lanes import LANES
-from nishiki.photometric.lobe import BLOCK, SLOPES, SUMS, add_products
+from nishiki.lanes import BLOCK, LANES
+from nishiki.photometric.lobe import SLOPES, SUMS, add_products
 
 rng = np.random.default_rng(3)
 slopes, sums = rng.normal(size=(SLOPES * 41, LANES)).astype(np.float32), np.zeros(SUMS * BLOCK, np.float32)

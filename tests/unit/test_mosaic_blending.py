@@ -5,8 +5,16 @@ import pytest
 from mosaics import cut_relief, painted_relief
 
 from nishiki.mosaic.adjustment import Placement, adjust
-from nishiki.mosaic.blending import blend_band, compare_fields, turn_normals
-from nishiki.mosaic.levelling import Levels, Samples, level_fields, slow_terms, solve_levels, to_quantities
+from nishiki.mosaic.blending import (
+    Levels,
+    Samples,
+    blend_band,
+    compare_fields,
+    level_fields,
+    slow_terms,
+    solve_levels,
+    turn_normals,
+)
 from nishiki.mosaic.registration import Field, register_fields
 
 KINDS = {"normals": False, "reflectance": False, "sigma": False, "flags": True}
@@ -142,11 +150,6 @@ def test_squares_are_used_where_they_predict_overlaps():
     assert decision.decision == "with squares"
     assert np.abs(levels.slow[2:] - slow[2:]).max() < 0.02
     assert slow_terms(np.array([2.0, 3.0]), 5).tolist() == [2, 3, 4, 6, 9]
-
-
-def test_quantities_are_logarithms_and_angles():
-    found = to_quantities(np.array([0.5]), np.array([np.sin(0.3), 0.0, np.cos(0.3)]))
-    assert np.allclose(found, [np.log(0.5), 0.3, 0.0])
 
 
 @pytest.mark.slow

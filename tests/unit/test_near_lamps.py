@@ -13,7 +13,7 @@ from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
-from nishiki.photometric.near_lamps import measure_width
+from nishiki.photometric.consistency import measure_width
 
 RINGS = {"dome": ((8, 35), (4, 65)), "ring": ((12, 45),), "low": ((8, 30),), "three": ((10, 25), (8, 45), (6, 70))}
 WIDTH_MM = 200.0

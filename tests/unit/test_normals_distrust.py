@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from nishiki.photometric import flags as bits
-from nishiki.photometric.distrust import SOMEWHAT, SUSPECT, WORSE, distrusted
 from nishiki.photometric.light_selection import select_diffuse
-from nishiki.photometric.solve import estimate_normals, lambertian
+from nishiki.photometric.solve import SOMEWHAT, SUSPECT, WORSE, distrusted, estimate_normals, lambertian
 
 
 def unit(vectors):

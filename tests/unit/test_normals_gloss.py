@@ -20,12 +20,11 @@ from nishiki.brdf.gloss_profile import (
 from nishiki.brdf.torrance_sparrow import MIRROR, attenuation, fresnel, half_vector_geometry
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
+from nishiki.photometric.body import diffuse_reflectance
 from nishiki.photometric.gloss import GlossTile, JointScene, JointSettings, channel_rotation, refine_normals
-from nishiki.photometric.gloss_kernel import Pixel
-from nishiki.photometric.gloss_prediction import NODES, NODES_PER_UNIT, predict
+from nishiki.photometric.gloss_kernel import NODES, NODES_PER_UNIT, Pixel, predict
 from nishiki.photometric.gloss_scene import find_finishes, fit_scene_gloss
 from nishiki.photometric.light_selection import select_diffuse
-from nishiki.photometric.reflectance import diffuse_reflectance
 from nishiki.photometric.solve import estimate_normals
 from nishiki.stages.normals import NormalsSettings
 

@@ -8,8 +8,8 @@ from nishiki.brdf.torrance_sparrow import body_factor
 from nishiki.errors import UserError
 from nishiki.photometric.relighting import (
     ALONG,
-    LEAST_PRIOR,
     NOISE,
+    PRIOR,
     TUNING,
     WIDTH_NORMAL,
     fit_relighting,
@@ -76,7 +76,7 @@ def test_the_direction_is_the_minimum_of_cauchys_cost():
         level = stack[:, p].mean(-1)
         cosine = np.maximum(lights @ normals[p], 0)
         level = level / (cosine @ level / (cosine @ cosine))
-        held = np.full(3, (scatter / WIDTH_NORMAL) ** 2 + LEAST_PRIOR * len(lights) / 3) * [1, 1, ALONG]
+        held = np.full(3, (scatter / WIDTH_NORMAL) ** 2 + PRIOR * len(lights) / 3) * [1, 1, ALONG]
         g = normals[p]
         for _ in range(30):  # the scale follows the residuals, as in the fit
             r = level - lights @ g
@@ -165,7 +165,7 @@ def test_directional_terms_are_the_least_squares_solution():
         basis = np.stack([c, c * c, c * x**8, c * lights[:, 0], c * lights[:, 1]], axis=1)
         level = stack[:, p].mean(-1)
         level *= (c @ c) / (c @ level)
-        prior = LEAST_PRIOR * len(lights) / 3 * np.diag([0.0, 1, 1, 1, 1])
+        prior = PRIOR * len(lights) / 3 * np.diag([0.0, 1, 1, 1, 1])
         right = basis.T @ level
         terms = np.linalg.solve(basis.T @ basis + prior, right)
         ratio = found["shading"][0, p] / terms

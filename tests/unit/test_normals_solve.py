@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from nishiki.brdf.torrance_sparrow import body_factor
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
+from nishiki.photometric.body import diffuse_reflectance
 from nishiki.photometric.light_selection import select_diffuse
-from nishiki.photometric.refine import WIDTH
-from nishiki.photometric.reflectance import diffuse_reflectance
-from nishiki.photometric.solve import AT_LEAST, PRIOR, estimate_normals
+from nishiki.photometric.normal_kernels import AT_LEAST, PRIOR, WIDTH
+from nishiki.photometric.solve import estimate_normals
 
 
 def directions_of(count, lowest=0.3):

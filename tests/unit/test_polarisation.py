@@ -11,7 +11,6 @@ from nishiki.polarisation.polarisation import (
     Components,
     ComponentWriter,
     SeparatedView,
-    add_weighted,
     board_ratio,
     common_phase,
     components,
@@ -27,7 +26,7 @@ from nishiki.polarisation.polariser_states import (
     solvable,
     sums_of,
 )
-from nishiki.polarisation.statistics import Thinned, diagnose, noise_of, statistics_of
+from nishiki.polarisation.series import Thinned, diagnose, noise_of, statistics_of
 
 SHAPE = (13, 17, 3)
 
@@ -277,9 +276,9 @@ def test_beta_goes_with_circular_states_only():
 
 
 def test_values_that_are_not_finite_add_nothing():
-    planes = np.zeros((2, 1, 4, 1), np.float32)
     values = np.array([1, np.nan, np.inf, -2], np.float32).reshape(1, 4, 1)
-    add_weighted(planes, values, np.array([1, -1], np.float32))
+    planes, valid = sum_planes([(values, np.ones((1, 4), bool))], np.array([[1.0], [-1.0]]))
+    assert valid.tolist() == [[True, False, False, True]]
     assert planes[0].ravel().tolist() == [1, 0, 0, -2]
     assert planes[1].ravel().tolist() == [-1, 0, 0, 2]
 

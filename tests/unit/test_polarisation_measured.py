@@ -6,7 +6,7 @@ import pytest
 
 from nishiki.polarisation.polarisation import components, reflected_sense, sum_planes
 from nishiki.polarisation.polariser_states import arms_of, read_instrument, sums_of
-from nishiki.polarisation.statistics import Thinned, diagnose, statistics_of
+from nishiki.polarisation.series import Thinned, diagnose, statistics_of
 
 pytestmark = pytest.mark.data
 NAMES = (0, 23, 45, 68, 90, 113, 135, 158)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from refusals import refused
 
 from nishiki.errors import UserError
-from nishiki.photometric import light_selection as selection
+from nishiki.photometric import refit as selection
 from nishiki.photometric.light_selection import pack_lights, select_diffuse, sorting_network, unpack_lights
 
 

@@ -6,7 +6,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, shift
 
 from nishiki.polarisation.polariser_states import Arm, design_matrix, equal_steps
-from nishiki.polarisation.series_order import find_order, remove_nuisance, series_design
+from nishiki.polarisation.series import find_order, remove_nuisance, series_design
 
 ANGLES = {
     "four": np.array([[0.0], [45], [90], [135]]),

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nishiki.simulate.painting.paints import (
+from nishiki.simulate.painting.settings import (
+    INNER_REFLECTION,
+    OUTER_REFLECTION,
     PIGMENTS,
     REGIONS,
     grey,
     make_palette,
     mixture,
-    surface_corrected,
-    thick_layer,
 )
 from nishiki.simulate.reflection import fresnel, ggx_gloss, rough_body
 
@@ -130,12 +130,16 @@ def test_body_equals_slow_oren_nayar():
 
 
 def test_thick_layer_solves_kubelka_munk():
-    for reflectance in (0.01, 0.2, 0.5, 0.9):
-        ratio = (1 - reflectance) ** 2 / (2 * reflectance)
-        assert thick_layer(np.float64(ratio), 1.0) == pytest.approx(reflectance, rel=1e-12)
-    assert thick_layer(np.float64(0.0), 1.0) == 1.0
-    assert thick_layer(np.float64(1e12), 1.0) == pytest.approx(0.5e-12, rel=1e-6)
-    assert surface_corrected(np.float64(1.0)) == pytest.approx(0.96, rel=1e-12)
+    wavelengths = np.array([420.0, 550.0, 680.0])
+    white, black = PIGMENTS["white"], PIGMENTS["black"]
+    for share in (0.0, 0.01, 0.5, 1.0):
+        seen = mixture({"white": 1 - share, "black": share}, wavelengths)
+        inside = seen / ((1 - OUTER_REFLECTION) * (1 - INNER_REFLECTION) + INNER_REFLECTION * seen)
+        absorbed, scattered = (
+            (1 - share) * getattr(white, name)(wavelengths) + share * getattr(black, name)(wavelengths)
+            for name in ("absorption", "scatter")
+        )
+        assert (1 - inside) ** 2 / (2 * inside) == pytest.approx(absorbed / scattered, rel=1e-9)
 
 
 def test_grey_hits_its_reflectance():

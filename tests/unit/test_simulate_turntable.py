@@ -13,8 +13,17 @@ from nishiki.simulate.capture import BOARD_REFLECTANCE, CameraSettings
 from nishiki.simulate.turntable.materials import INDEX, NUMBERS, describe, reflected
 from nishiki.simulate.turntable.photographs import components, make_optics, photograph, signal, white_board
 from nishiki.simulate.turntable.render import bounced, cosine_directions, irradiance, look_around, make_scene, see
-from nishiki.simulate.turntable.settings import BETA, LAMP_MM, LEAK, TurntableSettings, place_views
-from nishiki.simulate.turntable.shape import SimulatedSurface, distance, make_surface, scanned
+from nishiki.simulate.turntable.shape import (
+    BETA,
+    LAMP_MM,
+    LEAK,
+    SimulatedSurface,
+    TurntableSettings,
+    distance,
+    make_surface,
+    place_views,
+    scanned,
+)
 
 SMALL = TurntableSettings(rows=64, columns=64, views=4, triangles=4000, samples=3, directions=64)
 QUIET = dataclasses.replace(SMALL, camera=CameraSettings(bits=16, black_level=1024, noise=False, white_level=0.3))

@@ -42,7 +42,7 @@ def test_layers_follow_kubelka_munk():
         reflectance += step * slope(half)
     found = training.reflectance_of_layer(*(np.array([[v]]) for v in (absorption, scattering, depth, ground)))
     assert found.item() == pytest.approx(reflectance, rel=1e-6)
-    thick = training.reflectance_of_thick_layer(np.array([absorption]), np.array([scattering])).item()
+    thick = training.reflectance_of_layer(np.array([absorption]), np.array([scattering])).item()
     assert slope(thick) == pytest.approx(0.0, abs=1e-12)
 
 
@@ -60,7 +60,7 @@ def test_edges_lie_where_the_table_says():
     """A thick layer of the pure pigment reflects one half at the wavelength of its edge."""
     one = np.ones((1, 1))
     absorption = edge(500.0 * one, 9.0 * one, 4.0 * one, 0.6 * one)
-    reflectance = training.reflectance_of_thick_layer(absorption, 0.6 * one)[0]
+    reflectance = training.reflectance_of_layer(absorption, 0.6 * one)[0]
     assert reflectance[WAVELENGTHS_NM == 500.0].item() == pytest.approx(0.5, abs=1e-12)
     assert reflectance[0] < 0.1
     assert reflectance[-1] > 0.98

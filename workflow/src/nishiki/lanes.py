@@ -26,6 +26,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, models, register_model
 
 LANES = 16  # of float32 in 64 bytes
+BLOCK = 32  # pixels that kernels treat together: three planes of 96 lights fit the second-level cache, one the first
 
 
 class Lanes(types.Type):

@@ -98,22 +98,24 @@ def join_regions(scenes: list[list[dict]]) -> tuple[list[dict], list[list[int]]]
     """
     order = [(scene, number) for scene, regions in enumerate(scenes) for number in range(len(regions))]
     groups: list[list[dict]] = []
+    firsts: list[tuple[dict, np.ndarray]] = []  # of each group, with its gloss at ANGLES
     numbers = [[0] * len(regions) for regions in scenes]
     for scene, number in sorted(order, key=lambda place: -scenes[place[0]][place[1]]["samples"]):
         region = scenes[scene][number]
-        group = next((k for k, group in enumerate(groups) if _agree(group[0], region)), len(groups))
-        groups += [[]] if group == len(groups) else []
-        groups[group].append(region)
-        numbers[scene][number] = group
+        own, place = GlossProfile(np.array(region["beta"]), np.array(region["gamma"])).value(ANGLES), len(groups)
+        for k, (first, gloss) in enumerate(firsts):
+            # over the solid angle
+            alike = np.square(gloss - own) @ ANGLES <= ALIKE**2 / 2 * (np.square(gloss) + np.square(own)) @ ANGLES
+            alike &= abs(first["transmission"] - region["transmission"]) <= ALIKE
+            if alike and first["refractive_index"] == region["refractive_index"]:
+                place = k
+                break
+        else:
+            groups.append([])
+            firsts.append((region, own))
+        groups[place].append(region)
+        numbers[scene][number] = place
     return of_equal_lobes([_pool(group) for group in groups]) if groups else [], numbers
-
-
-def _agree(one: dict, other: dict) -> bool:
-    """Compare the gloss of two regions over the solid angle."""
-    if one["refractive_index"] != other["refractive_index"] or abs(one["transmission"] - other["transmission"]) > ALIKE:
-        return False
-    values = [GlossProfile(np.array(each["beta"]), np.array(each["gamma"])).value(ANGLES) for each in (one, other)]
-    return bool(np.square(values[0] - values[1]) @ ANGLES <= ALIKE**2 * np.square(values).mean(axis=0) @ ANGLES)
 
 
 def _pool(group: list[dict]) -> dict:

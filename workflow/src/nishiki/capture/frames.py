@@ -18,7 +18,7 @@ from nishiki.formats.files import bound, leads_out, name_fault
 from nishiki.formats.images import read_coarse
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, label_problems, number_of, reading, table_rows
-from nishiki.polarisation.series_order import fits_by_chance, series_design
+from nishiki.polarisation.series import fits_by_chance, series_design
 
 Kind = Literal["none", "circular", "linear", "generator"]
 FEWEST_ANGLES = 3  # a mean, a cosine and a sine are unknown

@@ -18,9 +18,8 @@ from nishiki.capture.options import ANGLES
 from nishiki.formats.files import same_name
 from nishiki.formats.images import read_coarse, read_header
 from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
-from nishiki.photometric.consistency import SURE, split_course
+from nishiki.photometric.consistency import SURE, NearLamps, measure_width, split_course
 from nishiki.photometric.lambert_fit import fit_lambert, none_where_undetermined, spread_pixels
-from nishiki.photometric.near_lamps import NearLamps, measure_width
 
 SIDE = 40  # samples along the longer side of the picture
 MOST_PHOTOGRAPHS = 32  # read, spread over the lamps

@@ -147,7 +147,7 @@ def synthetic_reflectances(count: int = 2000, *, seed: int = 20240) -> np.ndarra
     absorption, scattering = _mixtures(draw, count)
     absorption += _yellow(draw, count, (1e-3, 3e-2))  # the binder: oil, egg, gum or resin, yellow with age
     scattering += draw.log_uniform(1e-3, 3e-2, count, 1)
-    thick = reflectance_of_thick_layer(absorption, scattering)
+    thick = reflectance_of_layer(absorption, scattering)
     depth = draw.log_uniform(0.02, 3.0, count, 1)
     ground = draw.uniform(0.75, 0.95, count, 1) / (
         1.0 + np.exp(np.clip((draw.uniform(370.0, 402.0, count, 1) - WAVELENGTHS_NM) / 6.0, -50.0, 50.0))
@@ -175,21 +175,15 @@ def through_surface(body: np.ndarray, *, external: float, internal: float | np.n
     return (1.0 - external) * (1.0 - internal) * body / (1.0 - internal * body)
 
 
-def reflectance_of_thick_layer(absorption: np.ndarray, scattering: np.ndarray) -> np.ndarray:
-    """Kubelka and Munk's reflectance 1 + q - sqrt(q^2 + 2 q), q = K/S, of an opaque layer; without cancellation."""
-    ratio = absorption / scattering
-    return 1.0 / (1.0 + ratio + np.sqrt(ratio * ratio + 2.0 * ratio))
-
-
 def reflectance_of_layer(
-    absorption: np.ndarray, scattering: np.ndarray, depth: np.ndarray, ground: np.ndarray
+    absorption: np.ndarray, scattering: np.ndarray, depth: np.ndarray | float = np.inf, ground: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """Reflectance (..., 61) of a layer of a depth over a ground (Kubelka 1948, eq. 24).
+    """Reflectance (..., 61) of a layer of a depth over a ground (Kubelka 1948, eq. 24); an opaque layer by default.
 
     absorption, scattering : (..., 61) per unit of depth, both > 0; depth : (..., 1); ground : (..., 61), reflectance.
     """
-    a = 1.0 + absorption / scattering
-    b = np.sqrt(a * a - 1.0)
+    ratio = absorption / scattering
+    a, b = 1.0 + ratio, np.sqrt(ratio * ratio + 2.0 * ratio)
     turns = b / np.tanh(np.clip(b * scattering * depth, 1e-9, 40.0))
     return (1.0 - ground * (a - turns)) / (a - ground + turns)
 

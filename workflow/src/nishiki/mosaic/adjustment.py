@@ -112,10 +112,14 @@ def adjust(fields: Sequence[Field], overlaps: Sequence[Overlap]) -> tuple[Placem
     """
     used = [overlap for overlap in overlaps if not overlap.problem]
     expect_connected(fields, used, overlaps)
+    limits = {}
+    for overlap in used:
+        matrix, _ = fit_similarity(overlap.points, overlap.covariance)  # of this overlap alone
+        apart = overlap.points[1] - overlap.points[0] @ matrix[:, :2].T - matrix[:, 2]
+        limits[id(overlap)] = max(WRONG[0], WRONG[1] * np.median(np.linalg.norm(apart, axis=1)))
     for _ in range(len(used)):
         residuals = solve(fields, used, LENSES["k1, k2, tilt"])[1]
-        limits = [max(WRONG[0], WRONG[1] * own_residual(overlap)) for overlap in used]
-        excess = np.array([np.median(each) for each in residuals]) - limits
+        excess = [np.median(each) - limits[id(overlap)] for each, overlap in zip(residuals, used, strict=True)]
         worst = int(np.argmax(excess))
         if excess[worst] <= 0:
             break
@@ -146,13 +150,6 @@ def adjust(fields: Sequence[Field], overlaps: Sequence[Overlap]) -> tuple[Placem
             for o in overlaps
         ],
     }
-
-
-def own_residual(overlap: Overlap) -> float:
-    """Return the median residual, pixels, of a similarity that is fitted to one overlap alone."""
-    matrix, _ = fit_similarity(overlap.points, overlap.covariance)
-    there = overlap.points[0] @ matrix[:, :2].T + matrix[:, 2]
-    return float(np.median(np.linalg.norm(overlap.points[1] - there, axis=1)))
 
 
 def solve(fields: Sequence[Field], overlaps: Sequence[Overlap], lens: Sequence[int]) -> tuple[Placement, list]:

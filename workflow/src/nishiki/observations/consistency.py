@@ -22,8 +22,14 @@ from nishiki.observations.reference import DarkField, board_cosine, points_mm
 from nishiki.observations.registration import MARGIN, Movement, Window, align_window, choose_places, measure_movement
 from nishiki.photometric.arrangement import Arrangement, arrange
 from nishiki.photometric.board_pairs import BoardPairs, pair_boards
-from nishiki.photometric.consistency import LEAST_AMBIENT, SURE, Consistency, examine_photographs
-from nishiki.photometric.near_lamps import NearLamps, measure_width
+from nishiki.photometric.consistency import (
+    LEAST_AMBIENT,
+    SURE,
+    Consistency,
+    NearLamps,
+    examine_photographs,
+    measure_width,
+)
 
 LONGEST = 256  # pixels of a reduced photograph along its longer side: relief is coarser, texture mostly finer
 CELLS = 3  # a side, of a reduced pixel, whose codes are averaged before they are decoded: a curve is straight over them

@@ -15,9 +15,9 @@ from nishiki.observations.linearise import CHECK_BLOCK, count_unusable, picture_
 from nishiki.observations.reference import measure_darks
 from nishiki.observations.turntable_coherence import Pictures, capture_problems
 from nishiki.observations.views_store import measure_whites, read_silhouette, view_problems
+from nishiki.polarisation.polarisation import LIT
 from nishiki.polarisation.polariser_states import equal_steps, sums_of
-from nishiki.polarisation.series_order import SeriesOrder, find_order, remove_nuisance, series_design
-from nishiki.polarisation.statistics import LIT
+from nishiki.polarisation.series import SeriesOrder, find_order, remove_nuisance, series_design
 
 SIDE = 96
 """Pixels of the longer side to which photographs are averaged; noise counts little then."""

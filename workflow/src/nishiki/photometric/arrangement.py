@@ -313,16 +313,13 @@ def _candidates(tiles: Tiles, seed: int, starts: int) -> list[np.ndarray]:
     plain = [np.roll(order, s) for order in (np.arange(count), np.arange(count)[::-1]) for s in range(count)][1:]
     number = np.arange(count)
     common = [*(np.roll(number, s) for s in COMMON), number[::-1]]
-    by_curl = sorted(plain, key=lambda order: _plain_curl(tiles, directions[order]))
+    values, curls = np.nan_to_num(tiles.values.reshape(count, -1)), []
+    for order in plain:  # slopes by least squares
+        normals = (np.linalg.pinv(directions[order]) @ values).T.reshape(-1, TILE, TILE, 3)
+        energies = measure_slopes(normals, tiles.middles)[0]
+        curls.append(np.nanmedian(energies[:, 0] / energies.sum(axis=1)))
+    by_curl = [plain[k] for k in np.argsort(curls, kind="stable")]
     return [*common, *_by_rank(level, directions, plain, seed, starts)[:FINALISTS], *by_curl[:FINALISTS]]
-
-
-def _plain_curl(tiles: Tiles, directions: np.ndarray) -> float:
-    """Curl of the slopes by least squares with these directions."""
-    values = np.nan_to_num(tiles.values.reshape(len(directions), -1))
-    normals = (np.linalg.pinv(directions) @ values).T.reshape(-1, TILE, TILE, 3)
-    energies, _, _ = measure_slopes(normals, tiles.middles)
-    return float(np.nanmedian(energies[:, :1].sum(axis=1) / energies.sum(axis=1)))
 
 
 def _by_rank(

@@ -4,7 +4,6 @@ from collections import namedtuple
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,17 +12,6 @@ from nishiki.summary import Summarised
 from nishiki.threads import over_rows
 
 METHODS = ("refit", "trimmed", "threshold", "none")
-
-
-# The re-fit's constants: shares of the samples, and bounds in units of the scale of the concentrated fit.
-STARTS = 3  # windows of ranks that are tried
-NOISE = 0.003  # relative to the albedo, below which no disagreement is taken seriously
-STEPS = 2  # concentration steps for each start
-WINDOW = 0.4  # share of the samples in a starting window of ranks
-COVERAGE = 0.5  # share of the samples that a fit has to explain: up to half may be spoilt
-ABOVE = 4.0  # how many times worse a sample too bright is than one too dark
-BRIGHTER, DARKER = 2.0, 4.0  # limits of acceptance after the concentration
-ROUNDS = 2  # times that accepted samples are fitted again
 
 
 @dataclass(frozen=True, repr=False)
@@ -45,21 +33,6 @@ class LightSelection(Summarised):
 
 Lamps = namedtuple("Lamps", "directions products sort_all sort_smallest")
 """directions (lights, 3), their products (lights, 9) float32; networks that sort all samples, and the smallest."""
-
-
-class RefitSettings(NamedTuple):
-    """Settings of the re-fit; those that are not counts as float32."""
-
-    at_least: np.float32
-    starts: int = STARTS
-    floor: np.float32 = np.float32(NOISE)
-    steps: int = STEPS
-    window: np.float32 = np.float32(WINDOW)
-    coverage: np.float32 = np.float32(COVERAGE)
-    above: np.float32 = np.float32(ABOVE)
-    brighter: np.float32 = np.float32(BRIGHTER)
-    darker: np.float32 = np.float32(DARKER)
-    rounds: int = ROUNDS
 
 
 Selected = namedtuple("Selected", "usable highlights shadows")
@@ -242,8 +215,8 @@ def distinct_sets(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def refit(stack, known, directions, min_lights, selected):
     """Run `refit_selection` with the project's constants (docs/stages/separate.md gives their reasons)."""
-    from nishiki.lanes import repeated
-    from nishiki.photometric.refit import BLOCK, refit_selection
+    from nishiki.lanes import BLOCK, repeated
+    from nishiki.photometric.refit import COVERAGE, refit_selection
 
     if min_lights < 3:
         raise UserError(f"light selection by re-fit: expected min_lights >= 3, found {min_lights}")
@@ -252,14 +225,13 @@ def refit(stack, known, directions, min_lights, selected):
     smallest = min(lights, max(min_lights, ceil(COVERAGE * lights)))
     networks = sorting_network(lights), sorting_network(lights, smallest)
     lamps = Lamps(directions, direction_products(directions), *networks)
-    settings = RefitSettings(np.float32(min_lights))
     if pixels >= BLOCK:
-        over_rows(refit_selection, -(-pixels // BLOCK), stack, known, lamps, settings, selected)
+        over_rows(refit_selection, -(-pixels // BLOCK), stack, known, lamps, np.float32(min_lights), selected)
     elif pixels:
         known = known if known.shape[1] == 1 else repeated(known, BLOCK)
         stack = repeated(stack, BLOCK)
         block = Selected(np.empty(stack.shape, np.bool_), np.empty(BLOCK, np.uint16), np.empty(BLOCK, np.uint16))
-        refit_selection(0, 1, stack, known, lamps, settings, block)
+        refit_selection(0, 1, stack, known, lamps, np.float32(min_lights), block)
         for whole, values in zip(selected, block, strict=True):
             whole[...] = values[..., :pixels]
 

@@ -23,10 +23,9 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
-from nishiki.lanes import LANES, choose, load, planes, splat, store
+from nishiki.lanes import BLOCK, LANES, choose, load, planes, splat, store
 from nishiki.small_matrices import factorise, substitute
 
-BLOCK = 32  # pixels at a time
 SUMS = 21  # 15 products and 5 right-hand sides of the Gauss-Newton step, the sum of squares
 SURFACE = 12  # normal, two tangents, a, b, d: float32, as the samples are
 EXPONENT = 8  # e of the model, that of `nishiki.brdf.torrance_sparrow`

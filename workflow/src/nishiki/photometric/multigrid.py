@@ -172,13 +172,6 @@ def ascend(levels: list[Level], passed: list[tuple[np.ndarray, np.ndarray]], bel
     return below
 
 
-def cycle(levels: list[Level], right: np.ndarray) -> np.ndarray:
-    """One V cycle from 0; the last level is smoothed only, less the mean, which no height can explain."""
-    passed, last = descend(levels[:-1], right)
-    last -= last.mean()
-    return ascend(levels[:-1], passed, levels[-1].smooth(levels[-1].start(last), last, SMOOTHING * LAST_SWEEPS))
-
-
 def inner(a: np.ndarray, b: np.ndarray) -> float:
     """Scalar product, summed in float64 row by row, so that float32 fields of many megapixels lose nothing."""
     return float(np.sum(np.einsum("rc,rc->r", a, b, dtype=np.float64)))
@@ -218,8 +211,10 @@ class Laplace:
         for window in self.windows:
             at = window.coarser(self.count)
             below[at.core] = descend(self.levels(window, self.count), right[window.read])[1][at.inner]
-        below = cycle(self.below, below)
-        gain = 0.0
+        passed, last = descend(self.below[:-1], below)
+        last -= last.mean()  # the last level is smoothed only, less the mean, which no height can explain
+        smooth = self.below[-1].smooth(self.below[-1].start(last), last, SMOOTHING * LAST_SWEEPS)
+        below, gain = ascend(self.below[:-1], passed, smooth), 0.0
         for window in self.windows:
             levels, values = self.levels(window, self.count), right[window.read]
             found = ascend(levels, descend(levels, values)[0], below[window.coarser(self.count).read])[window.inner]

@@ -21,13 +21,21 @@ Conditions of loops over pixels are joined by & and |: the compiler makes scalar
 import numpy as np
 from numba import njit
 
-from nishiki.lanes import LANES, choose, larger, load, planes, root, smaller, splat, store
+from nishiki.lanes import BLOCK, LANES, choose, larger, load, planes, root, smaller, splat, store
 from nishiki.small_matrices import solve_by_cofactors
 
-BLOCK = 32  # 96 lights of three float32 planes of a block fit the second-level cache, one plane the first
 TERMS = 10  # sums of a pixel
 RIDGE = np.float32(1e-6)  # of the trace: keeps degenerate windows of lights finite; biases a fit by less than 1e-4
 FAR = np.float32(3e38)
+# shares of the samples, and bounds in units of the scale of the concentrated fit (docs/notes/stages/separate.md)
+STARTS = 3  # windows of ranks that are tried
+STEPS = 2  # concentration steps for each start
+ROUNDS = 2  # times that accepted samples are fitted again
+NOISE = 0.003  # relative to the albedo, below which no disagreement is taken seriously
+WINDOW = np.float32(0.4)  # share of the samples in a starting window of ranks
+COVERAGE = np.float32(0.5)  # share of the samples that a fit has to explain: up to half may be spoilt
+ABOVE = np.float32(4.0)  # how many times worse a sample too bright is than one too dark
+BRIGHTER, DARKER = np.float32(2.0), np.float32(4.0)  # limits of acceptance after the concentration
 
 
 @njit(cache=True, error_model="numpy")
@@ -91,8 +99,8 @@ def solve_block(sums, at_least, scaled):
 
 
 @njit(cache=True, error_model="numpy")
-def distances(values, known, directions, scaled, above, out):
-    """How badly each sample fits: |residual|, times `above` where the sample is too bright; FAR if unlit or unknown."""
+def distances(values, known, directions, scaled, out):
+    """How badly each sample fits: |residual|, times ABOVE where the sample is too bright; FAR if unlit or unknown."""
     zero = np.float32(0.0)
     for p in range(0, BLOCK, LANES):
         nx, ny, nz = load(scaled, p), load(scaled, p + BLOCK), load(scaled, p + 2 * BLOCK)
@@ -100,7 +108,7 @@ def distances(values, known, directions, scaled, above, out):
             shading = nx * directions[j, 0] + ny * directions[j, 1] + nz * directions[j, 2]
             r = load(values, (j, p)) - shading
             far = (shading <= zero) | (load(known, (j, p)) <= zero)
-            store(out, (j, p), choose(far, FAR, choose(r > zero, r * above, zero - r)))
+            store(out, (j, p), choose(far, FAR, choose(r > zero, r * ABOVE, zero - r)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -164,22 +172,22 @@ def open_window(ordered, values, known, count, ranks, limits, weights):
 
 
 @njit(cache=True, error_model="numpy")
-def concentrate(distance, ordered, comparators, count, coverage, at_least, limit, weights):
-    """Keep each pixel's `coverage` share of best fitting samples (equal ones with them)."""
+def concentrate(distance, ordered, comparators, count, at_least, limit, weights):
+    """Keep each pixel's COVERAGE share of best fitting samples (equal ones with them)."""
     for p in range(0, BLOCK, LANES):
         for j in range(distance.shape[0]):
             store(ordered, (j, p), load(distance, (j, p)))
     sort_block(ordered, comparators)
     for p in range(BLOCK):
-        size = min(max(at_least, np.ceil(coverage * count[p])), count[p])
+        size = min(max(at_least, np.ceil(COVERAGE * count[p])), count[p])
         limit[p] = ordered[max(int(size) - 1, 0), p]
     keep_below(distance, limit, weights)
 
 
 @njit(cache=True, error_model="numpy")
-def judge(distance, weights, scaled, count, coverage, at_least, floor, quality):
+def judge(distance, weights, scaled, count, at_least, quality):
     """Mean squared relative distance of the kept samples, raised where fewer than asked were lit."""
-    zero, one, most = np.float32(0.0), np.float32(1.0), np.float32(10.0)
+    zero, one, most, floor = np.float32(0.0), np.float32(1.0), np.float32(10.0), np.float32(NOISE)
     for p in range(0, BLOCK, LANES):
         kept = total = splat(zero)
         albedo = load(scaled, p + 3 * BLOCK)
@@ -193,13 +201,13 @@ def judge(distance, weights, scaled, count, coverage, at_least, floor, quality):
         store(quality, p + BLOCK, number)
         store(quality, p + 2 * BLOCK, kept)
     for p in range(BLOCK):
-        size = min(max(at_least, np.ceil(coverage * count[p])), count[p])
+        size = min(max(at_least, np.ceil(COVERAGE * count[p])), count[p])
         enough = quality[p + 2 * BLOCK] >= at_least
         quality[p] = quality[p] * size / quality[p + BLOCK] if enough else FAR
 
 
 @njit(cache=True, error_model="numpy")
-def spread(values, directions, weights, scaled, floor, scale):
+def spread(values, directions, weights, scaled, scale):
     """Estimate the deviation of the kept residuals, with the noise floor (relative to the albedo) added."""
     zero, one, unknowns = np.float32(0.0), np.float32(1.0), np.float32(3.0)
     for p in range(0, BLOCK, LANES):
@@ -212,16 +220,16 @@ def spread(values, directions, weights, scaled, floor, scale):
             kept += weight
         freedom = kept - unknowns
         variance = total / choose(freedom > one, freedom, one)
-        store(scale, p, root(variance) + load(scaled, p + 3 * BLOCK) * floor)
+        store(scale, p, root(variance) + load(scaled, p + 3 * BLOCK) * np.float32(NOISE))
 
 
 @njit(cache=True, error_model="numpy")
-def accept(values, known, directions, scaled, scale, brighter, darker, weights):
-    """Weight 1 for every lit sample within -darker .. brighter times the scale of the fit."""
+def accept(values, known, directions, scaled, scale, weights):
+    """Weight 1 for every lit sample within -DARKER .. BRIGHTER times the scale of the fit."""
     one, zero = np.float32(1.0), np.float32(0.0)
     for p in range(0, BLOCK, LANES):
         nx, ny, nz = load(scaled, p), load(scaled, p + BLOCK), load(scaled, p + 2 * BLOCK)
-        most, least = load(scale, p) * brighter, load(scale, p) * (-darker)
+        most, least = load(scale, p) * BRIGHTER, load(scale, p) * -DARKER
         for j in range(values.shape[0]):
             shading = nx * directions[j, 0] + ny * directions[j, 1] + nz * directions[j, 2]
             r = load(values, (j, p)) - shading
@@ -230,15 +238,14 @@ def accept(values, known, directions, scaled, scale, brighter, darker, weights):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def refit_selection(first, last, observations, valid, lamps, settings, selected):
+def refit_selection(first, last, observations, valid, lamps, at_least, selected):
     """Mark in `selected` the samples that one Lambertian surface explains, of the blocks first .. last - 1.
 
     observations (lights, pixels) float32, at least BLOCK pixels; valid (lights, pixels) bool, or (lights, 1) for "the
-    same everywhere"; lamps, settings and selected are named tuples of `nishiki.photometric.light_selection`.
+    same everywhere"; lamps and selected are named tuples of `nishiki.photometric.light_selection`.
     """
     lights, pixels = observations.shape
     directions, products, comparators, of_half = lamps
-    coverage, floor, at_least, above = settings.coverage, settings.floor, settings.at_least, settings.above
     memory, row = planes(6 * lights + TERMS + 17, np.int64(BLOCK)), 6 * lights
     values, known, weights = memory[:lights], memory[lights : 2 * lights], memory[2 * lights : 3 * lights]
     distance, ordered = memory[3 * lights : 4 * lights], memory[4 * lights : 5 * lights]
@@ -255,30 +262,30 @@ def refit_selection(first, last, observations, valid, lamps, settings, selected)
             limit[p], record[p] = 0.0, np.inf
             for k in range(4):
                 best[p + k * BLOCK] = 0.0
-        for s in range(settings.starts):
-            part = np.float32(s / max(settings.starts - 1, 1))
-            open_window(ranked, values, known, count, (settings.window, part, at_least), (low, high), weights)
+        for s in range(STARTS):
+            part = np.float32(s / max(STARTS - 1, 1))
+            open_window(ranked, values, known, count, (WINDOW, part, at_least), (low, high), weights)
             for p in range(4 * BLOCK):
                 scaled[p] = 0.0
-            for _ in range(settings.steps + 1):
+            for _ in range(STEPS + 1):
                 add_up(values, weights, products, sums)
                 solve_block(sums, at_least, scaled)
-                distances(values, known, directions, scaled, above, distance)
-                concentrate(distance, ordered, of_half, count, coverage, at_least, low, weights)
-            judge(distance, weights, scaled, count, coverage, at_least, floor, quality)
+                distances(values, known, directions, scaled, distance)
+                concentrate(distance, ordered, of_half, count, at_least, low, weights)
+            judge(distance, weights, scaled, count, at_least, quality)
             for p in range(BLOCK):
                 if quality[p] < record[p]:
                     record[p], limit[p] = quality[p], low[p]
                     for k in range(4):
                         best[p + k * BLOCK] = scaled[p + k * BLOCK]
-        distances(values, known, directions, best, above, distance)
+        distances(values, known, directions, best, distance)
         keep_below(distance, limit, weights)
-        spread(values, directions, weights, best, floor, scale)
-        for _ in range(settings.rounds):
-            accept(values, known, directions, best, scale, settings.brighter, settings.darker, weights)
+        spread(values, directions, weights, best, scale)
+        for _ in range(ROUNDS):
+            accept(values, known, directions, best, scale, weights)
             add_up(values, weights, products, sums)
             solve_block(sums, at_least, best)
-        accept(values, known, directions, best, scale, settings.brighter, settings.darker, weights)
+        accept(values, known, directions, best, scale, weights)
         write_block(values, known, directions, best, weights, at_least, start, selected)
 
 

@@ -23,18 +23,16 @@ from nishiki.errors import UserError
 from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.lambert_fit import median_of_lights
 from nishiki.photometric.light_selection import half_vectors, sum_lights
-from nishiki.photometric.refine import LEAST_FACTOR
+from nishiki.photometric.normal_kernels import LEAST_FACTOR, PRIOR, WIDTH
+from nishiki.photometric.refit import NOISE
 from nishiki.threads import over_rows
 
 MODELS = ("plain", "directional")
 ROUNDS_NORMAL, ROUNDS_TERMS = 6, 3
 TUNING = 2.4  # of Cauchy's weight, in standard deviations: 95 % efficiency for normal errors
-NOISE = 0.003  # least standard deviation of a sample, relative to the reflectance
-WIDTH_NORMAL, WIDTH_TERMS = 0.3, 0.25  # standard deviations expected of g - n and of b and d where samples scatter much
-LEAST_PRIOR = 1e-4  # times a third of the number of lamps, as in `nishiki.photometric.solve`
+WIDTH_NORMAL = 0.3  # standard deviation expected of g - n where samples scatter much
 ALONG = 0.1  # of the prior on g along z, which is the level and not a tilt
 TERMS = {"plain": 3, "directional": 5}  # of the map `shading`
-LARGEST = 1e30  # reflectance
 VALUES = 1 << 15  # at a time
 
 
@@ -134,7 +132,7 @@ def _fit(samples, allowed, vectors, start, scatter, plain: bool) -> tuple[np.nda
     product, square = sum_lights(cosine, level), sum_lights(cosine, cosine)
     found = product > 1e-9 * square
     level = level * (square / np.where(found, product, 1))  # relative to Lambert's albedo
-    least, weight, g = LEAST_PRIOR * lights / 3, allowed.astype(np.float64), start
+    least, weight, g = PRIOR * lights / 3, allowed.astype(np.float64), start
     if plain or lights <= FEW_LIGHTS:
         held = ((scatter / WIDTH_NORMAL) ** 2 + least) * np.array([1, 1, ALONG])[:, None]
         g, weight, sound = _robust_fit(level, weight, allowed, directions, start, held, ROUNDS_NORMAL)
@@ -145,7 +143,7 @@ def _fit(samples, allowed, vectors, start, scatter, plain: bool) -> tuple[np.nda
     c, x = (np.maximum(_shade(each, normal), 0) for each in (directions, halves))
     basis = [c, c * c, c * x**8, *(() if plain else (c * directions[0], c * directions[1]))]
     before, prior = np.zeros((2, len(basis), len(length)))
-    before[0], prior[1:] = length, least + ((scatter / WIDTH_TERMS) ** 2 if plain else 0)
+    before[0], prior[1:] = length, least + ((scatter / WIDTH) ** 2 if plain else 0)
     if plain:
         terms, weight, sound = _robust_fit(level, weight, allowed, basis, before, prior, ROUNDS_TERMS)
     else:
@@ -158,6 +156,6 @@ def _fit(samples, allowed, vectors, start, scatter, plain: bool) -> tuple[np.nda
     scale = bodies / sum_lights(weighted, c)
     sums = np.stack([sum_lights(weighted, np.where(weight > 0, channel, 0)) for channel in samples])
     found = found & sound & (bodies > 0) & (scale > LEAST_FACTOR)
-    found &= np.abs(sums).max(axis=0) * scale < LARGEST * bodies  # false where it is no number
+    found &= np.abs(sums).max(axis=0) * scale < np.finfo(np.float32).max * bodies  # false where it is no number
     fitted = {"shading_normals": normal, "shading": terms / scale}
     return found, fitted | {"reflectance": np.maximum(sums / bodies * scale, 0)}

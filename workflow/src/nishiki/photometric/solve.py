@@ -1,23 +1,38 @@
-"""Photometric stereo: normals, albedo and their uncertainty from observations under known lights."""
+"""Photometric stereo: normals, albedo and their uncertainty from observations under known lights.
+
+Some selections of samples are not followed. Half of the samples can agree with a Lambertian surface by accident where
+few lamps light a pixel: above all samples of lamps that lie in one plane, which fit any normal along a line of
+directions, and neighbouring lamps of a narrow cone. Two signs tell, and both need a selection that determines the
+normal badly (condition of its normal matrix above SUSPECT):
+
+* It determines the normal far worse than all valid samples would: condition more than WORSE times theirs.
+* It is worse than theirs at all (SOMEWHAT), and what it leaves out as too bright is not nearer to the mirror direction
+  than what it keeps (mean n . h): gloss only adds light there.
+"""
 
 from collections import namedtuple
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
-from nishiki.photometric.light_selection import all_finite, checked_stack, direction_products, half_vectors
+from nishiki.photometric.light_selection import (
+    all_finite,
+    checked_stack,
+    direction_products,
+    distinct_sets,
+    half_vectors,
+)
 from nishiki.summary import Summarised
 from nishiki.threads import over_rows
 
 SOLVERS = ("lobe", "least_squares")
-PRIOR = 1e-4  # least weight of b^2 and d^2, times a third of the number of samples (about their sum of c^2)
-RESELECTIONS = 1  # of samples after the first fit
 NEAR_DEG = 0.2  # largest difference between a pixel's direction to a near light and that of its block
+SUSPECT = 40.0  # condition of the light matrix
+WORSE, SOMEWHAT = 16.0, 1.3
+PIXELS = 1 << 14  # at a time
 LARGEST_CODE = 65535  # of 16 bits
-AT_LEAST = 6  # samples below which the gloss lobe is not tried: five unknowns and one to spare
 
 
 Estimates = namedtuple("Estimates", "normals scalars lights_used flags")
@@ -29,16 +44,6 @@ lights_used (pixels,) uint16 and flags (pixels,) uint8, the bits of `nishiki.pho
 
 Samples = namedtuple("Samples", "observations usable known")
 """observations (lights, pixels) float32; usable, known (lights, pixels) uint8, or (lights, 1) for all alike."""
-
-
-class LobeSettings(NamedTuple):
-    """noise relative to the albedo; condition above which a pixel is flagged; the others see the constants above."""
-
-    noise: float
-    max_condition: float
-    prior: float = PRIOR
-    at_least: int = AT_LEAST
-    reselections: int = RESELECTIONS
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,7 +125,7 @@ def estimate_normals(
         `least_squares`: ordinary (weighted) least squares on the usable samples. `lobe`, the default: from there, a
         reflectance with a diffuse fall-off and a gloss lobe (`nishiki.photometric.lobe`), which chooses the samples
         again among the valid ones; it starts from all valid ones where the selection is not to be followed
-        (`nishiki.photometric.distrust`).
+        (`distrusted`).
     max_condition : float, optional
         Condition number of the weighted 3 x 3 normal matrix above which a pixel is flagged.
     noise : float, optional
@@ -216,11 +221,11 @@ def _near_field(observations, directions, samples, options):
 
 
 def without_distrusted(stack, directions, usable, known, outputs, max_condition):
-    """Choose samples to start from: all valid ones where `nishiki.photometric.distrust` rejects the selected ones.
+    """Choose samples to start from: all valid ones where `distrusted` rejects the selected ones.
 
     The Lambertian estimates of those pixels in the outputs are made anew, in place.
     """
-    from nishiki.photometric.distrust import SUSPECT, distrusted
+    from nishiki.photometric.solve import SUSPECT, distrusted
 
     if not (outputs.scalars[2] > SUSPECT).any():
         return usable
@@ -244,21 +249,21 @@ def refine_lobe(stack, directions, usable, known, outputs, noise, max_condition)
     Returns the body shading (pixels, 3) float32 of `nishiki.brdf.torrance_sparrow`.
     """
     from nishiki.brdf.torrance_sparrow import LAMBERT
-    from nishiki.photometric.refine import refine
+    from nishiki.photometric.normal_kernels import refine
 
     # (6, lights): directions to the lights, and half vectors of light and view
     vectors = np.ascontiguousarray(np.hstack([directions, half_vectors(directions)]).T, dtype=np.float32)
     everything = np.ones((stack.shape[0], 1), dtype=np.uint8)
     shading = np.tile(np.array(LAMBERT, np.float32), (stack.shape[1], 1))
     samples = Samples(stack, everything if usable is None else usable, everything if known is None else known)
-    settings = LobeSettings(float(noise), float(max_condition))
-    over_rows(refine, stack.shape[1], samples, vectors, settings, outputs, shading)
+    over_rows(refine, stack.shape[1], samples, vectors, float(noise), float(max_condition), outputs, shading)
     return shading
 
 
 def lambertian(stack, directions, factors, max_condition) -> Estimates:
     """Lambertian least squares into new outputs; factors (lights, pixels) uint8 or float32, or None for all."""
-    from nishiki.photometric.least_squares import BLOCK, solve_weighted
+    from nishiki.lanes import BLOCK
+    from nishiki.photometric.normal_kernels import solve_weighted
 
     pixels = stack.shape[1]
     outputs = Estimates(
@@ -314,3 +319,56 @@ def sample_weights(stack, usable, weights, shape):
         raise UserError("weights: expected finite values, zero or above, found others; zero leaves a sample out")
     weights = np.broadcast_to(weights.reshape(shape[0], -1), stack.shape)
     return np.ascontiguousarray(weights if usable is None else np.where(usable, weights, np.float32(0)))
+
+
+def distrusted(stack, directions, usable, known, outputs):
+    """Find the pixels whose selected samples are not to be followed.
+
+    Parameters
+    ----------
+    stack : (lights, pixels) float32 observations.
+    directions : (lights, 3) float64, unit vectors to the lights.
+    usable, known : (lights, pixels) uint8, 1 for the selected and for the valid samples.
+    outputs : normals, scalars, lights used and flags of Lambert's law on the selected samples
+        (`nishiki.photometric.solve.lambertian`).
+
+    Returns
+    -------
+    (n,) int64, numbers of the pixels.
+    """
+    normals, scalars, _, flags = outputs
+    fitted = (flags & (bits.TOO_FEW_LIGHTS | bits.NO_SIGNAL)) == 0
+    suspects = np.flatnonzero((scalars[2] > SUSPECT) & fitted)
+    halves, found = half_vectors(directions), []
+    for start in range(0, len(suspects), PIXELS):
+        here = suspects[start : start + PIXELS]
+        valid, condition = known[:, here] > 0, scalars[2, here].astype(np.float64)
+        first, member = distinct_sets(valid)
+        least = condition_of(valid[:, first], directions)[member]
+        distrust = condition > WORSE * least
+        between = np.flatnonzero((condition > SOMEWHAT * least) & ~distrust)
+        p = here[between]
+        distrust[between] = ~gloss_explains(
+            stack[:, p], directions, halves, usable[:, p] > 0, valid[:, between], normals[p], scalars[0, p]
+        )
+        found.append(here[distrust])
+    return np.concatenate(found) if found else suspects
+
+
+def condition_of(chosen, directions):
+    """Condition (n,) of the normal matrix of the chosen (lights, n) lights; infinite where it is singular."""
+    outer = (directions[:, :, None] * directions[:, None, :]).reshape(len(directions), -1)
+    values = np.linalg.eigvalsh((chosen.T.astype(np.float64) @ outer).reshape(-1, 3, 3))
+    least, largest = values[:, 0], values[:, 2]
+    sound = (chosen.sum(axis=0) >= 3) & (least > largest / bits.COPLANAR)
+    return np.where(sound, largest / np.where(sound, least, 1.0), np.inf)
+
+
+def gloss_explains(samples, directions, halves, usable, known, normals, albedo):
+    """Whether samples left out as too bright lie nearer to the mirror direction, on average, than those kept; (n,)."""
+    mirror = np.maximum(halves @ normals.T, 0.0)
+    bright = known & ~usable & (samples > albedo * np.maximum(directions @ normals.T, 0.0))
+    kept = known & usable
+    brights, keeps = bright.sum(axis=0), kept.sum(axis=0)
+    nearer = (mirror * bright).sum(axis=0) * keeps >= (mirror * kept).sum(axis=0) * brights
+    return (brights == 0) | (keeps == 0) | nearer

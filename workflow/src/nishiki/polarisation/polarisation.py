@@ -44,16 +44,10 @@ def sum_planes(
         if not column.any():
             continue
         valid &= good & np.isfinite(values).all(axis=-1)
-        add_weighted(planes, np.asarray(values, np.float32), np.asarray(column, np.float32))
-    return require(planes), require(valid)
-
-
-def add_weighted(planes: np.ndarray, values: np.ndarray, weights: np.ndarray) -> None:
-    """planes[p] += weights[p] * values, in place, all float32; a value that is not finite counts as 0."""
-    values = np.where(np.isfinite(values), values, np.float32(0))
-    for plane, weight in zip(planes, weights, strict=True):
-        if weight:
+        values = np.where(np.isfinite(values), values, 0).astype(np.float32)
+        for plane, weight in zip(planes, column.astype(np.float32), strict=True):
             plane += weight * values
+    return require(planes), require(valid)
 
 
 def components(
@@ -133,7 +127,7 @@ def reflected_sense(m11: np.ndarray, m22: np.ndarray) -> int:
     return 1 if float(np.sum(np.sign(m11) * m22, dtype=np.float64)) >= 0 else -1
 
 
-LIT = 0.1  # of the board's bright end: darker pixels say nothing
+LIT = 0.1  # of the bright end of a board or picture (99 %): darker pixels say nothing
 FILLED = 0.25  # of a block's pixels must be lit
 
 

@@ -29,7 +29,7 @@ from nishiki.simulate.cloth.settings import DYES, FILAMENTS
 from nishiki.simulate.cloth.settings import PRESETS as CLOTHS
 from nishiki.simulate.painting.settings import BODIES, RELIEFS, ROUGHNESS, SCENES
 from nishiki.simulate.painting.settings import PRESETS as PAINTINGS
-from nishiki.simulate.turntable.settings import PRESETS as OBJECTS
+from nishiki.simulate.turntable.shape import PRESETS as OBJECTS
 
 CHAINS: dict[str, Mapping[str, Any]] = {"painting": PAINTINGS, "turntable": OBJECTS, "cloth": CLOTHS}
 """Presets of each kind of capture, by the folder that simulates it."""

@@ -7,10 +7,9 @@ import numba
 import numpy as np
 
 from nishiki.simulate.capture import FINE_NM
-from nishiki.simulate.painting.paints import REGION, REGIONS, Palette, make_palette
 from nishiki.simulate.painting.picture import BRANCHES, CanvasMap, branch_curve, plan_landscape
 from nishiki.simulate.painting.relief import level_out, pixel_maps, weave_under_paint
-from nishiki.simulate.painting.settings import SimulationSettings
+from nishiki.simulate.painting.settings import REGION, REGIONS, Palette, SimulationSettings, make_palette
 from nishiki.simulate.randomness import fractal_noise, line_noise, plane_noise, subkey
 from nishiki.threads import strips
 

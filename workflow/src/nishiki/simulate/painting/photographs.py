@@ -24,20 +24,22 @@ from nishiki.simulate.capture import (
     write_image,
 )
 from nishiki.simulate.painting.objects import SimulatedObject, make_object
-from nishiki.simulate.painting.paints import REGIONS, make_palette, xyz_tables
+from nishiki.simulate.painting.relief import shade
 from nishiki.simulate.painting.settings import (
     PRESETS,
+    REGIONS,
     LampPose,
     LightSettings,
     SimulationSettings,
     beam_strength,
     board_cosine,
     direction_error_deg,
+    make_palette,
     place_lamps,
     planck_spectrum,
     vignette,
+    xyz_tables,
 )
-from nishiki.simulate.painting.shading import shade
 from nishiki.simulate.randomness import subkey
 
 WAVELENGTHS_NM = np.arange(400.0, 700.5, 5.0)

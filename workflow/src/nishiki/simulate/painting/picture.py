@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.simulate.painting.paints import REGION
+from nishiki.simulate.painting.settings import REGION
 from nishiki.simulate.randomness import fractal_noise, subkey
 from nishiki.threads import strips
 

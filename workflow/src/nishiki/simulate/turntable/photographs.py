@@ -20,7 +20,7 @@ from nishiki.simulate.capture import (
 )
 from nishiki.simulate.randomness import subkey
 from nishiki.simulate.turntable.render import Radiance, SimulatedScene, make_scene, see
-from nishiki.simulate.turntable.settings import (
+from nishiki.simulate.turntable.shape import (
     AIM_MM,
     BETA,
     BLUR_PIXELS,
@@ -28,14 +28,16 @@ from nishiki.simulate.turntable.settings import (
     LAMP_MM,
     LAMP_RADIUS_MM,
     LEAK,
+    PARTS,
     PRESETS,
     STRAY,
     WHITE_RATIO,
     TurntableSettings,
     Viewpoint,
+    make_surface,
     place_views,
+    scanned,
 )
-from nishiki.simulate.turntable.shape import PARTS, make_surface, scanned
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,14 @@ from nishiki.geometry.visibility import Hits, RayTree, cast, frames_about, make_
 from nishiki.simulate.randomness import GOLDEN_RATIO, mix_bits, subkey, uniforms
 from nishiki.simulate.reflection import metal_fresnel
 from nishiki.simulate.turntable.materials import INDEX, describe, reflected
-from nishiki.simulate.turntable.settings import AIM_MM, LAMP_RADIUS_MM, TurntableSettings, Viewpoint
-from nishiki.simulate.turntable.shape import SimulatedSurface, make_surface
+from nishiki.simulate.turntable.shape import (
+    AIM_MM,
+    LAMP_RADIUS_MM,
+    SimulatedSurface,
+    TurntableSettings,
+    Viewpoint,
+    make_surface,
+)
 from nishiki.threads import strips
 
 OFFSET_MM = 0.02  # rays start so far above the surface

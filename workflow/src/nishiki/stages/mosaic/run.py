@@ -17,8 +17,7 @@ from nishiki.formats.files import read_json
 from nishiki.formats.stored import BandedArray, BandedGroup
 from nishiki.model_selection.decision import economy
 from nishiki.mosaic.adjustment import Placement, adjust
-from nishiki.mosaic.blending import blend_band, compare_fields
-from nishiki.mosaic.levelling import Levels, Samples, level_fields
+from nishiki.mosaic.blending import Levels, Samples, blend_band, compare_fields, level_fields
 from nishiki.mosaic.registration import Field, register_fields, signals
 from nishiki.observations.plane import STORE, Observations
 from nishiki.photometric import flags as bits

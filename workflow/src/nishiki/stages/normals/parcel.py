@@ -13,9 +13,8 @@ import numpy as np
 from nishiki.brdf.torrance_sparrow import LAMBERT
 from nishiki.observations.parcels import Parcel
 from nishiki.photometric import flags as bits
-from nishiki.photometric.body_colour import body_intensity
+from nishiki.photometric.body import body_intensity, diffuse_reflectance, mean_of_channels
 from nishiki.photometric.flags import FEW_LIGHTS
-from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channels
 from nishiki.photometric.relighting import fit_relighting
 from nishiki.photometric.solve import estimate_normals
 from nishiki.stages.normals import OUTPUTS, NormalsSettings
@@ -50,7 +49,7 @@ def solve(
     )
     if field.shading is not None and observations.shape[-1] > 1:
         # gloss was weighted down for the normals; light is predicted with all of it
-        from nishiki.photometric.body_terms import shading_of_mean
+        from nishiki.photometric.body import shading_of_mean
 
         mean, lit = mean_of_channels(observations), {"usable": usable, "valid": valid}
         shading = shading_of_mean(intensity, mean, parcel.directions, field, **lit, least_change=WEIGHTED)

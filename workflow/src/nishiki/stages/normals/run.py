@@ -20,10 +20,10 @@ from nishiki.observations.linearise import Edges, field_rows
 from nishiki.observations.parcels import Parcel, parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric import flags as bits
+from nishiki.photometric.body import mean_of_channels
 from nishiki.photometric.expected_error import UNKNOWN, correction_error, direction_groups
 from nishiki.photometric.flags import FEW_LIGHTS, NO_ESTIMATE
 from nishiki.photometric.light_selection import select_diffuse, unpack_lights
-from nishiki.photometric.reflectance import mean_of_channels
 from nishiki.photometric.relighting import TERMS
 from nishiki.stages.normals import OUTPUTS, NormalsSettings
 from nishiki.stages.normals.finishes import choose_finishes, finish_labels, refitted_error

@@ -20,8 +20,8 @@ from nishiki.polarisation.polarisation import (
     sum_planes,
 )
 from nishiki.polarisation.polariser_states import StateSums, arms_of, read_instrument, sums_of
+from nishiki.polarisation.series import SeparationStatistics, Thinned, diagnose, select_lit, statistics_of
 from nishiki.polarisation.smoothing import smooth_planes
-from nishiki.polarisation.statistics import SeparationStatistics, Thinned, diagnose, select_lit, statistics_of
 from nishiki.render.display import write_png
 from nishiki.stages.polarise import PolariseSettings
 
