@@ -192,7 +192,7 @@ def test_weave_scale():
         scale = 2.0**exponent
         planes = [make_plane(angles, values * scale), make_plane(angles, 1.5 * values * scale)]
         y, weight = np.concatenate([p.mean for p in planes]), 1 / np.concatenate([p.sigma for p in planes])
-        found = np.stack([costs(points, (rows, angles.size, y, weight, True, kind)) for kind in (PAPER, SHADED)])
+        found = np.stack([costs(points, (rows, y, weight, kind)) for kind in (PAPER, SHADED)])
         plain = found if plain is None else plain
         differ += int((found != plain).sum() + (~np.isfinite(found)).sum())
     return differ
