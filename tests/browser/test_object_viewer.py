@@ -160,7 +160,7 @@ def test_free_view(shown):
     position = shown.page.page.evaluate("view => nishiki.scene.cameraOf(view).position", view)
     assert 0 < position < renderer.turn.position[1]
     lenders = neighbours(renderer.turn, position)
-    check(shown, {"view": view}, renderer, Shot(camera, lenders, lenders))
+    check(shown, {"view": view}, renderer, Shot(camera, lenders))
 
 
 def test_decoded_numbers_are_those_of_the_decoder(shown):

@@ -61,27 +61,16 @@ def look_up(texels, place, size, s, t, order, out):
             out[p, channel] = upper * (one - fy) + lower * fy
 
 
-def mix(
-    residual: np.ndarray,
-    views: np.ndarray,
-    chosen: np.ndarray,
-    visible: np.ndarray,
-    weights: np.ndarray,
-    fallback: np.ndarray,
-) -> np.ndarray:
-    """Return a weighted sum (m, channels) float32 of the residuals of several observations, texel by texel.
+def mix(residual: np.ndarray, visible: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return a weighted mean (m, channels) float32 of the residuals of several observations, texel by texel.
 
-    residual (M, T * T, channels) float32; views (n,) int64; chosen (m,): texels; visible (n, m) float32 in 0..1: how
-    well each observation sees the texel; weights (n,): used where all of them see it; fallback (n,), none negative:
-    elsewhere, times `visible` and normalised; where no observation sees the texel `fallback` alone (what the decoder
-    filled in there).
+    residual (n, m, channels) float32; visible (n, m) float32 in 0..1: how well each observation sees the texel; weights
+    (n,), none negative.  Texels that no observation sees get the mean by the weights alone.
     """
-    everywhere = visible[weights != 0].min(axis=0, initial=1) >= 1
-    seen = fallback[:, None] * visible
-    total = seen.sum(axis=0)
-    share = np.where(total > 1e-6, seen / np.maximum(total, 1e-6), (fallback / fallback.sum())[:, None])
-    share = np.where(everywhere, weights[:, None], share).astype(np.float32)
-    return np.einsum("nm,nmc->mc", share, residual[views[:, None], chosen])
+    share = weights[:, None] * visible
+    total = share.sum(axis=0)
+    share = np.where(total > 1e-6, share / np.maximum(total, 1e-6), (weights / weights.sum())[:, None])
+    return np.einsum("nm,nmc->mc", share.astype(np.float32), residual)
 
 
 def extend(values: np.ndarray, covered: np.ndarray, *, rings: int) -> np.ndarray:

@@ -12,18 +12,20 @@ tiles in view are decoded, each once for all pictures of a batch.
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nishiki.brdf.texels.model import predict
+from nishiki.brdf.texels.model import ENVIRONMENT, POINT, ViewLamp, predict
 from nishiki.codec.pictures import decode_picture
+from nishiki.codec.store import Coded
 from nishiki.colour.colour import decode as to_linear
 from nishiki.colour.colour import encode
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import camera_between, fit_turn, scaled
-from nishiki.geometry.visibility import interpolate, rasterise
+from nishiki.geometry.visibility import RayTree, cast, interpolate, make_tree, rasterise
 from nishiki.render.display import developed
 from nishiki.render.object.pixels import DepthMaps, asked_for, by_tile, extend, look_up, mix
 from nishiki.render.object.shots import (
@@ -31,13 +33,14 @@ from nishiki.render.object.shots import (
     FreeLighting,
     LampsInView,
     LitObject,
-    Method,
     Neighbours,
     ObjectPicture,
     Prepared,
     Shot,
+    ball_around,
     lit_by,
     neighbours,
+    shadow_lift,
 )
 from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
@@ -45,6 +48,7 @@ from nishiki.threads import threads as given_threads
 if TYPE_CHECKING:
     from nishiki.render.object.decoded_object import DecodedObject
 
+OTHER_LIGHT = np.float32(0.02)  # weight of a view in which a texel is in the light and here is not, or the other way
 BATCH_BYTES = 32 << 20  # of pictures in hand while all decoded tiles fit into the cache
 LARGE_BATCH_BYTES = 384 << 20  # once they do not: a tile is decoded again for each batch
 CACHE_BYTES = 256 << 20
@@ -69,7 +73,6 @@ class ObjectRenderer:
         surface: tuple[Mesh, Callable],
         *,
         without: frozenset[int] = frozenset(),
-        method: Method = "cubic",
         level: int = 0,
         model_only: bool = False,
         own_lamps: FreeLighting | None = None,
@@ -81,18 +84,26 @@ class ObjectRenderer:
         self.residual, self.lighting, self.ceiling = decoded.residual, decoded.lighting, decoded.ceiling
         self.encoding, self.channels = decoded.encoding, decoded.channels
         self.turn = fit_turn(self.cameras, full_turn=decoded.full_turn)
-        self.without, self.method, self.level = without, method, level
+        self.without, self.level = without, level
         self.lit = None if own_lamps is None else LitObject(mesh, own_lamps)
         self.model_only, self.rim = model_only or self.lit is not None, rim
+        self.pictures = None if self.model_only or level else decoded.residual.pictures
+        self._lenders: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}  # of the batch, by view and light
+        self._lift, self._far = shadow_lift(mesh), 4 * ball_around(mesh)[1]
         self.threads = given_threads()
         self.depths = DepthMaps(mesh)
         self._cache: OrderedDict[int, DecodedTile] = OrderedDict()
         self._held, self._dropped, self._lock = 0, False, threading.Lock()
 
+    @cached_property
+    def tree(self) -> RayTree:
+        """Of the mesh, for cast shadows."""
+        return make_tree(self.mesh.vertices, self.mesh.triangles)
+
     def captured(self, index: int, *, light: int = 0) -> Shot:
         """Make the picture of a captured view from its own slot of the residual."""
         slot = Neighbours(np.array([index]), np.ones(1))
-        return Shot(self.cameras[index], slot, slot, ((light, 1.0),), captured=index)
+        return Shot(self.cameras[index], slot, ((light, 1.0),), captured=index)
 
     def predicted(self, index: int, *, light: int = 0) -> Shot:
         """Return the picture of a captured view without its own residual: interpolated between the other views."""
@@ -105,11 +116,7 @@ class ObjectRenderer:
         return self._shot(scale(camera) if scale else camera, position, 0, self.without)
 
     def _shot(self, camera: Camera, position: float, light: int, without: frozenset[int]) -> Shot:
-        full = neighbours(self.turn, position, method=self.method, without=without)
-        plain = full
-        if self.method == "cubic":
-            plain = neighbours(self.turn, position, method="linear", without=without)
-        return Shot(camera, full, plain, ((light, 1.0),))
+        return Shot(camera, neighbours(self.turn, position, without=without), ((light, 1.0),))
 
     def render(self, shots: Iterable[Shot]) -> Iterator[ObjectPicture]:
         """Yield the pictures of the shots, in order; as many at a time as fit into the memory set aside for them."""
@@ -144,9 +151,13 @@ class ObjectRenderer:
 
     def _finish(self, batch: list[Prepared]) -> Iterator[ObjectPicture]:
         if not self.model_only:
-            self.depths.prepare(
-                [self.cameras[v] for prepared in batch if len(prepared.mixture[0]) > 1 for v in prepared.mixture[0]]
-            )
+            shots = [prepared.shot for prepared in batch if len(prepared.shot.views.views) > 1]
+            self.depths.prepare([self.cameras[view] for shot in shots for view in shot.views.views])
+            if self.pictures is not None and shots:
+                keys = {(int(view), light) for shot in shots for view in shot.views.views for light, _ in shot.lights}
+                self._lenders = {
+                    key: self._lenders.get(key) or self._decoded(self.pictures, *key) for key in sorted(keys)
+                }
         tiles = sorted({tile for prepared in batch for tile in prepared.slots})
         over_items(lambda tile: self._draw(tile, batch), tiles, self.threads)
         while batch:
@@ -161,33 +172,81 @@ class ObjectRenderer:
                 continue
             order = prepared.order[prepared.first[slot] : prepared.first[slot + 1]]
             chosen, place = asked_for(prepared.s, prepared.t, order, self.atlas.size)
-            for k, lamp in enumerate(prepared.lamps):
-                base = prepared.shot.lights[k][0] * len(self.cameras)
-                texels = self._texels(prepared, lamp, base, flat, chosen)
+            for k in range(len(prepared.lamps)):
+                texels = self._texels(prepared, k, flat, chosen)
                 look_up(texels, place, self.atlas.size, prepared.s, prepared.t, order, prepared.values[k])
 
-    def _texels(self, prepared: Prepared, lamp, base: int, flat: DecodedTile, chosen: np.ndarray) -> np.ndarray:
+    def _texels(self, prepared: Prepared, place: int, flat: DecodedTile, chosen: np.ndarray) -> np.ndarray:
         """(m, channels) float32: chosen texels of a tile as this camera sees them under one lamp, encoded.
 
-        base: number of the light's first observation.
+        place: of the light among those of the shot.
         """
-        positions, normals = flat.positions[chosen], flat.normals[chosen]
-        kd, ks, sigma = (values[chosen] for values in flat.parameters)
+        shot, lamp, light = prepared.shot, prepared.lamps[place], prepared.shot.lights[place][0]
         if isinstance(lamp, LampsInView):
-            modelled = lamp.predict(kd, ks, sigma, positions, normals)
-        else:
-            modelled = predict(kd, ks, sigma, positions, normals, prepared.shot.camera.centre, lamp)
-        coded, residual = encode(modelled[0] + modelled[1], self.encoding), flat.residual
+            kd, ks, sigma = (values[chosen] for values in flat.parameters)
+            diffuse, gloss = lamp.predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen])
+            return encode(diffuse + gloss, self.encoding)
+        coded, views = self._modelled(flat, chosen, shot.camera, lamp), shot.views.views
+        if len(views) > 1 and not self.model_only:
+            seen = [self.depths.visible(flat.positions[chosen], flat.normals[chosen], self.cameras[v]) for v in views]
+            weights = shot.views.weights.astype(np.float32)
+            if self.pictures is not None:
+                return self._lent(coded, (shot, lamp, light), flat, chosen, np.stack(seen), weights)
+        residual = flat.residual
         if residual is None:
             return coded
-        views, weights, fallback = prepared.mixture
-        if len(views) == 1:
-            coded += residual.values[residual.observation[base + views[0]], residual.texel[chosen]]
-            return coded
-        seen = np.stack([self.depths.visible(positions, normals, self.cameras[v]) for v in views])
-        places = residual.observation[base + views], residual.texel[chosen]
-        coded += mix(residual.values, *places, seen, weights, fallback)
-        return coded
+        places = residual.observation[light * len(self.cameras) + views]
+        lent = residual.values[places[:, None], residual.texel[chosen]]
+        return coded + (lent[0] if len(views) == 1 else mix(lent, np.stack(seen), weights))
+
+    def _modelled(self, flat: DecodedTile, chosen: np.ndarray, camera: Camera, lamp) -> np.ndarray:
+        """(m, channels) float32: the model at chosen texels of a tile, encoded."""
+        kd, ks, sigma = (values[chosen] for values in flat.parameters)
+        diffuse, gloss = predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen], camera.centre, lamp)
+        return encode(diffuse + gloss, self.encoding)
+
+    def _lent(self, coded: np.ndarray, of: tuple, flat: DecodedTile, chosen: np.ndarray, seen, weights) -> np.ndarray:
+        """Add to the model of texels (m, channels), in its cast shadows, what the pictures of views differ from it.
+
+        of: shot, its lamp and the light's number; seen (n, m), weights (n,): of the shot's views.  A view in which the
+        lamp sees a texel lends little to a picture where it does not, and the other way round.
+        """
+        import cv2
+
+        (shot, lamp, light), positions, normals = of, flat.positions[chosen], flat.normals[chosen]
+        lit, lent = self._lit(lamp, positions, normals), []
+        for view, sees in zip(shot.views.views, seen, strict=True):
+            camera, own = self.cameras[view], self.lighting.lamp(self.cameras[view], light)
+            picture, bare = self._lenders[int(view), light]
+            places = camera.project(positions)[0].astype(np.float32)[:, None]
+            there = self._lit(own, positions, normals)
+            model = self._modelled(flat, chosen, camera, own) * there[:, None]
+            lent.append(
+                cv2.remap(picture, places, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)[:, 0] - model
+            )
+            sees *= np.where(there == lit, np.float32(1), OTHER_LIGHT)
+            sees[cv2.remap(bare, places, None, cv2.INTER_NEAREST)[:, 0] > 0] = 0
+        total = (weights[:, None] * seen).sum(axis=0)
+        return coded * lit[:, None] + np.where(total > 1e-6, 1, 0)[:, None] * mix(np.array(lent), seen, weights)
+
+    def _lit(self, lamp: ViewLamp, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """(m,) float32: 1 where a lamp sees points, 0 where the surface is between; fitted lighting has no shadows."""
+        if lamp.form == ENVIRONMENT:
+            return np.ones(len(positions), np.float32)
+        lit, near = np.zeros(len(positions), np.float32), lamp.form == POINT
+        facing = np.flatnonzero(((lamp.vector - positions if near else lamp.vector) * normals).sum(axis=1) > 0)
+        starts = positions[facing].astype(np.float64) + self._lift * normals[facing]
+        rays = lamp.vector - starts if near else np.broadcast_to(lamp.vector, starts.shape)
+        lit[facing] = cast(self.tree, starts, rays, far=1.0 if near else self._far, any_hit=True).triangle < 0
+        return lit
+
+    def _decoded(self, pictures: Coded, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
+        """Decode a view's picture (rows, columns, channels), and where outline and surface differ (uint8)."""
+        shape = self.cameras[view].rows, self.cameras[view].columns
+        found = decode_picture(pictures, view, light, shape)
+        if found is None:
+            return np.zeros((*shape, self.channels), np.float32), np.ones(shape, np.uint8)
+        return found[0], found[1].astype(np.uint8)
 
     def _tile(self, tile: int) -> DecodedTile:
         """Return a tile's decoded parameters and residual and its geometry; the most recent ones are kept."""
@@ -225,10 +284,9 @@ class ObjectRenderer:
         linear = linear.reshape(*raster.triangle.shape, self.channels)
         covered = raster.triangle >= 0
         reached = extend(linear, covered, rings=self.rim)
-        pictures, view = self.residual.pictures, shot.captured
-        if view is not None and pictures is not None and not self.model_only and not self.level:
+        if shot.captured is not None and self.pictures is not None:
             for place, (light, weight) in enumerate(shot.lights):
-                found = decode_picture(pictures, view, light, reached.shape)
+                found = decode_picture(self.pictures, shot.captured, light, reached.shape)
                 if found is None:
                     break
                 reached |= found[1]

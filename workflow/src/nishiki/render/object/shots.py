@@ -11,7 +11,6 @@ those of `nishiki.render.object.renderer`; a residual belongs to the light of th
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
@@ -22,8 +21,6 @@ from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import CameraPath
 from nishiki.geometry.visibility import Raster, RayTree, cast, disc_points, make_tree
 
-Method = Literal["nearest", "linear", "cubic"]
-
 
 @dataclass(frozen=True)
 class Neighbours:
@@ -33,16 +30,11 @@ class Neighbours:
     weights: np.ndarray
 
 
-def neighbours(
-    turn: CameraPath, position: float, *, method: Method = "linear", without: frozenset[int] = frozenset()
-) -> Neighbours:
+def neighbours(turn: CameraPath, position: float, *, without: frozenset[int] = frozenset()) -> Neighbours:
     """Return the captured views around `position` (radians along the path) and their weights.
 
-    linear: the two nearest, one to each side (the form of Miyazaki et al. 2007, section 4.3.3).  cubic: four, by the
-    polynomial through them (Lagrange), which is exact for residuals that change up to the third power of the angle.
-    nearest: one.
-    without: views that may not take part (left out, or the one that is to be predicted).  At the ends of an open path
-    the last views take the place of missing ones.
+    The two nearest, one to each side, by distance (Miyazaki et al. 2007, section 4.3.3); one alone at its own place and
+    beyond the ends of an open path.  without: views that may not take part (left out, or the one that is predicted).
     """
     usable = np.array([k for k in range(len(turn.position)) if k not in without], int)
     if not len(usable):
@@ -52,52 +44,26 @@ def neighbours(
         offset = (offset + 0.5 * turn.length) % turn.length - 0.5 * turn.length
     order = np.argsort(offset, kind="stable")
     usable, offset = usable[order], offset[order]
-    exact = np.flatnonzero(np.abs(offset) <= 1e-9 * max(turn.length, 1e-300))
-    if len(exact) or method == "nearest" or len(usable) == 1:
-        best = int(exact[0]) if len(exact) else int(np.argmin(np.abs(offset)))
+    best, first = int(np.argmin(np.abs(offset))), int(np.searchsorted(offset, 0.0))
+    beyond = first in (0, len(usable)) and not turn.closed
+    if len(usable) == 1 or beyond or np.abs(offset[best]) <= 1e-9 * max(turn.length, 1e-300):
         return Neighbours(usable[best : best + 1], np.ones(1))
-    each = 2 if method == "cubic" else 1
-    chosen = surrounding(offset, each, closed=turn.closed, length=turn.length)
-    views, places = usable[chosen[0]], chosen[1]
-    return Neighbours(views, lagrange(places))
-
-
-def surrounding(offset: np.ndarray, each: int, *, closed: bool, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """Indexes and offsets of the `each` views before and after 0 in sorted offsets; round the turn where closed."""
-    count = len(offset)
-    each = min(each, count // 2) if count > 1 else 1
-    first = int(np.searchsorted(offset, 0.0))
-    if closed:
-        raw = np.arange(first - each, first + each)
-        return raw % count, offset[raw % count] + length * (raw // count)
-    start = min(max(first - each, 0), count - 2 * each)
-    if first in (0, count):  # beyond the ends: no extrapolation
-        nearest = 0 if first == 0 else count - 1
-        return np.array([nearest]), offset[[nearest]]
-    raw = np.arange(start, start + 2 * each)
-    return raw, offset[raw]
-
-
-def lagrange(places: np.ndarray) -> np.ndarray:
-    """Return weights (n,) of values at distinct places (n,) for the value at 0 of the polynomial through them."""
-    weights = np.ones(len(places))
-    for i, here in enumerate(places):
-        for j, there in enumerate(places):
-            if i != j:
-                weights[i] *= -there / (here - there)
-    return weights
+    pair = np.array([first - 1, first]) % len(usable)
+    before, after = np.abs(offset[pair])
+    if turn.closed:  # a view across the end of the turn
+        before, after = (-offset[pair[0]]) % turn.length, offset[pair[1]] % turn.length
+    return Neighbours(usable[pair], np.array([after, before]) / (before + after))
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture from `camera` under weights L_j / L; pixels that not all views see take the residual of `fallback`.
+    """A picture from `camera` under weights L_j / L, to which captured `views` lend what the model leaves.
 
     captured: the view whose photograph this is, None of any other picture.
     """
 
     camera: Camera
     views: Neighbours
-    fallback: Neighbours
     lights: tuple[tuple[int, float], ...] = ((0, 1.0),)
     captured: int | None = None
 
@@ -138,16 +104,6 @@ class Prepared:
     order: np.ndarray
     lamps: list  # of the shot's lights, as this camera has them
     values: np.ndarray = field(init=False)  # (lights, pixels, channels): in the capture's encoding
-
-    @cached_property
-    def mixture(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Views (n,) int64 whose residual takes part, their weights and fallback weights (n,) float32."""
-        shot = self.shot
-        views = np.union1d(shot.views.views, shot.fallback.views).astype(np.int64)
-        weights, fallback = (
-            np.array([n.weights[n.views == v].sum() for v in views], np.float32) for n in (shot.views, shot.fallback)
-        )
-        return views, weights, fallback
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Declare the stages that compare paintings, objects and cloths with truth and with unseen photographs."""
 
-from typing import Literal
-
 from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
@@ -66,14 +64,11 @@ OBJECT_LIMITS = (
 )
 
 
-class ObjectEvaluateSettings(Guarded, stage="object_evaluate", version=3, limits=OBJECT_LIMITS):
+class ObjectEvaluateSettings(Guarded, stage="object_evaluate", version=4, limits=OBJECT_LIMITS):
     """The decoded object against its photographs, and what it costs."""
 
     pictures: int = Field(3, ge=0, le=64, description="captured views shown beside their photographs, evenly spread")
     columns: int = Field(480, ge=64, le=4096, description="largest width of those pictures")
-    interpolation: Literal["linear", "cubic", "nearest"] = Field(
-        "cubic", description="of the residual between captured views, from four or two of them; linear: as the paper"
-    )
     similarity: bool = Field(True, description="also structural similarity")
     hold_out: tuple[str, ...] = Field((), description="views left out of the fit; filled in by the plan")
     truth_sha256: str = Field("", description="digest of the truth; filled in by the plan")

@@ -297,7 +297,7 @@ class Work:
         self.context, self.decoded, self.settings = context, decoded, context.settings
         self.without = decoded.numbers(self.settings.hold_out)
         options = {"mesh": mesh, "without": self.without}
-        self.renderer = decoded.renderer(method=self.settings.interpolation, **options)
+        self.renderer = decoded.renderer(**options)
         self.model = decoded.renderer(model_only=True, **options)
         self.photographs, self.truth, self.size, self.peers = photographs, truth, size, []  # bytes a picture
         count = len(decoded.views)

@@ -143,7 +143,7 @@ class ObjectLampSettings(Closed):
 PictureName = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
 
 
-class ObjectRenderSettings(Guarded, stage="object_render", version=1):
+class ObjectRenderSettings(Guarded, stage="object_render", version=2):
     """Pictures of the decoded object, and a video of it turning."""
 
     views: tuple[str, ...] | int = Field(
@@ -160,9 +160,6 @@ class ObjectRenderSettings(Guarded, stage="object_render", version=1):
     shadows: bool = Field(True, description="cast shadows of `lamps`")
     shadow_rays: int = Field(32, ge=1, le=1024, description="to points of each lamp's disc, from every texel")
     film: ObjectFilmSettings | None = Field(ObjectFilmSettings(), description="null: no video")
-    interpolation: Literal["linear", "cubic", "nearest"] = Field(
-        "cubic", description="of the residual between captured views, from four or two of them; linear: as the paper"
-    )
     level: int = Field(0, ge=0, le=6, description="0: everything; 1, 2, ..: previews from the coarse part alone")
     background: float = Field(
         0.0, ge=0, le=1, description="of PNG and video, sRGB-coded grey; EXR has an alpha channel"

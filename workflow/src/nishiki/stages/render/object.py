@@ -26,7 +26,6 @@ def run(context: Context) -> dict:
     without = decoded.numbers(settings.hold_out)
     renderer = decoded.renderer(
         without=without,
-        method=settings.interpolation,
         level=settings.level,
         own_lamps=own_lamps(settings),
     )
@@ -127,7 +126,7 @@ def save(context: Context, renderer: ObjectRenderer, name: str, shot: Shot, pict
     return {
         "pixels": int(np.count_nonzero(picture.covered)),
         "clipped_fraction": image.clipped_high,
-        "views": [renderer.cameras[view].name for view in shot.fallback.views],
+        "views": [renderer.cameras[view].name for view in shot.views.views],
     }
 
 
