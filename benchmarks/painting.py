@@ -178,7 +178,7 @@ def budget(made, truth):
     from nishiki.evaluate.relighting import classify, truth_difference
     from nishiki.observations.plane import Observations
     from nishiki.render.plane.scene import Gloss
-    from nishiki.render.plane.shade import PlaneMaps
+    from nishiki.render.plane.shade import PlaneMaps, cast_shadows
     from nishiki.stages.painting_maps import light_of, predict_light, spectral_colour
 
     frames, group = Observations(made["ingest"]), zarr.open_group(truth / "truth.zarr", mode="r")
@@ -197,7 +197,12 @@ def budget(made, truth):
         lit = group["lit"][list(group.attrs["lights"]).index(name)] / 100.0
         classes = classify(body, shine, lit, inside=frames.mask)
         ours, exact = (
-            predict_light(PlaneMaps(n, reflectance, gloss, slopes=slope_covariance(n)), lamp, height=h, pitch=pitch)
+            predict_light(
+                PlaneMaps(n, reflectance, gloss, slopes=slope_covariance(n)),
+                lamp,
+                visibility=cast_shadows(h, [lamp], pitch=pitch),
+                pitch=pitch,
+            )
             for n, h in ((normals, height), (true_normals, true_height))
         )
         diffuse, exact_diffuse = (

@@ -53,8 +53,8 @@ class Pictures:
     def render(self, lamp: np.ndarray, *, relief: bool = False, scene: PlaneScene | None = None) -> np.ndarray:
         """Our own."""
         scene = self.scene if scene is None else scene
-        shadows = "sweep" if relief else "none"
-        xyz = render(scene, [Light(direction=tuple(lamp), spectrum=D65)], shadows=shadows).xyz
+        scene = scene if relief else replace(scene, height=None)
+        xyz = render(scene, [Light(direction=tuple(lamp), spectrum=D65)]).xyz
         return xyz_to_srgb_linear(xyz, white=white_xyz(D65))
 
     def paint(self, lamp: np.ndarray, *, relief: bool = False) -> np.ndarray:

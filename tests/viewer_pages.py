@@ -249,7 +249,7 @@ def enhanced(scene: PlaneScene, state: dict[str, Any]) -> np.ndarray:
     """
     strength, name = state["strength"], state["enhance"]
     (light,) = lights_of(scene, state)
-    visibility = cast_shadows(scene.height, [light], pitch=scene.pitch).visibility
+    visibility = cast_shadows(scene.height, [light], pitch=scene.pitch)
     slopes = scene.normals[..., :2] / np.maximum(scene.normals[..., 2:], 0.2)
     if name == "unsharp":
         rows, columns = np.indices(scene.shape)

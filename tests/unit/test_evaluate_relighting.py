@@ -25,12 +25,12 @@ from nishiki.evaluate.relighting import (
     classify,
     difference_of,
     level_of,
-    levels,
+    stated_levels,
     truth_difference,
 )
 from nishiki.evaluate.tables import COLUMNS, headlines, rows_of
 from nishiki.render.plane.scene import Gloss, Light
-from nishiki.render.plane.shade import PlaneMaps
+from nishiki.render.plane.shade import PlaneMaps, cast_shadows
 from nishiki.stages.painting_maps import channel_colour, light_of, predict_light, seen_from, spectral_colour
 
 
@@ -159,7 +159,9 @@ def test_prediction_casts_the_shadow_of_a_wall():
     height = np.zeros((6, 8), np.float32)
     height[:, 5] = 2.0
     direction = np.array([1.0, 0.0, 1.0]) / np.sqrt(2)  # from the right at 45 degrees: two pixels in shadow
-    band = predict_light(PlaneMaps(normals, reflectance), Light(direction=tuple(direction)), height=height)
+    light = Light(direction=tuple(direction))
+    shadows = cast_shadows(height, [light], pitch=1.0)
+    band = predict_light(PlaneMaps(normals, reflectance), light, visibility=shadows)
     assert band.lit[2].tolist() == [1, 1, 1, band.lit[2, 3], 0, 1, 1, 1]
     assert (band.channels[:, 4] == 0).all()
     assert band.channels[:, 1] == pytest.approx(reflectance[:, 1] / np.sqrt(2), rel=1e-5)
@@ -299,7 +301,8 @@ def test_scene_colour_from_spectra_equals_that_of_the_spectra():
     ],
 )
 def test_levels_at_their_limits(mean, p90, fadgi, iso):
-    assert levels(mean, p90) == {"fadgi": fadgi, "iso_19264": iso}
+    parts = [{"de00": {"mean": mean, "p90": p90}, "lights": []}]
+    assert stated_levels(parts) == {"fadgi": fadgi, "iso_19264": iso}
 
 
 def test_levels_never_improve_with_the_error():
@@ -316,7 +319,7 @@ def _evaluation():
     light = {"name": "east", "index": 3, "role": "check", **score}
     empty = {"count": 0, "mean": None, "median": None, "p90": None, "worst": None, "dropped": 0}
     normals = {name: empty for name in ("inside", "estimated", "unflagged", "flagged")} | {"by_slope": []}
-    return {"lights": [light], "overall": {"de00": score["de00"], "levels": levels(1, 1)}, "normals": normals}
+    return {"lights": [light], "overall": {"de00": score["de00"], "levels": stated_levels([])}, "normals": normals}
 
 
 def test_table_has_a_row_for_every_figure_and_empty_values_stay_empty():

@@ -191,7 +191,7 @@ def test_a_gilded_painting_looks_in_gltf_as_our_renderer_shows_it(gilded):
     pictures = predict_observations(model, [Light(direction=tuple(each)) for each in lights])
 
     def apart(light, material, ours):
-        pictures = material.shown(texels.colours, texels.normals, light).reshape(srgb.shape), ours.observations
+        pictures = material.shown(texels.colours, texels.normals, light).reshape(srgb.shape), ours.values
         return np.abs(np.subtract(*(np.clip(srgb_encode(np.maximum(each, 0)), 0, 1)[gold] for each in pictures)))
 
     errors = [[apart(*pair, ours).mean() for pair in ((light, metal), (light, paint))]

@@ -19,7 +19,7 @@ from nishiki.stages.export.object import pitch_mm
 from nishiki.stages.export.object_look import (
     ALPHA_PER_SIGMA,
     ObjectLook,
-    direction_to,
+    SeenPoints,
     fill_gaps,
     sample,
     texture_atlas,
@@ -85,11 +85,14 @@ def test_the_lobe_has_the_peak_and_the_half_width_of_ours():
 def test_lamps_at_a_place_and_in_a_direction(atlas):
     camera = around(4)[0]
     positions = np.array([[0.1, 0.0, 0.2], [0.0, -0.3, 0.1]])
-    near = direction_to(Lighting("camera").lamp(camera), positions)
-    expected = camera.centre - positions
-    np.testing.assert_allclose(near, expected / np.linalg.norm(expected, axis=1, keepdims=True), atol=1e-6)
+    normals = np.array([[0.6, 0.0, 0.8], [0.0, 0.0, 1.0]])
+    towards = (camera.centre - positions) / np.linalg.norm(camera.centre - positions, axis=1, keepdims=True)
     far = Lighting("direction", ((0.0, 0.0, 1.0),)).lamp(camera)
-    np.testing.assert_allclose(direction_to(far, positions), [far.vector] * 2, atol=1e-6)
+    for lamp, light in ((Lighting("camera").lamp(camera), towards), (far, np.tile(far.vector, (2, 1)))):
+        points = SeenPoints(positions, normals, np.zeros((2, 2)), camera.centre, lamp, np.ones((1, 2), bool))
+        half = (light + towards) / np.linalg.norm(light + towards, axis=1, keepdims=True)
+        for found, vectors in zip(points.cosines(), (half, light, towards), strict=False):
+            np.testing.assert_allclose(found, np.maximum(np.sum(normals * vectors, axis=1), 0), atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["gltf", "usd", "materialx"])

@@ -28,7 +28,7 @@ from nishiki.stages.report import ObjectReportSettings
 from nishiki.stages.report.capture import facts_of_object
 from nishiki.stages.report.object import at_a_glance, facts, sentences, turn_plot
 from nishiki.stages.report.object import rows as rows_of_mesh
-from nishiki.stages.report.object_reflection import bytes_bars, parameter_figures
+from nishiki.stages.report.object_reflection import parameter_figures
 from nishiki.stages.residual import ResidualSettings
 from nishiki.stages.texels import TexelsSettings
 
@@ -285,7 +285,6 @@ def test_drawings():
     np.testing.assert_allclose(radii, radii[0], atol=0.2)
     assert drawing.count(" out") == 1
     assert turn_plot(np.zeros((1, 3)), ["a"], set()).startswith("<svg")
-    assert "total" not in bytes_bars({"total": 10, "residual": 4})
 
 
 def test_sections_of_little():

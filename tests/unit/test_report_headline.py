@@ -51,12 +51,12 @@ def test_what_an_object_lacks_is_named_in_the_order_of_its_weight():
 def test_a_cloth_is_judged_on_directions_left_out_and_by_its_noise():
     parts = {"30": {"rms_rel": 0.1}, "60": {"rms_rel": 0.14}}
     evaluation = {"default": "m", "regions": {"cloth": {"models": {"m": {"held_out": {"by_incidence": parts}}}}}}
-    samples = {"noise_relative": 0.011, "normal_incidence": 540, "saturated": [0]}
+    samples = {"noise_relative": 0.011, "normal_incidence": 540, "saturated": 0}
     lines = dict(cloth_headline(samples, evaluation, "cloth"))
     assert "12 %" in lines[GOOD]
     assert "1.1 %" in lines[GOOD]
     assert set(lines) == {GOOD}
-    lines = dict(cloth_headline({"normal_incidence": 0, "saturated": [3, 4]}, None, "cloth"))
+    lines = dict(cloth_headline({"normal_incidence": 0, "saturated": 7}, None, "cloth"))
     assert "7 measurements" in lines[DOUBTFUL]
     assert "normal" in lines[REMEDY]
     assert GOOD not in lines

@@ -19,12 +19,12 @@ from nishiki.capture.folder import load_capture
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.engine.project import truth_digest
 from nishiki.errors import UserError
+from nishiki.evaluate.relighting import stated_levels
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
 from nishiki.progress import Progress
 from nishiki.stages.brdf import BrdfSettings
 from nishiki.stages.evaluate import EvaluateSettings
-from nishiki.stages.evaluate.painting import stated_levels
 from nishiki.stages.height import HeightSettings
 from nishiki.stages.ingest import IngestSettings
 from nishiki.stages.normals import NormalsSettings

@@ -32,7 +32,7 @@ from nishiki.report.scene_page import conditions, flat, settings_rows, text
 from nishiki.report.svg import Axis, Curve, bars, chart, degrees, figure, lights_plot, percent, plain, signed, ticks
 from nishiki.stages.render import RenderSettings
 from nishiki.stages.report.painting import choices, describe, exposed, gloss_section, verdict
-from nishiki.stages.report.painting_prediction import chosen, signed_difference, signed_end
+from nishiki.stages.report.painting_prediction import chosen, signed_differences
 from nishiki.stages.report.painting_surface import _of_places, spread_out
 from nishiki.stages.separate import SeparateSettings
 
@@ -255,12 +255,13 @@ def test_the_signed_difference_is_the_luminance_of_what_was_predicted_too_much()
     predicted[0] -= 0.05
     inside = np.ones((6, 8), bool)
     inside[:, 0] = False
-    found = signed_difference({"predicted": predicted, "observed": observed, "inside": inside})
+    pair = {"predicted": predicted, "observed": observed, "inside": inside}
+    (found, _), end = signed_differences([pair, pair])
     np.testing.assert_allclose(found[1:, 1:], 1.0, atol=1e-4)
     np.testing.assert_allclose(found[0, 1:], -4.0, atol=1e-4)
     assert np.isnan(found[:, 0]).all()
-    assert signed_end([found]) == 5
-    assert signed_end([0 * found]) == 1
+    assert end == 5
+    assert signed_differences([{**pair, "predicted": observed}])[1] == 1
     middle = coloured(np.zeros((1, 1)), balance(), -5, 5)[0, 0].astype(int)
     assert np.ptp(middle) <= 4  # no error is grey
     assert [signed(v) for v in (None, 0.0, -0.0004, -0.012)] == ["–", "0\u202f%", "0\u202f%", "−1.2\u202f%"]

@@ -81,7 +81,7 @@ def test_the_worker_reads_heights_with_holes_and_marches_as_render_does(shown):
         left, top, right, bottom = window or (0, 0, columns, rows)
         inside = (slice(top, bottom), slice(left, right))
         light = Light(spectrum=np.ones(61), position_mm=position, angular_radius=0.03)
-        expected = cast_shadows(read.astype(np.float32), [light], pitch=1.0).visibility[0][inside]
+        expected = cast_shadows(read.astype(np.float32), [light], pitch=1.0)[0][inside]
         apart = np.abs(np.array(seen).reshape(expected.shape) / 255 - expected)[known[inside]]
         assert apart.max() < 0.006
         assert 0.05 < np.mean(expected[known[inside]] < 0.5) < 0.95

@@ -91,11 +91,14 @@ def at(path: str) -> Figure:
     return figure
 
 
-def _part(diagnostics: Mapping[str, Any], path: str) -> Any:
-    value: Any = diagnostics
-    for part in path.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
-    return value
+def _part(value: Any, path: str) -> Any:
+    """Return what stands at a dotted path, None where nothing does; * stands for every part of a block or list."""
+    first, _, rest = path.partition(".")
+    if first == "*":
+        parts = value.values() if isinstance(value, Mapping) else value or ()
+        return [_part(each, rest) if rest else each for each in parts]
+    value = value.get(first) if isinstance(value, Mapping) else None
+    return _part(value, rest) if rest else value
 
 
 def share(part: str, total_path: str) -> Figure:
@@ -119,7 +122,7 @@ def _of_two(first: str, second: str, combine: Callable[[float, float], float]) -
 
 
 def extreme(path: str, of: Callable[[Iterable[float]], float] = max) -> Figure:
-    """Return the largest (or smallest) number in the list or block at a dotted path."""
+    """Return the largest (or smallest) number in the list or block at a dotted path, where * stands for all parts."""
 
     def figure(diagnostics: Mapping[str, Any]) -> float | None:
         numbers = [float(each) for each in _leaves(_part(diagnostics, path)) if each is not None]

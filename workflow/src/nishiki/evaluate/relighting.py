@@ -76,9 +76,19 @@ def level_of(mean: float | None, p90: float | None, levels: tuple[Level, ...]) -
     return "none"
 
 
-def levels(mean: float | None, p90: float | None) -> dict[str, str]:
-    """Both schemes for one pair of figures."""
-    return {"fadgi": level_of(mean, p90, FADGI), "iso_19264": level_of(mean, p90, ISO_19264)}
+LARGEST_LEVEL_ERROR = 0.1  # relative, of the light of a part under any lamp, beyond which no level is stated
+
+
+def stated_levels(parts: list[dict]) -> dict[str, str]:
+    """Return the levels of the part that is predicted worst, `none` where the light of any part is off by a tenth.
+
+    parts : `de00` with the mean and 90th percentile of each, and `lights` with their `level_error`.
+    """
+    worst = max((part["de00"] for part in parts), key=lambda de00: de00["mean"], default={"mean": None, "p90": None})
+    errors = [abs(light["level_error"]) for part in parts for light in part["lights"]]
+    off = max(errors, default=0) > LARGEST_LEVEL_ERROR
+    schemes = {"fadgi": FADGI, "iso_19264": ISO_19264}
+    return {name: "none" if off else level_of(worst["mean"], worst["p90"], each) for name, each in schemes.items()}
 
 
 @dataclass

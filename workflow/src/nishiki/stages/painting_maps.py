@@ -44,7 +44,6 @@ def predict_light(
     model: PlaneMaps,
     light: Light,
     *,
-    height: np.ndarray | None = None,
     visibility: np.ndarray | None = None,
     pitch: float = 1.0,
 ) -> PredictedLight:
@@ -52,23 +51,22 @@ def predict_light(
 
     Tominaga and Tanaka (2004), eq. 10, with the factor f of the body shading (1: Lambert). light : with a direction, or
     a position relative to the centre of the maps in the unit of `pitch`; E is 1 but for a lamp with fall-off, where no
-    white board has divided it out. height : (rows, columns) in the unit of `pitch`, for cast shadows; None: none are
-    cast. visibility : (1, rows, columns) computed before, in place of a height.
+    white board has divided it out. visibility : (1, rows, columns) of cast shadows, if there are any.
     """
-    (seen,) = predict_observations(model, [light], height=height, visibility=visibility, pitch=pitch)
+    (seen,) = predict_observations(model, [light], visibility=visibility, pitch=pitch)
     white = np.ones((*model.normals.shape[:2], 1), np.float32)
     metal = model.gloss.refractive_index >= MIRROR  # sends back its reflectance like a body
     body_only = replace(model.gloss, beta=model.gloss.beta * metal[:, None])
     matte_maps = model._replace(coefficients=white, gloss=body_only)
     (matte,) = predict_observations(matte_maps, [light], pitch=pitch)
-    body = matte.observations[..., 0]
+    body = matte.values[..., 0]
     lit = ((body > 0) | model.mirrors).astype(np.float32)
-    if seen.visibility is not None:
-        lit *= seen.visibility
-        body *= seen.visibility
+    if visibility is not None:
+        lit *= visibility[0]
+        body *= visibility[0]
     diffuse = model.coefficients.mean(axis=-1) * body
-    specular = np.maximum(seen.observations.mean(axis=-1) - diffuse, 0.0)
-    return PredictedLight(seen.observations, diffuse, specular, lit, body)
+    specular = np.maximum(seen.values.mean(axis=-1) - diffuse, 0.0)
+    return PredictedLight(seen.values, diffuse, specular, lit, body)
 
 
 def seen_from(light: Light, down: float) -> Light:

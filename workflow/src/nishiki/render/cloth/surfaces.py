@@ -41,8 +41,13 @@ def transported(
     unknown = ~known & ~orphan
     if not unknown.any():
         return weft, int(orphan.sum())
-    right, up = _frames(normals)
-    carried = _carry(normals[j], normals[i], right[j])
+    right = _flattest(normals)
+    up = np.cross(normals, right)
+    # right of j turned by the smallest rotation from one normal to the other; of opposite normals by half a turn
+    axis, cosine = np.cross(normals[j], normals[i]), np.sum(normals[j] * normals[i], axis=1, keepdims=True)
+    along = np.sum(axis * right[j], axis=1, keepdims=True) / np.maximum(1 + cosine, 1e-9)
+    carried = cosine * right[j] + np.cross(axis, right[j]) + axis * along
+    carried -= np.sum(carried * normals[i], axis=1, keepdims=True) * normals[i]
     # Angle of j's frame after it has come to i; a tangent z at j arrives as turn * z.
     turn = np.sum(carried * right[i], axis=1) + 1j * np.sum(carried * up[i], axis=1)
     turn /= np.maximum(np.abs(turn), 1e-300)
@@ -65,24 +70,11 @@ def _edges(triangles: np.ndarray) -> np.ndarray:
     return pairs.astype(np.int64)
 
 
-def _frames(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    right = _flattest(normals)
-    return right, np.cross(normals, right)
-
-
 def _flattest(normals: np.ndarray) -> np.ndarray:
     """Compute unit tangents (n, 3): the coordinate axis furthest from the normal, projected."""
     axis = np.eye(3)[np.argmin(np.abs(normals), axis=1)]
     across = axis - np.sum(axis * normals, axis=1, keepdims=True) * normals
     return across / np.linalg.norm(across, axis=1, keepdims=True)
-
-
-def _carry(start: np.ndarray, end: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Vectors (n, 3) turned by the smallest rotations from unit vectors `start` to `end`; opposites: half a turn."""
-    axis, cosine = np.cross(start, end), np.sum(start * end, axis=1, keepdims=True)
-    safe = np.maximum(1 + cosine, 1e-9)
-    turned = cosine * vectors + np.cross(axis, vectors) + axis * (np.sum(axis * vectors, axis=1, keepdims=True) / safe)
-    return turned - np.sum(turned * end, axis=1, keepdims=True) * end
 
 
 def _rescued(values: np.ndarray, free: np.ndarray, gather) -> np.ndarray:

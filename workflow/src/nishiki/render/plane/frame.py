@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from nishiki.artifacts.maps import shrink
-from nishiki.errors import UserError, require
+from nishiki.errors import require
 from nishiki.render.plane.kernel import BACKGROUND, TURNED_AWAY, UNUSABLE
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
 from nishiki.render.plane.shade import (
@@ -183,10 +183,9 @@ class Rendering:
     # (rows, columns) uint8, bits of `nishiki.render.plane.kernel`; a pixel made of several samples carries
     # NORMAL_MISSING, COLOUR_MISSING and OVERFLOW only if no sample of it is usable, TURNED_AWAY if any sample is
     flags: np.ndarray
-    # (rows, columns) float32, share of the pixel inside the painting; the rest shows the background
+    # (rows, columns) float32, share of the pixel inside the painting; the rest is black
     coverage: np.ndarray
     white_xyz: np.ndarray  # (3,) of a perfect white under the first light (or the ambient light): what an eye adapts to
-    shadowed: tuple  # share of each lamp's light that the relief holds back; () where no shadows were cast
     samples_per_pixel: int  # most samples that any pixel rests on
     reduction: int  # factor by which the maps were averaged before sampling; 1: not
 
@@ -197,15 +196,12 @@ def render(
     view: View | None = None,
     *,
     ambient: Ambient | None = None,
-    background: float = 0.0,
-    shadows: str = "sweep",
     visibility: np.ndarray | None = None,
     samples: tuple[int, int] = (2, 1024),
 ) -> Rendering:
     """Draw `scene` under `lights` from `view` (default: frontal, a screen pixel for a pixel of the maps).
 
-    background: Y where the ray misses the painting, a grey under the scene's white. shadows: "sweep", "march" (see
-    `nishiki.render.plane.shade`) or "none"; without a height there are none. visibility: (lights, rows, columns)
+    Black is where the ray misses the painting; without a height there are no shadows. visibility: of `cast_shadows`,
     computed before, e.g. for a sequence of views. A pixel of a screen that is not the maps is the mean of shaded
     samples, as many across and down as the pixel is steps long on the maps, so that no pixel of the maps is jumped
     over; at least the first of `samples` along each side. Where that would be more than the second in all, the
@@ -213,28 +209,19 @@ def render(
     """
     view = View() if view is None else view
     ambient = Ambient() if ambient is None else ambient
-    if shadows not in ("sweep", "march", "none"):
-        raise UserError(f"shadows: expected sweep, march or none, found {shadows!r}; choose one of the three")
-    least, most = samples
-    if not 1 <= least**2 <= most:
-        raise UserError(f"samples: expected 1 <= minimum squared <= maximum, found {least} and {most}")
-    if not (np.isfinite(background) and background >= 0):
-        raise UserError(f"background: expected a finite level >= 0, found {background!r}; 1 is the white")
-    shadowed = ()
-    if visibility is None and shadows != "none" and scene.height is not None and lights:
-        cast = cast_shadows(scene.height, lights, pitch=scene.pitch, method=shadows)
-        visibility, shadowed = cast.visibility, tuple(cast.shadowed.tolist())
+    if visibility is None and scene.height is not None and lights:
+        visibility = cast_shadows(scene.height, lights, pitch=scene.pitch)
     groups = colour_groups(scene, lights, ambient)
     white = groups.whites[groups.of_light[0] if lights else groups.ambient]
     if view.eye_mm is None and screen_shape(view, scene) == scene.shape:  # the pixels of the maps
         shading = shade_xyz(scene, lights, ambient=ambient, visibility=visibility)
         coverage = np.ones(scene.shape, np.float32)
-        return Rendering(shading.values, shading.flags, coverage, white, shadowed, 1, 1)
+        return Rendering(shading.values, shading.flags, coverage, white, 1, 1)
     plane = screen_to_plane(view, scene)
     rows, columns = screen_shape(view, scene)
     to_map = np.linalg.inv(pixel_to_plane(scene.pitch, scene.shape)) @ plane
     steps = [footprint(to_map, k, min(k + 16, rows), columns, scene.shape) for k in range(0, rows, 16)]
-    reduction = 1
+    (least, most), reduction = samples, 1
     while max(_count(step, reduction) for step in steps) > most and reduction < max(scene.shape):
         reduction *= 2
     maps, seen = reduce_maps(scene, visibility, reduction)
@@ -244,13 +231,13 @@ def render(
         (scene.shape[0] / reduction, scene.shape[1] / reduction))  # fmt: skip
     xyz = np.empty((rows, columns, 3), np.float32)
     flags, coverage = np.empty((rows, columns), np.uint8), np.empty((rows, columns), np.float32)
-    backdrop, largest, first = background * white, 1, 0
+    largest, first = 1, 0
     while first < rows:
         last, across, down = painter.band(first, xyz.shape, least, most)
         inside, shading = painter.paint(first, last, columns, across, down)
-        xyz[first:last], flags[first:last], coverage[first:last] = _resolve(shading, inside, across, down, backdrop)
+        xyz[first:last], flags[first:last], coverage[first:last] = _resolve(shading, inside, across, down)
         largest, first = max(largest, across * down), last
-    return Rendering(xyz, flags, coverage, white, shadowed, largest, reduction)
+    return Rendering(xyz, flags, coverage, white, largest, reduction)
 
 
 def _count(step: tuple[float, float], reduction: int) -> float:
@@ -333,9 +320,7 @@ def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
     return reduced, visibility
 
 
-def _resolve(
-    shading: Shading, inside: np.ndarray, across: int, down: int, backdrop: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _resolve(shading: Shading, inside: np.ndarray, across: int, down: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Average the samples of each pixel; unusable samples (missing normal or colour, overflow) are left out.
 
     Returns XYZ (rows, columns, 3), flags and coverage (rows, columns) of the pixels, each down x across samples.
@@ -349,7 +334,7 @@ def _resolve(
     on, count = (np.sum(samples(chosen), axis=(1, 3)) for chosen in (inside, usable))
     share = on / (across * down)
     sums = np.sum(samples(np.where(usable[..., None], shading.values, 0)), axis=(1, 3), dtype=np.float64)
-    xyz = sums * (share / np.maximum(count, 1))[..., None] + (1 - share)[..., None] * backdrop
+    xyz = sums * (share / np.maximum(count, 1))[..., None]
     marks = np.bitwise_or.reduce(samples(np.where(inside, shading.flags, 0)), axis=(1, 3))
     marks = np.where(count > 0, marks & TURNED_AWAY, marks)
     return xyz, np.where(on > 0, marks, BACKGROUND), share

@@ -305,7 +305,7 @@ def _store(row, start, total, sigma, pixel, marks, pictures):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def shade(first, last, maps, finish, lamps, colours, view, pictures):
-    """Fill rows first .. last - 1 of: sum over the lights of (A sigma + a0) E c f + white E beta D F G / cos_r.
+    """Fill rows first .. last - 1 of: sum over the lights of A sigma E c f + white E beta D F G / cos_r.
 
     c = max(n.l, 0), f the factor of the body shading; of a metal (index MIRROR) A sigma E beta D G / cos_r. maps:
     normals (R, C, 3), coefficients (R, C, K), shading (R, C, 3 or 5) or (0, 0, 0): f = 1, and slopes (R, C, 3),
@@ -313,11 +313,11 @@ def shade(first, last, maps, finish, lamps, colours, view, pictures):
     its row of finish; finish: gloss (regions, 2 lobes): beta, 1 / gamma^2 of each lobe; index (regions,); transmission
     (regions,): share of the surface's loss that the body's light suffers, entering (regions,): what is left of ambient
     light on its way in; lights (L, 6): x, y, z, w, intensity, squared reference distance; group (L,) row of matrices
-    (G, channels, K), offsets and whites (G, channels); visibility (L, R, C) float32 or (0, 0, 0): all 1; plane (3, 3)
+    (G, channels, K) and whites (G, channels); visibility (L, R, C) float32 or (0, 0, 0): all 1; plane (3, 3)
     maps (column, row, 1) to the plane; eye (4,) homogeneous; ambient: irradiance of the uniform half space, and its
     group; out (R, C, channels) float32, flags (R, C) uint8.
     """
-    labels, (lights, group, visibility), (matrices, offsets, whites) = maps[4], lamps, colours
+    labels, (lights, group, visibility), (matrices, whites) = maps[4], lamps, colours
     (plane, eye, ambient, ambient_group), lossy = view, finish[2].max() > 0.0
     glossy, shaded = finish[0].shape[1] > 0, maps[2].shape[0] > 0
     pixel, marks = np.zeros((GLOSS + finish[0].shape[1], LANES)), np.zeros(LANES, np.int64)
@@ -371,7 +371,7 @@ def shade(first, last, maps, finish, lamps, colours, view, pictures):
             for channel in range(len(total)):
                 value = splat(0.0)
                 for g in range(len(whites)):
-                    colour = splat(offsets[g, channel])
+                    colour = splat(0.0)
                     for k in range(len(sigma)):
                         colour += matrices[g, channel, k] * load(sigma, (k, 0))
                     value += colour * load(body, (g, 0)) + whites[g, channel] * load(shine, (g, 0))

@@ -14,8 +14,6 @@ from nishiki.geometry.camera import Camera, look_at
 
 BANDS = 61  # 400 .. 700 nm every 5 nm
 
-# Bits of the flags of a rendered pixel.
-
 
 def _finite_vector(name, value, length) -> np.ndarray:
     vector = np.asarray(value, dtype=np.float64)
@@ -179,11 +177,8 @@ class PlaneScene:
 
     normals: np.ndarray  # (rows, columns, 3) float32, unit length, (0, 0, 0) where unknown
     coefficients: np.ndarray  # (rows, columns, K) float32, diffuse reflectance. With `basis` (K, 61), S = coefficients
-    # (+ `mean` (61,)). Without a basis they are the albedo in K channels and `channels_to_xyz` (3, K) carries them to
-    # XYZ (white point D65); for K = 3 it defaults to that of linear sRGB, which is a guess about the camera
+    # @ basis; without a basis they are linear sRGB
     basis: np.ndarray | None = None
-    mean: np.ndarray | None = None
-    channels_to_xyz: np.ndarray | None = None
     # (rows, columns, 3 or 5) float32, terms of the body shading (`torrance_sparrow.body_shading`), or None
     shading: np.ndarray | None = None
     # (rows, columns, 3) float32, covariance of the slopes in a pixel (`nishiki.brdf.slopes`), or None: no blur
@@ -219,8 +214,8 @@ class PlaneScene:
         bands = self.coefficients.shape[2]
         if self.basis is not None and self.basis.shape != (bands, BANDS):
             raise UserError(f"basis: expected {(bands, BANDS)} for {bands} coefficients, found {self.basis.shape}")
-        if self.basis is None and self.channels_to_xyz is None and bands != 3:
-            raise UserError(f"channels_to_xyz: {bands} channels without a spectral basis need a (3, {bands}) matrix")
+        if self.basis is None and bands != 3:
+            raise UserError(f"coefficients: expected 3 channels without a spectral basis, found {bands}")
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -32,25 +32,13 @@ from nishiki.render.plane.scene import Ambient, Gloss, Light, PlaneScene
 from nishiki.threads import over_rows
 
 
-@dataclass(frozen=True)
-class CastShadows:
-    """What the relief hides of the lamps; self-shadow (n . l <= 0) is the shading's affair."""
+def cast_shadows(height: np.ndarray, lights: list[Light], *, pitch: float, march: bool = False) -> np.ndarray:
+    """Return what each pixel sees of each lamp, 0 to 1, (lights, rows, columns) float32.
 
-    visibility: np.ndarray  # (lights, rows, columns) float32, the share of each lamp that a pixel sees
-    shadowed: np.ndarray  # (lights,) share of the lamps' light that the relief holds back, 0 .. 1
-    heights_missing: int  # pixels without a finite height
-
-
-def cast_shadows(height: np.ndarray, lights: list[Light], *, pitch: float, method: str = "sweep") -> CastShadows:
-    """Return what each pixel sees of each lamp. height: (rows, columns), in the unit of `pitch`.
-
-    method: "sweep" (lamps at a finite distance are marched all the same) or "march".  A lamp of angular radius 0 gives
-    hard edges; otherwise it is a uniform disc that a straight horizon cuts.
+    height: (rows, columns), in the unit of `pitch`; march: lamps at infinity too, which is exact and slow. A lamp of
+    angular radius 0 gives hard edges; otherwise it is a uniform disc that a straight horizon cuts. Facets that face
+    away (n . l <= 0) are the shading's affair.
     """
-    if method not in ("sweep", "march"):
-        raise UserError(f"shadow method: expected sweep or march, found {method!r}; choose one of the two")
-    if height.ndim != 2:
-        raise UserError(f"height: expected (rows, columns), found {height.shape}")
     known = np.isfinite(height)
     surface = np.ascontiguousarray(height, np.float32)
     pieces, count = np.zeros((0, 0), np.int32), 1  # all is one piece
@@ -64,13 +52,12 @@ def cast_shadows(height: np.ndarray, lights: list[Light], *, pitch: float, metho
             pieces, count = np.ascontiguousarray(numbers, np.int32), found + 1
     visibility = np.empty((len(lights), *height.shape), np.float32)
     for j, light in enumerate(lights):
-        if method == "sweep" and light.position_mm is None:
-            visibility[j] = _sweep_light(surface, pieces, count, light, pitch)
-        else:
+        if march or light.position_mm is not None:
             _march_light(surface, pieces, light, pitch, visibility[j])
+        else:
+            visibility[j] = _sweep_light(surface, pieces, count, light, pitch)
         visibility[j][~known] = 1
-    shadowed = 1 - visibility.mean(axis=(1, 2), dtype=np.float64)
-    return CastShadows(visibility, shadowed, int(known.size - np.count_nonzero(known)))
+    return visibility
 
 
 def _sweep_light(surface, pieces, count: int, light: Light, pitch: float) -> np.ndarray:
@@ -131,10 +118,9 @@ FRONTAL_EYE = np.array([0.0, 0.0, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class ColourGroups:
-    """Lights that share a spectrum share a row: value = (matrix . sigma + offset) irradiance + white . gloss."""
+    """Lights that share a spectrum share a row: value = matrix . sigma irradiance + white . gloss."""
 
     matrices: np.ndarray  # (G, channels, K)
-    offsets: np.ndarray  # (G, channels)
     whites: np.ndarray  # (G, channels), of a perfect white
     of_light: np.ndarray  # (L,) row of each light
     ambient: int  # row of the ambient light
@@ -144,17 +130,16 @@ class ColourGroups:
 class Shading:
     """Values of the pixels before any background is put behind them."""
 
-    values: (
-        np.ndarray
-    )  # (rows, columns, channels) float32, linear, a perfect white of Y = 1 facing a lamp of intensity 1
+    # (rows, columns, channels) float32, linear; a perfect white that faces a lamp of intensity 1 has the value 1
+    values: np.ndarray
     flags: np.ndarray  # (rows, columns) uint8, bits of nishiki.render.plane.kernel
 
 
 def colour_groups(scene: PlaneScene, lights: list[Light], ambient: Ambient) -> ColourGroups:
     """Return 3 x K matrices, to XYZ, of the distinct spectra of lights and ambient (Tominaga and Tanaka 2004, eq. 19).
 
-    Without a spectral basis, channels go to XYZ by `scene.channels_to_xyz` (white point D65), then by Bradford's
-    adaptation to the white of the lamp, a stand-in for spectra that are not known: an adapted eye sees no change.
+    Without a spectral basis, linear sRGB goes to XYZ (white point D65), then by Bradford's adaptation to the white of
+    the lamp, a stand-in for spectra that are not known: an adapted eye sees no change.
     """
     spectra, rows = [], []
     for spectrum in [ambient.spectrum, *[light.spectrum for light in lights]]:
@@ -166,15 +151,10 @@ def colour_groups(scene: PlaneScene, lights: list[Light], ambient: Ambient) -> C
     whites = np.array([white_xyz(s) for s in spectra])
     if scene.basis is not None:
         matrices = np.array([xyz_matrix(s, scene.basis) for s in spectra])
-        mean = np.zeros(61) if scene.mean is None else scene.mean
-        offsets = np.array([xyz_matrix(s, mean[None, :])[:, 0] for s in spectra])
     else:
-        given = scene.channels_to_xyz
-        to_xyz = np.linalg.inv(srgb_matrix()) if given is None else np.asarray(given, np.float64)
-        d65 = white_xyz(illuminant("D65"))
+        to_xyz, d65 = np.linalg.inv(srgb_matrix()), white_xyz(illuminant("D65"))
         matrices = np.array([adaptation_matrix(d65, white) @ to_xyz for white in whites])
-        offsets = np.zeros((len(spectra), 3))
-    return ColourGroups(matrices, offsets, whites, np.array(rows[1:], dtype=np.int64), rows[0])
+    return ColourGroups(matrices, whites, np.array(rows[1:], dtype=np.int64), rows[0])
 
 
 def shade_xyz(
@@ -258,7 +238,7 @@ def shade_channels(
         arrays,
         (table, gloss.refractive_index, gloss.transmission, let_in),
         (lamps, groups.of_light, visible),
-        (groups.matrices, groups.offsets, groups.whites),
+        (groups.matrices, groups.whites),
         (np.ascontiguousarray(plane, np.float64), np.asarray(eye, np.float64), float(ambient_level), groups.ambient),
         (values, flags),
     )
@@ -286,28 +266,14 @@ def entering(gloss: Gloss) -> np.ndarray:
     return 1 - gloss.transmission * (1 - np.array(mean))
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """One light's predicted photograph."""
-
-    observations: np.ndarray  # (rows, columns, channels) float32, a perfect white that faces the lamp is 1
-    flags: np.ndarray  # (rows, columns) uint8, bits of nishiki.render.plane.kernel
-    visibility: np.ndarray | None  # (rows, columns) float32, what each pixel sees of the lamp; None without a height
-
-
 def predict_observations(
-    maps: PlaneMaps,
-    lights: list[Light],
-    *,
-    height: np.ndarray | None = None,
-    visibility: np.ndarray | None = None,
-    pitch: float = 1.0,
-) -> Iterator[Prediction]:
-    """Yield one prediction a light, in order, so that a stack of them need not be held in memory.
+    maps: PlaneMaps, lights: list[Light], *, visibility: np.ndarray | None = None, pitch: float = 1.0
+) -> Iterator[Shading]:
+    """Yield one predicted photograph a light, in order, so that a stack of them need not be held in memory.
 
-    The coefficients of the maps are the albedo, perfect white 1; height, pitch as in `PlaneScene`; visibility: (lights,
-    rows, columns) float32 computed before, in place of a height.  The spectra of the lights are not used; a white board
-    at the same place has divided out intensity and fall-off, which should therefore stay 1 and False.
+    The coefficients of the maps are the albedo, perfect white 1; pitch as in `PlaneScene`; visibility: (lights, rows,
+    columns) float32 of `cast_shadows`. The spectra of the lights are not used; a white board at the same place has
+    divided out intensity and fall-off, which should therefore stay 1 and False.
     """
     normals, albedo = maps.normals, maps.coefficients
     if albedo.ndim != 3 or albedo.shape[:2] != normals.shape[:2] or normals.shape[2:] != (3,):
@@ -315,15 +281,9 @@ def predict_observations(
             f"expected normals (rows, columns, 3) and albedo (rows, columns, channels), "
             f"found {normals.shape} and {albedo.shape}; give maps of one size"
         )
-    if height is not None and height.shape != normals.shape[:2]:
-        raise UserError(f"height: expected the shape of the normals {normals.shape[:2]}, found {height.shape}")
-    plane = pixel_to_plane(pitch, normals.shape[:2])
     channels = albedo.shape[2]
-    groups = ColourGroups(
-        np.eye(channels)[None], np.zeros((1, channels)), np.ones((1, channels)), np.zeros(1, np.int64), 0
-    )
+    groups = ColourGroups(np.eye(channels)[None], np.ones((1, channels)), np.zeros(1, np.int64), 0)
+    plane = pixel_to_plane(pitch, normals.shape[:2])
     for j, light in enumerate(lights):
         lit = None if visibility is None else visibility[j : j + 1]
-        lit = lit if height is None else cast_shadows(height, [light], pitch=pitch).visibility
-        seen = shade_channels(maps, [light], groups=groups, visibility=lit, plane=plane)
-        yield Prediction(seen.values, seen.flags, None if lit is None else lit[0])
+        yield shade_channels(maps, [light], groups=groups, visibility=lit, plane=plane)

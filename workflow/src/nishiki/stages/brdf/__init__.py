@@ -1,7 +1,6 @@
 """Declare the stages of paintings, objects and cloths that fit a reflection model."""
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -108,18 +107,11 @@ OBJECT = Stage(
 )
 
 
-def _cloth_error(diagnostics: Mapping[str, Any]) -> float | None:
-    """At the incidences that the default model was fitted to."""
-    chosen = diagnostics.get("default")
-    models = [region.get(chosen) or {} for region in (diagnostics.get("regions") or {}).values()]
-    return extreme("all")({"all": [(model.get("rms_rel_used") or {}) for model in models]})
-
-
 CLOTH_LIMITS = (
     Limit(
         "misfit",
         "relative rms error of the default model at the incidences that it was fitted to, worst region",
-        _cloth_error,
+        lambda diagnostics: extreme(f"regions.*.{diagnostics.get('default')}.rms_rel_used")(diagnostics),
         most=1.5,
         doubt=1.0,
         remedy="set cloth_brdf.model, and check directions and regions of the capture",

@@ -13,7 +13,7 @@ from nishiki.colour.colour import illuminant
 from nishiki.errors import UserError, require
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.evaluate.maps import Pool, height_error, normal_errors, reflectance_errors
-from nishiki.evaluate.relighting import NAMES, LightComparison, PreviewPair, classify, levels, truth_difference
+from nishiki.evaluate.relighting import NAMES, LightComparison, PreviewPair, classify, stated_levels, truth_difference
 from nishiki.evaluate.tables import COLUMNS, headlines, planned_truth, rows_of, write_tables
 from nishiki.formats.stored import load_arrays, open_group
 from nishiki.observations.plane import Observations
@@ -31,7 +31,6 @@ from nishiki.stages.painting_maps import (
 )
 
 DARK_SHARE = 0.25  # of a region, that is scored apart
-LARGEST_LEVEL_ERROR = 0.1  # relative, of the light of a part under any lamp, beyond which no level is stated
 
 
 def run(context: Context) -> dict:
@@ -267,14 +266,6 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
     return result
 
 
-def stated_levels(parts: list[dict]) -> dict[str, str]:
-    """Return the levels of the part that is predicted worst, `none` where the light of any part is off by a tenth."""
-    worst = max((part["de00"] for part in parts), key=lambda de00: de00["mean"], default={"mean": None, "p90": None})
-    errors = [abs(light["level_error"]) for part in parts for light in part["lights"]]
-    found = levels(worst["mean"], worst["p90"])
-    return found if max(errors, default=0) <= LARGEST_LEVEL_ERROR else dict.fromkeys(found, "none")
-
-
 def relight(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter):
     """Score every light that no fit has seen; pool the differences of all of them, by part and together."""
     frames = scene.frames
@@ -316,7 +307,7 @@ def one_light(
     frames, name = scene.frames, scene.frames.lights[j]
     height = scene.relief if context.settings.cast_shadows and scene.casts_shadows else None
     light = captured_lamp(frames, j, float(np.radians(context.settings.lamp_diameter_deg / 2)))
-    visibility = None if height is None else cast_shadows(height, [light], pitch=scene.pitch).visibility
+    visibility = None if height is None else cast_shadows(height, [light], pitch=scene.pitch)
     known_truth = truth.check(name)
     comparison = LightComparison.of(frames.shape, scene.camera)
     views = colours_for(scene) if known_truth else {}

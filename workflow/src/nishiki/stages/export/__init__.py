@@ -1,12 +1,11 @@
 """Declare the stages of paintings, objects and cloths for exports to other programs."""
 
-from collections.abc import Mapping
-from typing import Any, Literal, get_args
+from typing import Literal
 
 from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
-from nishiki.artifacts.limits import Figure, Limit, at
+from nishiki.artifacts.limits import Limit, at, extreme
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, no_format, photographs_or_states
 
 Format = Literal[
@@ -90,18 +89,18 @@ NEEDS: dict[str, tuple[str, ...]] = {
 """Stages that a format, or a kind of relightable image, reads where the capture can feed them."""
 
 
-def _wanted(settings: ExportSettings) -> tuple[str, ...]:
-    """Return the stages that the formats read, each once."""
-    kinds = settings.relight.kinds if "relight" in settings.formats else ()
-    return tuple(dict.fromkeys(name for each in (*settings.formats, *kinds) for name in NEEDS.get(each, ())))
-
-
 PAINTING = Stage(
     settings=ExportSettings,
     does="files for other programs",
     of_mosaics=True,
     requires=("ingest", "normals"),
-    optional_inputs=_wanted,
+    optional_inputs=lambda settings: tuple(
+        dict.fromkeys(
+            name
+            for each in (*settings.formats, *(settings.relight.kinds if "relight" in settings.formats else ()))
+            for name in NEEDS.get(each, ())
+        )
+    ),
     capture_parts=lambda facts, settings, asked: ("check",),
     libraries=(*ARRAYS, OPENCV, "usd-core", "materialx"),
     unused_packages={"usd-core": no_format("export", "usd"), "materialx": no_format("export", "materialx")},
@@ -113,19 +112,9 @@ PAINTING = Stage(
 ObjectFormat = Literal["gltf", "usd", "materialx", "mitsuba", "iiif", "kintsugi"]
 
 
-def _of_look(name: str) -> Figure:
-    """Return a figure that every format states, because all have the same textures."""
-
-    def figure(diagnostics: Mapping[str, Any]) -> float | None:
-        found = (at(f"losses.{each}.{name}")(diagnostics) for each in get_args(ObjectFormat))
-        return next((value for value in found if value is not None), None)
-
-    return figure
-
-
-OBJECT_LIMITS = (
-    Limit("clipped", "share of the texels whose colour is brighter than white", _of_look("clipped")),
-    Limit("placed", "share of the triangles that have a place in the textures", _of_look("placed"), least=0.9,
+OBJECT_LIMITS = (  # of textures that all formats have in common
+    Limit("clipped", "share of the texels whose colour is brighter than white", extreme("losses.*.clipped")),
+    Limit("placed", "share of the triangles that have a place in the textures", extreme("losses.*.placed"), least=0.9,
           doubt=0.99, remedy="check the mesh and the charts of the stage texels", why="objects gave 1; without texels "
           "there is no colour"),
 )  # fmt: skip

@@ -266,8 +266,12 @@ class SeenPoints:
 
     def cosines(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return (n,) of the normal with half vector, light and view, at least 0, and of view with half vector."""
-        light, towards = direction_to(self.lamp, self.positions), self.centre - self.positions
-        towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+        near = self.lamp.form == POINT  # surroundings without a highlight have no direction
+        light = self.lamp.vector - self.positions if near else np.broadcast_to(self.lamp.vector, self.positions.shape)
+        light, towards = (
+            vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
+            for vectors in (light, self.centre - self.positions)
+        )
         half = light + towards
         half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
         cos_phi, cos_i, cos_r = (np.maximum(np.sum(self.normals * each, axis=1), 0) for each in (half, light, towards))
@@ -320,12 +324,6 @@ def against_photographs(
         for name, each in found.items():
             result[name][group] = each.decibels()
     return result
-
-
-def direction_to(lamp: ViewLamp, positions: np.ndarray) -> np.ndarray:
-    """Return (n, 3) unit vectors to a lamp; 0 for surroundings without a highlight."""
-    vectors = lamp.vector - positions if lamp.form == POINT else np.broadcast_to(lamp.vector, positions.shape)
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
 
 
 class ObjectSurface(ExportedSurface):

@@ -284,4 +284,4 @@ class GridPictures(Photographs):
     def drawn(self, model: PlaneMaps, pixels: slice | np.ndarray) -> np.ndarray:
         """Return (captured lights and nodes, 3, n) of the fitted model."""
         seen = predict_observations(each_map(model, lambda values: values[:, pixels]), self._lamps)
-        return np.concatenate([self.coded(each.observations) for each in seen])
+        return np.concatenate([self.coded(each.values) for each in seen])

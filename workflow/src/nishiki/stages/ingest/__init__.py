@@ -7,7 +7,7 @@ from pydantic import Field
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at
 from nishiki.formats.picture_files import RAW_SUFFIXES
-from nishiki.stages.base import ARRAYS, OPENCV, Cost, SceneFacts, Stage, only_files
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, only_files
 
 LIMITS = (
     Limit(
@@ -66,13 +66,8 @@ class IngestSettings(Guarded, stage="ingest", version=3, limits=LIMITS):
     )
 
 
-def _ingest_cost(facts: SceneFacts) -> Cost:
-    """Estimate decoding: JPEG is quick; a flat object has a white and a dark photograph to most of its lights."""
-    if set(facts.suffixes) & {".jpg", ".jpeg"}:
-        return Cost(mib=400, seconds=2.2, us_per_sample=0.05)
-    each = {"plane": 0.65, "turntable": 2.0, "goniometer": 0.42}[facts.geometry]
-    return Cost(mib=400, seconds=2.2, us_per_sample=each)
-
+DECODING_US = {"plane": 0.65, "turntable": 2.0, "goniometer": 0.42}
+"""Of a sample; a flat object has a white and a dark photograph to most of its lights."""
 
 STAGE = Stage(
     settings=IngestSettings,
@@ -87,5 +82,9 @@ STAGE = Stage(
             None if set(facts.suffixes) - RAW_SUFFIXES - {".exr"} else "no PNG, JPEG or TIFF is read"
         ),
     },
-    cost=_ingest_cost,
+    cost=lambda facts: Cost(  # JPEG is quick
+        mib=400,
+        seconds=2.2,
+        us_per_sample=0.05 if set(facts.suffixes) & {".jpg", ".jpeg"} else DECODING_US[facts.geometry],
+    ),
 )

@@ -1,27 +1,13 @@
 """Declaration of the stage `mesh`: settings, inputs, limits of its result, cost."""
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed, Guarded
-from nishiki.artifacts.limits import Limit, at, extreme
+from nishiki.artifacts.closed import Guarded
+from nishiki.artifacts.limits import Limit, at, excess, extreme, share
 from nishiki.observations.turntable_coherence import DOUBTFUL, INCOHERENT
-from nishiki.stages.base import ARRAYS, OPENCV, Asked, Cost, Reason, SceneFacts, Stage, surface_of
-
-
-def _scan_residual(diagnostics: Mapping[str, Any]) -> float | None:
-    """Of the registration, relative to the size of the surface."""
-    worst, area = extreme("scans.residual")(diagnostics), at("area")(diagnostics)
-    return None if worst is None or not area else worst / area**0.5
-
-
-def _unsure_handles(diagnostics: Mapping[str, Any]) -> float | None:
-    """Count the holes through the body that are closed where some views are forgiven."""
-    genus, forgiving = at("genus")(diagnostics), at("silhouettes.overruled.genus")(diagnostics)
-    return None if genus is None or forgiving is None else max(0.0, genus - forgiving)
-
+from nishiki.stages.base import ARRAYS, OPENCV, Cost, Reason, Stage, surface_of
 
 LIMITS = (
     Limit(
@@ -48,7 +34,9 @@ LIMITS = (
     Limit(
         "registration",
         "residual of the scans' registration over the size of the surface",
-        _scan_residual,
+        lambda diagnostics: share("worst", "size")(
+            {"worst": extreme("scans.residual")(diagnostics), "size": diagnostics.get("area", 0) ** 0.5}
+        ),
         most=0.01,
         doubt=0.002,
         remedy="scans that overlap more, or mesh.overlap",
@@ -57,7 +45,9 @@ LIMITS = (
     Limit(
         "unsure_handles",
         "holes through the body that rest on one view, or on as few as mesh.misses says",
-        _unsure_handles,
+        lambda diagnostics: (  # holes that are closed where some views are forgiven
+            None if (more := excess("genus", "silhouettes.overruled.genus")(diagnostics)) is None else max(more, 0.0)
+        ),
         most=0,
         warns=True,
         remedy="look at the surface, and at the silhouettes of the views that see through it: a shadow that is as dark "
@@ -103,12 +93,6 @@ class MeshSettings(Guarded, stage="mesh", version=7, limits=LIMITS):
     hold_out: tuple[str, ...] = Field((), description="views that take no part in carving; filled in by the plan")
 
 
-def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -> tuple[str, ...]:
-    # The preview shows the surface beside photographs, so these are looked at whatever the surface comes from.
-    given = {"file": ("mesh",), "scans": ("scans",), "silhouettes": ()}[surface_of(facts, settings)]
-    return ("silhouettes", "photographs", *given)
-
-
 def _only_surface(source: tuple[str, ...], reason: str) -> Reason:
     return lambda facts, settings: None if surface_of(facts, settings) in source else reason
 
@@ -118,7 +102,11 @@ STAGE = Stage(
     does="the surface, from a file, range scans or silhouettes",
     geometry="turntable",
     requires=("ingest", "cameras"),
-    capture_parts=_looks_at,
+    capture_parts=lambda facts, settings, asked: (
+        "silhouettes",
+        "photographs",  # the preview shows the surface beside them, whatever it comes from
+        *{"file": ("mesh",), "scans": ("scans",), "silhouettes": ()}[surface_of(facts, settings)],
+    ),
     libraries=(*ARRAYS, OPENCV, "scikit-image", "trimesh", "pymeshlab"),
     unused_packages={
         "trimesh": _only_surface(("file", "scans"), "the surface comes from silhouettes"),

@@ -1,25 +1,12 @@
 """Declaration of the stage `polarise`: settings, inputs, limits of its result, cost."""
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, extreme
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, no_method
-
-
-def _largest_beta(diagnostics: Mapping[str, Any]) -> float | None:
-    """Return largest beta of a channel; of analysers, whose boards give a transmission, none."""
-    boards = [board for board in (diagnostics.get("boards") or {}).values() if board]
-    return max(max(b["channel"]) for b in boards) if boards and diagnostics.get("method") == "circular" else None
-
-
-def _largest(diagnostics: Mapping[str, Any], name: str) -> float | None:
-    """Return largest figure of a view."""
-    return extreme("views")({"views": [view.get(name) for view in diagnostics.get("by_view") or ()]})
-
 
 EXCHANGED = "exchange the states off and on (or parallel and crossed angles) in the column polariser of frames.csv, "
 EXCHANGED += "for white boards too where they were exchanged with them; else check polarise.beta, the exposure of the "
@@ -56,7 +43,10 @@ LIMITS = (
     Limit(
         "beta",
         "share of diffuse light that the crossed polarisers let through, largest channel",
-        _largest_beta,
+        # boards behind analysers give a transmission
+        lambda diagnostics: (
+            extreme("boards.*.channel")(diagnostics) if diagnostics.get("method") == "circular" else None
+        ),
         most=1.0,
         doubt=0.7,
         remedy=EXCHANGED,
@@ -74,7 +64,7 @@ LIMITS = (
     Limit(
         "unexplained",
         "share of the variation between the states that their angles do not explain, worst view",
-        lambda diagnostics: _largest(diagnostics, "unexplained"),
+        extreme("by_view.*.unexplained"),
         most=0.4,
         doubt=0.1,
         remedy="check the angles in the column polariser of frames.csv against the photographs, and the calibration",
@@ -83,7 +73,7 @@ LIMITS = (
     Limit(
         "exchanged",
         "states whose photographs another order explains better beyond doubt, worst view",
-        lambda diagnostics: _largest(diagnostics, "exchanged"),
+        extreme("by_view.*.exchanged"),
         most=0,
         remedy="exchange the states that check names in the column polariser of frames.csv",
         why="308 choices of 30 and more of 64 measured states gave 0; of pairs exchanged among them 95 % give 2",

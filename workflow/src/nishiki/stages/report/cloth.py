@@ -96,7 +96,7 @@ def cloth_headline(samples: dict[str, Any], evaluation: dict[str, Any] | None, r
     noise = samples.get("noise_relative")
     if noise is not None:
         found[noise < NOISE].append(f"half of the measurements have a noise below {figure(100 * noise, 2)} %")
-    saturated = sum(samples.get("saturated") or [])
+    saturated = samples.get("saturated") or 0
     above, cut = samples.get("normal_incidence"), f"{saturated} measurements are saturated: the gloss is cut off"
     advice = [
         (above == 0, "nothing was lit along the normal", "measure one set of views with the light along the normal"),

@@ -195,7 +195,17 @@ def _errors_of(region: dict[str, Any], default: str) -> list[Block]:
         seen = f"{name} (has seen these)" if entry["reference"] else name
         values = [None if part is None else part["rms_rel"] for part in parts]
         errors.append([seen, entry["fitted"]["measurements"], *values, mean_error(entry["fitted"]["by_incidence"])])
-        peaks.append([name, *(peak_error(part) for part in parts)])
+        peaks.append(
+            [
+                name,
+                *(
+                    None
+                    if part is None or part["peak_value_rel"] is None
+                    else f"{round(100 * part['peak_value_rel'])} %, {figure(part['peak_direction_deg'], 2)}°"
+                    for part in parts
+                ),
+            ]
+        )
     columns, marked = [f"{angle}°" for angle in angles], {0} if default in models else set()
     caption = (
         f"Relative RMS error by incidence, on {figure(region['held_out'])} of {figure(region['valid'])} measurements. "
@@ -213,13 +223,6 @@ def _errors_of(region: dict[str, Any], default: str) -> list[Block]:
         blocks.append(Figures([Figure("Relative error", "against the incidence of the light.", svg=drawing)], 1))
     blocks.append("Each incidence of every model is a row of `evaluation.csv`.")
     return blocks
-
-
-def peak_error(part: dict[str, Any] | None) -> str | None:
-    """Return error of the brightest view in words."""
-    if part is None or part["peak_value_rel"] is None:
-        return None
-    return f"{round(100 * part['peak_value_rel'])} %, {figure(part['peak_direction_deg'], 2)}°"
 
 
 def mean_error(parts: dict[str, dict]) -> float | None:

@@ -124,18 +124,9 @@ def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any]
         ("All that a renderer needs", f"{figure(everything['total'] / 1000)} kB, {beside}"),
     ]
     parts = evaluation["bytes"] if evaluation else everything
-    drawing = Figure("Where the bytes go", "Everything that a renderer needs.", svg=bytes_bars(parts))
-    rows = [(_part_name(name), size) for name, size in parts.items()]
+    rows = [(PART_NAMES.get(name, name.replace("_", " ")), size) for name, size in parts.items()]
+    largest = sorted((-size, name) for (name, size), part in zip(rows, parts, strict=True) if part not in SUMS)
+    svg = bars([-size / 1000 for size, _ in largest], [name for _, name in largest], title="bytes by part", unit="kB")
+    drawing = Figure("Where the bytes go", "Everything that a renderer needs.", svg=svg)
     blocks: list[Block] = [intro, Facts(facts), Figures([drawing]), Fold("Bytes", "by part", [Table((), rows, "lr")])]
     return Section("residual", "Residual", blocks)
-
-
-def bytes_bars(parts: dict[str, int]) -> str:
-    """Return bytes of every part as bars, largest first; sums are left out."""
-    rows = sorted(((size, name) for name, size in parts.items() if name not in SUMS), key=lambda row: (-row[0], row[1]))
-    labels = [_part_name(name) for _, name in rows]
-    return bars([size / 1000 for size, _ in rows], labels, title="bytes by part", unit="kB")
-
-
-def _part_name(name: str) -> str:
-    return PART_NAMES.get(name, name.replace("_", " "))

@@ -59,8 +59,7 @@ def relighting_section(
     ]
     shown = [lights[k] for k in chosen(lights)]
     previews = [load_arrays(evaluate.path(f"preview_{light['index']:03d}.npz")) for light in shown]
-    differences = [signed_difference(preview) for preview in previews]
-    end = signed_end(differences)
+    differences, end = signed_differences(previews)
     for light, preview, difference in zip(shown, previews, differences, strict=True):
         aside = f"({light['role']}, {light['incidence_deg']:.0f}° from the normal of the plane)"
         blocks.append(Heading(f"Light {light['name']}", aside))
@@ -226,15 +225,17 @@ def chosen(lights: list[dict[str, Any]], count: int = MOST_LIGHTS) -> list[int]:
     return sorted(ranks[p] for p in places)
 
 
-def signed_difference(pair: Mapping[str, Any]) -> np.ndarray:
-    """Luminance of prediction less photograph, per cent of the white, of a preview; NaN outside the object."""
-    difference = np.asarray(pair["predicted"], np.float32) - np.asarray(pair["observed"], np.float32)
-    return np.where(np.asarray(pair["inside"]), 100 * (difference @ LUMINANCE), np.nan)
+def signed_differences(pairs: Sequence[Mapping[str, Any]]) -> tuple[list[np.ndarray], float]:
+    """Return the luminance of prediction less photograph of previews, and the end of their common scale.
 
-
-def signed_end(maps: list[np.ndarray]) -> float:
-    """End of the common scale of signed maps: the 98th percentile of all magnitudes, up to 1, 2 or 5 times 10^n."""
+    Per cent of the white; NaN outside the object. The end is the 98th percentile of all magnitudes, up to 1, 2 or 5
+    times 10^n.
+    """
+    maps = []
+    for pair in pairs:
+        difference = np.asarray(pair["predicted"], np.float32) - np.asarray(pair["observed"], np.float32)
+        maps.append(np.where(np.asarray(pair["inside"]), 100 * (difference @ LUMINANCE), np.nan))
     values = np.concatenate([np.abs(values[np.isfinite(values)]) for values in maps])
     least_end = max(float(np.percentile(values, 98)) if values.size else 0.0, LEAST_SIGNED_END)
     power = 10.0 ** np.floor(np.log10(least_end))
-    return float(next(power * step for step in (1, 2, 5, 10) if power * step >= least_end * (1 - 1e-9)))
+    return maps, float(next(power * step for step in (1, 2, 5, 10) if power * step >= least_end * (1 - 1e-9)))

@@ -1,7 +1,6 @@
 """Declaration of the stage `weave`: settings, inputs, limits of its result, cost."""
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -9,17 +8,11 @@ from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, extreme
 from nishiki.stages.base import OPENCV, Cost, Stage
 
-
-def _weave_error(diagnostics: Mapping[str, Any]) -> float | None:
-    regions = (diagnostics.get("regions") or {}).values()
-    return extreme("all")({"all": [region.get("rms_rel") for region in regions if isinstance(region, Mapping)]})
-
-
 LIMITS = (
     Limit(
         "misfit",
         "relative rms error of the cross-section's fit, worst yarn and region",
-        _weave_error,
+        extreme("regions.*.rms_rel"),
         most=0.25,
         doubt=0.12,
         remedy="set weave.harness, or take the stage from the products",
