@@ -224,7 +224,7 @@ def budget(made, truth):
         }
         line = {"light": name, "replaced": {}}
         for case, picture in cases.items():
-            _, by_class, _ = truth_difference(picture.astype(np.float32), xyz, white, classes=classes)
+            _, by_class = truth_difference(picture.astype(np.float32), xyz, white, classes=classes)
             line["replaced"][case] = [round(by_class[c].mean or 0.0, 3) for c in ("diffuse", "highlight")]
         yield line
 

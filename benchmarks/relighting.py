@@ -199,7 +199,7 @@ def score(frames: Observations, predicted: dict[int, np.ndarray], known: np.ndar
             )  # fmt: skip
         seen = comparison.classes > 0
         total, count = total + float(comparison.de00_map[seen].sum(dtype=np.float64)), count + int(seen.sum())
-        psnr.append(comparison.score().error.psnr("linear"))
+        psnr.append(comparison.score()["psnr_linear_db"])
     return total, count, psnr
 
 

@@ -202,43 +202,23 @@ _ROWS = 16  # of spectra in memory
 
 
 @dataclass(frozen=True)
-class RegionSpectrum:
-    """Mean estimated and mean true spectrum (61,) of the pixels of one region; rmse between the two."""
-
-    label: int
-    pixels: int
-    estimate: np.ndarray
-    truth: np.ndarray
-    rmse: float
-
-
-@dataclass(frozen=True)
 class ReflectanceErrors:
     """Reflectance against truth.
 
     rmse : over the 61 bands of each pixel; de00 : illuminant -> CIEDE2000; de00_map : (rows, columns) float32 under the
-    first illuminant, NaN where not compared; regions : mean spectra of the regions.
+    first illuminant, NaN where not compared; regions : label, pixels, mean estimated and true spectrum of each, and the
+    rmse between the two.
     """
 
     rmse: Summary
     de00: dict[str, Summary]
     de00_map: np.ndarray
-    regions: tuple[RegionSpectrum, ...]
+    regions: list[dict]
 
     def as_dict(self) -> dict:
-        """Return plain values, for JSON (spectra rounded to 1e-5)."""
-        regions = [
-            {
-                "label": r.label,
-                "pixels": r.pixels,
-                "rmse": r.rmse,
-                "estimate": np.round(r.estimate, 5).tolist(),
-                "truth": np.round(r.truth, 5).tolist(),
-            }
-            for r in self.regions
-        ]
+        """Return plain values, for JSON."""
         de00 = {name: asdict(summary) for name, summary in self.de00.items()}
-        return {"rmse": asdict(self.rmse), "de00": de00, "regions": regions}
+        return {"rmse": asdict(self.rmse), "de00": de00, "regions": self.regions}
 
 
 def reflectance_errors(
@@ -296,8 +276,14 @@ def reflectance_errors(
         rmse=summarise(rmse, where=pixels),
         de00={name: summarise(values, where=pixels) for name, values in maps.items()},
         de00_map=maps[illuminants[0]],
-        regions=tuple(
-            RegionSpectrum(int(k), int(sizes[k]), means[0, k], means[1, k], float(rms[k]))
+        regions=[
+            {
+                "label": int(k),
+                "pixels": int(sizes[k]),
+                "rmse": float(rms[k]),
+                "estimate": np.round(means[0, k], 5).tolist(),
+                "truth": np.round(means[1, k], 5).tolist(),
+            }
             for k in np.flatnonzero(sizes)
-        ),
+        ],
     )

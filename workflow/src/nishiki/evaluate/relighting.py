@@ -91,50 +91,14 @@ def stated_levels(parts: list[dict]) -> dict[str, str]:
     return {name: "none" if off else level_of(worst["mean"], worst["p90"], each) for name, each in schemes.items()}
 
 
-@dataclass
-class SquaredError:
-    """Sums from which PSNR and bias follow, over samples relative to white."""
+def error_figures(sums: np.ndarray) -> dict[str, float | None]:
+    """Return PSNR, dB, of linear and of coded samples, peak the white, and bias, from sums of `difference_of`.
 
-    samples: int = 0
-    linear: float = 0.0
-    coded: float = 0.0
-    bias: float = 0.0
-
-    def add(self, sums: np.ndarray) -> None:
-        """Add sums (4,) of `difference_of`."""
-        self.samples += int(sums[0])
-        self.linear += float(sums[1])
-        self.coded += float(sums[2])
-        self.bias += float(sums[3])
-
-    def psnr(self, kind: str) -> float | None:
-        """Peak signal-to-noise ratio, dB, peak = the white reference; kind: linear | coded. None for no or no error."""
-        total = getattr(self, kind)
-        return float(10.0 * np.log10(self.samples / total)) if self.samples and total > 0 else None
-
-    def as_dict(self) -> dict:
-        """Return plain values, for JSON."""
-        bias = self.bias / self.samples if self.samples else None
-        return {"psnr_linear_db": self.psnr("linear"), "psnr_coded_db": self.psnr("coded"), "bias": bias}
-
-
-@dataclass(frozen=True)
-class LightScore:
-    """One light's prediction against the photograph."""
-
-    error: SquaredError  # error, de00: over all compared pixels
-    de00: Summary
-    by_class: dict[str, tuple[SquaredError, Summary]]  # class name -> (error, de00)
-    excluded: dict[str, int]  # pixels of the object that were not compared, by reason
-
-    def as_dict(self) -> dict:
-        """Return plain values, for JSON."""
-        return {
-            **self.error.as_dict(),
-            "de00": asdict(self.de00),
-            "by_class": {name: {**e.as_dict(), "de00": asdict(s)} for name, (e, s) in self.by_class.items()},
-            "excluded": self.excluded,
-        }
+    None without samples, PSNR also without any difference.
+    """
+    samples, linear, coded, bias = sums.tolist()
+    psnr = [float(10 * np.log10(samples / total)) if samples and total > 0 else None for total in (linear, coded)]
+    return {"psnr_linear_db": psnr[0], "psnr_coded_db": psnr[1], "bias": bias / samples if samples else None}
 
 
 @dataclass
@@ -144,7 +108,7 @@ class LightComparison:
     colour: CameraColour  # map to Lab, the same for both images
     de00_map: np.ndarray  # (rows, columns) float32, NaN where not compared
     classes: np.ndarray  # (rows, columns) uint8 of nishiki.evaluate.relighting
-    errors: dict[int, SquaredError] = field(default_factory=dict)
+    sums: np.ndarray = field(default_factory=lambda: np.zeros((max(NAMES) + 1, 4)))  # of `difference_of`, by class
     excluded: dict[str, int] = field(default_factory=dict)
 
     @classmethod
@@ -177,36 +141,35 @@ class LightComparison:
         ):
             self.excluded[reason] = self.excluded.get(reason, 0) + int(np.count_nonzero(count))
         self.classes[rows] = np.where(used, classes, 0)
-        sums = difference_of(
+        self.sums += difference_of(
             predicted, observed, self.colour.matrix, self.colour.white, self.classes[rows], self.de00_map[rows]
         )
-        for label in NAMES:
-            self.errors.setdefault(label, SquaredError()).add(sums[label])
 
-    def score(self) -> LightScore:
-        """Return figures over all bands."""
-        total = SquaredError()
-        for part in self.errors.values():
-            for name in ("samples", "linear", "coded", "bias"):
-                setattr(total, name, getattr(total, name) + getattr(part, name))
-        by_class = {
-            NAMES[label]: (part, summarise(self.de00_map, where=self.classes == label))
-            for label, part in self.errors.items()
+    def score(self) -> dict[str, Any]:
+        """Return figures over all bands: errors and CIEDE2000 of all compared pixels and by class; pixels left out."""
+
+        def scored(sums: np.ndarray, pixels: np.ndarray) -> dict[str, Any]:
+            return {**error_figures(sums), "de00": asdict(summarise(self.de00_map, where=pixels))}
+
+        by_class = {name: scored(self.sums[label], self.classes == label) for label, name in NAMES.items()}
+        return {
+            **scored(self.sums.sum(axis=0), self.classes > 0),
+            "by_class": by_class,
+            "excluded": dict(self.excluded),
         }
-        return LightScore(total, summarise(self.de00_map, where=self.classes > 0), by_class, dict(self.excluded))
 
 
 def truth_difference(
     xyz: np.ndarray, true_xyz: np.ndarray, white: np.ndarray, *, classes: np.ndarray
-) -> tuple[Summary, dict[str, Summary], np.ndarray]:
-    """CIEDE2000 between predicted and true XYZ (rows, columns, 3): all compared pixels, by class, and the map.
+) -> tuple[Summary, dict[str, Summary]]:
+    """CIEDE2000 between predicted and true XYZ (rows, columns, 3), of all compared pixels and by class.
 
     white : (3,) XYZ of the perfect white that faces the lamp; classes : (rows, columns), 0 is left out.
     """
     differences = np.full(classes.shape, np.nan, np.float32)
     difference_of(xyz, true_xyz, np.eye(3), white, classes, differences)
     by_class = {name: summarise(differences, where=classes == label) for label, name in NAMES.items()}
-    return summarise(differences, where=classes > 0), by_class, differences
+    return summarise(differences, where=classes > 0), by_class
 
 
 def difference_of(

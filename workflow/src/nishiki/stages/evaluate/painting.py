@@ -337,7 +337,7 @@ def one_light(
         for case, colour in views.items():
             pictures[case][rows] = colour.xyz(band, scene.coefficients(rows))
     x, y, z = frames.directions[j]
-    score = comparison.score().as_dict() | {
+    score = comparison.score() | {
         "name": name,
         "index": j,
         "role": "check" if frames.roles[j] == "check" else "held out",
@@ -349,7 +349,7 @@ def one_light(
         score["truth"] = {}
         for case, picture in pictures.items():
             true = known_truth.xyz_lamp if case == "lamp" else known_truth.xyz_d65  # free of noise
-            total, by_class, _ = truth_difference(picture, true, views[case].white, classes=comparison.classes)
+            total, by_class = truth_difference(picture, true, views[case].white, classes=comparison.classes)
             by_name = {name: asdict(each) for name, each in by_class.items()}
             score["truth"][case] = {"de00": asdict(total), "by_class": by_name}
     np.savez(context.output.path(f"preview_{j:03d}.npz"), **previews.arrays())
