@@ -75,7 +75,7 @@ def tables(name: str) -> str:
     parts = [settings_table(stage.settings), facts_table(stage)]
     if stage.outputs:
         arrays = [(f"`{each.name}`", each.dtype, each.unit, each.meaning) for each in stage.outputs]
-        parts += ["Arrays of `maps.zarr`:", table(("array", "type", "unit", "meaning"), arrays)]
+        parts += [f"Arrays of `{stage.store}`:", table(("array", "type", "unit", "meaning"), arrays)]
     if any(limit.stated for limit in stage.limits):
         parts += [
             "A result beyond one of these limits stops the run, unless `allow` names the limit:",

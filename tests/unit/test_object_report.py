@@ -17,7 +17,7 @@ from nishiki.atlas.atlas import Atlas
 from nishiki.brdf.texels.parameters import ParameterMaps, Parameters, ParameterWriter, TexelFlag
 from nishiki.geometry.camera import Camera, save_cameras
 from nishiki.progress import Progress
-from nishiki.stages.brdf import ObjectBrdfSettings
+from nishiki.stages.brdf import OBJECT_OUTPUTS, ObjectBrdfSettings
 from nishiki.stages.cameras import CamerasSettings
 from nishiki.stages.evaluate import ObjectEvaluateSettings
 from nishiki.stages.ingest import IngestSettings
@@ -110,7 +110,7 @@ def texels_of(writer):
 
 
 def reflection_of(writer):
-    out = ParameterWriter(writer.folder, tiles=2, size=8, channels=3, stamp=STAMP)
+    out = ParameterWriter(writer.folder, OBJECT_OUTPUTS, (2, 8, 8, 3), stamp=STAMP)
     rng = np.random.default_rng(0)
     for tile in range(2):
         flags = np.zeros((8, 8), np.uint8)

@@ -27,6 +27,7 @@ from nishiki.polarisation.polariser_states import (
     sums_of,
 )
 from nishiki.polarisation.series import Thinned, diagnose, noise_of, statistics_of
+from nishiki.stages.polarise import OUTPUTS
 
 SHAPE = (13, 17, 3)
 
@@ -406,7 +407,7 @@ def test_components_on_disk(tmp_path):
     rng = np.random.default_rng(1)
     views, lights = ("a", "b", "c"), ("left", "right")
     writer = ComponentWriter(
-        tmp_path, views=views, lights=lights, shape=(6, 5), channels=("red", "green"), stamp={"scene": "x"}
+        tmp_path, OUTPUTS, views=views, lights=lights, shape=(6, 5), channels=("red", "green"), stamp={"scene": "x"}
     )
     made = []
     for number in range(6):

@@ -63,8 +63,7 @@ class MapWriter:
         rows, columns = self.shape
         if self.outputs:
             declared = output_of(self.outputs, name)
-            dtype, stated = declared.dtype, {"unit": declared.unit, "meaning": declared.meaning}
-            attributes = {key: value for key, value in stated.items() if value} | attributes
+            dtype, attributes = declared.dtype, declared.attributes | attributes
         return self.group.create_array(
             name,
             (rows, columns, *trailing),

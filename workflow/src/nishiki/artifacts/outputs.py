@@ -1,17 +1,22 @@
-"""Declare the outputs of a stage: the arrays of its `maps.zarr`."""
+"""Declare what a stage writes: the arrays of its store."""
 
 import re
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Output(NamedTuple):
-    """An array of `maps.zarr`, as it is written and as the stage's page shows it."""
+    """An array of a store, as it is written and as the stage's page shows it."""
 
     name: str  # NNN: three digits
     dtype: str
     unit: str  # of its values, or what they count; empty of codes
     meaning: str
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What is stored beside the values."""
+        return {name: text for name, text in (("unit", self.unit), ("meaning", self.meaning)) if text}
 
 
 def output_of(outputs: Iterable[Output], name: str) -> Output:

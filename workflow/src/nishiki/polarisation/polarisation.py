@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nishiki.artifacts.outputs import Output
 from nishiki.errors import UserError, require
 from nishiki.formats.stored import BandedGroup, chunk_path, open_made_by, read_chunk, write_chunk
 from nishiki.polarisation.polariser_states import StateSums
@@ -205,11 +206,12 @@ FORMAT = 1  # of the file; readers refuse others
 
 
 class ComponentWriter:
-    """Writes `components.zarr`: diffuse, specular (observations, rows, columns, channels) float32, valid uint8."""
+    """Writes `components.zarr` as the stage declares it."""
 
     def __init__(
         self,
         folder: Path,
+        outputs: Iterable[Output],
         *,
         views: tuple[str, ...],
         lights: tuple[str, ...],
@@ -219,14 +221,10 @@ class ComponentWriter:
     ):
         self.path = Path(folder) / STORE
         group = BandedGroup.create(self.path)
-        count = len(views) * len(lights)
-        for name, depth, dtype in (
-            ("diffuse", len(channels), np.float32),
-            ("specular", len(channels), np.float32),
-            ("valid", 1, np.uint8),
-        ):
-            full_shape = (count, *shape, depth)
-            group.create_array(name, full_shape, (1, *full_shape[1:]), dtype, compression="zstd")
+        for output in outputs:
+            size = (len(views) * len(lights), *shape, 1 if output.name == "valid" else len(channels))
+            chunk, about = (1, *size[1:]), output.attributes
+            group.create_array(output.name, size, chunk, output.dtype, compression="zstd", attributes=about)
         group.update(
             format=FORMAT,
             views=list(views),

@@ -171,7 +171,7 @@ class Stage:
     unused_packages : mapping of str to callable
         Of some of these, the reason why a scene does without, or None where it is loaded.
     outputs : tuple of Output
-        The arrays of its `maps.zarr`.
+        The arrays of its `store`.
     deliverables : tuple of str
         Patterns of its files that a user wants to open; they are linked into `current/`.
     threads : int
@@ -198,6 +198,7 @@ class Stage:
     libraries: tuple[str, ...] = ("numpy", "numba", "zarr")
     unused_packages: Mapping[str, Reason] = field(default_factory=dict)
     outputs: tuple[Output, ...] = ()
+    store: str = "maps.zarr"
     deliverables: tuple[str, ...] = ()
     threads: int = 2
     cost: Callable[[SceneFacts], Cost] = lambda facts: Cost()

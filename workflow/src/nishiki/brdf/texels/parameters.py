@@ -1,5 +1,6 @@
 """Hold the reflection parameters of an object's tiles, and store them in Zarr with one chunk a tile."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntFlag
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 import zarr
 from zarr.codecs import ZstdCodec
 
+from nishiki.artifacts.outputs import Output
 from nishiki.formats.stored import open_group
 
 
@@ -39,15 +41,19 @@ NAMES = ("kd", "ks", "sigma", "flags")
 class ParameterWriter:
     """Writes the parameters of one artifact; tiles may come from several threads, each tile once."""
 
-    def __init__(self, folder: Path, *, tiles: int, size: int, channels: int, stamp: dict[str, str]):
+    def __init__(
+        self, folder: Path, outputs: Iterable[Output], shape: tuple[int, int, int, int], *, stamp: dict[str, str]
+    ):
+        """Create the declared arrays; shape: tiles, rows, columns, and channels of `kd` and `ks`."""
         self.group: Any = zarr.create_group(Path(folder) / STORE, attributes={"stamp": stamp})
-        trailing = {"kd": (channels,), "ks": (channels,), "sigma": (), "flags": ()}
-        for name in NAMES:
+        for output in outputs:
+            size = shape if output.name in ("kd", "ks") else shape[:3]
             self.group.create_array(
-                name,
-                shape=(tiles, size, size, *trailing[name]),
-                chunks=(1, size, size, *trailing[name]),
-                dtype="uint8" if name == "flags" else "float32",
+                output.name,
+                shape=size,
+                chunks=(1, *size[1:]),
+                dtype=output.dtype,
+                attributes=output.attributes,
                 compressors=[ZstdCodec(level=1, checksum=True)],
                 config={"write_empty_chunks": True},
             )

@@ -94,9 +94,19 @@ class ObjectBrdfSettings(Guarded, stage="object_brdf", version=3, limits=OBJECT_
     hold_out: tuple[str, ...] = Field((), description="views left out of the fit; filled in by the plan")
 
 
+OBJECT_OUTPUTS = (  # (tile, row, column[, channel])
+    Output("kd", "float32", "relative to white", "strength of the diffuse light in each channel"),
+    Output("ks", "float32", "relative to white", "strength of the gloss in each channel"),
+    Output("sigma", "float32", "radians", "width of the gloss"),
+    Output("flags", "uint8", "bits", "1 outside of the chart, 2 never seen, 4 seen once, 8 sigma, 16 ks of neighbours"),
+)
+
+
 OBJECT = Stage(
     settings=ObjectBrdfSettings,
     does="Lambert and Torrance-Sparrow parameters of every texel",
+    outputs=OBJECT_OUTPUTS,
+    store="parameters.zarr",
     geometry="turntable",
     requires=("ingest", "texels"),
     libraries=ARRAYS,

@@ -16,6 +16,7 @@ from nishiki.colour.colour import encoding_slope
 from nishiki.errors import UserError
 from nishiki.model_selection.decision import Decision, decide_object_gloss, economy, unseen_gain
 from nishiki.observations.views import Views
+from nishiki.stages.brdf import OBJECT_OUTPUTS
 from nishiki.threads import threads
 
 
@@ -37,9 +38,8 @@ def run(context: Context) -> dict:
         [lighting.lamp(camera, int(light)) for camera, light in zip(cameras, light_of, strict=True)],
         texels.encoding,
     )
-    out = ParameterWriter(
-        context.output.folder, tiles=texels.tiles, size=texels.size, channels=texels.channels, stamp=context.stamp
-    )
+    shape = texels.tiles, texels.size, texels.size, texels.channels
+    out = ParameterWriter(context.output.folder, OBJECT_OUTPUTS, shape, stamp=context.stamp)
     context.progress.tell(f"{texels.tiles} tiles, {len(cameras)} observations")
     specular, decision = shows_gloss(sample, capture, settings.specular)
     context.progress.tell(str(decision))

@@ -6,6 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, extreme
+from nishiki.artifacts.outputs import Output
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, no_method
 
 EXCHANGED = "exchange the states off and on (or parallel and crossed angles) in the column polariser of frames.csv, "
@@ -106,9 +107,18 @@ class PolariseSettings(Guarded, stage="polarise", version=2, limits=LIMITS):
     pictures: int = Field(8, ge=0, description="views shown as pictures: whole, diffuse, specular")
 
 
+OUTPUTS = (  # (light x views + view, row, column, channel)
+    Output("diffuse", "float32", "as the diagnostics say", "light from inside the body"),
+    Output("specular", "float32", "as the diagnostics say", "light reflected at the surface; negative by noise"),
+    Output("valid", "uint8", "", "1: usable, in all channels"),
+)
+
+
 STAGE = Stage(
     settings=PolariseSettings,
     does="diffuse and specular parts, by the state of the polarisers",
+    outputs=OUTPUTS,
+    store="components.zarr",
     geometry="turntable",
     product="separate",
     requires=("ingest",),

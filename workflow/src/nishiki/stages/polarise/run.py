@@ -23,7 +23,7 @@ from nishiki.polarisation.polariser_states import StateSums, arms_of, read_instr
 from nishiki.polarisation.series import SeparationStatistics, Thinned, diagnose, select_lit, statistics_of
 from nishiki.polarisation.smoothing import smooth_planes
 from nishiki.render.display import write_png
-from nishiki.stages.polarise import PolariseSettings
+from nishiki.stages.polarise import OUTPUTS, PolariseSettings
 
 
 def run(context: Context) -> dict:
@@ -40,6 +40,7 @@ def run(context: Context) -> dict:
     sums = sums_of(views.states, generator=arms[0], analyser=arms[1], method=settings.method)
     writer = ComponentWriter(
         context.output.folder,
+        OUTPUTS,
         views=views.views,
         lights=views.lights,
         shape=views.shape,
