@@ -40,8 +40,8 @@ from nishiki.render.display import three_channels
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.cloth import LAMPS, VIEWS, ExportedCloth, fitted_cloth
 from nishiki.stages.export.look import PaintingSurface
-from nishiki.stages.export.object_look import METRES, SeenPoints, object_look, object_mesh, shown_in
-from nishiki.stages.export.registry import CodedErrors
+from nishiki.stages.export.object_look import SeenPoints, object_look, object_mesh, shown_in
+from nishiki.stages.export.registry import METRES, CodedErrors
 from nishiki.stages.export.scene import ExportedScene, Photographs
 
 FORMATS = {"three": ("gltf",), "materialx": ("materialx",), "blender": ("gltf", "usd")}

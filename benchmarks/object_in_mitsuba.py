@@ -31,8 +31,9 @@ from nishiki.brdf.texels.model import predict
 from nishiki.colour.colour import decode, encode
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.stages.export.object_look import METRES, SeenPoints, TextureAtlas, sample, texture_atlas
+from nishiki.stages.export.object_look import SeenPoints, TextureAtlas, sample, texture_atlas
 from nishiki.stages.export.object_renderers import model_textures
+from nishiki.stages.export.registry import METRES
 
 DARK = 1e-6
 

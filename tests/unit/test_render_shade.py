@@ -364,13 +364,8 @@ def test_pixel_to_plane_puts_the_first_row_at_the_top():
         (lambda: Gloss([[1.0]], [[0.0]], [1.4]), "gamma"),
         (lambda: Gloss([[-1.0]], [[0.1]], [1.4]), "beta"),
         (lambda: Gloss([[1.0]], [[0.1]], [0.9]), "index"),
-        (lambda: make_scene(labels=np.full((9, 150), 7, np.uint8)), "region"),
-        (lambda: make_scene(basis=np.ones((2, 61))), "basis"),
-        (lambda: make_scene(height=np.zeros((3, 3))), "height"),
         (lambda: make_scene(pitch=0.0), "pitch"),
-        (lambda: make_scene(bands=2, basis=None), "coefficients"),
         (lambda: shade_xyz(make_scene(), []), "light"),
-        (lambda: shade_xyz(make_scene(), many_lights(), visibility=np.ones((1, 2, 3), np.float32)), "visibility"),
     ],
 )
 def test_mistakes_are_named(make, words):

@@ -198,7 +198,7 @@ def _without_plane(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) ->
     return centred - slope[0] * x - slope[1] * y, slope, float(np.hypot(*slope))
 
 
-_ROWS = 16  # of spectra in memory
+SPECTRAL_ROWS = 16  # of spectra in memory
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ def reflectance_errors(
     eyes = {
         name: (xyz_matrix(illuminant(name), np.eye(basis.shape[1])).T, white_xyz(illuminant(name))) for name in maps
     }
-    for band in strips(shape[0], _ROWS):
+    for band in strips(shape[0], SPECTRAL_ROWS):
         used = pixels[band]
         estimated = coefficients[band][used].astype(np.float64) @ basis
         true = spectra[paints[band][used]].mean(axis=1, dtype=np.float64)

@@ -27,6 +27,7 @@ from nishiki.evaluate.relighting import difference_of
 from nishiki.model_selection.decision import Decision
 from nishiki.observations.parcels import Parcel
 from nishiki.photometric.flags import NO_ESTIMATE
+from nishiki.photometric.gloss import LARGEST_SIGMA
 
 FOLDS = 5  # of cross-validation, over lamps
 FEWEST = 8  # lights: with fewer, what the rest of them says differs too much from what all of them say
@@ -34,9 +35,8 @@ MARGIN = 0.05  # part of the plain model's error that the directional terms must
 ERRORS = 3.0  # and standard errors of that gain over the lamps: one lamp of a wrong strength outweighs nine others
 BESIDE = 0.5  # of the distance to the nearest other lamp: one nearer to the hull of the others is not extrapolated
 SURE = 1e3  # weight with which shares of the others sum to one
-DARKEST = 1e-9  # median sample: a black scene has no level
+DARKEST = float(np.finfo(np.float32).tiny)  # median sample: a black scene has no level
 MID_GREY = 0.2  # that the median sample becomes: a colour difference depends on the level, which may have any unit
-LARGEST_SIGMA = 0.1  # radians: where normals are worse, their blur of the gloss is no longer a small one
 
 
 @dataclass(frozen=True)

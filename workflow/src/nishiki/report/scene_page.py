@@ -45,6 +45,10 @@ class Head(NamedTuple):
     warnings: Sequence[str] = ()
 
 
+SLIGHT = 0.05
+"""Share of a surface, of light or of a value up to which a headline is silent on a lack or an error."""
+
+
 def headline(good: list[str], doubtful: list[str], advice: list[tuple[bool, str, str]]) -> list[tuple[str, str]]:
     """Return label and text of each line; a line without anything to say is left out.
 

@@ -175,12 +175,11 @@ def march(first, last, surface, pieces, pitch, lamp, highest, out):
             out[row, column] = _disc_share(elevation, np.arctan(tangent), radius)
 
 
-NORMAL_MISSING = 1  # the normal is zero, not finite or not of unit length: the pixel is 0
-COLOUR_MISSING = 2  # a colour coefficient is not finite: the pixel is 0
-TURNED_AWAY = 4  # n . v <= 0: the facet cannot be seen from here; its diffuse light is shown, its gloss is not
-BACKGROUND = 8  # the ray misses the painting
-OVERFLOW = 16  # the value is outside the range of float32: the pixel is 0
-
+NORMAL_MISSING, COLOUR_MISSING, TURNED_AWAY, BACKGROUND, OVERFLOW = (1 << bit for bit in range(5))
+"""What can be wrong with a pixel of a rendered plane. It is 0 where its normal is zero, not finite or not of unit
+length, where a colour coefficient is not finite, and where its value is outside the range of float32. A facet with
+n . v <= 0 cannot be seen from here: its diffuse light is shown, its gloss is not. The ray of the background misses the
+painting."""
 UNUSABLE = NORMAL_MISSING | COLOUR_MISSING | OVERFLOW  # the pixel is 0
 
 
@@ -190,8 +189,9 @@ plane, gloss of the region, share of the lamp in sight, cosine of the eye; from 
 """
 NEGLIGIBLE = 60.0
 """Facet distributions below 2 to the minus this count as 0."""
-# Mean of x^8 over a uniform half space, weighted by the cosine, for a facet that faces the eye: 4 int (2u - 1) u^4 du.
-_AMBIENT_SKIRT = 0.5375
+# Mean of x^8 over a uniform half space, weighted by the cosine, for a facet that faces the eye: 4 int (2u - 1) u^4 du
+# for u from 1/2 to 1.
+_AMBIENT_SKIRT = 4 * ((1 - 0.5**6) / 3 - (1 - 0.5**5) / 5)
 _TWO_LN2 = 2.0 * math.log(2.0)
 _FLOAT32_MAX = float(np.finfo(np.float32).max)
 

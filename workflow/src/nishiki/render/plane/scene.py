@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from nishiki.colour.sampling import BANDS
 from nishiki.errors import UserError, require
 from nishiki.geometry.camera import Camera, look_at
-
-BANDS = 61  # 400 .. 700 nm every 5 nm
 
 
 def _finite_vector(name, value, length) -> np.ndarray:
@@ -189,33 +188,8 @@ class PlaneScene:
     pitch: float = 1.0  # distance between neighbouring pixels
 
     def __post_init__(self):
-        if self.normals.ndim != 3 or self.normals.shape[2] != 3 or 0 in self.normals.shape:
-            raise UserError(f"normals: expected (rows, columns, 3), found {self.normals.shape}")
-        if self.coefficients.ndim != 3 or self.coefficients.shape[:2] != self.shape or self.coefficients.shape[2] < 1:
-            raise UserError(f"coefficients: expected {(*self.shape, 'K')}, found {self.coefficients.shape}")
-        for name in ("height", "labels"):
-            value = getattr(self, name)
-            if value is not None and value.shape != self.shape:
-                raise UserError(f"{name}: expected the shape of the normals {self.shape}, found {value.shape}")
-        for name, terms in (("shading", (3, 5)), ("slopes", (3,))):
-            value = getattr(self, name)
-            if value is not None and value.shape not in [(*self.shape, count) for count in terms]:
-                expected = " or ".join(str((*self.shape, count)) for count in terms)
-                raise UserError(f"{name}: expected {expected}, found {value.shape}")
-        if self.labels is not None and self.labels.dtype != np.uint8:
-            raise UserError(f"labels: expected uint8, found {self.labels.dtype}; a scene has at most 256 regions")
-        if self.labels is not None and self.labels.max() >= len(self.gloss.refractive_index):
-            raise UserError(
-                f"labels: expected values below {len(self.gloss.refractive_index)} (rows of the gloss table), "
-                f"found {self.labels.max()}; fit the gloss of every region"
-            )
         if not (np.isfinite(self.pitch) and self.pitch > 0):
             raise UserError(f"pitch: expected a length above 0, found {self.pitch!r}")
-        bands = self.coefficients.shape[2]
-        if self.basis is not None and self.basis.shape != (bands, BANDS):
-            raise UserError(f"basis: expected {(bands, BANDS)} for {bands} coefficients, found {self.basis.shape}")
-        if self.basis is None and bands != 3:
-            raise UserError(f"coefficients: expected 3 channels without a spectral basis, found {bands}")
 
     @property
     def shape(self) -> tuple[int, int]:

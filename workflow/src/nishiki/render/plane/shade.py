@@ -213,9 +213,6 @@ def shade_channels(
     normals, coefficients, gloss, shading, slopes, labels = maps
     if not lights and ambient_level == 0:
         raise UserError("lights: expected at least one light or an ambient level above 0, found neither; add a light")
-    expected = (len(lights), *normals.shape[:2])
-    if visibility is not None and visibility.shape != expected:
-        raise UserError(f"visibility: expected (lights, rows, columns) = {expected}, found {visibility.shape}")
     lamps = np.array([_lamp(light) for light in lights]).reshape(-1, 6)
     visible = np.zeros((0, 0, 0), np.float32) if visibility is None else np.ascontiguousarray(visibility, np.float32)
     values = np.empty((*normals.shape[:2], groups.matrices.shape[1]), np.float32)
@@ -275,15 +272,9 @@ def predict_observations(
     columns) float32 of `cast_shadows`. The spectra of the lights are not used; a white board at the same place has
     divided out intensity and fall-off, which should therefore stay 1 and False.
     """
-    normals, albedo = maps.normals, maps.coefficients
-    if albedo.ndim != 3 or albedo.shape[:2] != normals.shape[:2] or normals.shape[2:] != (3,):
-        raise UserError(
-            f"expected normals (rows, columns, 3) and albedo (rows, columns, channels), "
-            f"found {normals.shape} and {albedo.shape}; give maps of one size"
-        )
-    channels = albedo.shape[2]
+    channels = maps.coefficients.shape[2]
     groups = ColourGroups(np.eye(channels)[None], np.ones((1, channels)), np.zeros(1, np.int64), 0)
-    plane = pixel_to_plane(pitch, normals.shape[:2])
+    plane = pixel_to_plane(pitch, maps.normals.shape[:2])
     for j, light in enumerate(lights):
         lit = None if visibility is None else visibility[j : j + 1]
         yield shade_channels(maps, [light], groups=groups, visibility=lit, plane=plane)

@@ -24,7 +24,7 @@ import numpy as np
 from nishiki.colour.colour import illuminant, white_xyz, xyz_matrix
 
 TOP = 255  # largest code
-EVEN_TOP = 254  # of tilts, so that none has a code
+EVEN_TOP = TOP - 1  # of tilts, so that none has a code
 LAMPS = ("D65", "A", "F2", "F11")
 """Under which colours have to be right."""
 BAND_SHARE = 0.02

@@ -106,11 +106,11 @@ def filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     return np.where(known[..., None], values, under)
 
 
-NOTHING = -32768  # code of no height
+NOTHING = np.iinfo(np.int16).min  # code of no height
 STEPS = 65000  # of 16 bits
 THRESHOLDS = (0, 1, 2, 3, 4, 6, 8, 11, 16, 22, 32, 45, 64, 90, 128, 180, 256, 360)
 """Largest activities of the streams but the last."""
-MOST = 255  # byte of an error that needs two
+MOST = np.iinfo(np.uint8).max  # byte of an error that needs two
 PLANE = (256, -256, 0, 0, 0)
 """Weights of W + N - NW."""
 

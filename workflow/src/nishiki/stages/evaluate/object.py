@@ -19,8 +19,6 @@ from nishiki.render.object.pixels import extend
 from nishiki.render.object.renderer import block_mean
 from nishiki.render.object.shots import ObjectPicture
 
-PEAK = 1.0  # full scale of the camera's codes
-
 
 @dataclass(frozen=True)
 class Difference:
@@ -41,7 +39,7 @@ class Difference:
         """Peak signal to noise ratio of peak 1; None without pixels or without any difference."""
         if not self.samples or self.squares <= 0:
             return None
-        return float(10 * np.log10(PEAK * PEAK * self.samples / self.squares))
+        return float(10 * np.log10(self.samples / self.squares))
 
     def __add__(self, other: "Difference") -> "Difference":
         return Difference(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
@@ -87,7 +85,7 @@ def structural_similarity(coded: np.ndarray, photograph: np.ndarray, inside: np.
         x = np.where(mask, coded[box][..., channel], 0).astype(np.float64)
         mx, my = (gaussian_filter(v, 1.5, truncate=3.5) for v in (x, y))
         xx, yy, xy = (gaussian_filter(v, 1.5, truncate=3.5) for v in (x * x, y * y, x * y))
-        c1, c2 = (0.01 * PEAK) ** 2, (0.03 * PEAK) ** 2
+        c1, c2 = 0.01**2, 0.03**2
         top = (2 * mx * my + c1) * (2 * (xy - mx * my) + c2)
         bottom = (mx * mx + my * my + c1) * (xx - mx * mx + yy - my * my + c2)
         total += float(np.mean((top / bottom)[mask]))

@@ -13,11 +13,10 @@ from nishiki.colour.colour import decode, encode, srgb_encode
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.gloss import PaintingGloss, RegionGloss, painting_gloss
-from nishiki.stages.export.registry import CodedErrors, ExportedSurface, GltfLook
+from nishiki.stages.export.registry import METRES, CodedErrors, ExportedSurface, GltfLook
 from nishiki.stages.export.scene import ExportedScene, Photographs, reliefs
 
 FIGURES = {"roughness": "roughness", "specular": "strength", "ior": "index", "metallic": "metallic"}
-METRES = 1e-3  # of a millimetre; of a pixel where the capture states no scale
 
 
 class Texels(NamedTuple):
@@ -91,9 +90,8 @@ class PaintingSurface(ExportedSurface):
         places, texture, triangles = (
             np.concatenate([getattr(band, name) for band in bands]) for name in ("places", "texture", "triangles")
         )
-        return TexturedMesh(
-            places * METRES, np.broadcast_to(np.array([0, 0, 1], np.float32), places.shape), texture, triangles
-        )
+        up = np.broadcast_to(np.array([0, 0, 1], np.float32), places.shape)
+        return TexturedMesh(places * METRES["mm"], up, texture, triangles)
 
     @property
     def unit(self) -> str:

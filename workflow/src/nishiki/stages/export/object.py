@@ -22,9 +22,9 @@ from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.renderer import ObjectRenderer, coverage
 from nishiki.render.object.shots import ObjectPicture
 from nishiki.stages.export.iiif import QUALITY, canvas, image, manifest_of, tiles_psnr_db, write_manifest
-from nishiki.stages.export.object_look import METRES, ObjectSurface
+from nishiki.stages.export.object_look import ObjectSurface
 from nishiki.stages.export.object_renderers import write_kintsugi, write_mitsuba
-from nishiki.stages.export.registry import CodedErrors, write_formats, write_gltf, write_mtlx, write_usd
+from nishiki.stages.export.registry import METRES, CodedErrors, write_formats, write_gltf, write_mtlx, write_usd
 
 LAYERS = {
     "view": "As photographed, from the coded object",

@@ -11,7 +11,6 @@ Without a white board albedo is relative to a lamp of unknown strength and may b
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.geometry.visibility import rasterise
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.stages.export.registry import INDEX, NORMAL_REFLECTANCE, CodedErrors, ExportedSurface, GltfLook
+from nishiki.stages.export.registry import INDEX, METRES, NORMAL_REFLECTANCE, CodedErrors, ExportedSurface, GltfLook
 
 GAP = 2  # texels between two charts
 
@@ -89,7 +88,6 @@ def sample(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 ALPHA_PER_SIGMA = float(np.sqrt(2 * np.log(2) / (np.sqrt(2) - 1)))
-METRES: dict[Any, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 PRIOR = 0.04  # squared irradiance that the model's own albedo counts as
 LEAST_ALPHA = 0.03**2  # roughness below which viewers show nothing of distant lamps
 

@@ -17,7 +17,6 @@ from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.stages.export import mitsuba_object
 from nishiki.stages.export.object_look import (
-    METRES,
     ObjectLook,
     ObjectSurface,
     SeenPoints,
@@ -28,7 +27,7 @@ from nishiki.stages.export.object_look import (
     in_charts,
     sample,
 )
-from nishiki.stages.export.registry import NORMAL_REFLECTANCE, add_surface, software
+from nishiki.stages.export.registry import METRES, NORMAL_REFLECTANCE, add_surface, software
 
 FITTED_POINTS = 1000  # of the mesh, to which a pinhole is fitted
 

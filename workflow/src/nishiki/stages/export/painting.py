@@ -15,6 +15,7 @@ from nishiki.brdf.torrance_sparrow import MIRROR, body_factor, specular, transmi
 from nishiki.colour.colour import srgb_encode
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError, require
+from nishiki.evaluate.maps import SPECTRAL_ROWS
 from nishiki.formats.banded_pictures import EnviWriter, ExrWriter, write_tiff
 from nishiki.formats.coding import ROMM, icc_profile
 from nishiki.formats.merl import MERL_HIDDEN, merl_bytes, merl_directions
@@ -314,7 +315,6 @@ def write_albedo(context: Context, scene: ExportedScene) -> dict:
 
 
 REC_709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-ROWS_AT_A_TIME = 32  # of 61 bands in memory
 
 
 def write_spectral(context: Context, scene: ExportedScene) -> dict:
@@ -346,7 +346,7 @@ def write_spectral(context: Context, scene: ExportedScene) -> dict:
             pitch_mm=scene.pitch_mm,
         ) as envi,
     ):
-        for rows in strips(scene.shape[0], ROWS_AT_A_TIME):
+        for rows in strips(scene.shape[0], SPECTRAL_ROWS):
             known = scene.known(rows)[..., None]
             coefficients = np.where(known, np.nan_to_num(scene.coefficients(rows)), 0)
             spectra = (coefficients @ basis).astype(np.float32)

@@ -13,6 +13,7 @@ from nishiki.formats.banded_pictures import png_bytes
 from nishiki.formats.textured_surface import Glb, SurfaceLook, TexturedMesh, write_materialx, write_usdz
 
 INDEX = 1.5  # of refraction, what a viewer of glTF takes where the file says nothing
+METRES: dict[Any, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 NORMAL_REFLECTANCE = ((INDEX - 1) / (INDEX + 1)) ** 2
 
 

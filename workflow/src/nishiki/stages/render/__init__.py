@@ -7,6 +7,9 @@ from pydantic import Field, PositiveFloat
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, digest_of, no_film
 
+NAME = r"^[a-z0-9][a-z0-9_-]*$"
+Name = Annotated[str, Field(pattern=NAME)]
+
 
 class LightSettings(Closed):
     """One lamp, from a direction."""
@@ -31,7 +34,7 @@ class ViewSettings(Closed):
 class PictureSettings(Closed):
     """One picture."""
 
-    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", description="file name without ending")
+    name: str = Field(pattern=NAME, description="file name without ending")
     lights: tuple[LightSettings, ...] = (LightSettings(),)
     view: ViewSettings = ViewSettings()
     ambient: float = Field(0.05, ge=0, description="uniform light from everywhere, relative to the lamps")
@@ -43,7 +46,7 @@ class PictureSettings(Closed):
 class SequenceSettings(Closed):
     """A moving light or a moving view, as video."""
 
-    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", description="file name without ending")
+    name: str = Field(pattern=NAME, description="file name without ending")
     moves: Literal["light", "view"] = Field("light", description="what goes round")
     elevation_deg: float = Field(35, gt=0, le=90, description="of what goes round")
     frames: int = Field(48, ge=2, le=3600, description="frames of one turn")
@@ -140,9 +143,6 @@ class ObjectLampSettings(Closed):
     )
 
 
-PictureName = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
-
-
 class ObjectRenderSettings(Guarded, stage="object_render", version=2):
     """Pictures of the decoded object, and a video of it turning."""
 
@@ -153,7 +153,7 @@ class ObjectRenderSettings(Guarded, stage="object_render", version=2):
     lights: dict[str, float] = Field(
         {}, description="weight L_j / L of each captured light, by name; none named: the first light alone"
     )
-    lamps: dict[PictureName, ObjectLampSettings] = Field(
+    lamps: dict[Name, ObjectLampSettings] = Field(
         {}, description="lamps of one's own in place of the captured ones; pictures then show the model alone"
     )
     around: float = Field(0.05, ge=0, le=100, description="even light from all around, where `lamps` light; white 1")
@@ -183,7 +183,6 @@ OBJECT = Stage(
 
 COLOUR = r"^#[0-9a-fA-F]{6}$"
 Colour = Annotated[str, Field(pattern=COLOUR)]
-Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
 
 
 class MeshSettings(Closed):

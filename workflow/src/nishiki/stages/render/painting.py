@@ -34,7 +34,7 @@ from nishiki.render.plane.shade import cast_shadows
 from nishiki.stages.painting_maps import PaintingMaps
 from nishiki.stages.render import LightSettings, PictureSettings, RenderSettings, SequenceSettings, ViewSettings
 
-AMBIENT = 0.05  # of films
+AMBIENT = PictureSettings.model_fields["ambient"].default  # of films, as of pictures
 
 
 def run(context: Context) -> dict:

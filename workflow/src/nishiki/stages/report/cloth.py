@@ -24,7 +24,7 @@ from nishiki.report.page import (
     read_json,
 )
 from nishiki.report.pictures import PagePicture, encoded, file_picture
-from nishiki.report.scene_page import Head, headline, write_scene_page
+from nishiki.report.scene_page import SLIGHT, Head, headline, write_scene_page
 from nishiki.report.svg import INK, PALETTE, Curve, chart, figure, percent
 from nishiki.stages.report.capture import FACTS, export_section
 from nishiki.stages.report.cloth_reflection import curves_section, errors_section, model_name, reflection_section
@@ -80,7 +80,6 @@ def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any] | None, regi
 
 
 CLOTH_ERROR = 0.15  # relative error on directions left out from which a cloth's gloss looks different
-NOISE = 0.05  # relative noise of a reflectance from which it hides the weave
 
 
 def cloth_headline(samples: dict[str, Any], evaluation: dict[str, Any] | None, region: str) -> list[tuple[str, str]]:
@@ -95,7 +94,7 @@ def cloth_headline(samples: dict[str, Any], evaluation: dict[str, Any] | None, r
         found[error < CLOTH_ERROR].append(text)
     noise = samples.get("noise_relative")
     if noise is not None:
-        found[noise < NOISE].append(f"half of the measurements have a noise below {figure(100 * noise, 2)} %")
+        found[noise < SLIGHT].append(f"half of the measurements have a noise below {figure(100 * noise, 2)} %")
     saturated = samples.get("saturated") or 0
     above, cut = samples.get("normal_incidence"), f"{saturated} measurements are saturated: the gloss is cut off"
     advice = [

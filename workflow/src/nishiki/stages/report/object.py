@@ -25,7 +25,7 @@ from nishiki.report.page import (
     read_json,
 )
 from nishiki.report.pictures import bright_picture, encoded, file_picture
-from nishiki.report.scene_page import Head, headline, write_scene_page
+from nishiki.report.scene_page import SLIGHT, Head, headline, write_scene_page
 from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing, figure, percent
 from nishiki.stages.report.capture import export_section, facts_of_object
 from nishiki.stages.report.object_reflection import model_section, residual_section
@@ -85,7 +85,6 @@ def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Metric]:
 
 CLOSE, PLAIN = 1.0, 3.0  # % of full scale, rms, from which a rendered view is told from its photograph, and at a glance
 FEW_VIEWS = 24  # of an object: steps of more than 15 degrees, between which gloss moves further than its width
-UNSEEN = 0.05  # share of a surface that may lie hidden without a word
 
 
 def object_headline(diagnostics: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
@@ -102,7 +101,7 @@ def object_headline(diagnostics: dict[str, dict[str, Any]]) -> list[tuple[str, s
             found[error < limit].append(f"{what} {figure(error, 2)} % of full scale")
     covered = ((diagnostics.get("mesh") or {}).get("fit") or {}).get("iou_mean")
     if covered is not None:
-        found[covered > 1 - UNSEEN].append(f"the surface covers {100 * covered:.1f} % of the outlines")
+        found[covered > 1 - SLIGHT].append(f"the surface covers {100 * covered:.1f} % of the outlines")
     ingest, views = diagnostics["ingest"], len(diagnostics["ingest"]["views"])
     unseen = (diagnostics.get("object_brdf") or {}).get("unseen_share") or 0.0
     unit = ((ingest.get("capture") or {}).get("turntable") or {}).get("unit", "mm")
@@ -115,7 +114,7 @@ def object_headline(diagnostics: dict[str, dict[str, Any]]) -> list[tuple[str, s
     advice = [
         (bool(pictures), carried, scan),
         (1 < views < FEW_VIEWS, f"{views} views are few", "photograph the object every ten degrees"),
-        (unseen > UNSEEN, hidden, "add a turn with the camera higher, or with the object laid down"),
+        (unseen > SLIGHT, hidden, "add a turn with the camera higher, or with the object laid down"),
         (
             untold,
             "no view was left out to test views between the photographs",

@@ -23,7 +23,7 @@ from nishiki.report.page import (
     read_json,
 )
 from nishiki.report.pictures import Ruler, block_of, class_picture, file_picture, ruler
-from nishiki.report.scene_page import Head, headline, text, write_scene_page
+from nishiki.report.scene_page import SLIGHT, Head, headline, text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart, plain
 from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting, kind_of
 from nishiki.stages.report.mosaic import LAMPS_OF_FIELDS, mosaic_head, mosaic_section
@@ -357,7 +357,6 @@ def at_a_glance(diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, An
 VISIBLE, PLAIN = 2.0, 5.0
 """Colour differences (CIEDE2000) from which most people see one, and from which everybody does."""
 FEW_LAMPS = 8  # that a headline warns of
-LEVEL_ERROR = 0.05  # relative, of the mean light of a part, from which a headline warns
 
 
 def verdict(
@@ -374,7 +373,7 @@ def verdict(
         error = worst_part(parts)["de00"]["mean"]  # the worst finish decides
         for part in parts:
             light = worst_level(part)
-            if abs(light["level_error"]) > LEVEL_ERROR:
+            if abs(light["level_error"]) > SLIGHT:
                 side = "bright" if light["level_error"] > 0 else "dark"
                 doubtful.append(
                     f"{part_name(part, names)} is predicted {100 * abs(light['level_error']):.0f} % too {side} under a "
@@ -395,7 +394,7 @@ def verdict(
         shares = [f"{name} {100 * part['share']:.0f} %" for name, part in zip(names, normals["finishes"], strict=True)]
         good.append(f"{len(names)} finishes were found and fitted apart ({', '.join(shares)})")
     missing = 1 - normals["valid_pixels"] / max(normals["object_pixels"], 1)
-    if missing > 0.05:
+    if missing > SLIGHT:
         doubtful.append(f"{100 * missing:.0f} % of the object has no estimate")
     lamps = len(frames.lights)
     advice = [

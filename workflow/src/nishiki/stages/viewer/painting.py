@@ -93,7 +93,7 @@ def run(context: Context) -> dict:
             "border": BORDER,
             "levels": [{"rows": shape[0], "columns": shape[1], "factor": factor} for factor, shape in pyramid.levels()],
             "regions": True in regions,
-            "unknown": UNKNOWN_REGION,
+            "unknown": UNKNOWN,
         },
         "shadows": shadows,
         "layers": layers_of(context.inputs, blocks),
@@ -114,7 +114,7 @@ def illuminants(ingest: Artifact) -> dict[str, dict[str, list[float]]]:
 
 MOST_PIXELS = 1_000_000  # of a map of errors
 LARGEST, UNKNOWN = 254, 255
-"""Largest code, and that of an unknown value."""
+"""Largest code of values, and that of an unknown one, of a photograph that cannot be used, and of no region."""
 FARTHEST = 99.5  # percentile of a measured map that its colours reach to
 
 
@@ -198,7 +198,6 @@ def _written(
 
 SAMPLES = 60_000
 """Pixels, about, that the codes are fitted to."""
-UNKNOWN_REGION = 255  # code
 
 
 def read_records(maps: PaintingMaps, rows: slice) -> np.ndarray:
@@ -251,7 +250,7 @@ class PaintingCode:
         )
 
     def encode(self, values: np.ndarray) -> list[np.ndarray]:
-        """Return planes of codes (rows, columns) uint8; the last is the region of a pixel, or `UNKNOWN_REGION`.
+        """Return planes of codes (rows, columns) uint8; the last is the region of a pixel, or `UNKNOWN`.
 
         values : (rows, columns, fields) float32, records or means of them.
         """
@@ -262,7 +261,7 @@ class PaintingCode:
         normals = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), np.array([0, 0, 1], np.float32))
         planes = self.normal.encode(normals) + self.colour.encode(content[..., 3 : 3 + self.channels])
         planes += self.shading.encode(content[..., 3 + self.channels :]) if self.shading else []
-        return [*planes, np.where(known, values[..., -1], UNKNOWN_REGION).astype(np.uint8)]
+        return [*planes, np.where(known, values[..., -1], UNKNOWN).astype(np.uint8)]
 
     def described(self) -> dict[str, Any]:
         """For the manifest."""
@@ -289,8 +288,6 @@ def gloss_of(maps: PaintingMaps) -> dict[str, Any]:
 
 MOST_CODES = 2_000_000
 """Bytes before compression; they decide how far the samples are apart."""
-TOP, NOTHING = 254, 255
-"""Largest code, and that of a photograph that cannot be used there."""
 
 
 def photographs_of(
@@ -319,8 +316,8 @@ def photographs_of(
     predicted = np.stack([predict_light(model, lamp, pitch=pitch).channels.mean(axis=-1) for lamp in lamps])
     pair = np.stack([photographs, predicted])
     white = float(max(np.nan_to_num(pair).max(), 1e-6))
-    codes = np.rint(np.sqrt(np.clip(np.nan_to_num(pair), 0, None) / white) * TOP)
-    codes = np.where(np.isfinite(pair), codes, NOTHING).astype(np.uint8)
+    codes = np.rint(np.sqrt(np.clip(np.nan_to_num(pair), 0, None) / white) * LARGEST)
+    codes = np.where(np.isfinite(pair), codes, UNKNOWN).astype(np.uint8)
     blocks.add("photographs", zlib.compress(codes.tobytes(), 9))
     return {
         "block": "photographs",
@@ -330,8 +327,8 @@ def photographs_of(
         "step": step,
         "lights": list(frames.lights),
         "white": white,
-        "top": TOP,
-        "nothing": NOTHING,
+        "top": LARGEST,
+        "nothing": UNKNOWN,
     }
 
 
