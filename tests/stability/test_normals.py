@@ -11,8 +11,8 @@ from stability.samples import EXTREME, dome, matt_pixels, same, tilted, turned_c
 
 from nishiki.brdf.gloss_profile import LADDER, GlossProfile
 from nishiki.errors import UserError
-from nishiki.photometric import flags as bits
 from nishiki.photometric.body import diffuse_reflectance
+from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 from nishiki.photometric.gloss import JointSettings, refine_normals
 from nishiki.photometric.height import integrate_normals
 from nishiki.photometric.light_selection import METHODS, select_diffuse
@@ -81,9 +81,9 @@ def _solution_error(exponent, turn, count):
     values = lights @ (normal / np.linalg.norm(normal))
     found = estimate_normals(values.reshape(-1, 1, 1), lights, solver="least_squares", max_condition=1e3)
     exact, albedo = exact_solution(lights, values)
-    if ((found.flags[0, 0] & bits.ILL_CONDITIONED) != 0) != (found.condition[0, 0] > 1e3):
+    if ((found.flags[0, 0] & NormalFlag.ILL_CONDITIONED) != 0) != (found.condition[0, 0] > 1e3):
         return np.inf
-    if found.flags[0, 0] & bits.NO_ESTIMATE:
+    if found.flags[0, 0] & NO_ESTIMATE:
         return np.inf
     apart = max(np.abs(found.normals[0, 0] - exact).max(), abs(found.albedo[0, 0] / albedo - 1))
     return apart / (1.2e-7 + 1e-15 * condition)
@@ -112,7 +112,7 @@ def _coplanar(vectors, weights):
     wrong = 0
     for solver in SOLVERS:
         found = estimate_normals(np.full((len(lights), 1, 1), 0.5), lights, solver=solver)
-        wrong += not found.flags[0, 0] & bits.COPLANAR_LIGHTS
+        wrong += not found.flags[0, 0] & NormalFlag.COPLANAR_LIGHTS
         wrong += not same(found.normals[0, 0], [0, 0, 1]) or found.albedo[0, 0] != 0
     return wrong
 
@@ -148,8 +148,10 @@ def test_few_lights():
     wrong = 0
     for solver in SOLVERS:
         found = estimate_normals(stack, lights, usable=usable, solver=solver)
-        expected = np.where(np.arange(13) < 3, bits.TOO_FEW_LIGHTS, np.where(np.arange(13) == 3, bits.NO_REDUNDANCY, 0))
-        own = found.flags[0] & ~np.uint8(bits.FALLBACK | bits.ILL_CONDITIONED)
+        expected = np.where(
+            np.arange(13) < 3, NormalFlag.TOO_FEW_LIGHTS, np.where(np.arange(13) == 3, NormalFlag.NO_REDUNDANCY, 0)
+        )
+        own = found.flags[0] & ~np.uint8(NormalFlag.FALLBACK | NormalFlag.ILL_CONDITIONED)
         wrong += int((own != expected).sum() + (found.sigma[0, :4] != np.float32(np.pi / 2)).sum())
         wrong += int((found.lights_used[0] != np.arange(13)).sum()) if solver == "least_squares" else 0
     return wrong
@@ -176,7 +178,7 @@ def test_no_light_at_all():
             found = estimate_normals(dark, lights, usable=chosen.usable, solver=solver)
             black = np.zeros((1, 64), bool)
             black[0, ::5] = True
-            wrong += int((((found.flags & bits.NO_SIGNAL) != 0) != black).sum())
+            wrong += int((((found.flags & NormalFlag.NO_SIGNAL) != 0) != black).sum())
             wrong += int((found.normals != plain.normals)[~black].sum())
     return wrong
 
@@ -195,7 +197,7 @@ def test_negative_observations():
     values = rng.normal(0.001, 0.002, (9, 1, 40)).astype(np.float32)
     values[:, :, -1] = -np.abs(values[:, :, -1])
     found = estimate_normals(values, lights, solver="least_squares")
-    worst = 0.0 if found.flags[0, -1] & bits.FACES_AWAY else np.inf
+    worst = 0.0 if found.flags[0, -1] & NormalFlag.FACES_AWAY else np.inf
     for p in range(40):
         normal, albedo = exact_solution(lights, values[:, 0, p])
         worst = max(worst, relative(found.normals[0, p], normal), abs(found.albedo[0, p] / albedo - 1))
@@ -239,7 +241,7 @@ def _anything(seed, share, sizes, count):
             found = estimate_normals(stack, lights, usable=chosen.usable, valid=valid, solver=solver)
             bad += sum(int((~np.isfinite(getattr(found, name))).sum()) for name in ESTIMATES)
             bad += int((np.abs(np.linalg.norm(found.normals, axis=-1) - 1) > 1e-5).sum())
-            bad += int(((found.albedo <= 0) & ((found.flags & bits.NO_ESTIMATE) == 0)).sum())
+            bad += int(((found.albedo <= 0) & ((found.flags & NO_ESTIMATE) == 0)).sum())
         for way in ("least_squares", "mean"):
             diffuse = diffuse_reflectance(colours, lights, found.normals, usable=chosen.usable, method=way)
             bad += int((~np.isfinite(diffuse.reflectance)).sum())
@@ -383,7 +385,7 @@ def test_subnormal_observations():
         with np.errstate(under="ignore"):
             tiny = (stack.astype(np.float64) * scale).astype(np.float32)
         found = estimate_normals(tiny, lights, solver="least_squares")
-        known = (found.flags[0] & bits.NO_ESTIMATE) == 0
+        known = (found.flags[0] & NO_ESTIMATE) == 0
         angle = np.linalg.norm(found.normals[0] - normals, axis=-1)[known]
         worst = max(worst, float(((angle - 0.002) / np.maximum(found.sigma[0, known], 1e-6)).max()))
     return worst

@@ -19,7 +19,7 @@ from nishiki.colour.colour import (
 )
 from nishiki.colour.estimate import METHODS, estimate_spectra, fit_estimator
 from nishiki.colour.fitting import condition_number, paper_map, wiener_map
-from nishiki.colour.kernels import ILL_CONDITIONED, NEGATIVE_RESPONSE, NOT_FINITE
+from nishiki.colour.kernels import SpectralFlag
 from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights, principal_basis
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
@@ -74,7 +74,7 @@ def test_paper_with_a_line():
     for floor in (0.0, 1e-12, 1e-9, 1e-6, 1e-2):
         estimator = fit_estimator(TRAINING, lamp(540, 0.5, floor), CAMERA, method="paper")
         found = estimate_spectra(np.full((4, 3), 0.3), estimator)
-        wrong += ((found.flags & ILL_CONDITIONED) != 0).all() != (estimator.condition > 1e6)
+        wrong += ((found.flags & SpectralFlag.ILL_CONDITIONED) != 0).all() != (estimator.condition > 1e6)
         wrong += not np.isfinite(found.coefficients).all() or np.abs(estimator.linear).max() > 1e7
     return int(wrong)
 
@@ -151,10 +151,10 @@ def _anything(seed, method):
     found = estimate_spectra(responses, estimator)
     wrong = int((~np.isfinite(found.coefficients)).sum() + (~np.isfinite(found.sigma)).sum())
     wrong += int((~np.isfinite(found.spectra())).sum())
-    lost = (found.flags & NOT_FINITE) != 0
+    lost = (found.flags & SpectralFlag.NOT_FINITE) != 0
     wrong += int(np.count_nonzero(found.coefficients[lost]) + (~lost & ~np.isfinite(single).all(axis=1)).sum())
     negative = (single < 0).any(axis=1) & ~lost
-    return wrong + int((negative != (((found.flags & NEGATIVE_RESPONSE) != 0) & ~lost)).sum())
+    return wrong + int((negative != (((found.flags & SpectralFlag.NEGATIVE_RESPONSE) != 0) & ~lost)).sum())
 
 
 ESTIMATORS = {method: fit_estimator(TRAINING, EQUAL, CAMERA, method=method) for method in METHODS}

@@ -9,7 +9,7 @@ from refusals import refused
 from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.errors import UserError
 from nishiki.evaluate.maps import Pool, angular_error_deg, height_error, normal_errors, reflectance_errors, summarise
-from nishiki.photometric.flags import ILL_CONDITIONED, TOO_FEW_LIGHTS
+from nishiki.photometric.flags import NormalFlag
 from nishiki.stages.evaluate.painting import truth_from
 
 
@@ -72,8 +72,8 @@ def _field():
     estimate[1:] = _rotated(np.radians(27.0))
     estimate[1, 0] = (0, 0, 1)
     flags = np.zeros((4, 5), np.uint8)
-    flags[1, 0] = TOO_FEW_LIGHTS
-    flags[1, 1] = ILL_CONDITIONED
+    flags[1, 0] = NormalFlag.TOO_FEW_LIGHTS
+    flags[1, 1] = NormalFlag.ILL_CONDITIONED
     return estimate, truth, flags
 
 

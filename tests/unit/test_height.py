@@ -128,7 +128,7 @@ def test_the_curl_of_a_field_that_is_no_surface_is_reported():
 def test_single_precision_of_large_fields_agrees_with_double(monkeypatch):
     _, _, pitch, _, normals = waves()
     double = integrate_normals(normals, pixel_pitch=pitch, method="weighted").height
-    monkeypatch.setattr("nishiki.photometric.height.SINGLE_ABOVE", 1)
+    monkeypatch.setattr("nishiki.photometric.height.WHOLE_PIXELS", 1)
     single = integrate_normals(normals, pixel_pitch=pitch, method="weighted").height
     assert np.abs(single - double).max() < 1e-4 * np.ptp(double)
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from nishiki.photometric import flags as bits
+from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 from nishiki.photometric.light_selection import select_diffuse
 from nishiki.photometric.solve import SOMEWHAT, SUSPECT, WORSE, distrusted, estimate_normals, lambertian
 
@@ -44,7 +44,7 @@ def test_reference():
     usable = known * (rng.random(stack.shape) < 0.6).astype(np.uint8)
     usable[:3], known[:3] = 1, 1
     outputs = lambertian(stack, lights, usable, 1e4)
-    assert ((outputs[3] & bits.NO_ESTIMATE) == 0).all()
+    assert ((outputs[3] & NO_ESTIMATE) == 0).all()
     found = distrusted(stack, lights, usable, known, outputs)
     np.testing.assert_array_equal(found, np.flatnonzero(reference(stack, lights, usable, known)))
     assert 20 < len(found) < 380
@@ -62,7 +62,7 @@ def test_a_row_of_lamps_is_not_followed():
     assert (found.lights_used > 8).all()
     np.testing.assert_allclose(found.normals[0], normals, atol=2e-3)
     alone = estimate_normals(stack, lights, usable=row)  # nothing else is known to be valid
-    assert ((alone.flags & (bits.COPLANAR_LIGHTS | bits.ILL_CONDITIONED)) != 0).all()
+    assert ((alone.flags & (NormalFlag.COPLANAR_LIGHTS | NormalFlag.ILL_CONDITIONED)) != 0).all()
 
 
 def test_gloss_left_out_stays_left_out():

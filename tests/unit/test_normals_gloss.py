@@ -19,8 +19,8 @@ from nishiki.brdf.gloss_profile import (
 )
 from nishiki.brdf.torrance_sparrow import MIRROR, attenuation, fresnel, half_vector_geometry
 from nishiki.errors import UserError
-from nishiki.photometric import flags as bits
 from nishiki.photometric.body import diffuse_reflectance
+from nishiki.photometric.flags import NormalFlag
 from nishiki.photometric.gloss import GlossTile, JointScene, JointSettings, channel_rotation, refine_normals
 from nishiki.photometric.gloss_kernel import NODES, NODES_PER_UNIT, Pixel, predict
 from nishiki.photometric.gloss_scene import find_finishes, fit_scene_gloss
@@ -387,13 +387,13 @@ def test_nothing_leaves_unflagged_that_is_not_finite(seed, channels, scale, shar
     assert np.allclose(np.linalg.norm(found.normals, axis=-1), 1, atol=1e-5)
     assert (found.reflectance >= 0).all()
     few = valid.sum(axis=0) < 4
-    assert ((found.flags[few] & bits.FALLBACK) != 0).all()
+    assert ((found.flags[few] & NormalFlag.FALLBACK) != 0).all()
 
 
 def test_pixels_without_an_estimate_keep_what_they_had():
     lights, truth = ring(), tilted(4, 10).reshape(2, 2, 3)
     observed = render(truth, np.full((2, 2, 3), 0.5), lights, VARNISH).astype(np.float32)
-    flags = np.array([[bits.NO_SIGNAL, 0], [0, bits.TOO_FEW_LIGHTS]], np.uint8)
+    flags = np.array([[NormalFlag.NO_SIGNAL, 0], [0, NormalFlag.TOO_FEW_LIGHTS]], np.uint8)
     start = np.broadcast_to(VIEW, truth.shape)
     found = refine_normals(observed, lights, normals=start, gloss=VARNISH, flags=flags)
     untouched = flags != 0

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from nishiki.brdf.torrance_sparrow import body_factor
 from nishiki.errors import UserError
-from nishiki.photometric import flags as bits
 from nishiki.photometric.body import diffuse_reflectance
+from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 from nishiki.photometric.light_selection import select_diffuse
 from nishiki.photometric.normal_kernels import AT_LEAST, PRIOR, WIDTH
 from nishiki.photometric.solve import estimate_normals
@@ -132,8 +132,8 @@ def test_the_body_shading_predicts_lights_that_were_left_out():
 def test_where_the_lobe_is_not_tried_the_body_shading_is_lamberts():
     stack, lights, _, _ = lobe_scene(5, 20, 3)
     field = estimate_normals(stack, lights, usable=stack > 0)
-    assert (field.flags & bits.FALLBACK).any()
-    assert (field.shading[(field.flags & bits.FALLBACK) != 0] == (1, 0, 0)).all()
+    assert (field.flags & NormalFlag.FALLBACK).any()
+    assert (field.shading[(field.flags & NormalFlag.FALLBACK) != 0] == (1, 0, 0)).all()
 
 
 def test_the_lobe_equals_a_general_optimiser():
@@ -179,13 +179,13 @@ def test_what_cannot_be_estimated_is_flagged_and_finite():
     for solver in ("least_squares", "lobe"):
         field = estimate_normals(stack, lights, usable=usable, solver=solver)
         flags = field.flags[0]
-        assert flags[0] & bits.TOO_FEW_LIGHTS
-        assert flags[1] & bits.COPLANAR_LIGHTS
-        assert flags[2] & bits.NO_SIGNAL
-        assert flags[3] & bits.TOO_FEW_LIGHTS
-        assert flags[4] & bits.NO_REDUNDANCY
-        assert not flags[4] & bits.NO_ESTIMATE
-        assert not flags[5] & bits.NO_ESTIMATE
+        assert flags[0] & NormalFlag.TOO_FEW_LIGHTS
+        assert flags[1] & NormalFlag.COPLANAR_LIGHTS
+        assert flags[2] & NormalFlag.NO_SIGNAL
+        assert flags[3] & NormalFlag.TOO_FEW_LIGHTS
+        assert flags[4] & NormalFlag.NO_REDUNDANCY
+        assert not flags[4] & NO_ESTIMATE
+        assert not flags[5] & NO_ESTIMATE
         assert field.lights_used[0, 5] <= 8
         np.testing.assert_array_equal(field.normals[0, :4], np.tile([0, 0, 1], (4, 1)))
         for name in ("normals", "albedo", "sigma", "condition", "residual"):
@@ -198,14 +198,14 @@ def test_a_bad_condition_is_flagged():
     lights = np.array([[0, 0, 1], [0.01, 0, 1], [0, 0.01, 1], [0.01, 0.01, 1]])
     lights /= np.linalg.norm(lights, axis=1, keepdims=True)
     field = estimate_normals(np.full((4, 1, 1), 0.5, np.float32), lights, solver="least_squares", max_condition=1e4)
-    assert field.flags[0, 0] & bits.ILL_CONDITIONED
+    assert field.flags[0, 0] & NormalFlag.ILL_CONDITIONED
     assert field.condition[0, 0] > 1e4
 
 
 def test_few_lights_fall_back_on_lambert():
     stack, lights, _, _ = matt(AT_LEAST - 1, 50, 3)
     field = estimate_normals(stack, lights, solver="lobe")
-    assert (field.flags & bits.FALLBACK).all()
+    assert (field.flags & NormalFlag.FALLBACK).all()
     same = estimate_normals(stack, lights, solver="least_squares")
     np.testing.assert_array_equal(field.normals, same.normals)
 

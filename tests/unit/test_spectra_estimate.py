@@ -83,7 +83,7 @@ def test_perfect_white_returns_one(method, channels):
     assert field.coefficients.shape == (2, 2, len(e.basis))
     assert field.coefficients.dtype == np.float32
     np.testing.assert_allclose(field.spectra(), 1.0, atol=1e-6)
-    assert not np.any(field.flags & module.OUTSIDE_UNIT)
+    assert not np.any(field.flags & module.SpectralFlag.OUTSIDE_UNIT)
 
 
 @pytest.mark.parametrize("lamp", ["A", "D65", "FL11"])
@@ -168,7 +168,7 @@ def test_narrow_band_lamp_gives_bounded_spectra(method):
     found = estimate_spectra(seen * (1 + 1e-4 * np.random.default_rng(0).standard_normal(seen.shape)), e)
     assert np.abs(found.spectra()).max() < 5.0  # unregularised: noise times cond(H)
     np.testing.assert_allclose(found.spectra()[:, 36], UNSEEN[:, 36], atol=0.03)  # what the lamp shows is right
-    flagged = (found.flags & module.ILL_CONDITIONED) > 0
+    flagged = (found.flags & module.SpectralFlag.ILL_CONDITIONED) > 0
     assert flagged.all() if method == "paper" else not flagged.any()
     np.testing.assert_allclose(estimate_spectra(np.ones(3), e).spectra(), 1.0, atol=1e-5)
 
@@ -327,30 +327,33 @@ def test_far_responses_fall_back_to_the_linear_map_smoothly(local):
     far = np.array([[3.0, 0.001, 0.001], [0.0, 4.0, 0.0], [0.001, 0.001, 9.0], [50.0, 50.0, 50.0]])
     found = estimate_spectra(far, local)
     np.testing.assert_allclose(found.coefficients, far @ local.linear.T, rtol=1e-5, atol=1e-4)
-    assert np.all(found.flags & module.OUTSIDE_TRAINING)
+    assert np.all(found.flags & module.SpectralFlag.OUTSIDE_TRAINING)
     ray = np.linspace(0, 1, 4001)[:, None] * np.array([2.0, 0.02, 0.02])
     path = estimate_spectra(ray, local).spectra()
     assert np.abs(np.diff(path, axis=0)).max() < 0.02  # no jump on the way out
 
 
 def test_training_responses_are_inside(local):
-    assert np.mean((estimate_spectra(responses_of(TRAINING), local).flags & module.OUTSIDE_TRAINING) > 0) < 0.02
+    assert (
+        np.mean((estimate_spectra(responses_of(TRAINING), local).flags & module.SpectralFlag.OUTSIDE_TRAINING) > 0)
+        < 0.02
+    )
 
 
 def test_zero_negative_and_non_finite_responses(local):
     bad = np.array([[0, 0, 0], [-0.01, 0.2, 0.2], [np.nan, 0.5, 0.5], [np.inf, 0, 0], [1e39, 1.0, 1.0]])
     found = estimate_spectra(bad, local)
     np.testing.assert_array_equal(found.coefficients[0], 0.0)
-    assert found.flags[1] & module.NEGATIVE_RESPONSE
+    assert found.flags[1] & module.SpectralFlag.NEGATIVE_RESPONSE
     for row in (2, 3, 4):
-        assert found.flags[row] == module.NOT_FINITE
+        assert found.flags[row] == module.SpectralFlag.NOT_FINITE
         np.testing.assert_array_equal(found.coefficients[row], 0.0)
     assert found.counts["not_finite"] == 3
     assert found.counts["negative_response"] == 1
     assert np.isfinite(found.sigma).all()
     huge = estimate_spectra(np.full((1, 3), 3e38), local)  # within float32: finite, and flagged for what it is
     assert np.isfinite(huge.coefficients).all()
-    assert huge.flags[0] & module.OUTSIDE_TRAINING
+    assert huge.flags[0] & module.SpectralFlag.OUTSIDE_TRAINING
 
 
 @given(st.lists(st.floats(width=32, allow_nan=True, allow_infinity=True), min_size=3, max_size=3))
@@ -384,7 +387,7 @@ def test_flag_outside_unit_is_the_definition(local):
     expected = (low < -0.01) | (high > 1.01)
     assert expected.any()
     assert not expected.all()
-    np.testing.assert_array_equal(((found.flags & module.OUTSIDE_UNIT) > 0)[clear], expected[clear])
+    np.testing.assert_array_equal(((found.flags & module.SpectralFlag.OUTSIDE_UNIT) > 0)[clear], expected[clear])
 
 
 # Interfaces ----------------------------------------------------------------------------------------------------------

@@ -33,7 +33,6 @@ class FitFlag(IntFlag):
     NOT_FINITE = 16  # some observations were not finite and were left out
 
 
-GRID_RATIO = 2.0  # of neighbouring widths of the coarse search
 REFINEMENTS = 24  # steps at most
 CHUNK = 2048  # points that are fitted together
 _TWO_LN2 = float(2.0 * np.log(2.0))
@@ -232,7 +231,7 @@ def _products(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def _fit(points: _Points, log_min: float, log_max: float, report: np.ndarray) -> np.ndarray:
     """Fit points and report of them; returns (points, channels, 3) strengths in the units of the observations."""
-    step = np.log(GRID_RATIO)
+    step = np.log(2)  # of the grid: the next width is half, whose lobe is the fourth power
     t = log_max - step * _best_of_grid(points, log_max, int(np.ceil((log_max - log_min) / step)) + 1)
     t = np.maximum(t, log_min)
     t, strengths, curvature, rss = _refined(points, t, np.maximum(t - step, log_min), np.minimum(t + step, log_max))

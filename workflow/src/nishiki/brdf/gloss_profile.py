@@ -159,7 +159,7 @@ def _profile(weights, values, rows, reject) -> SpecularProfile:
 
 
 NODES_PER_UNIT = 1024  # of the table of the profile, per unit of chord
-NODES = 1450  # up to a chord of sqrt 2 (phi = 90 degrees)
+NODES = int(np.sqrt(2) * NODES_PER_UNIT) + 2  # up to a chord of sqrt 2 (phi = 90 degrees)
 LADDER = np.geomspace(0.01, 0.9, 11)
 """Half widths at half maximum, radians. The narrowest is ten nodes of the table wide."""
 PROFILE_ERROR = 0.05  # relative error of a row beside its scatter: the model is not the surface

@@ -26,20 +26,19 @@ from nishiki.threads import in_threads
 
 Evaluate = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(n, channels) sr^-1 of unit vectors (n, 3) to light and eye, normal z; 0 below the horizon."""
-POLAR, AROUND = 32, 65
-"""Nodes of D, sigma and v from the normal to the horizon and around it;"""
 SIDE = 32
-"""of a square of q;"""
+"""Nodes of a square of q;"""
+POLAR, AROUND = SIDE, 2 * SIDE + 1
+"""of D, sigma and v from the normal to the horizon and around it;"""
 INCIDENT = 16
 """angles of the light from the normal,"""
 AZIMUTHS = 25
 """and around it, both ends of the turn counted. Measured in docs/notes/stages/cloth_export.md."""
 LOWEST = np.radians(88.0)
 """Largest angle of the light from the normal."""
-HORIZON = 1e-3
-"""Cosine of directions on the horizon, which models leave out."""
-LEAST_FACETS = 1e-3
-"""Of D, of its largest: where a surface sends nothing back, something may still be seen from elsewhere."""
+LEAST = 1e-3
+"""Cosine of directions on the horizon, which models leave out, and D over its largest: where a surface sends nothing
+back, something may still be seen from elsewhere."""
 ITERATIONS = 8  # steps of the search
 
 
@@ -130,7 +129,7 @@ def facets_of(evaluate: Evaluate) -> tuple[np.ndarray, np.ndarray]:
     m = grid_directions()
     upright = np.maximum(m[..., 2], 0)
     lit = m.reshape(-1, 3).copy()
-    lit[:, 2] = np.maximum(lit[:, 2], HORIZON)
+    lit[:, 2] = np.maximum(lit[:, 2], LEAST)
     lit /= np.linalg.norm(lit, axis=1, keepdims=True)
     back = evaluate(lit, lit).mean(axis=1).reshape(upright.shape) * upright
     x = np.linspace(0, 1, POLAR)
@@ -140,7 +139,7 @@ def facets_of(evaluate: Evaluate) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(ITERATIONS if back.sum() > 0 else 0):
         facets = facets / np.sum(facets * upright * solid)
         facets = (seen @ (facets * solid).ravel()).reshape(upright.shape) * back
-    facets = np.maximum(facets, LEAST_FACETS * facets.max())
+    facets = np.maximum(facets, LEAST * facets.max())
     facets /= np.sum(facets * upright * solid)
     return facets, (seen @ (facets * solid).ravel()).reshape(upright.shape)
 

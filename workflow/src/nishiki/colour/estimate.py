@@ -25,7 +25,7 @@ from nishiki.colour.fitting import (
     fit_paper,
     fit_regression,
 )
-from nishiki.colour.kernels import ILL_CONDITIONED, NEGATIVE_RESPONSE, NOT_FINITE, OUTSIDE_TRAINING, OUTSIDE_UNIT
+from nishiki.colour.kernels import SpectralFlag
 from nishiki.colour.local import ResponseSpace, distances, response_space
 from nishiki.colour.sampling import channel_weights, checked_spectra
 from nishiki.errors import UserError
@@ -37,11 +37,11 @@ _PIXELS_A_THREAD = 4096  # at least
 UNIT_TOLERANCE = 0.01  # beyond 0 .. 1 at which a reflectance is flagged
 METHODS = ("paper", "wiener", "local")
 FLAG_MEANINGS = {
-    OUTSIDE_UNIT: "reflectance outside [0, 1] beyond the tolerance",
-    OUTSIDE_TRAINING: "response unlike every training response: the estimate falls back to the linear map",
-    NOT_FINITE: "response or result not finite: coefficients and standard deviation set to 0",
-    ILL_CONDITIONED: "camera and lamp cannot separate the bases: minimum-norm solution",
-    NEGATIVE_RESPONSE: "negative response in some channel (noise in the dark)",
+    SpectralFlag.OUTSIDE_UNIT: "reflectance outside [0, 1] beyond the tolerance",
+    SpectralFlag.OUTSIDE_TRAINING: "response unlike every training response: the estimate falls back to the linear map",
+    SpectralFlag.NOT_FINITE: "response or result not finite: coefficients and standard deviation set to 0",
+    SpectralFlag.ILL_CONDITIONED: "camera and lamp cannot separate the bases: minimum-norm solution",
+    SpectralFlag.NEGATIVE_RESPONSE: "negative response in some channel (noise in the dark)",
 }
 
 
@@ -246,8 +246,7 @@ def estimate_spectra(
     coefficients = np.empty((len(flat), size), np.float32)
     sigma, flags = np.empty(len(flat), np.float32), np.empty(len(flat), np.uint8)
     _apply(flat, estimator, coefficients, sigma, flags, threads or given_threads())
-    names = ("outside_unit", "outside_training", "not_finite", "ill_conditioned", "negative_response")
-    counts = {name: int(np.count_nonzero(flags & bit)) for name, bit in zip(names, FLAG_MEANINGS, strict=True)}
+    counts = {flag.name.lower(): int(np.count_nonzero(flags & flag)) for flag in SpectralFlag}
     return SpectralField(
         coefficients=coefficients.reshape(*shape, size),
         sigma=sigma.reshape(shape),

@@ -6,17 +6,22 @@ over slices of the pixels run as fast, and compile in half the time.
 """
 
 from collections import namedtuple
+from enum import IntEnum
 
 import numpy as np
 from numba import njit
 
 from nishiki.colour.local import DARK, TAPER_END, TAPER_START
 
-OUTSIDE_UNIT = 1  # bit of a pixel's flags
-OUTSIDE_TRAINING = 2  # bit of a pixel's flags
-NOT_FINITE = 4  # bit of a pixel's flags
-ILL_CONDITIONED = 8  # bit of a pixel's flags
-NEGATIVE_RESPONSE = 16  # bit of a pixel's flags
+
+class SpectralFlag(IntEnum):
+    """Bits of a pixel's flags; `nishiki.colour.estimate.FLAG_MEANINGS` explains them."""
+
+    OUTSIDE_UNIT = 1
+    OUTSIDE_TRAINING = 2
+    NOT_FINITE = 4
+    ILL_CONDITIONED = 8
+    NEGATIVE_RESPONSE = 16
 
 
 @njit(cache=True, error_model="numpy")
@@ -191,9 +196,9 @@ def apply_estimator(responses, e, coefficients, sigma, flags):
             for k in range(size):
                 out[k] = 0.0
             sigma[p] = 0.0
-            flags[p] = NOT_FINITE
+            flags[p] = SpectralFlag.NOT_FINITE
             continue
-        flag = NEGATIVE_RESPONSE if negative else 0
+        flag = SpectralFlag.NEGATIVE_RESPONSE if negative else 0
         _linear_and_anchor(response, e.linear, e.anchor, e.precision, out)
         taper, excess = _taper(z, e.low, e.high)
         local_variance, distance = e.far_variance, excess
@@ -211,17 +216,17 @@ def apply_estimator(responses, e, coefficients, sigma, flags):
                 distance = np.inf
         sigma[p] = np.sqrt(local_variance + e.noise_variance)
         if distance > e.gamut_distance:
-            flag |= OUTSIDE_TRAINING
+            flag |= SpectralFlag.OUTSIDE_TRAINING
         if e.ill_conditioned:
-            flag |= ILL_CONDITIONED
+            flag |= SpectralFlag.ILL_CONDITIONED
         if _outside_unit(out, e.basis, e.unit_low, e.unit_high, spectrum):
-            flag |= OUTSIDE_UNIT
+            flag |= SpectralFlag.OUTSIDE_UNIT
         for k in range(size):
             finite = finite and np.isfinite(out[k])
         if not (finite and np.isfinite(sigma[p])):  # overflow of a huge response
             out[:] = 0.0
             sigma[p] = 0.0
-            flag = NOT_FINITE
+            flag = SpectralFlag.NOT_FINITE
         flags[p] = flag
 
 

@@ -11,7 +11,6 @@ from nishiki.errors import UserError
 
 WAVELENGTHS_NM = np.arange(400.0, 701.0, 5.0)
 WAVELENGTHS_NM.setflags(write=False)
-STEP_NM = 5.0
 BANDS = WAVELENGTHS_NM.size
 
 
@@ -108,7 +107,7 @@ def channel_weights(illuminant: np.ndarray, sensitivities: np.ndarray) -> np.nda
     if np.any(lamp < 0):
         raise UserError(f"illuminant: expected power >= 0, found {lamp.min():g}; correct the table")
     # only shapes matter: brought to a largest value of 1, no unit of power or response leaves float64
-    steps = np.full(BANDS, STEP_NM)
+    steps = np.ones(BANDS)
     steps[[0, -1]] *= 0.5  # trapezoids: exact for piecewise linear curves
     products = normalised(curves) * normalised(lamp) * steps
     totals = products.sum(axis=1)

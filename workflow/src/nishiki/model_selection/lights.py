@@ -9,7 +9,7 @@ from nishiki.errors import UserError
 from nishiki.model_selection.decision import Decision
 from nishiki.observations.parcels import sample
 from nishiki.observations.plane import Observations
-from nishiki.photometric import flags as bits
+from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.photometric.light_selection import select_diffuse
 from nishiki.photometric.solve import NormalField, estimate_normals
 
@@ -150,7 +150,7 @@ def added_deg(rows: np.ndarray, samples: Sequence[LightSample], full) -> float:
     """
     added = [np.empty(0)]
     for piece, (usable, field) in zip(samples, full, strict=True):
-        known = (field.flags.ravel() & bits.NO_ESTIMATE) == 0
+        known = (field.flags.ravel() & NO_ESTIMATE) == 0
         normals, sigma = field.normals.reshape(-1, 3)[known].astype(np.float64), field.sigma.ravel()[known]
         masks = usable.reshape(len(usable), -1)[:, known].astype(np.float64)
         all_of, of_rows = (_across(piece.directions[k], masks[k], normals) for k in (slice(None), rows))
@@ -174,10 +174,10 @@ def moved_deg(rows: np.ndarray, samples: Sequence[LightSample], full, solve: Sol
     angles = []
     for chosen, (_, field) in zip(samples, full, strict=True):
         fewer = solve(chosen.observations[rows], chosen.directions[rows], chosen.valid[rows])[1]
-        known = (field.flags & bits.NO_ESTIMATE) == 0
+        known = (field.flags & NO_ESTIMATE) == 0
         difference = np.linalg.norm(fewer.normals.astype(np.float64) - field.normals, axis=-1)
         angle = 2 * np.arcsin(np.minimum(0.5 * difference, 1))
-        lost = (fewer.flags & bits.NO_ESTIMATE) != 0
+        lost = (fewer.flags & NO_ESTIMATE) != 0
         angles.append(np.where(lost, 0.5 * np.pi, angle)[known])
     values = np.concatenate(angles) if angles else np.empty(0)
     return float(np.degrees(np.median(values))) if values.size else 0.0

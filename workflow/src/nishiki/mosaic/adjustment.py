@@ -19,14 +19,10 @@ from nishiki.errors import UserError
 from nishiki.mosaic.registration import Field, Overlap, fit_similarity
 
 LENSES = {"none": (), "k1": (0,), "k1, k2": (0, 1), "k1, tilt": (0, 2, 3), "k1, k2, tilt": (0, 1, 2, 3)}
-LEAST_GAIN = 0.05  # of the error of matches left out, for a lens with more terms
+LEAST_GAIN = 0.05  # of the error of matches or overlaps left out, for a lens or levels with more terms
 FOLDS = 4
-PRIOR = (
-    0.05,
-    0.05,
-    0.01,
-    0.01,
-)  # standard deviations expected of k_1, k_2 and t: where fields form a line, they are free
+# standard deviations expected of k_1, k_2 and t: where fields form a line, they are free
+PRIOR = (0.05, 0.05, 0.01, 0.01)
 SCALE_PRIOR = 0.01  # likewise of a field's scale and turn, against drift along a chain of fields
 GAUGE = 1e5  # weight of the sum of all turns, and of all scales' logarithms
 ROUNDS = 16

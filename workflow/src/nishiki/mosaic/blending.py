@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.model_selection.decision import Decision
-from nishiki.mosaic.adjustment import Placement
-from nishiki.photometric.flags import NO_ESTIMATE, TOO_FEW_LIGHTS
+from nishiki.mosaic.adjustment import LEAST_GAIN, Placement
+from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 
 LEAST = 1e-3  # z of a normal, and reflectance
 Reader = Callable[[str, slice], np.ndarray]
@@ -32,7 +32,6 @@ LEAST_SIGMA = 1e-3  # radians: a field that claims less counts no more
 NORMALS = ("normals", "shading_normals")
 COLOURS = ("reflectance", "albedo")
 CHOICES = {"none": None, "constant and slope": 2, "with squares": 5}  # terms of w; None: no levels at all
-LEAST_GAIN = 0.05  # of the error of overlaps left out, for more terms
 ROUNDS = 8
 MOST_LEFT_OUT = 12  # overlaps
 GROUP = 25  # neighbouring samples whose median is judged where an overlap was left out
@@ -334,5 +333,5 @@ def blend_band(
         if name in out:
             unit = np.linalg.norm(out[name], axis=-1, keepdims=True)
             out[name] = np.where(known[..., None], out[name] / np.maximum(unit, 1e-12), (0, 0, 1)).astype(np.float32)
-    out["flags"] = np.where(known, out["flags"], np.where(without > 0, without, TOO_FEW_LIGHTS))
+    out["flags"] = np.where(known, out["flags"], np.where(without > 0, without, NormalFlag.TOO_FEW_LIGHTS))
     return out

@@ -35,7 +35,7 @@ from numba import njit
 
 from nishiki.errors import UserError
 from nishiki.lanes import BLOCK
-from nishiki.photometric import flags as bits
+from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 from nishiki.photometric.light_selection import half_vectors, sum_lights
 from nishiki.photometric.normal_kernels import AT_LEAST, LEAST_FACTOR, PRIOR, WIDTH
 from nishiki.threads import over_rows
@@ -196,7 +196,7 @@ def shading_of_mean(
     """
     other, stack, start, known = (np.reshape(each, (len(directions), -1)) for each in (intensity, mean, usable, valid))
     normals, shading = field.normals.reshape(-1, 3), field.shading.reshape(-1, 3).copy()
-    fitted = (field.flags.ravel() & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
+    fitted = (field.flags.ravel() & (NO_ESTIMATE | NormalFlag.FALLBACK)) == 0
     vectors = np.asarray(directions, np.float64), half_vectors(directions)
 
     def fit(first: int, last: int, stack: np.ndarray) -> None:

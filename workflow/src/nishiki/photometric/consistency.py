@@ -38,9 +38,8 @@ REPEATED = 0.25  # of the difference that two lamps should make: the same lamp t
 MOST_AMBIENT = 0.4  # of a lamp: more cannot be told from an even object, where .41 to 1.1 seemed to be
 WORSE = 2.0  # times the misfit without ambient light: shadows prove some that misfits more, up to 1.5
 LEAST_FLOOR, LEAST_BEHIND = 0.3, 0.75  # of the ambient light: the darkest shadows, and the usual ones behind the object
-MOST_DRIFT = (
-    0.2  # of the ambient light from fit to fit: .02 to .11 on six measured sets, .36 and .8 on a glossy painting
-)
+# of the ambient light from fit to fit: .02 to .11 on six measured sets, .36 and .8 on a glossy painting
+MOST_DRIFT = 0.2
 EVEN_FLOOR = 0.8  # the same of the darkest shadows where few values lie behind the object
 LEAST_GAIN = 0.02  # of a lamp's strength that is put right: less turns normals by a tenth of a degree
 LAW_COURSE, LAW_REST = 3.0, 1.5  # times the misfit of the law: deviation of log strengths that equal lamps seem to have

@@ -20,7 +20,7 @@ import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile, light_table, scattered_lobes, specular_samples
 from nishiki.errors import UserError, require
-from nishiki.photometric import flags as bits
+from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 from nishiki.photometric.gloss_kernel import refine_pixels
 from nishiki.threads import over_rows
 
@@ -95,7 +95,7 @@ def _solve(total: np.ndarray, least: float) -> tuple[float, np.ndarray]:
 
 def equations(tile: GlossTile, fit: "RefinedNormals", gloss: GlossProfile) -> np.ndarray:
     """Return the normal equations (lobes + 2, lobes + 2) of strengths, transmission and right-hand side of a tile."""
-    kept = (fit.flags[0] & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
+    kept = (fit.flags[0] & (NO_ESTIMATE | NormalFlag.FALLBACK)) == 0
     normals, level = fit.normals[0, kept].astype(float), fit.reflectance[0, kept].mean(axis=-1).astype(float)
     channels, observed = tile.observations.shape[-1], tile.observations[:, 0, kept].mean(axis=-1).astype(float)
     valid = tile.valid[:, 0, kept]
@@ -239,7 +239,7 @@ def refine_normals(
     over_rows(refine_pixels, pixels, observations.reshape(count, pixels, channels), known, scene, settings, fields)
     refined, rho, scalars, used, marks, cost = fields
     if gloss.colour is not None:
-        fitted = (marks & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
+        fitted = (marks & (NO_ESTIMATE | NormalFlag.FALLBACK)) == 0
         rho[fitted], scalars[0, fitted] = gloss.colour, gloss.colour.mean()
         scalars[3, fitted] *= gloss.colour.mean()
     albedo, sigma, condition, residual = scalars.reshape(4, *shape[1:3])

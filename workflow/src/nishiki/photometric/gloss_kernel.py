@@ -20,12 +20,13 @@ import numpy as np
 from numba import njit
 
 from nishiki.brdf.gloss_profile import NODES, NODES_PER_UNIT
-from nishiki.photometric import flags as bits
+from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
+from nishiki.photometric.height import LEAST_NZ
+from nishiki.photometric.lambert_fit import FEWEST_LAMPS
 from nishiki.photometric.normal_kernels import LARGEST
 from nishiki.small_matrices import eigenvalues
 
 LANES = 4  # lights are padded to a multiple, unlit: the sums over them then become SIMD code
-STEEPEST = 0.05  # n_z is kept above it
 # Rows of the scratch of a pixel, a column for each light
 LIT, BODY, BODY_S, BODY_T, GLOSS, GLOSS_S, GLOSS_T, VAR_LEVEL, VAR_COLOUR, W_LEVEL, W_COLOUR = range(11)
 ROWS = W_COLOUR + 1
@@ -34,7 +35,6 @@ DAMPINGS = 5  # times at most that a step is damped more
 SETTLED = 1e-3  # radians
 NOTHING = 1e-300  # keeps sums of no weight from 0 / 0: weights are inverse squares of radiances of any unit
 FOLDS = 5  # groups of lamps that are left out in turn
-AT_LEAST = 4  # lit samples; three unknowns in the common level, and one to spare
 
 
 Pixel = namedtuple("Pixel", "y known rows rho floor")
@@ -231,7 +231,7 @@ def moved(n, t, s, r, out):
     part = LARGEST_STEP / length if length > LARGEST_STEP else 1.0
     s, r = part * s, part * r
     x, y = n[0] + s * t[0] + r * t[3], n[1] + s * t[1] + r * t[4]
-    z = max(n[2] + s * t[2] + r * t[5], STEEPEST)
+    z = max(n[2] + s * t[2] + r * t[5], LEAST_NZ)
     scale = 1.0 / np.sqrt(x * x + y * y + z * z)
     out[0], out[1], out[2] = x * scale, y * scale, z * scale
     return length
@@ -357,7 +357,7 @@ def describe(pixel, lights, variance, max_condition, p, fields):
     scalars[2, p] = min(condition, 3e38)
     scalars[3, p] = min(np.sqrt(squared / max(weight, 1e-30) / rho.size), LARGEST)
     fields.lights_used[p] = count
-    fields.flags[p] = bits.ILL_CONDITIONED if condition > max_condition else 0
+    fields.flags[p] = NormalFlag.ILL_CONDITIONED if condition > max_condition else 0
 
 
 @njit(cache=True, error_model="numpy")
@@ -395,7 +395,7 @@ def refine_pixels(first, last, observations, valid, scene, settings, fields):
     tolerance = settings.tolerance
     for p in range(first, last):
         cost[p] = 0.0
-        if flags[p] & bits.NO_ESTIMATE:
+        if flags[p] & NO_ESTIMATE:
             continue
         for j in range(count):
             known[j] = valid[j, p]
@@ -404,7 +404,7 @@ def refine_pixels(first, last, observations, valid, scene, settings, fields):
         pixel = Pixel(y, known, rows, rho, floor)
         for i in range(3):
             n[i] = normals[p, i]
-        n[2] = max(n[2], STEEPEST)
+        n[2] = max(n[2], LEAST_NZ)
         value, limit = np.inf, settings.second_start * count * channels
         for attempt in range(3):  # the given normal; the one that mirrors the brightest light; back to the better one
             descend(pixel, scene, settings, n, work)
@@ -430,8 +430,8 @@ def refine_pixels(first, last, observations, valid, scene, settings, fields):
             colour[i] = max(total, 0.0)
             level += colour[i]
         sound = np.isfinite(n[0] + n[1] + n[2] + rho.sum() + value) and value <= LARGEST
-        if lit < AT_LEAST or not (sound and level <= LARGEST):
-            flags[p] |= bits.FALLBACK
+        if lit < FEWEST_LAMPS or not (sound and level <= LARGEST):
+            flags[p] |= NormalFlag.FALLBACK
             continue
         for i in range(3):
             normals[p, i] = n[i]

@@ -22,7 +22,7 @@ import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, fit_gloss, specular_samples, unit_of
 from nishiki.brdf.torrance_sparrow import MIRROR
-from nishiki.photometric import flags as bits
+from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 from nishiki.photometric.gloss import LARGEST_SIGMA, GlossTile, RefinedNormals, refine_normals, step
 
 WIDTHS = np.geomspace(0.01, 0.3, 9)  # radians, half widths: what is wider is light from paint to paint as well
@@ -191,7 +191,7 @@ def cell_costs(tiles: Sequence[GlossTile], fits: Sequence[RefinedNormals], count
     """Return the mean robust cost a value of every cell (count,); 0 without a fitted pixel."""
     total, values = np.zeros(count), np.zeros(count)
     for tile, fit in zip(tiles, fits, strict=True):
-        done = (fit.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
+        done = (fit.flags & (NO_ESTIMATE | NormalFlag.FALLBACK)) == 0
         total += np.bincount(tile.places[done], fit.cost[done], count)
         values += np.bincount(tile.places[done], tile.valid.sum(axis=0)[done], count) * tile.observations.shape[-1]
     return total / np.maximum(values, 1)
@@ -210,7 +210,7 @@ def strengthened(
     histogram = SpecularHistogram.empty(refractive_index=profile.refractive_index, value_unit=profile.unit)
     for tile, fit, here in zip(tiles, fits, where or [True] * len(tiles), strict=True):
         source = tile if fit is None else fit
-        valid = tile.valid & ((tile.flags & bits.NO_ESTIMATE) == 0) & here
+        valid = tile.valid & ((tile.flags & NO_ESTIMATE) == 0) & here
         given = tile.observations, tile.directions, source.normals, source.reflectance, profile
         sigma = np.minimum(source.sigma, LARGEST_SIGMA) / np.sqrt(2)
         histogram = histogram.add_samples(*specular_samples(*given, valid=valid), sigma=sigma)
@@ -234,7 +234,7 @@ def mean_cost(tiles, fits) -> float:
     """Robust cost a value over all tiles."""
     total, values = 0.0, 0
     for tile, fit in zip(tiles, fits, strict=True):
-        done = (fit.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
+        done = (fit.flags & (NO_ESTIMATE | NormalFlag.FALLBACK)) == 0
         total += float(fit.cost[done].sum(dtype=np.float64))
         values += int(tile.valid[:, done].sum()) * tile.observations.shape[-1]
     return total / max(values, 1)

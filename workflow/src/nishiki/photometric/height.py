@@ -26,7 +26,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from nishiki.errors import UserError
-from nishiki.photometric.multigrid import BAND_PIXELS, Laplace, RowsOnDisk, divergence, edges, windows
+from nishiki.photometric.multigrid import BAND_PIXELS, WHOLE_PIXELS, Laplace, RowsOnDisk, divergence, edges, windows
 from nishiki.summary import Summarised
 from nishiki.threads import strips
 
@@ -36,7 +36,6 @@ LEAST_WEIGHT = 1e-3  # a steep pixel keeps this much say, so that it stays tied 
 NOT_UNIT = 0.02  # of the squared length, as where normals are shaded
 PITCHES = (1e-12, 1e12)  # beyond, heights and their squares leave float32
 BOW_PIXELS = 100_000  # at most, to which the quadratic surface of `bow` is fitted
-SINGLE_ABOVE = 4_000_000  # pixels above which the work arrays are float32: half the memory, heights to about 1e-5
 
 
 @dataclass(frozen=True, repr=False)
@@ -159,7 +158,7 @@ def integrate_bands(shape, read, write, *, pixel_pitch, method, iterations=(1e-5
     if method not in METHODS:
         raise UserError(f"height: expected a method of {', '.join(METHODS)}, found {method!r}")
     rows, columns = shape
-    dtype = np.float32 if rows * columns > SINGLE_ABOVE else np.float64
+    dtype = np.float32 if rows * columns > WHOLE_PIXELS else np.float64
     bands = list(windows(rows, band_rows(columns), 1))
     count, steepest = 0, 1.0
     for band in bands:

@@ -19,21 +19,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nishiki.photometric.expected_error import LEAST_NZ
 from nishiki.photometric.height import integrate_normals
+from nishiki.threads import strips
 
 if TYPE_CHECKING:
     from scipy import sparse
 
 ROUNDS = 3
 BOUNCES = 8  # of predicted light
-TOGETHER = 64  # facets whose factors are computed at a time
 FAINTEST = 1e-5  # form factor below which a facet throws no light worth counting
 SIGHT = np.linspace(0.1, 0.9, 9)  # places between two facets where the surface may stand between them
 CLEARANCE = 0.5  # facets by which it has to, as the heights are those of their centres
-STEEPEST = 0.15  # n_z is kept above it
 LARGEST = 0.9  # of the light: more is no correction
 DARK = 1e-9  # relative to white
-LEAST = 1e-3  # sum of cosines of the lamps that light a facet
 
 
 @dataclass(frozen=True)
@@ -98,19 +97,19 @@ def form_factors(normals: np.ndarray, valid: np.ndarray) -> sparse.csr_array:
     row, column = np.nonzero(valid)
     facing = normals[row, column].astype(np.float64)
     places = np.stack([column, -row, height[row, column]], axis=-1).astype(np.float64)
-    area = 1 / np.maximum(facing[:, 2], STEEPEST)
+    area = 1 / np.maximum(facing[:, 2], LEAST_NZ)
     surface = np.where(valid, height, -np.inf)
     offset, lengths, blocks = np.einsum("kx,kx->k", facing, places), np.square(places).sum(axis=1), []
-    for start in range(0, len(places), TOGETHER):
-        here, towards = places[start : start + TOGETHER], facing[start : start + TOGETHER]
+    for part in strips(len(places)):
+        here, towards = places[part], facing[part]
         square = np.maximum(np.square(here).sum(axis=1)[:, None] + lengths - 2 * here @ places.T, DARK)
-        leaving = towards @ places.T - offset[start : start + TOGETHER, None]
+        leaving = towards @ places.T - offset[part, None]
         arriving = here @ facing.T - offset
         factors = np.maximum(leaving, 0) * np.maximum(arriving, 0) / square * area
         factors /= np.pi * np.maximum(square, area / np.pi)
         i, k = np.nonzero(factors > FAINTEST)
-        for part in SIGHT:
-            x, y, z = (here[i] + part * (places[k] - here[i])).T
+        for share in SIGHT:
+            x, y, z = (here[i] + share * (places[k] - here[i])).T
             seen = surface[np.rint(-y).astype(int), np.rint(x).astype(int)] < z + CLEARANCE
             i, k = i[seen], k[seen]
         blocks.append(sparse.csr_array((factors[i, k], (i, k)), factors.shape))
@@ -148,7 +147,7 @@ def lambert(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
 def reflectance_of(observations: np.ndarray, light: np.ndarray, used: np.ndarray) -> np.ndarray:
     """Return the reflectance (rows, columns, channels), 0 to 1, from the samples used under this light."""
     reflected, received = (np.where(used[..., None], values, 0).sum(axis=0) for values in (observations, light))
-    return np.clip(reflected / np.maximum(received, LEAST), 0, 1)
+    return np.clip(reflected / np.maximum(received, DARK), 0, 1)
 
 
 def left_out_errors(facets: Facets, found: Interreflection | None, folds: int) -> np.ndarray:

@@ -20,7 +20,8 @@ import numpy as np
 
 SMOOTHING = (0.562, 1.389)  # steps of Jacobi: inverse nodes of Chebyshev's polynomial of degree 2 over 0.5 .. 2
 BAND_PIXELS = 1_000_000  # of a window in memory
-WHOLE_PIXELS = 4_000_000  # at most, of the finest level that is held whole
+WHOLE_PIXELS = 4_000_000  # at most, of the finest level that is held whole; beyond, work arrays are float32: heights
+# to about 1e-5
 MARGIN = 4  # rows of the coarsest level of a window that a cut may spoil, at either end
 LAST_SWEEPS = 8  # pairs of smoothing steps on the level of at most 2 x 2 pixels
 

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from nishiki.lanes import BLOCK, LANES, choose, load, planes, root, splat, store
-from nishiki.photometric import flags as bits
+from nishiki.photometric.flags import COPLANAR, NO_ESTIMATE, NormalFlag
 from nishiki.photometric.lobe import choose_samples, descend, make_fit, take_lanes, tangential_variance
 from nishiki.small_matrices import eigenvalues, inverse
 
@@ -66,7 +66,7 @@ def condition_block(matrices, count, conditions, inverses):
         d, e, f = load(matrices, (3, p)), load(matrices, (4, p)), load(matrices, (5, p))
         least, largest = eigenvalues(a, b, c, d, e, f)
         m0, m1, m2, m3, m4, m5 = inverse(a, b, c, d, e, f)
-        sound = (load(count, p) >= 3.0) & (least > largest / bits.COPLANAR) & (m0 > 0.0) & (m3 > 0.0) & (m5 > 0.0)
+        sound = (load(count, p) >= 3.0) & (least > largest / COPLANAR) & (m0 > 0.0) & (m3 > 0.0) & (m5 > 0.0)
         store(conditions, p, choose(sound, largest / least, np.inf))
         store(inverses, (0, p), choose(sound, m0, 0.0))
         store(inverses, (1, p), choose(sound, m1, 0.0))
@@ -82,24 +82,24 @@ def write_block(solved, condition, count, max_condition, start, width, estimates
     normals, scalars, lights_used, flags = estimates
     for i in range(width):
         p, flag, length, z = start + i, 0, solved[3, i], solved[2, i]
-        surface = count[i] >= 3 and condition[i] < bits.COPLANAR and LEAST_ALBEDO <= length <= LARGEST
+        surface = count[i] >= 3 and condition[i] < COPLANAR and LEAST_ALBEDO <= length <= LARGEST
         scalars[2, p] = min(condition[i], 3e38)
         lights_used[p] = int(count[i])
         if surface:
-            flag |= bits.FACES_AWAY if z <= 0.0 else 0
-            flag |= bits.ILL_CONDITIONED if condition[i] > max_condition else 0
-            flag |= 0 if count[i] > 3 else bits.NO_REDUNDANCY
+            flag |= NormalFlag.FACES_AWAY if z <= 0.0 else 0
+            flag |= NormalFlag.ILL_CONDITIONED if condition[i] > max_condition else 0
+            flag |= 0 if count[i] > 3 else NormalFlag.NO_REDUNDANCY
             normals[p, 0], normals[p, 1], normals[p, 2] = solved[0, i], solved[1, i], z
             scalars[0, p] = length
             scalars[1, p] = solved[5, i] if count[i] > 3 else 0.5 * np.pi
             scalars[3, p] = solved[4, i]
         else:
             if count[i] < 3:
-                flag |= bits.TOO_FEW_LIGHTS
-            elif condition[i] >= bits.COPLANAR:
-                flag |= bits.COPLANAR_LIGHTS
+                flag |= NormalFlag.TOO_FEW_LIGHTS
+            elif condition[i] >= COPLANAR:
+                flag |= NormalFlag.COPLANAR_LIGHTS
             else:
-                flag |= bits.NO_SIGNAL
+                flag |= NormalFlag.NO_SIGNAL
             normals[p, 0], normals[p, 1], normals[p, 2] = 0.0, 0.0, 1.0
             scalars[0, p], scalars[1, p], scalars[3, p] = 0.0, 0.5 * np.pi, 0.0
         flags[p] = flag
@@ -255,9 +255,9 @@ def refine(p, end, samples, vectors, noise, max_condition, estimates, shading):
     while p < end:
         width = 0
         while p < end and width < BLOCK:
-            if not flags[p] & bits.NO_ESTIMATE:
+            if not flags[p] & NO_ESTIMATE:
                 if lights_used[p] < AT_LEAST:
-                    flags[p] |= bits.FALLBACK
+                    flags[p] |= NormalFlag.FALLBACK
                 else:
                     block.index[width] = p
                     width += 1
@@ -310,7 +310,7 @@ def store_fits(block, width, max_condition, estimates, shading):
         residual = np.sqrt(squares / kept) * albedo
         determined = variance > 0.0 and kept > 5.0 and residual <= LARGEST  # false for NaN
         if not (determined and LEAST_ALBEDO <= diffuse * albedo <= LARGEST):
-            flags[p] |= bits.FALLBACK
+            flags[p] |= NormalFlag.FALLBACK
             continue
         for k in range(3):
             normals[p, k] = fit[i + k * BLOCK]
@@ -319,11 +319,11 @@ def store_fits(block, width, max_condition, estimates, shading):
         scalars[2, p] = min(condition[i], 3e38)
         scalars[3, p] = residual
         lights_used[p] = int(kept)
-        flag = flags[p] & ~(bits.ILL_CONDITIONED | bits.FACES_AWAY | bits.NO_REDUNDANCY)
+        flag = flags[p] & ~(NormalFlag.ILL_CONDITIONED | NormalFlag.FACES_AWAY | NormalFlag.NO_REDUNDANCY)
         if condition[i] > max_condition:
-            flag |= bits.ILL_CONDITIONED
+            flag |= NormalFlag.ILL_CONDITIONED
         if fit[i + 2 * BLOCK] <= 0.0:
-            flag |= bits.FACES_AWAY
+            flag |= NormalFlag.FACES_AWAY
         flags[p] = flag
         # the shading is scaled so that the body factor is 1 on average over the samples, weighted c^2
         a, b, d = fit[i + 3 * BLOCK], fit[i + 4 * BLOCK], fit[i + 5 * BLOCK]

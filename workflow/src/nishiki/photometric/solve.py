@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.photometric import flags as bits
+from nishiki.photometric.flags import COPLANAR, NO_ESTIMATE, NormalFlag
 from nishiki.photometric.light_selection import (
     all_finite,
     checked_stack,
@@ -32,7 +32,6 @@ NEAR_DEG = 0.2  # largest difference between a pixel's direction to a near light
 SUSPECT = 40.0  # condition of the light matrix
 WORSE, SOMEWHAT = 16.0, 1.3
 PIXELS = 1 << 14  # at a time
-LARGEST_CODE = 65535  # of 16 bits
 
 
 Estimates = namedtuple("Estimates", "normals scalars lights_used flags")
@@ -72,7 +71,7 @@ class NormalField(Summarised):
     @property
     def valid(self):
         """(rows, columns) bool: where there is an estimate of the pixel's own."""
-        return (self.flags & bits.NO_ESTIMATE) == 0
+        return (self.flags & NO_ESTIMATE) == 0
 
     @property
     def diagnostics(self):
@@ -82,7 +81,7 @@ class NormalField(Summarised):
             name: float(np.median(getattr(self, name)[valid])) if valid.any() else 0.0
             for name in ("sigma", "condition", "residual", "lights_used")
         }
-        counted = {name: int(((self.flags & bit) != 0).sum()) for bit, name in bits.NAMES.items()}
+        counted = {flag.name.lower(): int(((self.flags & flag) != 0).sum()) for flag in NormalFlag}
         return {
             "solver": self.solver,
             "pixels": int(self.flags.size),
@@ -169,7 +168,7 @@ def estimate_normals(
     if solver not in SOLVERS:
         raise UserError(f"normals: expected a solver of {', '.join(SOLVERS)}, found {solver!r}")
     some = np.ravel(observations)[:: np.size(observations) // 1000 + 1]
-    if (some == np.rint(some)).all() and 1 < some.max(initial=0) <= LARGEST_CODE:
+    if (some == np.rint(some)).all() and 1 < some.max(initial=0) <= np.iinfo(np.uint16).max:
         found = f"whole numbers up to {some.max():g}, as codes of a file are"
         remedy = "Remedy: decode them (nishiki.read_photographs), or divide linear codes by the largest one"
         raise UserError(
@@ -337,7 +336,7 @@ def distrusted(stack, directions, usable, known, outputs):
     (n,) int64, numbers of the pixels.
     """
     normals, scalars, _, flags = outputs
-    fitted = (flags & (bits.TOO_FEW_LIGHTS | bits.NO_SIGNAL)) == 0
+    fitted = (flags & (NormalFlag.TOO_FEW_LIGHTS | NormalFlag.NO_SIGNAL)) == 0
     suspects = np.flatnonzero((scalars[2] > SUSPECT) & fitted)
     halves, found = half_vectors(directions), []
     for start in range(0, len(suspects), PIXELS):
@@ -360,7 +359,7 @@ def condition_of(chosen, directions):
     outer = (directions[:, :, None] * directions[:, None, :]).reshape(len(directions), -1)
     values = np.linalg.eigvalsh((chosen.T.astype(np.float64) @ outer).reshape(-1, 3, 3))
     least, largest = values[:, 0], values[:, 2]
-    sound = (chosen.sum(axis=0) >= 3) & (least > largest / bits.COPLANAR)
+    sound = (chosen.sum(axis=0) >= 3) & (least > largest / COPLANAR)
     return np.where(sound, largest / np.where(sound, least, 1.0), np.inf)
 
 

@@ -147,8 +147,7 @@ STRIP = 16  # rows
 MOST_PIXELS = 1 << 17  # that the noise is measured on
 BINS, FEWEST_IN_BIN = 16, 200  # of brightness, for the noise
 APART = 2  # pixels between those that second differences for the noise compare: one apart shares demosaiced samples
-CHI_MEDIAN = 0.4549364  # median of the square of a normal number
-SECOND_DIFFERENCES = 36.0  # variance of (1, -2, 1) x (1, -2, 1) of numbers of variance 1
+SECOND = np.array([1.0, -2.0, 1.0])  # second differences, taken in both directions
 
 
 def measure_noise(series: Series) -> tuple[PhotographNoise | None, np.ndarray]:
@@ -159,6 +158,8 @@ def measure_noise(series: Series) -> tuple[PhotographNoise | None, np.ndarray]:
     brightness gives the variance c_l^2 var(q_k) + c_k^2 var(q_l), from which slope and floor of the channels follow by
     non-negative least squares of the relative error. With one or two channels they are taken of q itself.
     """
+    from scipy.special import chdtri  # (1, .5): the median of the square of a normal number
+
     rows, columns = series.planes.shape[1:3]
     tops = range(0, rows - 2 * APART, STRIP * -(-rows * columns // MOST_PIXELS))  # evenly spread
     strips = [_Strip.of(series, slice(top, min(top + STRIP, rows))) for top in tops]
@@ -177,7 +178,7 @@ def measure_noise(series: Series) -> tuple[PhotographNoise | None, np.ndarray]:
                     row[0, channel] += factor * level[first:last, j, channel].mean()
                     row[1, channel] += factor * count[first:last, j, channel].mean()
                 table.append(row.ravel())
-                variances.append(np.median(energy[first:last]) / (CHI_MEDIAN * SECOND_DIFFERENCES))
+                variances.append(np.median(energy[first:last]) / (chdtri(1, 0.5) * (SECOND @ SECOND) ** 2))
     return _least_squares(np.array(table), np.array(variances), channels), colour.ravel()
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from nishiki.polarisation.polarisation import LIT, SeparatedView
 from nishiki.polarisation.polariser_states import StateSums
+from nishiki.threads import strips
 
 LEAVES = 0.7  # of the misfit, at most, that another order may leave where many photographs test the model
 SPARE = 4.0  # surplus photographs with which half of that is allowed: few fit several orders by chance
@@ -27,7 +28,6 @@ AS_GOOD = 1.25  # times the least misfit: orders that explain the photographs as
 PAIRS, WORTH = 2, 0.7  # exchanges beside a shift or reversal, by which people err, and what each may leave
 SHUFFLES, BY_CHANCE = 19, 2  # random orders, and how many of them may fit as well
 MOST_VALUES = 1 << 19
-ROWS = 32  # in memory
 GROUP = 64  # neighbouring values of a photograph that are averaged
 DRIFT = 0.02  # of the light: a lamp varies by as much between photographs
 FEWEST_FITTED = 3  # surplus photographs that tell whether random orders fit as well
@@ -242,8 +242,7 @@ class Thinned:
 
     def blocks(self) -> Iterator[np.ndarray]:
         """(states, values) float64 of the pixels that are valid in all photographs, a few rows at a time."""
-        for first in range(0, len(self.valid), ROWS):
-            part = slice(first, first + ROWS)
+        for part in strips(len(self.valid)):
             inside = self.valid[part]
             if inside.any():
                 yield np.stack([values[part][inside].ravel() for values in self.values]).astype(np.float64)

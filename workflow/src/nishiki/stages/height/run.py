@@ -4,8 +4,8 @@ import numpy as np
 
 from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.artifacts.stage import Context
-from nishiki.photometric import flags as bits
 from nishiki.photometric.expected_error import REACH, UNKNOWN, expected_error
+from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.photometric.height import Sample, band_rows, flatten_normals, integrate_bands
 from nishiki.photometric.multigrid import windows
 from nishiki.stages.height import OUTPUTS
@@ -21,7 +21,7 @@ def run(context: Context) -> dict:
     out = MapWriter.of(context, OUTPUTS, (shape[0], shape[1]), step)
 
     def read(rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        return maps.read("normals", rows), (maps.read("flags", rows) & bits.NO_ESTIMATE) == 0
+        return maps.read("normals", rows), (maps.read("flags", rows) & NO_ESTIMATE) == 0
 
     of_relief, turned = read, 0.0
     if context.settings.flatten:

@@ -20,7 +20,7 @@ from nishiki.mosaic.adjustment import Placement, adjust
 from nishiki.mosaic.blending import Levels, Samples, blend_band, compare_fields, level_fields
 from nishiki.mosaic.registration import Field, register_fields, signals
 from nishiki.observations.plane import STORE, Observations
-from nishiki.photometric import flags as bits
+from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.stages.mosaic import OUTPUTS
 from nishiki.threads import strips
 
@@ -61,7 +61,7 @@ class FieldMaps:
         """Return the field as registration reads it; y of the stated position is up."""
 
         def read(rows: slice, columns: slice) -> tuple[np.ndarray, np.ndarray]:
-            known = (self.normals.read("flags", rows)[:, columns] & bits.NO_ESTIMATE) == 0
+            known = (self.normals.read("flags", rows)[:, columns] & NO_ESTIMATE) == 0
             parts = (self.normals.read(name, rows)[:, columns] for name in ("reflectance", "normals"))
             return signals(*parts) * known[..., None], known
 
@@ -196,7 +196,7 @@ def write_maps(
                 stored[name] = out.create(name, values.shape[2:])
             stored[name][band] = values
         inside = maps["mask"] > 0
-        known = inside & ((maps["flags"] & bits.NO_ESTIMATE) == 0)
+        known = inside & ((maps["flags"] & NO_ESTIMATE) == 0)
         counts["object_pixels"] += int(inside.sum())
         counts["valid_pixels"] += int(known.sum())
         sigmas.append(maps["sigma"][known][::199])

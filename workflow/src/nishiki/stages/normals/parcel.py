@@ -12,9 +12,8 @@ import numpy as np
 
 from nishiki.brdf.torrance_sparrow import LAMBERT
 from nishiki.observations.parcels import Parcel
-from nishiki.photometric import flags as bits
 from nishiki.photometric.body import body_intensity, diffuse_reflectance, mean_of_channels
-from nishiki.photometric.flags import FEW_LIGHTS
+from nishiki.photometric.flags import FEW_LIGHTS, NO_ESTIMATE, NormalFlag
 from nishiki.photometric.relighting import fit_relighting
 from nishiki.photometric.solve import estimate_normals
 from nishiki.stages.normals import OUTPUTS, NormalsSettings
@@ -85,7 +84,7 @@ def fitted_together(maps: dict, observations, valid, parcel: Parcel, settings: N
         reflectance=maps["reflectance"],
         settings=JointSettings(max_condition=float(settings.max_condition)),
     )
-    kept = (fit.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) != 0
+    kept = (fit.flags & (NO_ESTIMATE | NormalFlag.FALLBACK)) != 0
     lambert = {"shading": np.array(LAMBERT, np.float32)}  # the joint fit has a body of its own
     return {
         name: fit.flags
@@ -130,7 +129,7 @@ def relit(
     """
     if model == "plain" and len(parcel.directions) > FEW_LIGHTS and not always:
         return {}
-    known = ((maps["flags"] & bits.NO_ESTIMATE) == 0) & ~np.asarray(kept)
+    known = ((maps["flags"] & NO_ESTIMATE) == 0) & ~np.asarray(kept)
     return fit_relighting(
         parcel.scaled(observations),
         parcel.directions,

@@ -19,10 +19,9 @@ from nishiki.model_selection.lights import choose_lights
 from nishiki.observations.linearise import Edges, field_rows
 from nishiki.observations.parcels import Parcel, parcels
 from nishiki.observations.plane import Observations
-from nishiki.photometric import flags as bits
 from nishiki.photometric.body import mean_of_channels
 from nishiki.photometric.expected_error import UNKNOWN, correction_error, direction_groups
-from nishiki.photometric.flags import FEW_LIGHTS, NO_ESTIMATE
+from nishiki.photometric.flags import FEW_LIGHTS, NO_ESTIMATE, NormalFlag
 from nishiki.photometric.light_selection import select_diffuse, unpack_lights
 from nishiki.photometric.relighting import TERMS
 from nishiki.stages.normals import OUTPUTS, NormalsSettings
@@ -207,7 +206,7 @@ def map_tiles(context: Context) -> dict:
             whole = np.pad(errors, [(0, 1), (0, 1)], mode="edge").repeat(SPACING, axis=0).repeat(SPACING, axis=1)
             sigma = whole[: size[0], : size[1]]
             apart = np.array([gloss is None for gloss in glosses])[labels] & (sigma > 0)
-            apart &= (tile_maps["flags"] & (bits.NO_ESTIMATE | bits.NO_REDUNDANCY)) == 0
+            apart &= (tile_maps["flags"] & (NO_ESTIMATE | NormalFlag.NO_REDUNDANCY)) == 0
             tile_maps["sigma"] = np.where(apart, sigma, tile_maps["sigma"])
         if given is not None:
             given.into(tile_maps, band)
@@ -217,9 +216,9 @@ def map_tiles(context: Context) -> dict:
             array[band] = tile_maps[name]
         inside = frames.mask[band]
         flags = tile_maps["flags"]
-        known = inside & ((flags & bits.NO_ESTIMATE) == 0)
+        known = inside & ((flags & NO_ESTIMATE) == 0)
         counted = {"object_pixels": int(inside.sum()), "valid_pixels": int(known.sum())}
-        counted |= {f"flagged_{name}": int((inside & ((flags & bit) != 0)).sum()) for bit, name in bits.NAMES.items()}
+        counted |= {f"flagged_{flag.name.lower()}": int((inside & ((flags & flag) != 0)).sum()) for flag in NormalFlag}
         return counted, tile_maps["sigma"][known][::17]
 
     counts: Counter[str] = Counter()

@@ -17,7 +17,7 @@ from nishiki.colour.colour import (
 )
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.evaluate.camera_colour import CameraColour
-from nishiki.photometric import flags as bits
+from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 from nishiki.report.page import Block, Figure, Figures, Heading, Section, Table
 from nishiki.report.pictures import (
     Ruler,
@@ -38,10 +38,10 @@ from nishiki.report.svg import DASHES, PALETTE, SOFT, Curve, chart, figure
 # From harmless to grave: later ones win where a block of pixels has several.
 CLASSES = (
     (0, "#b9d1b3", "sound estimate"),
-    (bits.FALLBACK, "#cfc08a", "simple estimate stands"),
-    (bits.NO_REDUNDANCY, "#e3b04b", "as many lights as unknowns"),
-    (bits.ILL_CONDITIONED | bits.FACES_AWAY, "#d9772f", "ill-conditioned, or faces away"),
-    (bits.NO_ESTIMATE, "#9c2a2a", "no estimate"),
+    (NormalFlag.FALLBACK, "#cfc08a", "simple estimate stands"),
+    (NormalFlag.NO_REDUNDANCY, "#e3b04b", "as many lights as unknowns"),
+    (NormalFlag.ILL_CONDITIONED | NormalFlag.FACES_AWAY, "#d9772f", "ill-conditioned, or faces away"),
+    (NO_ESTIMATE, "#9c2a2a", "no estimate"),
 )
 ROWS_AGAINST_TRUTH = {
     "estimated": "with an estimate",
@@ -93,7 +93,7 @@ class PageMaps:
 
     def known(self, rows: slice) -> np.ndarray:
         """Return the pixels of the object that have an estimate, (r, columns) bool."""
-        return self.mask[rows] & ((self.maps["normals"].read("flags", rows) & bits.NO_ESTIMATE) == 0)
+        return self.mask[rows] & ((self.maps["normals"].read("flags", rows) & NO_ESTIMATE) == 0)
 
 
 def shape_section(page: PageMaps, diagnostics: dict[str, Any]) -> Section:
