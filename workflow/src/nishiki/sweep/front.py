@@ -1,6 +1,6 @@
 """Compare variants by error and run time: the Pareto front, its drawing, and advice in words."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from nishiki.report.svg import PALETTE, PAPER, SOFT, Axis, Drawing, draw_axes
@@ -28,7 +28,7 @@ def front(points: Sequence[Point]) -> list[int]:
 
     A point is beaten by one that is at least as good in time and loss and better in one of them. O(n log n).
     """
-    order = sorted(range(len(points)), key=lambda k: (points[k].time, points[k].loss))
+    order = sorted(range(len(points)), key=lambda k: quickest(points[k]))
     indices: list[int] = []
     for k in order:
         best = points[indices[-1]] if indices else None
@@ -51,7 +51,7 @@ def beaten_by(point: Point, others: Sequence[Point]) -> tuple[list[Point], bool]
         and (other.time, other.loss) != (point.time, point.loss)
     ]
     clear = any(other.high < point.low or point.loss - other.loss > NEGLIGIBLE * abs(point.loss) for other in better)
-    return sorted(better, key=lambda other: (other.loss, other.time)), clear
+    return sorted(better, key=least), clear
 
 
 AXES = {"seconds": "time, seconds", "cpu_seconds": "CPU time, seconds"}
@@ -166,7 +166,9 @@ def draw_legend(drawing: Drawing, kinds: set[str]) -> None:
 
 WORTH_SAVING = 0.85
 """A faster variant is mentioned where it takes less than this share of the default's time."""
-WORDS = ((0.5, "half"), (1 / 3, "a third of"), (0.25, "a quarter of"), (0.2, "a fifth of"), (0.1, "a tenth of"))
+WORDS = {1: "the same", 2: "twice the", 0.5: "half the"} | {
+    1 / part: f"a {word} of the" for part, word in {3: "third", 4: "quarter", 5: "fifth", 10: "tenth"}.items()
+}
 
 
 def advice(
@@ -186,14 +188,30 @@ def advice(
     winners = winners[:2]
     rest = [point for point in (points[k] for k in front(points)) if point not in winners]
     sentences = [_standing(default, [f"{point.name} ({against(point)})" for point in winners], clear)]
-    sentences += [f"To save time: {point.name}: {against(point)}." for point in _faster(default, rest)]
-    better = _better(default, rest)
+    faster = [point for point in rest if point.time < WORTH_SAVING * default.time and point.high < default.low]
+    sentences += [f"To save time: {point.name}: {against(point)}." for point in _ends(faster, least, quickest)]
+    better = _ends([point for point in rest if point.loss < default.loss], quickest, least)
     sentences += [f"For less error: {point.name}: {against(point)}." for point in better]
     if not better and not winners:
         sentences.append("No variant is better at any price.")
     if paper is not None and paper is not default:
         sentences.append(f"The paper's method ({paper.name}): {against(paper)}.")
     return sentences
+
+
+def least(point: Point) -> tuple[float, float]:
+    """Order points by their loss."""
+    return point.loss, point.time
+
+
+def quickest(point: Point) -> tuple[float, float]:
+    """Order points by their time."""
+    return point.time, point.loss
+
+
+def _ends(points: list[Point], *orders: Callable[[Point], tuple[float, float]]) -> list[Point]:
+    """List the first point by every order, each once."""
+    return list(dict.fromkeys(min(points, key=order) for order in orders if points))
 
 
 def _standing(default: Point, winners: list[str], clear: bool) -> str:
@@ -207,25 +225,6 @@ def _standing(default: Point, winners: list[str], clear: bool) -> str:
     return f"The default ({default.name}) is not on the front. At least as fast and better: {'; '.join(winners)}."
 
 
-def _faster(default: Point, best: list[Point]) -> list[Point]:
-    """List the front's variants that save time: the least loss, and the fastest if it is another one."""
-    faster = [point for point in best if point.time < WORTH_SAVING * default.time and point.high < default.low]
-    if not faster:
-        return []
-    least = min(faster, key=lambda point: (point.loss, point.time))
-    return [least, *(point for point in faster[:1] if point is not least)]
-
-
-def _better(default: Point, best: list[Point]) -> list[Point]:
-    """List the front's variants with a smaller error: the cheapest, and the best if it is another one."""
-    better = [point for point in best if point.loss < default.loss]
-    if not better:
-        return []
-    first = min(better, key=lambda point: (point.time, point.loss))
-    least = min(better, key=lambda point: (point.loss, point.time))
-    return [first] + [least] * (least is not first)
-
-
 def compared(point: Point, default: Point, unit: str, higher: bool, axis: str) -> str:
     """`half the time for 0.1° more`: a variant against the default."""
     ratio = point.time / default.time if default.time > 0 else 1.0
@@ -234,14 +233,8 @@ def compared(point: Point, default: Point, unit: str, higher: bool, axis: str) -
 
 def share(ratio: float, axis: str) -> str:
     """Express a ratio of times in words, where a word is true to 5 per cent."""
-    for value, word in WORDS:
-        if abs(ratio / value - 1) <= 0.05:
-            return f"{word} the {axis}"
-    if abs(ratio - 1) <= 0.05:
-        return f"the same {axis}"
-    if abs(ratio / 2 - 1) <= 0.05:
-        return f"twice the {axis}"
-    return f"{ratio:.2g} times the {axis}" if ratio < 10 else f"{ratio:.0f} times the {axis}"
+    words = [word for value, word in WORDS.items() if abs(ratio / value - 1) <= 0.05]
+    return f"{words[0] if words else f'{ratio:.2g} times the' if ratio < 10 else f'{ratio:.0f} times the'} {axis}"
 
 
 def _difference(point: Point, default: Point, unit: str, higher: bool) -> str:

@@ -1,7 +1,6 @@
 """Object_evaluate: the decoded object against its photographs, left-out views, truth, and the bytes it takes."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, astuple, dataclass
 from typing import Any
 
 import numpy as np
@@ -20,38 +19,13 @@ from nishiki.render.object.renderer import block_mean
 from nishiki.render.object.shots import ObjectPicture
 
 
-@dataclass(frozen=True)
-class Difference:
-    """Hold a difference of pictures.
-
-    Sum of squared differences over the channels and number of pixels; uncovered: pixels of the outline that the surface
-    misses; superfluous: pixels that it covers beyond the outline.
-    """
-
-    squares: float
-    samples: int
-    pixels: int
-    uncovered: int = 0
-    superfluous: int = 0
-
-    @property
-    def psnr_db(self) -> float | None:
-        """Peak signal to noise ratio of peak 1; None without pixels or without any difference."""
-        if not self.samples or self.squares <= 0:
-            return None
-        return float(10 * np.log10(self.samples / self.squares))
-
-    def __add__(self, other: "Difference") -> "Difference":
-        return Difference(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
-
-
-NOTHING = Difference(0.0, 0, 0)
-
-
 def difference(
     coded: np.ndarray, photograph: np.ndarray, outline: np.ndarray, covered: np.ndarray, valid: np.ndarray
-) -> Difference:
-    """Return difference over all pixels that either shows.
+) -> dict:
+    """Return the difference of pictures over all pixels that either shows.
+
+    psnr_db : peak signal to noise ratio of peak 1; None without pixels or without any difference
+    uncovered_pixels, superfluous_pixels : of the outline that the surface misses; that it covers beyond the outline
 
     Parameters
     ----------
@@ -62,8 +36,13 @@ def difference(
     """
     judged = (outline | covered) & valid
     delta = coded[judged].astype(np.float64) - photograph[judged].astype(np.float64)
-    missed, extra = (int(np.count_nonzero(judged & ~part)) for part in (covered, outline))
-    return Difference(float(np.sum(delta * delta)), delta.size, int(np.count_nonzero(judged)), missed, extra)
+    squares = np.sum(delta * delta)
+    return {
+        "psnr_db": float(10 * np.log10(delta.size / squares)) if squares else None,
+        "pixels": len(delta),
+        "uncovered_pixels": int(np.count_nonzero(judged & ~covered)),
+        "superfluous_pixels": int(np.count_nonzero(judged & ~outline)),
+    }
 
 
 def structural_similarity(coded: np.ndarray, photograph: np.ndarray, inside: np.ndarray) -> float | None:
@@ -92,18 +71,16 @@ def structural_similarity(coded: np.ndarray, photograph: np.ndarray, inside: np.
     return total / coded.shape[2]
 
 
-def summary(differences: list[Difference]) -> dict:
+def summary(rows: list[dict]) -> dict:
     """Mean and worst PSNR of the views, and that of all pixels taken together; None where nothing was measured."""
-    values = [d.psnr_db for d in differences if d.psnr_db is not None]
-    pooled = sum(differences, NOTHING)
-    return {
+    values = [row["psnr_db"] for row in rows if row["psnr_db"] is not None]
+    squares = sum(row["pixels"] * 10 ** (-row["psnr_db"] / 10) for row in rows if row["psnr_db"] is not None)
+    counts = {name: sum(row[name] for row in rows) for name in ("pixels", "uncovered_pixels", "superfluous_pixels")}
+    return counts | {
         "views": len(values),
         "mean_psnr_db": float(np.mean(values)) if values else None,
-        "worst_psnr_db": float(np.min(values)) if values else None,
-        "pooled_psnr_db": pooled.psnr_db,
-        "pixels": pooled.pixels,
-        "uncovered_pixels": pooled.uncovered,
-        "superfluous_pixels": pooled.superfluous,
+        "worst_psnr_db": min(values, default=None),
+        "pooled_psnr_db": float(10 * np.log10(counts["pixels"] / squares)) if squares else None,
     }
 
 
@@ -112,33 +89,8 @@ COLUMNS = (
     "view", "light", "left_out", "picture", "against", "psnr_db", "covered_psnr_db", "similarity", "pixels",
     "uncovered_pixels", "superfluous_pixels",
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Row:
-    """Compare one picture with one counterpart."""
-
-    view: str
-    light: str
-    left_out: bool
-    picture: str  # DECODED, MODEL or INTERPOLATED (a left-out view from its neighbours' residual)
-    against: str  # photograph | truth
-    judged: Difference
-    covered: Difference
-    similarity: float | None
-
-    def as_dict(self) -> dict:
-        """Return plain data with the keys `COLUMNS`."""
-        values = {name: value for name, value in asdict(self).items() if name in COLUMNS}
-        return {
-            **values,
-            "psnr_db": self.judged.psnr_db,
-            "covered_psnr_db": self.covered.psnr_db,
-            "similarity": self.similarity,
-            "pixels": self.judged.pixels,
-            "uncovered_pixels": self.judged.uncovered,
-            "superfluous_pixels": self.judged.superfluous,
-        }
+"""Of a table whose rows compare one picture (a left-out view is INTERPOLATED: from its neighbours' residual) with one
+counterpart, against photograph or truth."""
 
 
 def compare(
@@ -150,24 +102,23 @@ def compare(
     valid: np.ndarray,
     similarity: bool,
     **named,
-) -> Row:
+) -> dict:
     """Return a row over outline and rendered surface together (see `difference`).
 
-    Its figure `covered` is over the pixels of both. named: the other fields of the row.
+    Its figure `covered_psnr_db` is over the pixels of both. named: the other fields of the row.
     """
-    both = outline & covered
-    return Row(
-        judged=difference(coded, counterpart, outline, covered, valid),
-        covered=difference(coded, counterpart, both, both, valid),
-        similarity=structural_similarity(coded, counterpart, (outline | covered) & valid) if similarity else None,
+    both, either = outline & covered, (outline | covered) & valid
+    return {
         **named,
-    )
+        **difference(coded, counterpart, outline, covered, valid),
+        "covered_psnr_db": difference(coded, counterpart, both, both, valid)["psnr_db"],
+        "similarity": structural_similarity(coded, counterpart, either) if similarity else None,
+    }
 
 
-def figures(rows: Iterable[Row]) -> dict:
+def figures(rows: Iterable[dict]) -> dict:
     """Summaries by kind of picture: captured views, the model alone, left-out views, and against truth."""
-    rows = list(rows)
-    summaries = {}
+    rows, summaries = list(rows), {}
     for name, picture, left_out, against in (
         ("captured", DECODED, False, "photograph"),
         ("model_alone", MODEL, False, "photograph"),
@@ -177,14 +128,12 @@ def figures(rows: Iterable[Row]) -> dict:
         ("left_out_interpolated_truth", INTERPOLATED, True, "truth"),
         ("photograph_truth", "photograph", False, "truth"),
     ):
-        chosen = [r for r in rows if (r.picture, r.left_out, r.against) == (picture, left_out, against)]
+        chosen = [r for r in rows if (r["picture"], r["left_out"], r["against"]) == (picture, left_out, against)]
         if chosen:
-            similarities = [r.similarity for r in chosen if r.similarity is not None]
-            summaries[name] = {
-                **summary([r.judged for r in chosen]),
-                "mean_covered_psnr_db": summary([r.covered for r in chosen])["mean_psnr_db"],
-                "mean_similarity": float(np.mean(similarities)) if similarities else None,
-            }
+            summaries[name] = summary(chosen)
+            for figure in ("covered_psnr_db", "similarity"):
+                values = [row[figure] for row in chosen if row[figure] is not None]
+                summaries[name][f"mean_{figure}"] = float(np.mean(values)) if values else None
     return summaries
 
 
@@ -220,7 +169,7 @@ def jpeg2000_psnr(photograph: np.ndarray, inside: np.ndarray, size: float) -> fl
     if found is None:
         return None
     decoded = imagecodecs.jpeg2k_decode(found).reshape(values.shape) / np.float32(2**CODE_BITS - 1)
-    return difference(decoded, values, mask, mask, mask).psnr_db
+    return difference(decoded, values, mask, mask, mask)["psnr_db"]
 
 
 AMPLIFIED = 10  # times the error as shown
@@ -281,10 +230,10 @@ def run(context: Context) -> dict:
         "bits_per_object_pixel": bits,
         "vertex_shift_px": cost.vertex_shift_px,
         "silhouettes": "known" if work.outlined else "surface",
-        "rows": [row.as_dict() for row in rows],
+        "rows": rows,
         "pictures": work.shown,
     }
-    write_tables(context, evaluation, COLUMNS, evaluation["rows"])
+    write_tables(context, evaluation, COLUMNS, rows)
     return headlines(evaluation)
 
 
@@ -335,7 +284,7 @@ class Work:
             for label, values in coded.items()
         ]  # fmt: skip
         if view in self.to_show and light == 0 and not left_out:
-            pair = jpeg2000_psnr(photograph, inside & valid, self.size), rows[0].judged.psnr_db
+            pair = jpeg2000_psnr(photograph, inside & valid, self.size), rows[0]["psnr_db"]
             self.peers += [pair] if None not in pair else []
         if self.truth is not None and light == 0:
             true = encode(self.truth.read(name), encoding)
