@@ -27,8 +27,7 @@ from nishiki.brdf.torrance_sparrow import specular
 from nishiki.colour.colour import decode, encode
 from nishiki.report.page import read_json
 from nishiki.stages.export import ExportSettings
-from nishiki.stages.export.gloss import ANGLES, GltfMaterial, RegionGloss
-from nishiki.stages.export.look import PaintingSurface, errors, textures
+from nishiki.stages.export.look import ANGLES, GltfMaterial, PaintingSurface, RegionGloss, errors, textures
 from nishiki.stages.export.scene import ExportedScene
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -32,8 +32,7 @@ from nishiki.brdf.slopes import anisotropic_lobe, widened_roughness
 from nishiki.colour.colour import srgb_encode
 from nishiki.observations.plane import Observations
 from nishiki.stages.export import ExportSettings
-from nishiki.stages.export.gloss import GltfMaterial, RegionGloss
-from nishiki.stages.export.look import PaintingLook, PaintingSurface
+from nishiki.stages.export.look import GltfMaterial, PaintingLook, PaintingSurface, RegionGloss
 from nishiki.stages.export.registry import CodedErrors
 from nishiki.stages.export.scene import ExportedScene, Photographs, block_mean
 

@@ -22,7 +22,7 @@ from nishiki.brdf.slopes import isotropic_lobe
 from nishiki.brdf.texels.model import GRAZING
 from nishiki.brdf.torrance_sparrow import fresnel, specular
 from nishiki.colour.colour import encode
-from nishiki.stages.export.gloss import GltfMaterial, best_material, coded_errors
+from nishiki.stages.export.look import GltfMaterial, best_material, coded_errors
 from nishiki.stages.export.object_look import ALPHA_PER_SIGMA
 
 UP = np.array([0.0, 0.0, 1.0])

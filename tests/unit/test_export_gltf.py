@@ -25,8 +25,7 @@ from small_painting import (
 from nishiki.artifacts.maps import MapWriter
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_from_spectra, xyz_to_srgb_linear
-from nishiki.stages.export.gloss import GltfMaterial, best_material, coded_errors
-from nishiki.stages.export.look import textures
+from nishiki.stages.export.look import GltfMaterial, best_material, coded_errors, textures
 from nishiki.stages.export.scene import ExportedScene, reliefs
 from nishiki.stages.height import HeightSettings
 

@@ -17,8 +17,7 @@ from nishiki.installation import installed
 from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shade import predict_observations
 from nishiki.stages.export import ExportSettings
-from nishiki.stages.export.gloss import STRENGTH, coded_errors
-from nishiki.stages.export.look import PaintingSurface, most_frequent
+from nishiki.stages.export.look import STRENGTH, PaintingSurface, coded_errors, most_frequent
 from nishiki.stages.export.painting import run
 from nishiki.stages.export.scene import ExportedScene
 

@@ -7,7 +7,7 @@ import pytest
 from nishiki.errors import UserError
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh, write_materialx, write_usdz
 from nishiki.installation import MODULES
-from nishiki.stages.export.gloss import GltfMaterial, WhiteAtGrazing
+from nishiki.stages.export.look import GltfMaterial, WhiteAtGrazing
 
 RANDOM = np.random.default_rng(5)
 PICTURE = RANDOM.integers(0, 256, (12, 20, 3)).astype(np.uint8)

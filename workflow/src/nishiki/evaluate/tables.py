@@ -36,7 +36,6 @@ def planned_truth(context: Context) -> Path | None:
 
 
 COLUMNS = ("subject", "case", "pixels_of", "figure", "value", "unit", "pixels")
-_FIGURES = ("mean", "median", "p90")
 
 
 def rows_of(evaluation: dict[str, Any]) -> list[dict[str, Any]]:
@@ -50,9 +49,8 @@ def rows_of(evaluation: dict[str, Any]) -> list[dict[str, Any]]:
             rows += _summary("normals", "angle to truth", name, part, "degrees")
     if height := evaluation.get("height"):
         for figure in ("rms", "p90", "worst", "relief_rms"):
-            rows.append(
-                _row("height", "less a plane", "estimated", figure, height[figure], height["unit"], height["pixels"])
-            )
+            told = height[figure], height["unit"], height["pixels"]
+            rows.append(_row("height", "less a plane", "estimated", figure, *told))
     if reflectance := evaluation.get("reflectance"):
         rows += _summary("reflectance", "rms over the bands", "estimated", reflectance["rmse"], "reflectance")
         for name, part in reflectance["de00"].items():
@@ -63,23 +61,22 @@ def rows_of(evaluation: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _light(light: dict[str, Any]) -> list[dict[str, Any]]:
-    rows = []
-    parts = {"all": light, **light["by_class"]}
-    for name, part in parts.items():
-        subject = f"light {light['name']}"
-        rows += _summary(subject, "against the photograph", name, part["de00"], "CIEDE2000")
-        for figure in ("psnr_linear_db", "psnr_coded_db"):
-            pixels = part["de00"]["count"]
-            rows.append(_row(subject, "against the photograph", name, figure[:-3], part[figure], "dB", pixels))
+    rows, subject, case = [], f"light {light['name']}", "against the photograph"
+    for name, part in {"all": light, **light["by_class"]}.items():
+        rows += _summary(subject, case, name, part["de00"], "CIEDE2000")
+        for figure in ("psnr_linear", "psnr_coded"):
+            rows.append(_row(subject, case, name, figure, part[f"{figure}_db"], "dB", part["de00"]["count"]))
     for case, part in (light.get("truth") or {}).items():
-        rows += _summary(f"light {light['name']}", f"against truth, {case}", "all", part["de00"], "CIEDE2000")
-        for name, summary in part["by_class"].items():
-            rows += _summary(f"light {light['name']}", f"against truth, {case}", name, summary, "CIEDE2000")
+        for name, summary in {"all": part["de00"], **part["by_class"]}.items():
+            rows += _summary(subject, f"against truth, {case}", name, summary, "CIEDE2000")
     return rows
 
 
 def _summary(subject: str, case: str, pixels_of: str, summary: dict[str, Any], unit: str) -> list[dict[str, Any]]:
-    return [_row(subject, case, pixels_of, figure, summary[figure], unit, summary["count"]) for figure in _FIGURES]
+    return [
+        _row(subject, case, pixels_of, figure, summary[figure], unit, summary["count"])
+        for figure in ("mean", "median", "p90")
+    ]
 
 
 def _row(*values: Any) -> dict[str, Any]:
@@ -99,13 +96,9 @@ def headlines(evaluation: dict[str, Any]) -> dict[str, Any]:
             "relighting_psnr_db": {light["name"]: light["psnr_coded_db"] for light in evaluation["lights"]},
             "levels": overall["levels"],
         }
-        against = [light["truth"]["lamp"]["de00"] for light in evaluation["lights"] if light.get("truth")]
-        if against:
-            figures["relighting_truth_de00_mean"] = {
-                light["name"]: light["truth"]["lamp"]["de00"]["mean"]
-                for light in evaluation["lights"]
-                if light.get("truth")
-            }
+        judged = {light["name"]: light["truth"]["lamp"]["de00"] for light in evaluation["lights"] if light.get("truth")}
+        if judged:
+            figures["relighting_truth_de00_mean"] = {name: part["mean"] for name, part in judged.items()}
     if normals := evaluation.get("normals"):
         figures |= {f"normals_{name}_deg": normals["estimated"][name] for name in ("mean", "median", "p90")}
         figures["normals_inside_mean_deg"] = normals["inside"]["mean"]

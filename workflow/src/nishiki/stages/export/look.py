@@ -1,7 +1,23 @@
-"""How a painting looks to formats of scenes: displaced plane, textures, gloss by region."""
+"""How a painting looks to formats of scenes: displaced plane, textures, and gloss by region.
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+The gloss is fitted as materials of glTF 2.0 with KHR_materials_ior and _specular. The specification's dielectric,
+appendix B, and KHR_materials_specular, for base colour c, roughness r (alpha = r^2),
+weight w, index n and factor k of the reflectance at normal incidence:
+
+    F = F0 + (1 - F0) (1 - v.h)^5,    F0 = min(k ((n - 1) / (n + 1))^2, 1)
+    f = (1 - w F) c / pi + w F D V,   D, V: Trowbridge-Reitz with Smith's masking
+
+Ours: pi f n.l = c n.l + sum beta D F G / n.v (Tominaga and Tanaka, 2004, eq. 10). A metal has metallic 1 and no body:
+
+    f = F D V,    F = c + (1 - c) (1 - v.h)^5
+
+A texel has the region that most of its pixels have, so that its gloss is one that was fitted: a mean of roughness and
+strength would be the gloss of neither paint. The slopes inside the texel widen it: a texel shows the mean gloss of its
+facets, not the gloss of their mean normal.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -9,12 +25,269 @@ import numpy as np
 
 from nishiki.artifacts.maps import shrink
 from nishiki.artifacts.stage import Context
+from nishiki.brdf.slopes import isotropic_lobe, widened_roughness
+from nishiki.brdf.torrance_sparrow import MIRROR, specular
 from nishiki.colour.colour import decode, encode, srgb_encode
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.observations.plane import Observations
-from nishiki.stages.export.gloss import PaintingGloss, RegionGloss, painting_gloss
-from nishiki.stages.export.registry import METRES, CodedErrors, ExportedSurface, GltfLook
+from nishiki.render.plane.scene import Gloss
+from nishiki.stages.export.registry import INDEX, METRES, CodedErrors, ExportedSurface, GltfLook
 from nishiki.stages.export.scene import ExportedScene, Photographs, reliefs
+
+ROUGHNESS = np.geomspace(1, 0.05, 90)
+STRENGTH = np.append(0, np.geomspace(1e-3, 20, 120))
+"""Grid of the fit: roughness, and the factor of the reflectance at normal incidence (weight where below 1)."""
+ANGLES = np.radians(np.arange(0.5, 75, 1))  # of the light from the normal, seen along the normal
+
+
+@dataclass(frozen=True)
+class GltfMaterial:
+    """Gloss of a surface, or of pixels with values of their own.
+
+    roughness, strength : float or (n,) ndarray
+        Of the reflectance along the normal, weight times factor; that of a metal is ignored.
+    index : float
+        Of refraction.
+    least_factor : float
+        The factor is at least this: 1, so that it is a weight up to 1 and a factor above; or the largest strength of
+        several regions, whose weights share one factor.
+    metallic : float or (n,) ndarray
+        1 of a metal, whose base colour is that of its mirror; else 0.
+    """
+
+    roughness: float | np.ndarray
+    strength: float | np.ndarray
+    index: float
+    least_factor: float = 1.0
+    metallic: float | np.ndarray = 0.0
+
+    @property
+    def weight(self) -> float | np.ndarray:
+        """specularFactor; 1 of a metal, which OpenPBR dims by it."""
+        return np.maximum(self.strength / self.factor, self.metallic)
+
+    @property
+    def factor(self) -> float | np.ndarray:
+        """specularColorFactor, of each channel."""
+        return np.maximum(self.strength, self.least_factor)
+
+    @property
+    def reflectance_of_weight_1(self) -> float | np.ndarray:
+        """F0."""
+        return np.minimum(self.factor * ((self.index - 1) / (self.index + 1)) ** 2, 1.0)
+
+    @property
+    def normal_reflectance(self) -> float | np.ndarray:
+        """w F0."""
+        return self.weight * self.reflectance_of_weight_1
+
+    @property
+    def grazing_reflectance(self) -> float | np.ndarray:
+        """w F at grazing light."""
+        return self.weight
+
+    def fresnel(self, cos_q: np.ndarray | float) -> np.ndarray | float:
+        """Return w F at the cosine of view and half vector."""
+        normal = self.normal_reflectance
+        return normal + (self.grazing_reflectance - normal) * (1 - cos_q) ** 5
+
+    def base_colour(self, albedo: np.ndarray) -> np.ndarray:
+        """Return the base colour with which light and view along the normal show this albedo (..., 3), or a metal's."""
+        return np.clip(albedo / (1 - np.expand_dims(self.fresnel(1.0) * (1 - self.metallic), -1)), 0, 1)
+
+    def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
+        """(n, 3) light relative to a white that faces the lamp, seen along z; base colours and normals (n, 3)."""
+        view = np.array([0.0, 0.0, 1.0])
+        half = (light + view) / np.linalg.norm(light + view)
+        cos_i, cos_r = (np.maximum(normals @ each, 0) for each in (light, view))
+        reflected, metal = np.expand_dims(self.fresnel(half[2]), -1), np.expand_dims(self.metallic, -1)
+        lobe = np.pi * isotropic_lobe(np.maximum(normals @ half, 0), cos_i, cos_r, np.square(self.roughness))
+        body = (1 - metal) * (1 - reflected) * base
+        reflected = reflected + metal * (base + (1 - base) * (1 - half[2]) ** 5 - reflected)
+        return (body + reflected * lobe[:, None]) * cos_i[:, None]
+
+
+class WhiteAtGrazing(GltfMaterial):
+    """The same lobe in UsdPreviewSurface and OpenPBR, which have no weight: at grazing light they reflect all of it.
+
+    OpenPBR has the exact reflectance of a dielectric where this has Schlick's approximation.
+    """
+
+    @property
+    def grazing_reflectance(self) -> float:
+        """1, whatever the weight."""
+        return 1.0
+
+
+def best_material(errors: np.ndarray, index: float, metallic: float = 0.0) -> GltfMaterial:
+    """Return the material of the least of the errors (roughness, strength) of `coded_errors`."""
+    rough, strong = np.unravel_index(int(np.argmin(errors)), errors.shape)
+    return GltfMaterial(float(ROUGHNESS[rough]), float(STRENGTH[strong]), index, metallic=metallic)
+
+
+def coded_errors(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: float) -> np.ndarray:
+    """(roughness, strength) weighted sums of squared differences of coded brightness from our lobes, over the grid.
+
+    beta, gamma : (lobes,); albedo : mean of the object, over which the gloss is seen along the normal. Those of a metal
+    do not depend on the strength.
+    """
+    cos_i, cos_q = np.cos(ANGLES), np.cos(ANGLES / 2)
+    up = np.array([0.0, 0.0, 1.0])
+    lights = np.stack([np.sin(ANGLES), np.zeros_like(ANGLES), cos_i], axis=1)
+    lobes = np.zeros_like(cos_i)
+    for strength, width in zip(beta, gamma, strict=True):
+        lobes += specular(up, lights, up, beta=strength, gamma=width, refractive_index=index)
+    metal = index >= MIRROR
+    true = np.clip(encode(albedo * lobes if metal else albedo * cos_i + lobes, "srgb"), 0, 1)
+    errors = np.empty((len(ROUGHNESS), len(STRENGTH)))
+    for number, roughness in enumerate(ROUGHNESS):
+        material = GltfMaterial(roughness, STRENGTH[:, None], index)
+        shape = np.pi * isotropic_lobe(cos_q, cos_i, 1.0, roughness**2) * cos_i
+        reflected = albedo + (1 - albedo) * (1 - cos_q) ** 5 if metal else material.fresnel(cos_q)
+        base = 0.0 if metal else np.clip(albedo / (1 - material.fresnel(1.0)), 0, 1)
+        shown = encode((1 - reflected) * base * cos_i + reflected * shape, "srgb")
+        errors[number] = (np.clip(shown, 0, 1) - true) ** 2 @ np.sin(ANGLES)
+    return errors
+
+
+MATTE = GltfMaterial(1.0, 0.0, INDEX)
+
+
+@dataclass(frozen=True)
+class RegionGloss:
+    """Materials of one or several regions."""
+
+    # one a region, all of the same index of refraction and factor; with several regions as 8 bits hold them
+    materials: tuple[GltfMaterial, ...]
+    # (rows, columns) uint8 ndarray or None: region of each texel; None where there is one region only
+    labels: np.ndarray | None = None
+    # (rows, columns) uint8 ndarray or None: roughness of each texel's lobe with the slopes inside the texel, 255 is 1;
+    # None: that of the material
+    widened: np.ndarray | None = None
+
+    def of(self, rows: np.ndarray, columns: np.ndarray) -> GltfMaterial:
+        """Return the material of the texels in some rows and columns, row by row."""
+        material = self.materials[0]
+        if self.labels is not None:
+            numbers = self.labels[rows][:, columns].ravel()
+            names = ("roughness", "strength", "metallic")
+            material = replace(material, **{name: self._values(name)[numbers] for name in names})
+        if self.widened is not None:
+            material = replace(material, roughness=self.widened[rows][:, columns].ravel() / 255)
+        return material
+
+    @property
+    def roughness(self) -> float | np.ndarray:
+        """One value, or a texture (rows, columns) uint8."""
+        if self.widened is not None:
+            return self.widened
+        return float(self.materials[0].roughness) if self.labels is None else self._texture("roughness")
+
+    @property
+    def weight(self) -> np.ndarray | None:
+        """Share of the reflectance, a texture (rows, columns) uint8; None where there is one region only."""
+        return None if self.labels is None else self._texture("weight")
+
+    @property
+    def metallic(self) -> float | np.ndarray:
+        """One value, or a texture (rows, columns) uint8 where some regions are metal."""
+        values = self._values("metallic")
+        return float(values[0]) if (values == values[0]).all() else self._texture("metallic")
+
+    @property
+    def reflectance(self) -> float:
+        """Along the normal; where there are several regions, of weight 1."""
+        material = self.materials[0]
+        return float(material.normal_reflectance if self.labels is None else material.reflectance_of_weight_1)
+
+    def _values(self, name: str) -> np.ndarray:
+        return np.array([getattr(material, name) for material in self.materials])
+
+    def _texture(self, name: str) -> np.ndarray:
+        return np.rint(255 * self._values(name)).astype(np.uint8)[self.labels]
+
+
+@dataclass(frozen=True)
+class PaintingGloss:
+    """The gloss of a painting as each format takes it."""
+
+    gltf: RegionGloss
+    materialx: RegionGloss
+    usd: RegionGloss
+
+
+def painting_gloss(
+    fitted: Gloss | None,
+    albedo: np.ndarray,
+    known: np.ndarray,
+    labels: np.ndarray | None,
+    variance: np.ndarray | None = None,
+) -> PaintingGloss:
+    """Return every region's lobes as one lobe, nearest in coded brightness; matte where the gloss is left out.
+
+    albedo : (rows, columns, 3), over whose mean in a region its gloss is seen; known, labels : (rows, columns);
+    variance : (rows, columns) of the slopes inside a texel, which widens its lobe.
+    UsdPreviewSurface has one strength for all: that with which all regions together are nearest.
+    """
+    if fitted is None:
+        return _one_region(MATTE)
+    beta, gamma, index = fitted.beta, fitted.gamma, fitted.refractive_index
+    labels = labels if len(beta) > 1 else None
+    metal = (index >= MIRROR).astype(float)
+    common = float(INDEX if metal.all() else index.min())  # nothing shows that of a metal
+    errors, counts = [], []
+    for region in range(len(beta)):
+        texels = known if labels is None else known & (labels == region)
+        mean = float(albedo[texels].mean()) if texels.any() else 0.5
+        errors.append(coded_errors(beta[region], gamma[region], float(index[region]), mean))
+        counts.append(np.count_nonzero(texels))
+    free = [best_material(each, common, mirror) for each, mirror in zip(errors, metal, strict=True)]
+    if labels is None:
+        return _one_region(free[0], _widened(free, None, variance))
+    together = sum(count * each.min(axis=0) for count, each in zip(counts, errors, strict=True))
+    only = np.where(np.arange(together.size) == np.argmin(together), 0, np.inf)
+    alike = [best_material(each + only, common, mirror) for each, mirror in zip(errors, metal, strict=True)]
+    gltf, usd = (RegionGloss(_stored(each), labels, _widened(each, labels, variance)) for each in (free, alike))
+    return PaintingGloss(gltf, _white(gltf), _white(usd))
+
+
+def _one_region(material: GltfMaterial, widened: np.ndarray | None = None) -> PaintingGloss:
+    gloss = RegionGloss((material,), None, widened)
+    white = _white(gloss)
+    return PaintingGloss(gloss, white, white)
+
+
+def _widened(
+    materials: Sequence[GltfMaterial], labels: np.ndarray | None, variance: np.ndarray | None
+) -> np.ndarray | None:
+    """Roughness of the texels' lobes, as 8 bits hold it; None where nothing widens them, or there is no gloss."""
+    if variance is None or all(material.strength + material.metallic == 0 for material in materials):
+        return None
+    roughness = np.array([material.roughness for material in materials])
+    texture = np.empty(variance.shape, np.uint8)
+    for row, each in enumerate(variance):
+        narrow = roughness[0] if labels is None else roughness[labels[row]]
+        texture[row] = np.maximum(np.rint(255 * widened_roughness(narrow, each)), 1)
+    return texture
+
+
+def _white(gloss: RegionGloss) -> RegionGloss:
+    return replace(gloss, materials=tuple(WhiteAtGrazing(**vars(material)) for material in gloss.materials))
+
+
+def _stored(materials: Sequence[GltfMaterial]) -> tuple[GltfMaterial, ...]:
+    """With one factor, and with what 8 bits leave of roughness and weight."""
+    most = max(1.0, *(float(material.strength) for material in materials))
+    return tuple(
+        replace(
+            material,
+            roughness=max(round(255 * float(material.roughness)), 1) / 255,
+            strength=most * round(255 * float(material.strength) / most) / 255,
+            least_factor=most,
+        )
+        for material in materials
+    )
+
 
 FIGURES = {"roughness": "roughness", "specular": "strength", "ior": "index", "metallic": "metallic"}
 
