@@ -85,18 +85,20 @@ def cloth_of(writer):
     return {"default": "facets", "regions": {"cloth": {"facets": facts, "ward": {"used": 3}}}}
 
 
+NUMBER = {"value": 0.5, "low": 0.4, "high": 0.6, "determined": True}
+YARNS = {
+    "alike": ["satin of 5 yarns, step 2", "twill of 6 yarns"], "ranking": [{}] * 12, "rms_rel": 0.045, "variation": 0.3,
+    "determined": True,
+    "parameters": dict.fromkeys(YARN_MEANINGS, NUMBER) | {"spacing_ratio": {**NUMBER, "determined": False}},
+}  # fmt: skip
+
+
 def test_a_weave_is_not_stated_where_the_data_do_not_tell_it():
-    entry = {"weave": "plain", "harness": 2, "rms_rel": {"weft": 0.1, "warp": 0.2}, "at_bounds": ["humps_weft"]}
-    expect_facts(summary(entry), "10.0 %", "20.0 %")
-    yarns = {"alike": ["satin of 5 yarns, step 2", "twill of 6 yarns"], "ranking": [{}] * 12, "rms_rel": 0.045}
-    yarns |= {"variation": 0.3, "determined": True}
-    text = summary({**entry, "yarns": yarns})
-    expect_facts(text, 12, *yarns["alike"])
-    text = summary({**entry, "yarns": {**yarns, "variation": 0.05, "determined": False}})
+    text = summary({"yarns": YARNS})
+    expect_facts(text, 12, *YARNS["alike"])
+    text = summary({"yarns": {**YARNS, "variation": 0.05, "determined": False}})
     assert "5.0 %" in text
-    number = {"value": 0.5, "low": 0.4, "high": 0.6, "determined": True}
-    parameters = dict.fromkeys(YARN_MEANINGS, number) | {"spacing_ratio": {**number, "determined": False}}
-    rows = {row[0]: row[1] for row in yarn_table({"parameters": parameters}, 0.95).rows}
+    rows = {row[0]: row[1] for row in yarn_table(YARNS, 0.95).rows}
     assert isinstance(rows[YARN_MEANINGS["spacing_ratio"]], str)
     assert rows[YARN_MEANINGS["aspect_warp"]] == 0.5
 
@@ -114,7 +116,7 @@ def weave_of(writer):
         "weave": "satin", "harness": 5, "weft": {"theta_a": 0.5, "n": 4.0}, "warp": {"theta_a": 0.2, "m": 0.3},
         "rms_rel": {"weft": 0.0321, "warp": 0.05}, "curves": {"weft": plane, "warp": plane},
         "identifiability": {"free": ["l_warp · r_warp"], "weak": ["r_warp", "k_s · index"], "weak_error": [12.0, 0.25]},
-        "at_bounds": ["index"],
+        "at_bounds": ["index"], "yarns": YARNS,
     }  # fmt: skip
     writer.path("weave.json").write_text(json.dumps({"format": 1, "regions": {"cloth": entry}}))
     for name in ("weft", "warp"):

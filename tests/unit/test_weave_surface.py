@@ -1,4 +1,4 @@
-"""The woven surface: its crest lines are the sections, its mesh is sound; drawings and the stage."""
+"""The woven surface: its mesh is sound; cuts, drawings and the stage."""
 
 import json
 import subprocess
@@ -14,77 +14,33 @@ from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.goniometry.table import ReflectanceSet, write_reflectances
 from nishiki.stages.weave.run import cut, draw_section
 from nishiki.weave.fit import WeaveModel
-from nishiki.weave.section import WarpSection, WeftSection, WovenSurface, harness_of, make_surface, shade, weave_pattern
+from nishiki.weave.section import WarpSection, WeftSection, WovenSurface, shade
 from nishiki.weave.store import read_yarns
+from nishiki.weave.yarn_search import CENTRE, weave_of
+from nishiki.weave.yarn_weave import Binding
 
 PROJECT = Path(__file__).resolve().parents[2]
-CLOTHS = {
-    "plain": (WeftSection(0.7, 0.2, 0.5, 1), WarpSection(0.7, 0.2, 0.5, 0.1), 2),
-    "twill": (WeftSection(0.7, 0.2, 0.5, 2), WarpSection(0.5, 0.3, 0.5, 1.0), 3),
-    "satin": (WeftSection(0.9, 0.2, 0.5, 4), WarpSection(0.4, 0.5, 0.6, 3.0), 5),
-}
-
-
-@pytest.mark.parametrize("weave", list(CLOTHS))
-def test_crest_of_a_warp_yarn_is_the_warp_section(weave):
-    """Same train of humps (up to a shift along the yarn), same masking when seen along the yarn."""
-    weft, warp, harness = CLOTHS[weave]
-    surface = make_surface(weft, warp, weave=weave, harness=harness, samples=200, spacing_ratio=1.0)
-    section = warp.scaled(harness / warp.period)
-    crest = surface.height[:, 100]
-    assert crest.max() == pytest.approx(0.0, abs=1e-12)
-    assert -crest.min() == pytest.approx(section.height, rel=0.02)
-    points, _ = section.profile(20000)
-    expected = np.interp(surface.y, points[:, 0], points[:, 1]) - section.height
-    distances = [np.abs(np.roll(expected[:-1], k) - crest[:-1]).max() for k in range(len(crest) - 1)]
-    assert min(distances) < 0.02 * section.height + 1e-9
-
-
-@pytest.mark.parametrize("weave", list(CLOTHS))
-def test_one_construction_gives_plain_twill_and_satin(weave):
-    weft, warp, harness = CLOTHS[weave]
-    surface = make_surface(weft, warp, weave=weave, harness=harness)
-    assert np.all(np.isfinite(surface.height))
-    assert surface.pattern.shape == (harness, harness)
-    assert np.all((~surface.pattern).sum(axis=0) == 1)
-    assert np.all((~surface.pattern).sum(axis=1) == 1)
-    np.testing.assert_allclose(surface.height[0], surface.height[-1], atol=1e-9)  # repeats without a seam
-    np.testing.assert_allclose(surface.height[:, 0], surface.height[:, -1], atol=1e-9)
-    middle = (np.arange(harness) * 24 + 12)[:, None], (np.arange(harness) * 24 + 12)[None]
-    np.testing.assert_array_equal(surface.is_warp[middle], surface.pattern)
-    vertices, faces = surface.mesh()
-    a, b, c = (vertices[faces[:, k]].astype(float) for k in range(3))
-    assert np.all(np.cross(b - a, c - a)[:, 2] > 0)  # all triangles look upwards: a height field
-    picture = shade(surface)
-    assert picture.dtype == np.uint8
-    assert picture.std() > 5
-
-
-def test_patterns():
-    satin = weave_pattern("satin", 5)
-    assert satin.sum() == 20
-    bound = np.argwhere(~satin)
-    steps = np.diff(bound[np.argsort(bound[:, 1]), 0]) % 5
-    assert set(steps) == {2}  # no two bindings side by side
-    assert np.all(np.diff(np.argwhere(~weave_pattern("twill", 4))[:, 1]) == 1)
-    assert harness_of(WeftSection(0.5, 1, 1, 4.2), "satin") == ("satin", 5)
-    assert harness_of(WeftSection(0.5, 1, 1, 1.2), "unknown") == ("plain", 2)
-    assert harness_of(WeftSection(0.5, 1, 1, 2.8), "unknown") == ("twill", 4)
-
-
-def test_depths_agree_where_spacings_are_not_known():
-    weft, warp, _ = CLOTHS["satin"]
-    surface = make_surface(weft, warp, weave="satin", harness=5)
-    scaled = weft.scaled(5 / weft.period)
-    assert -surface.height[:, 12].min() == pytest.approx(scaled.height, rel=0.05)
+SATIN = WeftSection(0.9, 0.2, 0.5, 4), WarpSection(0.4, 0.5, 0.6, 3.0)
 
 
 def test_drawing_is_well_formed_and_escaped():
-    weft, warp, _ = CLOTHS["satin"]
+    weft, warp = SATIN
     root = ElementTree.fromstring(draw_section(warp.profile(800)[0], warp.period, "", title="<a & b>"))
     assert len([e for e in root.iter() if e.tag.endswith("path")]) == 2
     assert "<a & b>" in "".join(root.itertext())
     assert brute_force(weft, 0.0) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_mesh_of_yarns_is_a_height_field_without_a_seam():
+    surface = weave_of(CENTRE, Binding(2, 2)).surface()
+    np.testing.assert_allclose(surface.height[0], surface.height[-1], atol=1e-9)
+    np.testing.assert_allclose(surface.height[:, 0], surface.height[:, -1], atol=1e-9)
+    vertices, faces = surface.mesh()
+    a, b, c = (vertices[faces[:, k]].astype(float) for k in range(3))
+    assert np.all(np.cross(b - a, c - a)[:, 2] > 0)
+    picture = shade(surface)
+    assert picture.dtype == np.uint8
+    assert picture.std() > 5
 
 
 def test_cuts_follow_the_middle_of_a_yarn():
@@ -102,7 +58,7 @@ def test_cuts_follow_the_middle_of_a_yarn():
 
 @pytest.mark.slow
 def test_stage_from_reflectances_to_model_mesh_and_drawings(tmp_path):
-    weft, warp, _ = CLOTHS["satin"]
+    weft, warp = SATIN
     weft, warp = weft.scaled(1 / weft.period), warp.scaled(1 / warp.period)
     truth = WeaveModel(weft, warp, 0.5, 0.15, 1.5, np.array([6.0]), np.array([0.03]), "shaded")
     theta = np.radians(np.arange(0, 88, 3.0))

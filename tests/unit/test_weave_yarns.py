@@ -208,7 +208,7 @@ def test_woven_light_is_predicted_better_by_its_yarns_than_by_facets():
     fitted = fit_models(measured, basic, BEST, oblique=8, yarns=found)
     errors = {name: left_out_error(measured, fit) for name, fit in fitted.items()}
     assert errors["yarns"] < 0.6 * errors["yarn_facets"]
-    with refused(UserError, "weave.yarns", by="fit_models"):
+    with refused(UserError, "yarn_facets", by="fit_models"):
         fit_models(measured, basic, ["yarns"])
 
 

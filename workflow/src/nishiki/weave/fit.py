@@ -176,7 +176,7 @@ def fit_weave(
     *,
     reading: str = "shaded",
     contact: float | None = HALF_PI,
-    harness: int | tuple[int, ...] | None = None,
+    harness: int | None = None,
     index: float | None = START_INDEX,
     confidence: float | None = 0.95,
 ) -> WeaveFit:
@@ -184,14 +184,11 @@ def fit_weave(
 
     reading : "paper" (Takeda and Tanaka, eq. 15) or "shaded". contact : angle of the weft section's contacts; None:
     searched. harness : yarns of a repeat, of which one is bound, where the weave is known: then n = harness - 1;
-    several: whichever fits best; None: n is searched. index : refractive index; None: searched (strongly correlated
+    None: n is searched. index : refractive index; None: searched (strongly correlated
     with k_s). confidence : of the intervals; None: no intervals, for speed.
     """
-    fits = []
-    for yarns in harness if isinstance(harness, tuple) else (harness,):
-        problem, start = _problem(weft, warp, READINGS[reading], contact, yarns, index)
-        fits.append((problem, *search(problem, start)))
-    problem, p, cost = min(fits, key=lambda each: each[2])
+    problem, start = _problem(weft, warp, READINGS[reading], contact, harness, index)
+    p, cost = search(problem, start)
     model = model_of(p, weft, warp, reading)
     variance = cost / problem.freedom
     ranges = profile_intervals(problem, p, cost, confidence=confidence, variance=variance) if confidence else {}

@@ -1,4 +1,4 @@
-"""Draw the cross-sections of a woven cloth, measure what is visible of them, and build its surface.
+"""Draw the cross-sections of a woven cloth, measure what is visible of them, and draw its surface.
 
 A section is a train of two humps of equal height a period. A hump is a straight flank of slope theta_a and length l,
 an arc of radius r and angle theta_a, and the mirror image of both (Takeda and Tanaka, figs. 5 and 6). The first hump
@@ -18,15 +18,10 @@ Both sections are trains of two humps a period. Lengths are in any unit: masking
 The weft section's row of yarns touches at the equator (contact = pi/2). The paper prints 2 a' as the length of a
 contact, which with its own arcs a'_0 and a'_1 would give G(0) != 1; yarns that touch as full circles show pi r' from
 above, and with that length G(0) = 1, G is continuous at every angle where the surface is smooth, and never rises.
-
-Along the middle of a warp yarn the surface is the warp section: the yarn's float (hump with the flat top), and at every
-binding the weft yarn that comes up (the other hump). Across the warp yarns it has the caps of the weft section, the
-weft yarn at a binding has the weft section's single hump. The surface is the higher of warp and weft; where their
-flanks meet are the section's valleys.
 """
 
 from dataclasses import asdict, dataclass, replace
-from math import gcd, pi
+from math import pi
 
 import numpy as np
 
@@ -204,9 +199,6 @@ class WeftSection(Section):
         return (float(self.theta_a), float(self.l), float(self.r), 0.0, float(self.n), float(self.contact))
 
 
-USUAL = {"plain": (2,), "twill": (3, 4), "satin": (5, 8), "unknown": None}  # yarns of a repeat
-
-
 @dataclass(frozen=True)
 class WovenSurface:
     """Hold one repeat as a height field."""
@@ -215,7 +207,7 @@ class WovenSurface:
     y: np.ndarray  # (rows,) rising
     height: np.ndarray  # (rows, columns), all in warp spacings
     is_warp: np.ndarray  # (rows, columns) bool: which yarn is on top
-    pattern: np.ndarray  # (harness, harness) bool, see weave_pattern
+    pattern: np.ndarray  # (harness, harness) bool: where the warp lies on top
 
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (n, 3) float32 and triangles (m, 3) int32, anticlockwise seen from above."""
@@ -226,92 +218,6 @@ class WovenSurface:
         a, b, c, d = first, first + 1, first + columns, first + columns + 1
         faces = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
         return vertices, faces.astype(np.int32)
-
-
-def weave_pattern(weave: str, harness: int, step: int | None = None) -> np.ndarray:
-    """(harness, harness) bool, row = weft yarn, column = warp yarn: True where the warp lies on top.
-
-    Each warp yarn goes below one weft yarn a repeat, `step` further on with each warp yarn (plain 2/1, twill 1, satin
-    the smallest step above 1 that has no factor in common with harness; satins of 6 do not exist and become twills).
-    """
-    if weave == "plain" or harness == 2:
-        return np.add.outer(np.arange(2), np.arange(2)) % 2 == 0
-    if step is None:
-        steps = [s for s in range(2, harness - 1) if gcd(s, harness) == 1] if weave == "satin" else []
-        step = steps[0] if steps else 1
-    pattern = np.ones((harness, harness), bool)
-    yarns = np.arange(harness)
-    pattern[(step * yarns) % harness, yarns] = False
-    return pattern
-
-
-def harness_of(weft: WeftSection, weave: str) -> tuple[str, int]:
-    """Weave and number of yarns of a repeat: n yarns side by side and one that comes up. "unknown" is told by n."""
-    harness = int(np.clip(round(weft.n) + 1, 2, 16))
-    if weave == "unknown":
-        weave = "plain" if harness == 2 else "twill" if harness <= 4 else "satin"
-    least = {"plain": 2, "twill": 3, "satin": 5}[weave]
-    return weave, 2 if weave == "plain" else max(harness, least)
-
-
-def make_surface(
-    weft: WeftSection,
-    warp: WarpSection,
-    *,
-    weave: str,
-    harness: int,
-    samples: int = 24,
-    spacing_ratio: float | None = None,
-) -> WovenSurface:
-    """Height field of one repeat from both sections, `samples` points a yarn spacing.
-
-    The sections have no common scale. spacing_ratio : spacing of the weft yarns over that of the warp yarns, where it
-    is known (threads counted); None: the valleys of both sections are equally deep, for they are the same places.
-    """
-    pattern = weave_pattern(weave, harness)
-    count = len(pattern)
-    weft = weft.scaled(count / weft.period)
-    if spacing_ratio is None:
-        warp = warp.scaled(weft.height / warp.height)
-    else:
-        warp = warp.scaled(count * spacing_ratio / warp.period)
-    pitch = warp.period / count
-    x = np.arange(count * samples + 1) / samples
-    y = np.arange(count * samples + 1) / samples * pitch
-    warp_height = np.full((y.size, x.size), -np.inf)
-    weft_height = warp_height.copy()
-    for column in range(count):
-        bindings = (np.flatnonzero(~pattern[:, column]) + 0.5) * pitch
-        away = _nearest(x, column + 0.5, count)
-        inside = np.abs(away) <= 0.5 + 1e-9
-        along = np.full(y.size, -np.inf)
-        for binding in bindings:
-            float_middle = binding + 0.5 * warp.period
-            along = np.maximum(along, _hump(_nearest(y, float_middle, warp.period), warp.shape, warp.m))
-            up = _hump(_nearest(y, binding, warp.period), warp.shape, 0.0)
-            weft_height = np.maximum(weft_height, up[:, None] + _hump(away, weft.shape, 0.0)[None])
-        if weft.n < 1.5:
-            cap = _hump(away, weft.shape, 0.0)
-        else:  # the contact's arcs, stretched so that yarns lie evenly spaced
-            sine = np.minimum(np.abs(away) / 0.5, 1.0) * np.sin(weft.contact)
-            cap = -weft.r * (1.0 - np.sqrt(np.maximum(1.0 - sine**2, 0.0)))
-        warp_height = np.where(inside[None], np.maximum(warp_height, along[:, None] + cap[None]), warp_height)
-    return WovenSurface(x, y, np.maximum(warp_height, weft_height), warp_height >= weft_height, pattern)
-
-
-def _nearest(places: np.ndarray, middle: float, period: float) -> np.ndarray:
-    """Signed distance to the nearest of middle + k period."""
-    return (places - middle + 0.5 * period) % period - 0.5 * period
-
-
-def _hump(away: np.ndarray, shape, flat: float) -> np.ndarray:
-    """Height below the top of a hump (<= 0) at a distance from its middle: flat, arc, flank; the flank goes on."""
-    theta_a, _, radius = shape[:3]
-    beyond = np.maximum(np.abs(away) - 0.5 * flat, 0.0)
-    edge = radius * np.sin(theta_a)
-    on_arc = np.minimum(beyond, edge)
-    drop = radius - np.sqrt(np.maximum(radius**2 - on_arc**2, 0.0))
-    return -drop - np.maximum(beyond - edge, 0.0) * np.tan(theta_a)
 
 
 def shade(surface: WovenSurface, *, repeats: int = 2, width: int = 640) -> np.ndarray:

@@ -50,9 +50,9 @@ UNUSUAL, RARE = 6.0, 10.0  # what bindings known from cloth, and all others, hav
 LIKE = 6.0  # of the cost within which bindings are not told apart
 HOPELESS = 12.0  # above the least cost: after LAST harnesses beyond it longer repeats are not tried
 LAST = 3
-SHORT, LONG = (60, 5), (100, 25)  # views of normal incidence, and steps of a fit
+FIRST, SHORT, LONG = 2, (60, 4), (100, 25)  # views of normal incidence, and steps of a fit
 STEEPEST = np.radians(85.0)  # views at more are left out: masking of single yarns decides
-REFINED = 3
+REFINED = 3  # bindings that are fitted on: of a harness after FIRST steps, of all after SHORT
 INFLATED = 2.0  # of the intervals, for the model's own error: at 1.5 it was 34 of 39 that held the truth at 95 %
 UNEXPLAINED = 0.6  # of the variation: beyond it the yarns explain less than two thirds of the variance
 OPEN, NARROW = 0.7, 0.15  # not determined: more of the prior's spread is left, and of the value to either side
@@ -156,7 +156,7 @@ def samples_of(measured: Measured, *, views: int) -> ReflectanceSamples:
     if len(normal) < 8:
         raise UserError(
             f"weave: expected at least 8 views with the light along the normal, found {len(normal)}. Remedy: measure "
-            "them, or set weave.yarns to false"
+            "them, or take the stage from the products"
         )
     chosen = measured.take(normal[spread(measured.outgoing[normal], views)])
     refuse_black(chosen)
@@ -258,7 +258,10 @@ def search_yarns(
     for binding in candidates:
         by_harness.setdefault(binding.harness, []).append(binding)
     for same in by_harness.values():
-        fits = [fit(few, binding, density=COARSE, evaluations=SHORT[1]) for binding in same]
+        fits = sorted((fit(few, one, density=COARSE, evaluations=FIRST) for one in same), key=lambda one: one.cost)
+        fits[:REFINED] = [
+            fit(few, one.binding, start=one.x, density=COARSE, evaluations=SHORT[1]) for one in fits[:REFINED]
+        ]
         short += fits
         cost = min(one.cost for one in fits)
         least, since = min(least, cost), since + 1 if cost > least + HOPELESS else 0

@@ -24,6 +24,7 @@ FACETS, YARNS = "yarn_facets", "yarns"
 BEST = (YARNS, FACETS)  # what `auto` chooses among
 PUBLISHED = {law.KIND: law for law in (LinearBard, GreatCircleBard)}  # they read the table of normal incidence
 MODELS = (*BEST, *PUBLISHED)
+YARNS_MISS = 0.03  # relative rms at normal incidence that masking leaves: what is beyond it is taken for the facets'
 
 
 @dataclass(frozen=True)
@@ -70,14 +71,18 @@ def fit_models(
         elif name == YARNS:
             if yarns is None:
                 raise UserError(
-                    "cloth_brdf.model yarns: expected interlaced yarns of the stage weave, found none. Remedy: set "
-                    "weave.yarns: true, or cloth_brdf.model: yarn_facets"
+                    "cloth_brdf.model yarns: expected interlaced yarns of the stage weave, found none. Remedy: run "
+                    "weave, or set cloth_brdf.model: yarn_facets"
                 )
             weave, facts = yarns
             used = np.concatenate([normal, chosen])
-            brdf = refit_facets(weave, measured.take(used))
+            share = max(0.0, 1 - (YARNS_MISS / max(facts["rms_rel_normal"], YARNS_MISS)) ** 2)
+            brdf, alone = (
+                match_measurements(one, measured.take(normal), basic[0], share=share)
+                for one in (refit_facets(weave, measured.take(used)), weave)
+            )
             facts = {**facts, "oblique": len(chosen), "body": brdf.body.tolist(), "lambert": brdf.lambert.tolist()}
-            out[name] = Fitted(brdf, used, facts, weave)
+            out[name] = Fitted(brdf, used, facts, alone)
         else:
             out[name] = Fitted(PUBLISHED[name].of(basic[1]), normal)
     return out

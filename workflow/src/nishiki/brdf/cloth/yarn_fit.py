@@ -265,14 +265,14 @@ def fit_yarn_facets(
     return YarnFit(match_measurements(brdf, chosen, basic), fit, rows, float(rms), spread)
 
 
-def match_measurements(brdf: YarnFacets, chosen: Measured, basic) -> YarnFacets:
+def match_measurements(brdf: YarnFacets, chosen: Measured, basic, *, share: float = 1.0) -> YarnFacets:
     """Bring a model to what was measured: its mirror reflection at normal incidence, all of it at oblique images.
 
-    chosen: what the fit used; basic: see `fit_yarn_facets`.
+    chosen: what the fit used; basic: see `fit_yarn_facets`; share: of the logarithm of c(h).
     """
     if basic is not None:
         steepest = float(angles(chosen.outgoing[chosen.normal])[0].max())
-        brdf = replace(brdf, correction=correction(brdf, basic, steepest=steepest))
+        brdf = replace(brdf, correction=correction(brdf, basic, steepest=steepest) ** share)
     images = chosen.take(~chosen.normal)
     if not len(images.grey):
         return brdf

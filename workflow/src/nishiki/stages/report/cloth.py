@@ -240,8 +240,7 @@ def weave_section(weave: Artifact | None, widest: int) -> Section | None:
         suffix = f"_{name}" if len(regions) > 1 else ""
         if suffix:
             blocks.append(Heading(name))
-        yarns = entry.get("yarns")
-        items = drawings(weave, entry, suffix, "section", "Cut through the middle of a yarn." if yarns else None)
+        items = drawings(weave, entry, suffix, "section", "Cut through the middle of a yarn.")
         if data := contents(weave, f"weave{suffix}.png"):
             caption = "As fitted, from above: the weft runs to the right."
             items.append(Figure("The surface", caption, tile_picture(data, widest)))
@@ -255,12 +254,9 @@ def weave_section(weave: Artifact | None, widest: int) -> Section | None:
             published.append(Table(("parameter", "value", "from", "to", "meaning"), rows, "lrrrw", caption))
         curves = [curve(entry["curves"][plane], plane) for plane in PLANES if plane in entry["curves"]]
         published += [Figures(curves), *notes(entry)]
-        if yarns:
-            blocks.append(yarn_table(yarns, weave.settings["confidence"]))
-            published.insert(0, Figures(drawings(weave, entry, suffix, "published", None)))
-            blocks.append(Fold("The published model: smooth sections", unexplained(entry), published))
-        else:
-            blocks += published
+        published.insert(0, Figures(drawings(weave, entry, suffix, "published", None)))
+        blocks.append(yarn_table(entry["yarns"], weave.settings["confidence"]))
+        blocks.append(Fold("The published model: smooth sections", unexplained(entry), published))
     return Section("weave", "Weave", blocks) if blocks else None
 
 
@@ -289,17 +285,7 @@ def tile_picture(data: bytes, widest: int) -> PagePicture:
 
 def summary(entry: dict[str, Any]) -> str:
     """Return the fit in a few sentences: what it says of the weave, and how sure that is."""
-    yarns = entry.get("yarns")
-    if yarns is None:
-        at_end = set(entry.get("at_bounds") or [])
-        weave = entry["weave"]
-        name = "plain weave" if weave == "plain" else f"{weave} of {entry['harness']} yarns a repeat"
-        if at_end & SECTION_UNKNOWNS:
-            first = f"The reflectance does not determine the weave: the sections of a {name} ended at a bound."
-        else:
-            first = f"Sections of a {name}, from the reflectance in the planes of weft and warp."
-        left = unexplained(entry)
-        return f"{first} {left[0].upper()}{left[1:]}."
+    yarns = entry["yarns"]
     if not yarns["determined"]:
         return (
             f"The reflectance does not determine the weave: at normal incidence it varies by "
@@ -322,9 +308,6 @@ def unexplained(entry: dict[str, Any]) -> str:
     errors = entry["rms_rel"]
     weft, warp = (f"{100 * errors[plane]:.1f} %" for plane in PLANES)
     return f"the sections leave {weft} unexplained in the plane of the weft and {warp} in that of the warp"
-
-
-SECTION_UNKNOWNS = {f"{name}_{plane}" for name in ("theta_a", "flank", "humps") for plane in PLANES}
 
 
 def section_words(section: dict[str, float]) -> str:

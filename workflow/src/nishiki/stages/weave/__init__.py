@@ -24,11 +24,6 @@ LIMITS = (
 class WeaveSettings(Guarded, stage="weave", version=8, limits=LIMITS):
     """Cross-sections of a cloth from its reflectances in the planes of warp and weft."""
 
-    yarns: bool = Field(
-        True,
-        description="fit interlaced elliptical yarns to the whole hemisphere, every harness and step in turn; "
-        "false: the sections alone, in the planes of weft and warp",
-    )
     reading: Literal["paper", "shaded"] = Field(
         "shaded",
         description="what the section does with light: paper: masking alone (Takeda and Tanaka, eq. 15); shaded: each "
@@ -45,14 +40,14 @@ class WeaveSettings(Guarded, stage="weave", version=8, limits=LIMITS):
     )
     confidence: float = Field(0.95, gt=0.5, lt=1.0, description="of the intervals")
     harness: int | None = Field(
-        None, ge=2, le=16, description="yarns of a repeat (n = harness - 1); null: searched among those of the weave"
+        None, ge=2, le=16, description="yarns of a repeat; null: searched among those of the weave"
     )
     spacing_ratio: float | None = Field(
         None,
         gt=0.1,
         lt=10.0,
         description="spacing of weft yarns over warp yarns; null: from goniometer.threads_per_cm of the capture; "
-        "where that is missing too, fitted with the yarns (sections alone: valleys equally deep)",
+        "where that is missing too, fitted with the yarns",
     )
 
 

@@ -10,9 +10,9 @@ from nishiki.goniometry.table import Reflectances
 from nishiki.render.display import write_png
 from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing, outline
 from nishiki.weave.fit import WeaveFit, fit_weave, planes_of
-from nishiki.weave.section import USUAL, WovenSurface, harness_of, make_surface, shade
+from nishiki.weave.section import WovenSurface, shade
 from nishiki.weave.store import describe, describe_yarns, write_weave, yarns_file
-from nishiki.weave.yarn_search import YarnSearch, search_yarns
+from nishiki.weave.yarn_search import search_yarns
 from nishiki.weave.yarn_weave import bindings
 
 
@@ -25,63 +25,40 @@ def run(context: Context) -> dict:
         context.progress.tell(f"region {name}")
         planes = planes_of(reflectances, region=number, relative_error=settings.relative_error)
         contact = None if settings.contact_deg is None else float(np.radians(settings.contact_deg))
-        search = search_of(context, reflectances, number)
-        known = search.best.binding.harness if search else settings.harness
+        candidates = bindings(reflectances.weave, harness=settings.harness)
+        candidates = candidates or bindings("unknown", harness=settings.harness)  # a satin of 6 does not exist
+        ratio = settings.spacing_ratio or reflectances.spacing_ratio
+        search = search_yarns(Measured.of(reflectances, number), candidates, spacing_ratio=ratio)
+        weave, harness = search.best.binding.weave, search.best.binding.harness
         fit = fit_weave(
             *planes,
-            harness=USUAL[reflectances.weave] if known is None else known,
+            harness=harness,
             reading=settings.reading,
             contact=contact,
             index=settings.refractive_index,
             confidence=settings.confidence,
         )
-        if search:
-            weave, harness = search.best.binding.weave, search.best.binding.harness
-        else:
-            weave, harness = harness_of(fit.model.weft, reflectances.weave)
-            harness = settings.harness if settings.harness is not None else harness
-        yarns = describe_yarns(search, confidence=settings.confidence) if search else None
+        yarns = describe_yarns(search, confidence=settings.confidence)
         regions[name] = describe(fit, planes, weave=weave, harness=harness, yarns=yarns)
-        if search:
-            save_brdf(context.output.path(yarns_file(name)), search.best.brdf)
+        save_brdf(context.output.path(yarns_file(name)), search.best.brdf)
         suffix = f"_{name}" if len(reflectances.regions) > 1 else ""
-        if search:
-            surface = search.best.weave.surface()
-        else:  # that of both sections
-            ratio = settings.spacing_ratio or reflectances.spacing_ratio
-            surface = make_surface(fit.model.weft, fit.model.warp, weave=weave, harness=harness, spacing_ratio=ratio)
-        slopes = None if yarns is None else {name: entry["value"] for name, entry in yarns["parameters"].items()}
-        picture(context, fit, suffix, surface, slopes)
+        slopes = {name: entry["value"] for name, entry in yarns["parameters"].items()}
+        picture(context, fit, suffix, search.best.weave.surface(), slopes)
         diagnostics[name] = report(fit, weave, harness, [plane.measured for plane in planes]) | {"yarns": yarns}
     write_weave(context.output.folder, regions)
     return {"regions": diagnostics}
 
 
-def search_of(context: Context, reflectances: Reflectances, region: int) -> YarnSearch | None:
-    """Return the search for the weave of elliptical yarns, where it is asked for."""
-    settings = context.settings
-    if not settings.yarns:
-        return None
-    candidates = bindings(reflectances.weave, harness=settings.harness)
-    candidates = candidates or bindings("unknown", harness=settings.harness)  # a satin of 6 does not exist
-    ratio = settings.spacing_ratio or reflectances.spacing_ratio
-    return search_yarns(Measured.of(reflectances, region), candidates, spacing_ratio=ratio)
-
-
-def picture(
-    context: Context, fit: WeaveFit, suffix: str, surface: WovenSurface, slopes: dict[str, float] | None
-) -> None:
-    """Write drawings of the sections, the mesh and its picture; slopes: of the yarns, None where the sections count."""
+def picture(context: Context, fit: WeaveFit, suffix: str, surface: WovenSurface, slopes: dict[str, float]) -> None:
+    """Write drawings of both kinds of sections, the mesh and its picture; slopes: of the yarns, degrees."""
     for name, section in (("weft", fit.model.weft), ("warp", fit.model.warp)):
         points, _ = section.profile(800)
         note = (
             f"steepest flank {np.degrees(section.theta_a):.0f}°, height {section.height / section.period:.3f} of the "
         )
-        drawings = {"section": (points, section.period, note + "period")}
-        if slopes is not None:
-            steep = f"slopes seen from above: mean {slopes[f'mean_slope_{name}']:.0f}°, "
-            steep += f"a tenth above {slopes[f'p90_slope_{name}']:.0f}°"
-            drawings = {"published": drawings["section"], "section": (*cut(surface, name), steep)}
+        steep = f"slopes seen from above: mean {slopes[f'mean_slope_{name}']:.0f}°, "
+        steep += f"a tenth above {slopes[f'p90_slope_{name}']:.0f}°"
+        drawings = {"published": (points, section.period, note + "period"), "section": (*cut(surface, name), steep)}
         for kind, drawn in drawings.items():
             drawing = draw_section(*drawn, title=f"section along the {name}")
             context.output.path(f"{kind}_{name}{suffix}.svg").write_text(drawing + "\n", encoding="utf-8")
