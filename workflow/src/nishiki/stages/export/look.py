@@ -230,7 +230,8 @@ def painting_gloss(
     UsdPreviewSurface has one strength for all: that with which all regions together are nearest.
     """
     if fitted is None:
-        return _one_region(MATTE)
+        matte = RegionGloss((MATTE,))
+        return PaintingGloss(matte, _white(matte), _white(matte))
     beta, gamma, index = fitted.beta, fitted.gamma, fitted.refractive_index
     labels = labels if len(beta) > 1 else None
     metal = (index >= MIRROR).astype(float)
@@ -242,19 +243,12 @@ def painting_gloss(
         errors.append(coded_errors(beta[region], gamma[region], float(index[region]), mean))
         counts.append(np.count_nonzero(texels))
     free = [best_material(each, common, mirror) for each, mirror in zip(errors, metal, strict=True)]
-    if labels is None:
-        return _one_region(free[0], _widened(free, None, variance))
     together = sum(count * each.min(axis=0) for count, each in zip(counts, errors, strict=True))
     only = np.where(np.arange(together.size) == np.argmin(together), 0, np.inf)
     alike = [best_material(each + only, common, mirror) for each, mirror in zip(errors, metal, strict=True)]
-    gltf, usd = (RegionGloss(_stored(each), labels, _widened(each, labels, variance)) for each in (free, alike))
+    stored = tuple if labels is None else _stored
+    gltf, usd = (RegionGloss(stored(each), labels, _widened(each, labels, variance)) for each in (free, alike))
     return PaintingGloss(gltf, _white(gltf), _white(usd))
-
-
-def _one_region(material: GltfMaterial, widened: np.ndarray | None = None) -> PaintingGloss:
-    gloss = RegionGloss((material,), None, widened)
-    white = _white(gloss)
-    return PaintingGloss(gloss, white, white)
 
 
 def _widened(
