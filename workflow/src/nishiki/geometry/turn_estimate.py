@@ -1,0 +1,485 @@
+"""Estimate the cameras of a turntable from its photographs alone.
+
+One pinhole camera, fixed, sees an object that turns about one axis: unknown are the focal length, the camera's
+orientation to the axis (3) and the angle of every view. The distance of the camera to the axis is the unit of length.
+
+Evidence are rays of two views that meet: matched features, and the outermost tangents of two outlines. The two planes
+through the baseline of a pair of views that touch the object are the same in both pictures (epipolar tangency: R.
+Cipolla and P. Giblin, Visual Motion of Curves and Surfaces, 2000; K.-Y. K. Wong and R. Cipolla, ICCV 2001), whatever
+the surface, so that outlines without any texture serve. A residual is the angle between the two planes about the
+baseline, in pixels: (phi_i - phi_j) f / sqrt(1 / sin(alpha_i)^2 + 1 / sin(alpha_j)^2), alpha from baseline to ray.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.formats.fields import PlainFields
+from nishiki.geometry.camera import NO_DISTORTION, Camera
+from nishiki.geometry.turn import rotation_matrix
+
+FACING = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
+"""Rotation of a camera on the world's x axis that looks at the axis z, with z up in the picture."""
+FEWEST_VIEWS = 8
+FOCAL_START, FOCAL_RANGE = 2.0, (0.6, 15.0)  # of the longer side
+TILTS_DEG, LARGEST_TILT_DEG, LARGEST_ROLL_DEG = (20.0, -20.0), 75.0, 40.0
+PRINCIPAL_SD = 0.005
+"""Standard deviation of the principal point about the picture's centre, of the longer side."""
+OUTLINE_SD_PX = 0.5
+"""Standard deviation of a common error of all outlines: how far outside or inside of the object they run."""
+WIDEST_PENCIL = 0.9 * np.pi  # angle that an outline fills about a baseline; above, the epipole is too near
+UNUSABLE_PX = 3.0  # residual of such a pair, so that none is gained by it
+LEAST_SIGMA_PX = 0.05
+LEAST_SINE = 0.3  # of the angle between rays, and between baseline and ray, of points that tell the object's extent
+EXTENT = (1, 99)  # per cent of such points
+MOST_PAIRS = 2500  # of outlines
+FOLDS = 3
+FREE_GAIN = 0.8
+"""Steps are free where that divides the error at left-out pairs by this factor or better."""
+MOST_FOCAL_SD, MOST_ANGLE_SD_DEG = 0.15, 2.0
+MOST_ERROR = 0.02
+"""Error at left-out pairs, of the height of the outlines, above which photographs are none of a turn."""
+FEATURE_SIDE = 1200  # pixels of the longer side of pictures in which features are matched
+FEATURE_REACH = (1, 2)  # views ahead; at 40 degrees half of the matches on a painted jar were wrong
+RATIO, STILL_PX = 0.8, 1.0
+REMEDY = (
+    "Remedy: photograph a ChArUco board on the table in every view, or give the camera matrices (turntable.cameras)"
+)
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Features seen in two views."""
+
+    views: np.ndarray  # (n, 2) places of the two views
+    pixels: np.ndarray  # (n, 2, 2) float64 column, row in each
+
+    @classmethod
+    def none(cls) -> "Matches":
+        """No features."""
+        return cls(np.zeros((0, 2), int), np.zeros((0, 2, 2)))
+
+
+@dataclass(frozen=True)
+class TurnEstimate(PlainFields):
+    """Cameras of a turn and how sure they are."""
+
+    cameras: list[Camera] = field(repr=False)
+    focal_px: float
+    focal_sd_px: float
+    tilt_deg: float  # of the camera's axis below the plane of the turn
+    tilt_sd_deg: float
+    steps: str  # "equal" or "free"
+    angles_deg: tuple[float, ...]  # (views,) from the first
+    angle_sd_deg: float  # of a view, median; 0 where steps are equal
+    outline_px: float  # robust standard deviation of residuals
+    match_px: float | None
+    matches: int  # features in two views that were used
+    left_out_px: float  # robust error at pairs of views that took no part in a fit
+    left_out_equal_px: float
+    mirror_ratio: float  # cost of the mirrored turn over that of this one; about 1 where perspective is too weak to tell
+    height: float  # of the object along the axis, in the world's unit
+
+
+def match_features(pictures: list[np.ndarray], masks: list[np.ndarray]) -> Matches:
+    """Match SIFT features (D. Lowe, IJCV 2004) within the masks between views that are near each other on the turn.
+
+    pictures: (rows, columns, 3) uint8. Matches are mutual, distinct, agree with one epipolar geometry, and move: what
+    stands still is background or the lamp's reflection.
+    """
+    import cv2
+
+    factor = min(1.0, FEATURE_SIDE / max(masks[0].shape))
+    finder, found = cv2.SIFT_create(4000, contrastThreshold=0.02), []
+    for picture, mask in zip(pictures, masks, strict=True):
+        grey = cv2.resize(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None, fx=factor, fy=factor, interpolation=3)
+        inner = cv2.erode(cv2.resize(mask.astype(np.uint8), grey.shape[::-1]), np.ones((5, 5), np.uint8))
+        points, codes = finder.detectAndCompute(grey, inner)
+        places = np.array([point.pt for point in points], np.float64).reshape(-1, 2)
+        found.append(((places + 0.5) / factor - 0.5, codes))
+    views, pixels, count = [], [], len(masks)
+    for ahead, first in product(FEATURE_REACH, range(count)):
+        second = (first + ahead) % count
+        (from_places, from_codes), (to_places, to_codes) = found[first], found[second]
+        if min(len(from_places), len(to_places)) < 8:
+            continue
+        matcher = cv2.BFMatcher(cv2.NORM_L2)
+        back = {m.queryIdx: m.trainIdx for m, in matcher.knnMatch(to_codes, from_codes, 1)}
+        both = [
+            (best.queryIdx, best.trainIdx)
+            for best, other in matcher.knnMatch(from_codes, to_codes, 2)
+            if best.distance < RATIO * other.distance and back[best.trainIdx] == best.queryIdx
+        ]
+        pair = np.stack([from_places[[a for a, _ in both]], to_places[[b for _, b in both]]], axis=1)
+        pair = pair[np.linalg.norm(pair[:, 0] - pair[:, 1], axis=1) > STILL_PX / factor]
+        if len(pair) < 12:
+            continue
+        cv2.setRNGSeed(1)
+        _, agreeing = cv2.findFundamentalMat(pair[:, 0], pair[:, 1], cv2.FM_RANSAC, 1.5 / factor, 0.999)
+        pair = pair[agreeing.ravel() > 0] if agreeing is not None else pair[:0]
+        views.append(np.tile([first, second], (len(pair), 1)))
+        pixels.append(pair)
+    return Matches(np.concatenate(views), np.concatenate(pixels)) if views else Matches.none()
+
+
+def outline_hull(mask: np.ndarray) -> np.ndarray:
+    """Find the corners (n, 2) float64 (column, row) of the convex outline of a mask, half a pixel beyond its pixels."""
+    import cv2
+
+    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    corners = cv2.convexHull(np.concatenate(contours))[:, 0].astype(np.float32)
+    angles = np.arange(8) * np.pi / 4
+    beyond = corners[:, None] + 0.5 * np.column_stack([np.cos(angles), np.sin(angles)]).astype(np.float32)
+    return cv2.convexHull(beyond.reshape(-1, 2))[:, 0].astype(np.float64)
+
+
+class Evidence:
+    """Residuals of a turn: of tangents of outlines, then of matched features.
+
+    pairs (n, 2): the views of each residual; kinds (n,) bool: of features. Parameters: log of the focal length in
+    longer sides, rotation vector of the camera from FACING; and for each residual the angle between its views. Not
+    fitted, but counted in the covariance: principal point, in longer sides, and relative size of all outlines.
+    """
+
+    def __init__(
+        self,
+        masks: list[np.ndarray],
+        matches: Matches,
+        intrinsics: np.ndarray | None = None,
+        distortion: tuple[float, ...] = NO_DISTORTION,
+    ):
+        rows, columns = masks[0].shape
+        self.side, self.count = float(max(rows, columns)), len(masks)
+        centre = np.array([(columns - 1) / 2, (rows - 1) / 2])
+
+        def ideal(pixels: np.ndarray) -> np.ndarray:
+            """Pixels (n, 2) as a lens without distortion about the centre would give them."""
+            if intrinsics is None or not len(pixels):
+                return pixels
+            import cv2
+
+            lens = np.array([[intrinsics[0, 0], 0, centre[0]], [0, intrinsics[0, 0], centre[1]], [0, 0, 1]])
+            return cv2.undistortPoints(pixels[:, None], intrinsics, np.array(distortion), P=lens)[:, 0]
+
+        hulls = [ideal(outline_hull(mask)) for mask in masks]
+        self.height = float(np.median([np.ptp(hull[:, 1]) for hull in hulls]))
+        most = max(map(len, hulls))
+        self.corners = np.array([np.concatenate([h, np.repeat(h[:1], most - len(h), 0)]) for h in hulls]) - centre
+        self.middles = np.array([(hull.max(axis=0) + hull.min(axis=0)) / 2 for hull in hulls])[:, None] - centre
+        tangents = np.stack(np.triu_indices(self.count, 1), axis=1)
+        if len(tangents) > MOST_PAIRS:
+            tangents = tangents[np.random.default_rng(1).permutation(len(tangents))[:MOST_PAIRS]]
+        self.tangents, self.matches = tangents, Matches(
+            matches.views, ideal(matches.pixels.reshape(-1, 2)).reshape(-1, 2, 2) - centre
+        )
+        self.pairs = np.concatenate([tangents, tangents, matches.views])
+        self.kinds = np.arange(len(self.pairs)) >= 2 * len(tangents)
+
+    def rays(self, lens: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        """Compute rays (..., 3) in the world of pixels (..., 2) from the centre, lens: focal, rotation, point."""
+        scaled = (offsets - self.side * lens[4:6]) / (self.side * np.exp(lens[0]))
+        rays = np.concatenate([scaled, np.ones((*offsets.shape[:-1], 1))], axis=-1)
+        return rays @ (rotation_matrix(lens[1:4]) @ FACING)
+
+    def residuals(self, lens: np.ndarray, turns: np.ndarray) -> np.ndarray:
+        """Compute residuals (n,) in pixels. lens (7,): parameters, principal point, size; turns (n,) radians."""
+        tangents, out = len(self.tangents), []
+        for _, at, wide in self.touching(lens, turns[:tangents]):
+            out.append(np.where(wide, UNUSABLE_PX, self._pixels(lens, *at)))
+        if len(self.matches.views):
+            rays, turns = self.rays(lens, self.matches.pixels), turns[2 * tangents :]
+            middle = rays[:, 0] + _turn(rays[:, 1], turns)
+            at = [
+                tuple(v[:, 0] for v in _angles(rays[:, k : k + 1], bool(k), turns, middle)) for k in (0, 1)
+            ]
+            out.append(self._pixels(lens, *at))
+        return np.concatenate(out)
+
+    def touching(self, lens: np.ndarray, turns: np.ndarray) -> Iterator[tuple[list, list, np.ndarray]]:
+        """Yield of both outermost planes through each baseline the rays of both views, and their angles and sines.
+
+        The last array (n,) bool tells where an outline is too wide about the baseline to have such planes.
+        """
+        first, second = self.tangents.T
+        corners = self.rays(lens, self.middles + (1 + lens[6]) * (self.corners - self.middles))
+        middles = self.rays(lens, self.middles)[:, 0]
+        middle, rows = middles[first] + _turn(middles[second], turns), np.arange(len(turns))
+        sets = (corners[first], corners[second])
+        planes = [_angles(rays, place == 1, turns, middle) for place, rays in enumerate(sets)]
+        wide = np.any([np.ptp(angle, axis=1) > WIDEST_PENCIL for angle, _ in planes], axis=0)
+        for extreme in (np.argmax, np.argmin):
+            places = [extreme(angle, axis=1) for angle, _ in planes]
+            at = [(angle[rows, place], sine[rows, place]) for (angle, sine), place in zip(planes, places, strict=True)]
+            yield [rays[rows, place] for rays, place in zip(sets, places, strict=True)], at, wide
+
+    def _pixels(self, lens: np.ndarray, first: tuple, second: tuple) -> np.ndarray:
+        apart = np.remainder(first[0] - second[0] + np.pi, 2 * np.pi) - np.pi
+        return apart * self.side * np.exp(lens[0]) / np.sqrt(first[1] ** -2.0 + second[1] ** -2.0)
+
+
+def _turn(vectors: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Turn vectors (n, 3) by angles (n,) about z."""
+    cosine, sine = np.cos(angles), np.sin(angles)
+    x, y, z = vectors.T
+    return np.column_stack([cosine * x - sine * y, sine * x + cosine * y, z])
+
+
+def _angles(rays: np.ndarray, turned: bool, turns: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (n, m) of rays (n, m, 3) about the baseline, from the plane of `middle` (n, 3), and their sines to it.
+
+    The first camera stands at (1, 0, 0), the second is turned by `turns` (n,); turned: rays are of the second.
+    """
+    base = np.column_stack([np.cos(turns) - 1, np.sin(turns), np.zeros_like(turns)])
+    base /= np.linalg.norm(base, axis=1, keepdims=True)
+    ahead = middle - np.einsum("ij,ij->i", middle, base)[:, None] * base
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    aside = np.cross(base, ahead)
+    if turned:
+        ahead, aside = _turn(ahead, -turns), _turn(aside, -turns)
+    x, y = (np.einsum("nmk,nk->nm", rays, axis) for axis in (ahead, aside))
+    return np.arctan2(y, x), np.maximum(np.hypot(x, y) / np.linalg.norm(rays, axis=-1), 1e-9)
+
+
+@dataclass
+class Adjustment:
+    """Fit of one turn to evidence, robust (Huber's pseudo loss) and weighted by the noise of tangents and features.
+
+    start (4,): lens parameters. deviations (views,): radians beyond equal steps, the first 0. sigmas: of both kinds.
+    """
+
+    evidence: Evidence
+    sense: int
+    start: np.ndarray
+    free: bool = False
+    focal_known: bool = False
+    deviations: np.ndarray | None = None
+    sigmas: np.ndarray = field(default_factory=lambda: np.array([0.5, 0.5]))
+    cost: float = np.inf
+
+    @property
+    def angles(self) -> np.ndarray:
+        """Angles (views,) of the views in radians."""
+        equal = self.sense * 2 * np.pi * np.arange(self.evidence.count) / self.evidence.count
+        return equal if self.deviations is None else equal + self.deviations
+
+    def _model(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        lens, count = np.concatenate([values[:4], np.zeros(3)]), self.evidence.count
+        moved = np.concatenate([[0.0], values[4:]]) if self.free else np.zeros(count)
+        angles = self.sense * 2 * np.pi * np.arange(count) / count + moved
+        first, second = self.evidence.pairs.T
+        return lens, angles[second] - angles[first]
+
+    def residuals(self, values: np.ndarray) -> np.ndarray:
+        """Compute residuals (n,) in standard deviations."""
+        return self.evidence.residuals(*self._model(values)) / self.sigmas[self.evidence.kinds.astype(int)]
+
+    def jacobian(self, values: np.ndarray, lens_terms: int = 4) -> np.ndarray:
+        """Differentiate by lens_terms parameters of the lens, then by the angles; a residual depends on one turn."""
+        lens, turns = self._model(values)
+        sigmas = self.sigmas[self.evidence.kinds.astype(int)]
+        here, step = self.evidence.residuals(lens, turns), 1e-6
+        moved = [self.evidence.residuals(lens + step * row, turns) for row in np.eye(7)[:lens_terms]]
+        columns = np.column_stack([(each - here) / (step * sigmas) for each in moved])
+        columns[:, 0] *= not self.focal_known
+        if not self.free:
+            return columns
+        by_turn = (self.evidence.residuals(lens, turns + step) - here) / (step * sigmas)
+        angles, rows = np.zeros((len(here), self.evidence.count)), np.arange(len(here))
+        angles[rows, self.evidence.pairs[:, 0]] -= by_turn
+        angles[rows, self.evidence.pairs[:, 1]] += by_turn
+        return np.hstack([columns, angles[:, 1:]])
+
+    @property
+    def values(self) -> np.ndarray:
+        """All parameters."""
+        moved = np.zeros(self.evidence.count) if self.deviations is None else self.deviations
+        return np.concatenate([self.start, moved[1:]]) if self.free else self.start
+
+    def solve(self, used: np.ndarray | None = None, most: int = 40) -> "Adjustment":
+        """Fit to the residuals `used` (n,) bool."""
+        from scipy.optimize import least_squares
+
+        used = np.ones(len(self.evidence.pairs), bool) if used is None else used
+        tilt, roll = np.radians([LARGEST_TILT_DEG, LARGEST_ROLL_DEG])
+        reach = np.concatenate([[tilt, roll, roll], np.full(self.evidence.count - 1, np.pi) if self.free else []])
+        low, high = (np.concatenate([[np.log(f)], sign * reach]) for f, sign in zip(FOCAL_RANGE, (-1, 1), strict=True))
+        if self.focal_known:
+            low[0], high[0] = self.start[0] - 1e-9, self.start[0] + 1e-9
+        found = least_squares(
+            lambda values: self.residuals(values)[used],
+            np.clip(self.values, low + 1e-12, high - 1e-12),
+            lambda values: self.jacobian(values)[used],
+            bounds=(low, high),
+            loss="soft_l1",
+            f_scale=2.0,
+            x_scale=np.concatenate([[0.3, 0.1, 0.1, 0.1], np.full(len(low) - 4, 0.02)]),
+            max_nfev=most,
+        )
+        moved = np.concatenate([[0.0], found.x[4:]]) if self.free else None
+        return replace(self, start=found.x[:4], deviations=moved, cost=float(found.cost))
+
+    def reweighted(self) -> "Adjustment":
+        """Measure the noise of both kinds, then fit again."""
+        residuals = np.abs(self.residuals(self.values)) * self.sigmas[self.evidence.kinds.astype(int)]
+        kinds = (residuals[~self.evidence.kinds], residuals[self.evidence.kinds])
+        sigmas = [max(LEAST_SIGMA_PX, 1.4826 * float(np.median(each))) if len(each) else 0.5 for each in kinds]
+        return replace(self, sigmas=np.array(sigmas)).solve()
+
+    def left_out(self) -> float:
+        """Predict each third of the pairs of views from the others: mean absolute error in pixels."""
+        fold, errors = self.evidence.pairs.sum(axis=1) % FOLDS, []
+        for number in range(FOLDS):
+            fitted = self.solve(fold != number, most=8)
+            errors.append(np.abs(fitted.residuals(fitted.values)[fold == number]))
+        sigmas = np.concatenate([self.sigmas[self.evidence.kinds.astype(int)][fold == n] for n in range(FOLDS)])
+        return float(np.mean(np.minimum(np.concatenate(errors) * sigmas, UNUSABLE_PX)))
+
+    def covariance(self) -> np.ndarray:
+        """Covariance of the parameters, the errors of one view taken to be shared by all pairs that it is in.
+
+        Dyadic clusters: P. Aronow, C. Samii and V. Assenova, Political Analysis 23, 2015. Errors of the
+        principal point and of the place of all outlines add their share.
+        """
+        values, count = self.values, self.evidence.count
+        jacobian = self.jacobian(values, 7)
+        residuals = self.residuals(values)
+        weights = 1 / np.sqrt(1 + (residuals / 2) ** 2)
+        errors = [PRINCIPAL_SD, PRINCIPAL_SD, 2 * OUTLINE_SD_PX / self.evidence.height]
+        unknown, jacobian = jacobian[:, 4:7] * errors, np.delete(jacobian, [4, 5, 6], axis=1)
+        inverse = np.linalg.pinv((jacobian * weights[:, None]).T @ jacobian)
+        scores = jacobian * (weights * residuals)[:, None]
+        meat = np.zeros_like(inverse)
+        for view in range(count):
+            total = scores[(self.evidence.pairs == view).any(axis=1)].sum(axis=0)
+            meat += np.outer(total, total)
+        gain = inverse @ (jacobian * weights[:, None]).T @ unknown
+        own = inverse @ meat @ inverse
+        return own + gain @ gain.T
+
+    def extent(self) -> tuple[float, float]:
+        """Lowest and highest place of the object along the axis, where its outlines of two views touch each other."""
+        lens, turns = self._model(self.values)
+        turns, heights = turns[: len(self.evidence.tangents)], []
+        base = np.column_stack([np.cos(turns) - 1, np.sin(turns), np.zeros_like(turns)])
+        for (first, second), at, wide in self.evidence.touching(lens, turns):
+            second = _turn(second, turns)
+            normal = np.cross(first, second)
+            along = np.einsum("ij,ij->i", np.cross(base, second), normal) / np.einsum("ij,ij->i", normal, normal)
+            sure = ~wide & (np.minimum(at[0][1], at[1][1]) > LEAST_SINE)
+            heights.append((along * first[:, 2])[sure & (np.abs(np.sin(turns)) > LEAST_SINE)])
+        low, high = np.percentile(np.concatenate(heights), EXTENT)
+        return float(low), float(high)
+
+
+def find_turn(evidence: Evidence, focal: float | None = None) -> tuple[Adjustment, float]:
+    """Find the turn with equal steps from starts in both senses, seen from above and below; and the mirrored cost."""
+    tried = []
+    for sense, tilt in product((1, -1), np.radians(TILTS_DEG)):
+        start = np.array([np.log(focal or FOCAL_START), tilt, 0.0, 0.0])
+        tried.append(Adjustment(evidence, sense, start, focal_known=focal is not None).solve(most=30))
+    best = min(tried, key=lambda each: each.cost)
+    mirrored = min((each.cost for each in tried if each.sense != best.sense), default=np.inf)
+    return best, mirrored / max(best.cost, 1e-12)
+
+
+def estimate_turn(
+    pictures: list[np.ndarray],
+    masks: list[np.ndarray],
+    names: tuple[str, ...],
+    *,
+    intrinsics: np.ndarray | None = None,
+    distortion: tuple[float, ...] = NO_DISTORTION,
+    steps: str = "free",
+    height: float | None = None,
+) -> TurnEstimate:
+    """Estimate the cameras of photographs taken once round an object, in their order.
+
+    Parameters
+    ----------
+    pictures, masks : list of ndarray
+        (rows, columns, 3) uint8 and (rows, columns) bool of every view.
+    names : tuple of str
+        Names of the views.
+    intrinsics : ndarray, optional
+        (3, 3) matrix of a known lens; without one the pixels are square and the centre of the picture is its principal
+        point.
+    distortion : tuple of float
+        k1, k2, p1, p2, k3 of the known lens.
+    steps : str
+        "equal", or "free": one angle a view where that predicts left-out pairs of views better.
+    height : float, optional
+        Height of the object along the axis in the world's unit, which sets the scale; without it the mean distance of
+        the cameras to the axis is 1.
+
+    Returns
+    -------
+    TurnEstimate
+        World: z along the axis, upward in the pictures; the origin on the axis, halfway up the object.
+
+    Raises
+    ------
+    UserError
+        For fewer than 8 views, and where the photographs contradict one turn or do not determine its cameras.
+    """
+    rows, columns = masks[0].shape
+    if len(masks) < FEWEST_VIEWS:
+        raise UserError(
+            f"cameras: {len(masks)} views do not determine cameras; expected {FEWEST_VIEWS} or more, once round. {REMEDY}"
+        )
+    empty = [name for name, mask in zip(names, masks, strict=True) if not mask.any()]
+    if empty:
+        raise UserError(f"cameras: no outline of the object was found in view {', '.join(empty[:5])}. {REMEDY}")
+    matches = match_features(pictures, masks)
+    evidence = Evidence(masks, matches, intrinsics, distortion)
+    focal = None if intrinsics is None else float(intrinsics[0, 0]) / evidence.side
+    found, ratio = find_turn(evidence, focal)
+    fit = found.reweighted()
+    error = equal_error = fit.left_out()
+    if steps == "free":
+        free = replace(fit, free=True).solve().reweighted()
+        if (free_error := free.left_out()) < FREE_GAIN * equal_error:
+            fit, error = free, free_error
+    deviation = np.sqrt(np.diag(fit.covariance()))
+    angle_sd = float(np.degrees(np.median(deviation[4:]))) if fit.free else 0.0
+    if error > max(MOST_ERROR * evidence.height, 1.0):
+        raise UserError(
+            f"cameras: the photographs contradict one turn by {error:.2g} px; expected the object once round before a "
+            f"background that is not the object's, in order, camera and zoom fixed. {REMEDY}"
+        )
+    if deviation[0] > MOST_FOCAL_SD or angle_sd > MOST_ANGLE_SD_DEG:
+        raise UserError(
+            f"cameras: the photographs do not determine the cameras (focal length to {100 * deviation[0]:.2g} %, angles "
+            f"to {angle_sd:.2g} degrees): the object is too round and too smooth. {REMEDY}"
+        )
+    matrix = intrinsics
+    if matrix is None:
+        pixels = evidence.side * np.exp(fit.start[0])
+        matrix = np.array([[pixels, 0, (columns - 1) / 2], [0, pixels, (rows - 1) / 2], [0, 0, 1.0]])
+    low, high = fit.extent()
+    scale = 1.0 if height is None else height / (high - low)
+    rotation, cameras = rotation_matrix(fit.start[1:4]) @ FACING, []
+    for name, angle in zip(names, fit.angles, strict=True):
+        turned = rotation @ rotation_matrix(np.array([0.0, 0.0, -angle]))
+        centre = scale * np.array([np.cos(angle), np.sin(angle), -(low + high) / 2])
+        cameras.append(Camera(name, matrix, turned, -turned @ centre, rows, columns, distortion))
+    ahead = rotation[2]
+    return TurnEstimate(
+        cameras=cameras,
+        focal_px=float(matrix[0, 0]),
+        focal_sd_px=float(deviation[0] * matrix[0, 0]),
+        tilt_deg=float(np.degrees(np.arcsin(-ahead[2]))),
+        tilt_sd_deg=float(np.degrees(deviation[1])),
+        steps="free" if fit.free else "equal",
+        angles_deg=tuple(np.degrees(fit.angles).tolist()),
+        angle_sd_deg=angle_sd,
+        outline_px=float(fit.sigmas[0]),
+        match_px=float(fit.sigmas[1]) if len(matches.views) else None,
+        matches=len(matches.views),
+        left_out_px=error,
+        left_out_equal_px=equal_error,
+        mirror_ratio=float(ratio),
+        height=scale * (high - low),
+    )
