@@ -1,5 +1,7 @@
 """Cameras around a body, and the exact silhouettes of bodies that have a formula."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from nishiki.geometry.camera import Camera
@@ -73,3 +75,23 @@ def torus(camera, large=0.65, small=0.22):
         going = (distance >= 1e-3) & (t[open_] < np.linalg.norm(camera.centre) + 1.0)
         open_ = open_[going]
     return hit.reshape(camera.rows, camera.columns)
+
+
+FOCAL, TILT = 560.0, 0.35
+SQUARE = np.array([[FOCAL, 0, 159.5], [0, FOCAL, 119.5], [0, 0, 1]])
+BALLS = (((0.0, 0.0, -0.3), 0.55), ((0.62, 0.1, 0.1), 0.3), ((-0.25, 0.55, 0.5), 0.25), ((0.1, -0.3, 0.62), 0.2))
+
+
+def cameras_at(angles_deg):
+    """Cameras with square pixels at angles of a turn, of 240 x 320 pixels."""
+    return [
+        replace(
+            turn(2, elevation=TILT, spread=2 * angle / 360)[1], intrinsics=SQUARE, rows=240, columns=320, name=str(k)
+        )
+        for k, angle in enumerate(angles_deg)
+    ]
+
+
+def outlines(angles_deg, balls=BALLS):
+    """Silhouettes of some balls from these cameras."""
+    return [np.any([sphere(camera, radius, at) for at, radius in balls], axis=0) for camera in cameras_at(angles_deg)]

@@ -9,6 +9,7 @@ import pytest
 import yaml
 from boards import COLUMNS, DISTORTION, LENS, ROWS, SHAPE, board_camera, photograph, rotation_of, turned
 from refusals import refused
+from turned_cameras import outlines
 
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
@@ -42,7 +43,7 @@ def pictures():
     return found | {name: photograph(board_camera(name, *pose)) for name, pose in LOOSE.items()}
 
 
-def make(folder, pictures, *, boards=(), turntable=None, tables=None):
+def make(folder, pictures, *, boards=(), turntable=None, tables=None, samples=ANGLES):
     """A capture whose photographs are the pictures of the table, ingested; returns the artifact's folder."""
     capture, artifact = folder / "capture", folder / "ingest"
     (artifact / "geometry").mkdir(parents=True)
@@ -50,7 +51,7 @@ def make(folder, pictures, *, boards=(), turntable=None, tables=None):
     rows = ["file,role,view"]
     for name, image in pictures.items():
         cv2.imwrite(str(capture / f"{name}.png"), image)
-        if name in ANGLES:
+        if name in samples:
             rows.append(f"{name}.png,sample,{name}")
     for k, name in enumerate(boards):
         cv2.imwrite(str(capture / f"board{k}.png"), pictures[name])
@@ -187,4 +188,25 @@ def test_boards_that_are_not_seen_are_named(pictures, tmp_path):
         tables={"lens.yaml": LENS_FILE},
     )
     with refused(UserError, "024"):
+        run(artifact, tmp_path)
+
+
+@pytest.mark.parametrize("scale", [{"unit": "mm", "height": 160.0}, {"unit": "arbitrary"}])
+def test_photographs_once_round_are_enough(tmp_path, scale):
+    shades = np.random.default_rng(1).normal(150, 4, (240, 320))
+    views = {f"{k:02d}": np.where(mask, shades, 12.0) for k, mask in enumerate(outlines(np.arange(18) * 20.0))}
+    artifact = make(tmp_path, views, turntable={"full_turn": True, **scale}, samples=views)
+    told, cameras = run(artifact, tmp_path)
+    estimate = told["estimate"]
+    assert (told["source"], told["unit"], len(cameras)) == ("photographs", scale["unit"], 18)
+    assert abs(estimate["focal_px"] - 560) < max(3 * estimate["focal_sd_px"], 12)
+    assert estimate["height"] == pytest.approx(scale.get("height", estimate["height"]))
+    assert told["circle"]["radius"] == pytest.approx(450 if "height" in scale else 1, rel=0.06)
+    assert np.ptp(told["circle"]["steps_deg"]) < 2
+
+
+def test_photographs_whose_scale_is_not_stated_give_no_cameras(tmp_path):
+    views = {f"{k:02d}": np.where(mask, 150, 12) for k, mask in enumerate(outlines(np.arange(9) * 40.0))}
+    artifact = make(tmp_path, views, turntable={"full_turn": True, "unit": "mm"}, samples=views)
+    with refused(UserError, "full_turn"):
         run(artifact, tmp_path)

@@ -20,6 +20,7 @@ from nishiki.capture.folder import load_capture
 from nishiki.capture.frames import Frame, parse_state
 from nishiki.capture.seal import seal
 from nishiki.capture.tables import camera_centre, read_cameras
+from nishiki.capture.turntable import estimates_cameras
 from nishiki.cli import main
 from nishiki.formats.problems import CaptureError
 from nishiki.geometry.camera import Camera
@@ -480,3 +481,28 @@ def test_measured_turntables_and_series_are_recognised(data, tmp_path):
         else:
             assert len(capture.states) == len(angles)
     assert found, "no turntable and no polarisation series in the data"
+
+
+def test_photographs_of_a_turn_need_no_cameras(tmp_path):
+    pictures(tmp_path / "s", [f"{k}.png" for k in range(1, 11)], same=[("1.png", "10.png")])
+    made = convert(tmp_path / "s", tmp_path / "c", turntable=True, height_mm=80)
+    capture = load_capture(tmp_path / "c")
+    block = capture.settings.turntable
+    assert (block.full_turn, block.unit, block.height, capture.matrices) == (True, "mm", 80, None)
+    assert capture.views == tuple(map(str, range(1, 10)))
+    assert {problem.kind for problem in made.warnings} >= {"photograph-repeats"}
+    assert [problem.kind for problem in capture.warnings] == ["cameras-estimated"]
+    assert estimates_cameras(block, capture.views)
+
+
+@pytest.mark.parametrize("case", ["few", "cameras are there", "none asked for"])
+def test_what_is_no_turn_to_estimate_is_refused(tmp_path, case):
+    pictures(tmp_path / "s", [f"{k}.png" for k in range(1, 5 if case == "few" else 10)])
+    if case == "cameras are there":
+        savemat(tmp_path / "s/P.mat", {"P": cells(ring_of_cameras(9))})
+    kind = {"few": "photographs-count", "cameras are there": "option-unusable"}.get(case, "layout-unknown")
+    given = {} if case == "none asked for" else {"height_mm": 80}
+    with pytest.raises(CaptureError) as raised:
+        convert(tmp_path / "s", tmp_path / "c", **given)
+    assert raised.value.problems[0].kind == kind
+    assert not (tmp_path / "c").exists()

@@ -39,14 +39,17 @@ from nishiki.capture.relightable import Rendering, read_relightable, recognise_r
 from nishiki.capture.rti_projects import find_rti_project
 from nishiki.capture.spheres.measure import find_photographs, read_with_balls
 from nishiki.capture.turntable_layouts import (
+    TURN,
     RoundLayout,
     find_camera_list,
     find_matrices,
     find_states,
+    find_turn,
     place_registered,
     read_middlebury,
     read_numbered,
     read_series,
+    read_turn,
 )
 from nishiki.formats.files import Refused, bound, files_with, leads_out, whole_folder
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
@@ -180,6 +183,7 @@ LAYOUTS = (
     *(cameras_of(*program) for program in CAMERAS),
     FolderLayout("list of cameras", find_camera_list, read_middlebury),
     FolderLayout("camera matrices", find_matrices, read_numbered),
+    FolderLayout(TURN, find_turn, read_turn),
     FolderLayout("polarisation series", find_states, read_series),
     FolderLayout("relightable image", recognise_relightable, read_relightable, files=True),
     FolderLayout("table of reflectances", recognise_table, read_measurements, files=True),
@@ -220,7 +224,8 @@ def read_source(source: Path, options: ConvertOptions, *, search: bool = True) -
                 raise
     if files_with(source, IMAGE_SUFFIXES):
         remedy = (
-            "Name the lights file with --lights. Without one, photograph mirror balls under the same lamps and measure "
+            "Name the lights file with --lights, or say --turntable where they show an object from all round. Without "
+            "lamps, photograph mirror balls under the same lamps and measure "
             "these: ./nishiki calibrate spheres BALLS CALIBRATION, then --lights CALIBRATION/lamps.dome. Everything "
             "that is recognised by itself: docs/capture-folder.md and docs/imports.md"
         )
@@ -367,6 +372,10 @@ def convert(source: Path | str, target: Path | str, options: ConvertOptions | No
     layout = read_source(source, options)
     if not isinstance(layout, MeasuredTable):
         options.refuse("They belong to tables of reflectances; leave them out", "values", "azimuths")
+    if not isinstance(layout, RoundLayout) or layout.matrices is not None:
+        options.refuse("Only cameras that are estimated from photographs of a turn need it", "height_mm")
+    if not isinstance(layout, RoundLayout):
+        options.refuse(f"The folder was recognised as {layout.name}", "turntable")
     if getattr(layout, "matrices", None) is None:
         options.refuse("Nothing here has camera matrices to arrange; leave the option out", "turn", "camera_of")
     with whole_folder(target) as partial:

@@ -218,7 +218,10 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
         rows.append({"file": take(photograph, folder / "dark" / photograph.name, link), "role": "dark"})
     coding, doubts = choose_encoding(header, options.encoding, source.name, display=not any(layout.states))
     notes = (*notes, *doubts)
-    block: dict = {"full_turn": layout.full_turn, "unit": "arbitrary"} if layout.matrices is not None else {}
+    block: dict = {}
+    if layout.matrices is not None or layout.full_turn:
+        block = {"full_turn": layout.full_turn, "unit": "arbitrary"}
+        block |= {"unit": "mm", "height": options.height_mm} if options.height_mm else {}
     if layout.matrices is not None:
         block["cameras"] = "cameras.csv"
         block |= {"turn": options.turn} if options.turn else {}

@@ -75,6 +75,12 @@ class ConvertOptions:
     fields: bool = declared(
         "--fields", "the folders in this one are overlapping fields of one painting under the same lamps", False
     )
+    turntable: bool = declared(
+        "--turntable", "photographs of an object, once round: their cameras are estimated where none are given", False
+    )
+    height_mm: float | None = declared(
+        "--height-mm MM", "height of the object on the turntable, which gives estimated cameras their scale", type=float
+    )
     turn: Literal["reverse"] | None = declared(
         "--turn reverse", "turntable: the object turned in the direction opposite to the order of the cameras"
     )
@@ -90,12 +96,13 @@ class ConvertOptions:
     examine: Callable[[Path], list[Problem]] | None = None
 
     def __post_init__(self) -> None:
-        """Raise CaptureError (option-unusable) for a width that is none, or a kind of lights that is not known."""
+        """Raise CaptureError (option-unusable) for a length that is none, or a kind of lights that is not known."""
         if self.lights_kind not in (None, *LIGHT_KINDS):
             what = f"expected one of {', '.join(LIGHT_KINDS)}, found {self.lights_kind}"
             refuse("option-unusable", "lights-kind", what)
-        if self.width_mm is not None and not 0 < self.width_mm < 1e9:
-            refuse("option-unusable", "width-mm", "no width", expected="millimetres", found=f"{self.width_mm:g}")
+        for name, length in (("width-mm", self.width_mm), ("height-mm", self.height_mm)):
+            if length is not None and not 0 < length < 1e9:
+                refuse("option-unusable", name, "no length", expected="millimetres", found=f"{length:g}")
 
     def refuse(self, remedy: str, *fields: str) -> None:
         """Raise CaptureError (option-unusable) where one of these fields, which mean nothing to a layout, is given."""

@@ -31,7 +31,7 @@ from nishiki.formats.files import bound
 from nishiki.formats.files import remedy as bound_remedy
 from nishiki.formats.mesh_heading import expect_mesh
 from nishiki.formats.problems import Problem, error, warning
-from nishiki.geometry.turn import turn_of
+from nishiki.geometry.turn import FEWEST_VIEWS, turn_of
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "arbitrary": None}
 MARKERS = {"4X4": (50, 100, 250, 1000), "5X5": (50, 100, 250, 1000), "6X6": (50, 100, 250, 1000)}
@@ -92,7 +92,8 @@ class Turntable(Closed):
     """The block `turntable`: what is known of the object's shape and of the cameras round it.
 
     turn: reverse where the object turned against the order of the cameras; camera_of: the row of `cameras` for each
-    view whose camera has another name.
+    view whose camera has another name; height: of the object along the axis, in the unit, which gives cameras that are
+    estimated from the photographs their scale.
     """
 
     full_turn: bool = False
@@ -107,6 +108,7 @@ class Turntable(Closed):
     correspondences: str | None = None
     board: Board | None = None
     intrinsics: str | None = None
+    height: Positive | None = None
     background: Literal["auto", "dark", "bright", "blue", "green"] = "auto"
     calibration: str | None = None
 
@@ -296,6 +298,11 @@ def _camera_problems(
     return []
 
 
+def estimates_cameras(block: Turntable, views: tuple[str, ...]) -> bool:
+    """Return whether views without cameras go once round and their scale is stated, or stated to be arbitrary."""
+    return block.full_turn and len(views) >= FEWEST_VIEWS and (block.height is not None or block.unit == "arbitrary")
+
+
 def _board_problems(frames: tuple[Frame, ...], views: tuple[str, ...], settings: TurntableFile) -> list[Problem]:
     """List how boards and their description disagree, and views without a camera, which boards must then give."""
     boards, block, problems = [f for f in frames if f.role == "board"], settings.turntable, []
@@ -313,8 +320,15 @@ def _board_problems(frames: tuple[Frame, ...], views: tuple[str, ...], settings:
     if block.cameras or block.correspondences or len(views) < 2:
         return problems
     if not posed:
+        if estimates_cameras(block, views):
+            what = "cameras are estimated from the photographs, which must go once round"
+            found = "height stated" if block.height else "no height, so that the scale is arbitrary"
+            return [*problems, warning("cameras-estimated", "capture.yaml", what, found=found)]
         what = "camera positions are unknown: only separation by polarisers is possible"
-        remedy = "Give turntable.cameras, correspondences, or pictures of a board in each view"
+        remedy = (
+            "Give turntable.cameras, correspondences, or pictures of a board in each view; or let them be estimated "
+            f"from {FEWEST_VIEWS} views or more, once round: full_turn: true with height, or with unit: arbitrary"
+        )
         return [*problems, warning("cameras-none", "capture.yaml", what, remedy=remedy)]
     what = "has no picture of the board, nor a camera"
     return problems + [

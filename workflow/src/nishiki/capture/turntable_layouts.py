@@ -32,10 +32,11 @@ from nishiki.formats.problems import (
 )
 from nishiki.formats.text_tables import expect_rows, number_of, reading
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.turn import order_round, turn_of
+from nishiki.geometry.turn import FEWEST_VIEWS, order_round, turn_of
 
 STATES = re.compile(r"(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)")
 SEVERAL = ("several files of cameras", "Keep the one that belongs to these photographs")
+TURN = "photographs of a turn"  # name of their layout
 FEWEST_STATES = 3  # photographs of a series
 LEAST_TURN = 20.0  # degrees between the outermost angles of a polariser that is turned
 
@@ -62,9 +63,8 @@ class RoundLayout(SourcePhotographs):
     @property
     def parts(self) -> str:
         """Photographs and cameras, or states, in words."""
-        known = (
-            f"{len(set(self.states))} polariser states" if self.matrices is None else f"{len(self.matrices)} cameras"
-        )
+        known = "no cameras" if self.full_turn else f"{len(set(self.states))} polariser states"
+        known = known if self.matrices is None else f"{len(self.matrices)} cameras"
         return f"{self.count} photographs, {known}"
 
 
@@ -93,6 +93,32 @@ def find_matrices(source: Path, options: ConvertOptions) -> tuple[Path, np.ndarr
             stored[path] = matrices
     path = expect_one(list(stored), source, *SEVERAL)
     return (path, stored[path]) if path else None
+
+
+def find_turn(source: Path, options: ConvertOptions) -> list[Path] | None:
+    """Find photographs that the user says to show an object once round."""
+    return (photographs_in(source) or None) if options.turntable or options.height_mm else None
+
+
+def read_turn(source: Path, photographs: list[Path], options: ConvertOptions) -> RoundLayout:
+    """Read photographs once round in the natural order of their names, without cameras; repeated ones are left out."""
+    notes, first, kept = [], {}, []
+    for path in photographs:
+        same = first.setdefault(sha256_of(path), path)
+        if same is path:
+            kept.append(path)
+        else:
+            what = "the photograph repeats another and was left out"
+            notes.append(warning("photograph-repeats", path.name, what, found=f"it is the same file as {same.name}"))
+    expect_rows(len(kept), "views", str(source), "photographs")
+    if len(kept) < FEWEST_VIEWS:
+        what = "too few photographs to estimate cameras from"
+        remedy = "Photograph the object in 24 or 36 equal steps, or give camera matrices"
+        expected = f"{FEWEST_VIEWS} different ones or more, once round"
+        refuse("photographs-count", str(source), what, expected=expected, found=f"{len(kept)}", remedy=remedy)
+    none = ("",) * len(kept)
+    views = _view_names(kept)
+    return RoundLayout(TURN, tuple(kept), views, none, None, True, None, tuple(notes))
 
 
 def find_states(source: Path, options: ConvertOptions) -> list[Path] | None:
@@ -246,11 +272,11 @@ def _turntable(
     centres = np.array([camera_centre(m) for m in matrices])
     order = order_round(centres)
     photographs, matrices = [photographs[i] for i in order], matrices[order]
-    turn, stems = turn_of(centres[order]), [path.stem for path in photographs]
+    turn = turn_of(centres[order])
     return RoundLayout(
         name,
         tuple(photographs),
-        tuple(stems) if len(set(stems)) == len(stems) else tuple(f"{i + 1:03d}" for i in range(len(stems))),
+        _view_names(photographs),
         ("",) * len(photographs),
         matrices,
         turn is not None and turn.full,
@@ -258,6 +284,12 @@ def _turntable(
         tuple(notes),
         distortions[order] if distortions is not None and distortions.any() else None,
     )
+
+
+def _view_names(photographs: list[Path]) -> tuple[str, ...]:
+    """Name views by their files, or by number where two files have one name."""
+    stems = tuple(path.stem for path in photographs)
+    return stems if len(set(stems)) == len(stems) else tuple(f"{i + 1:03d}" for i in range(len(stems)))
 
 
 def read_series(source: Path, photographs: list[Path], options: ConvertOptions) -> RoundLayout:

@@ -160,6 +160,7 @@ def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
     """List what a conversion assumed: label, value, option of `run` and `convert` that changes it."""
     from nishiki.capture.folder import load_capture
     from nishiki.capture.goniometer import GoniometerFile
+    from nishiki.capture.turntable_layouts import TURN
 
     capture = load_capture(made.folder)
     described: Any = capture.settings
@@ -178,7 +179,10 @@ def list_assumptions(made, given: dict) -> list[tuple[str, str, str]]:
     order = "measured on the mirror balls" if made.layout == "mirror balls" else order
     if described.geometry == "turntable":
         mask = "none: outlines are taken from the photographs"
-        rows += [("cameras", order, "--turn, --camera-of"), ("outlines", given["mask"] or mask, "--mask FOLDER")]
+        options = "--turn, --camera-of"
+        if made.layout == TURN:
+            order, options = "estimated from the photographs, once round in the order of their names", "--height-mm MM"
+        rows += [("cameras", order, options), ("outlines", given["mask"] or mask, "--mask FOLDER")]
         return [*rows, ("white board", given["white"] or "none: colours are relative", "--white FOLDER")]
     kind = described.lights.kind.replace("_mm", "s in mm")
     width = getattr(described, "pixel_pitch_mm", None)

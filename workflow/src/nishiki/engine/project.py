@@ -18,7 +18,7 @@ from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.goniometer import NORMAL_DEG, GoniometerCapture
 from nishiki.capture.mosaic import MosaicCapture, is_mosaic, read_fields
 from nishiki.capture.seal import capture_digest
-from nishiki.capture.turntable import TurntableCapture
+from nishiki.capture.turntable import TurntableCapture, estimates_cameras
 from nishiki.errors import UserError
 from nishiki.formats.files import is_plain, read_text
 from nishiki.formats.images import read_header
@@ -26,7 +26,7 @@ from nishiki.formats.problems import CaptureError
 from nishiki.formats.text_tables import load_plain
 from nishiki.observations.linearise import CHECK_BLOCK
 from nishiki.observations.region import object_mask, region_around, region_of
-from nishiki.stages.base import SceneFacts
+from nishiki.stages.base import POSES, SceneFacts
 from nishiki.stages.table import CHAIN, PRODUCTS, chain_of
 from nishiki.sweep.variants import SweepName, SweepSettings
 
@@ -287,6 +287,7 @@ def _of_turntable(capture: TurntableCapture) -> SceneFacts:
         "matrices": capture.matrices is not None,
         "boards": boards >= set(capture.views),
         "correspondences": capture.points is not None,
+        "photographs": estimates_cameras(capture.settings.turntable, capture.views),
         "silhouettes": all(capture.silhouette_of(view) for view in capture.views),
     }
     header = read_header(capture.observed[0].path, name=capture.observed[0].file)
@@ -299,7 +300,7 @@ def _of_turntable(capture: TurntableCapture) -> SceneFacts:
         geometry="turntable",
         views=capture.views,
         states=capture.states,
-        has_poses=given["matrices"] or given["boards"] or given["correspondences"],
+        has_poses=any(given[name] for name in POSES),
         given=tuple(name for name, is_there in given.items() if is_there),
         parts=_turntable_parts(capture),
     )

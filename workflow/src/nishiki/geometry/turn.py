@@ -12,6 +12,7 @@ import numpy as np
 from nishiki.formats.stored import PlainFields
 from nishiki.geometry.camera import Camera
 
+FEWEST_VIEWS = 8  # from which a turn is estimated without boards or matrices
 LARGEST_STEP = 1.6  # of a full turn, relative to the median step
 ON_CIRCLE = 0.1  # relative distance from the circle up to which a camera belongs to one ring
 EQUAL_STEPS_DEG = 0.05

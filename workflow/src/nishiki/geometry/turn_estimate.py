@@ -17,13 +17,12 @@ from itertools import product
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.formats.fields import PlainFields
+from nishiki.formats.stored import PlainFields
 from nishiki.geometry.camera import NO_DISTORTION, Camera
-from nishiki.geometry.turn import rotation_matrix
+from nishiki.geometry.turn import FEWEST_VIEWS, rotation_matrix
 
 FACING = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 """Rotation of a camera on the world's x axis that looks at the axis z, with z up in the picture."""
-FEWEST_VIEWS = 8
 FOCAL_START, FOCAL_RANGE = 2.0, (0.6, 15.0)  # of the longer side
 TILTS_DEG, LARGEST_TILT_DEG, LARGEST_ROLL_DEG = (20.0, -20.0), 75.0, 40.0
 PRINCIPAL_SD = 0.005
@@ -35,10 +34,14 @@ UNUSABLE_PX = 3.0  # residual of such a pair, so that none is gained by it
 LEAST_SIGMA_PX = 0.05
 LEAST_SINE = 0.3  # of the angle between rays, and between baseline and ray, of points that tell the object's extent
 EXTENT = (1, 99)  # per cent of such points
+STEP_SD_DEG = 0.2
+SHARED = 4  # views over the least variance of an error that a view's residuals share, in variances of one residual
 MOST_PAIRS = 2500  # of outlines
 FOLDS = 3
 FREE_GAIN = 0.8
 """Steps are free where that divides the error at left-out pairs by this factor or better."""
+LEAST_RATIO = 1.05
+"""Cost of the turn in the other sense, relative to the best, below which the sense is not determined."""
 MOST_FOCAL_SD, MOST_ANGLE_SD_DEG = 0.15, 2.0
 MOST_ERROR = 0.02
 """Error at left-out pairs, of the height of the outlines, above which photographs are none of a turn."""
@@ -74,13 +77,13 @@ class TurnEstimate(PlainFields):
     tilt_sd_deg: float
     steps: str  # "equal" or "free"
     angles_deg: tuple[float, ...]  # (views,) from the first
-    angle_sd_deg: float  # of a view, median; 0 where steps are equal
+    angle_sd_deg: float  # of the least certain view; 0 where steps are equal
     outline_px: float  # robust standard deviation of residuals
     match_px: float | None
     matches: int  # features in two views that were used
     left_out_px: float  # robust error at pairs of views that took no part in a fit
     left_out_equal_px: float
-    mirror_ratio: float  # cost of the mirrored turn over that of this one; about 1 where perspective is too weak to tell
+    mirror_ratio: float  # cost of the turn in the other sense over that of this one; about 1: undecided
     height: float  # of the object along the axis, in the world's unit
 
 
@@ -93,7 +96,7 @@ def match_features(pictures: list[np.ndarray], masks: list[np.ndarray]) -> Match
     import cv2
 
     factor = min(1.0, FEATURE_SIDE / max(masks[0].shape))
-    finder, found = cv2.SIFT_create(4000, contrastThreshold=0.02), []
+    finder, found = cv2.SIFT.create(4000, contrastThreshold=0.02), []
     for picture, mask in zip(pictures, masks, strict=True):
         grey = cv2.resize(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None, fx=factor, fy=factor, interpolation=3)
         inner = cv2.erode(cv2.resize(mask.astype(np.uint8), grey.shape[::-1]), np.ones((5, 5), np.uint8))
@@ -107,7 +110,7 @@ def match_features(pictures: list[np.ndarray], masks: list[np.ndarray]) -> Match
         if min(len(from_places), len(to_places)) < 8:
             continue
         matcher = cv2.BFMatcher(cv2.NORM_L2)
-        back = {m.queryIdx: m.trainIdx for m, in matcher.knnMatch(to_codes, from_codes, 1)}
+        back = {m.queryIdx: m.trainIdx for (m,) in matcher.knnMatch(to_codes, from_codes, 1)}
         both = [
             (best.queryIdx, best.trainIdx)
             for best, other in matcher.knnMatch(from_codes, to_codes, 2)
@@ -133,7 +136,7 @@ def outline_hull(mask: np.ndarray) -> np.ndarray:
     corners = cv2.convexHull(np.concatenate(contours))[:, 0].astype(np.float32)
     angles = np.arange(8) * np.pi / 4
     beyond = corners[:, None] + 0.5 * np.column_stack([np.cos(angles), np.sin(angles)]).astype(np.float32)
-    return cv2.convexHull(beyond.reshape(-1, 2))[:, 0].astype(np.float64)
+    return cv2.approxPolyDP(cv2.convexHull(beyond.reshape(-1, 2)), 0.03, True)[:, 0].astype(np.float64)
 
 
 class Evidence:
@@ -172,8 +175,9 @@ class Evidence:
         tangents = np.stack(np.triu_indices(self.count, 1), axis=1)
         if len(tangents) > MOST_PAIRS:
             tangents = tangents[np.random.default_rng(1).permutation(len(tangents))[:MOST_PAIRS]]
-        self.tangents, self.matches = tangents, Matches(
-            matches.views, ideal(matches.pixels.reshape(-1, 2)).reshape(-1, 2, 2) - centre
+        self.tangents, self.matches = (
+            tangents,
+            Matches(matches.views, ideal(matches.pixels.reshape(-1, 2)).reshape(-1, 2, 2) - centre),
         )
         self.pairs = np.concatenate([tangents, tangents, matches.views])
         self.kinds = np.arange(len(self.pairs)) >= 2 * len(tangents)
@@ -192,9 +196,7 @@ class Evidence:
         if len(self.matches.views):
             rays, turns = self.rays(lens, self.matches.pixels), turns[2 * tangents :]
             middle = rays[:, 0] + _turn(rays[:, 1], turns)
-            at = [
-                tuple(v[:, 0] for v in _angles(rays[:, k : k + 1], bool(k), turns, middle)) for k in (0, 1)
-            ]
+            at = [tuple(v[:, 0] for v in _angles(rays[:, k : k + 1], bool(k), turns, middle)) for k in (0, 1)]
             out.append(self._pixels(lens, *at))
         return np.concatenate(out)
 
@@ -247,7 +249,9 @@ def _angles(rays: np.ndarray, turned: bool, turns: np.ndarray, middle: np.ndarra
 class Adjustment:
     """Fit of one turn to evidence, robust (Huber's pseudo loss) and weighted by the noise of tangents and features.
 
-    start (4,): lens parameters. deviations (views,): radians beyond equal steps, the first 0. sigmas: of both kinds.
+    start (4,): lens parameters. free: each view has its angle, and each step is expected to be the common one to
+    STEP_SD_DEG, robustly, so that a slip or a missing view stays one. deviations (views,): radians beyond equal steps,
+    the first 0, then the common step. sigmas: of both kinds.
     """
 
     evidence: Evidence
@@ -263,18 +267,25 @@ class Adjustment:
     def angles(self) -> np.ndarray:
         """Angles (views,) of the views in radians."""
         equal = self.sense * 2 * np.pi * np.arange(self.evidence.count) / self.evidence.count
-        return equal if self.deviations is None else equal + self.deviations
+        return equal if self.deviations is None else equal + self.deviations[:-1]
 
     def _model(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         lens, count = np.concatenate([values[:4], np.zeros(3)]), self.evidence.count
-        moved = np.concatenate([[0.0], values[4:]]) if self.free else np.zeros(count)
+        moved = np.concatenate([[0.0], values[4:-1]]) if self.free else np.zeros(count)
         angles = self.sense * 2 * np.pi * np.arange(count) / count + moved
         first, second = self.evidence.pairs.T
         return lens, angles[second] - angles[first]
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
         """Compute residuals (n,) in standard deviations."""
-        return self.evidence.residuals(*self._model(values)) / self.sigmas[self.evidence.kinds.astype(int)]
+        residuals = self.evidence.residuals(*self._model(values)) / self.sigmas[self.evidence.kinds.astype(int)]
+        return np.concatenate([residuals, self._prior() @ values[4:]]) if self.free else residuals
+
+    def _prior(self) -> np.ndarray:
+        """Matrix (views, views) from deviations and common step to the deviation of each step, in its sd."""
+        count = self.evidence.count
+        steps = np.hstack([np.roll(np.eye(count), 1, axis=1) - np.eye(count), -np.ones((count, 1))])
+        return steps[:, 1:] / np.radians(STEP_SD_DEG)
 
     def jacobian(self, values: np.ndarray, lens_terms: int = 4) -> np.ndarray:
         """Differentiate by lens_terms parameters of the lens, then by the angles; a residual depends on one turn."""
@@ -290,12 +301,13 @@ class Adjustment:
         angles, rows = np.zeros((len(here), self.evidence.count)), np.arange(len(here))
         angles[rows, self.evidence.pairs[:, 0]] -= by_turn
         angles[rows, self.evidence.pairs[:, 1]] += by_turn
-        return np.hstack([columns, angles[:, 1:]])
+        columns = np.hstack([columns, angles[:, 1:], np.zeros((len(here), 1))])
+        return np.vstack([columns, np.hstack([np.zeros((self.evidence.count, lens_terms)), self._prior()])])
 
     @property
     def values(self) -> np.ndarray:
         """All parameters."""
-        moved = np.zeros(self.evidence.count) if self.deviations is None else self.deviations
+        moved = np.zeros(self.evidence.count + 1) if self.deviations is None else self.deviations
         return np.concatenate([self.start, moved[1:]]) if self.free else self.start
 
     def solve(self, used: np.ndarray | None = None, most: int = 40) -> "Adjustment":
@@ -303,8 +315,9 @@ class Adjustment:
         from scipy.optimize import least_squares
 
         used = np.ones(len(self.evidence.pairs), bool) if used is None else used
+        used = np.concatenate([used, np.ones(self.evidence.count if self.free else 0, bool)])
         tilt, roll = np.radians([LARGEST_TILT_DEG, LARGEST_ROLL_DEG])
-        reach = np.concatenate([[tilt, roll, roll], np.full(self.evidence.count - 1, np.pi) if self.free else []])
+        reach = np.concatenate([[tilt, roll, roll], np.full(self.evidence.count, np.pi) if self.free else []])
         low, high = (np.concatenate([[np.log(f)], sign * reach]) for f, sign in zip(FOCAL_RANGE, (-1, 1), strict=True))
         if self.focal_known:
             low[0], high[0] = self.start[0] - 1e-9, self.start[0] + 1e-9
@@ -323,7 +336,8 @@ class Adjustment:
 
     def reweighted(self) -> "Adjustment":
         """Measure the noise of both kinds, then fit again."""
-        residuals = np.abs(self.residuals(self.values)) * self.sigmas[self.evidence.kinds.astype(int)]
+        residuals = np.abs(self.residuals(self.values)[: len(self.evidence.pairs)])
+        residuals *= self.sigmas[self.evidence.kinds.astype(int)]
         kinds = (residuals[~self.evidence.kinds], residuals[self.evidence.kinds])
         sigmas = [max(LEAST_SIGMA_PX, 1.4826 * float(np.median(each))) if len(each) else 0.5 for each in kinds]
         return replace(self, sigmas=np.array(sigmas)).solve()
@@ -333,7 +347,7 @@ class Adjustment:
         fold, errors = self.evidence.pairs.sum(axis=1) % FOLDS, []
         for number in range(FOLDS):
             fitted = self.solve(fold != number, most=8)
-            errors.append(np.abs(fitted.residuals(fitted.values)[fold == number]))
+            errors.append(np.abs(fitted.residuals(fitted.values)[: len(fold)][fold == number]))
         sigmas = np.concatenate([self.sigmas[self.evidence.kinds.astype(int)][fold == n] for n in range(FOLDS)])
         return float(np.mean(np.minimum(np.concatenate(errors) * sigmas, UNUSABLE_PX)))
 
@@ -349,11 +363,13 @@ class Adjustment:
         weights = 1 / np.sqrt(1 + (residuals / 2) ** 2)
         errors = [PRINCIPAL_SD, PRINCIPAL_SD, 2 * OUTLINE_SD_PX / self.evidence.height]
         unknown, jacobian = jacobian[:, 4:7] * errors, np.delete(jacobian, [4, 5, 6], axis=1)
-        inverse = np.linalg.pinv((jacobian * weights[:, None]).T @ jacobian)
+        normal = (jacobian * weights[:, None]).T @ jacobian
+        inverse = np.linalg.inv(normal + 1e-12 * np.trace(normal) * np.eye(len(normal)))
         scores = jacobian * (weights * residuals)[:, None]
-        meat = np.zeros_like(inverse)
+        meat = count / SHARED * normal  # outlines that agree by chance, as those of a round body, tell nothing
+        meat += scores[len(self.evidence.pairs) :].T @ scores[len(self.evidence.pairs) :]
         for view in range(count):
-            total = scores[(self.evidence.pairs == view).any(axis=1)].sum(axis=0)
+            total = scores[: len(self.evidence.pairs)][(self.evidence.pairs == view).any(axis=1)].sum(axis=0)
             meat += np.outer(total, total)
         gain = inverse @ (jacobian * weights[:, None]).T @ unknown
         own = inverse @ meat @ inverse
@@ -374,15 +390,17 @@ class Adjustment:
         return float(low), float(high)
 
 
-def find_turn(evidence: Evidence, focal: float | None = None) -> tuple[Adjustment, float]:
-    """Find the turn with equal steps from starts in both senses, seen from above and below; and the mirrored cost."""
-    tried = []
-    for sense, tilt in product((1, -1), np.radians(TILTS_DEG)):
-        start = np.array([np.log(focal or FOCAL_START), tilt, 0.0, 0.0])
-        tried.append(Adjustment(evidence, sense, start, focal_known=focal is not None).solve(most=30))
-    best = min(tried, key=lambda each: each.cost)
-    mirrored = min((each.cost for each in tried if each.sense != best.sense), default=np.inf)
-    return best, mirrored / max(best.cost, 1e-12)
+def find_turn(evidence: Evidence, focal: float | None = None) -> list[Adjustment]:
+    """Fit the turn with equal steps in both senses, from views from above and from below; the better sense first."""
+    start = np.array([np.log(focal or FOCAL_START), 0.0, 0.0, 0.0])
+    senses = [
+        [
+            Adjustment(evidence, sense, start + tilt * np.eye(4)[1], focal_known=focal is not None).solve(most=30)
+            for tilt in np.radians(TILTS_DEG)
+        ]
+        for sense in (1, -1)
+    ]
+    return sorted((min(each, key=lambda fit: fit.cost) for each in senses), key=lambda fit: fit.cost)
 
 
 def estimate_turn(
@@ -427,7 +445,7 @@ def estimate_turn(
     rows, columns = masks[0].shape
     if len(masks) < FEWEST_VIEWS:
         raise UserError(
-            f"cameras: {len(masks)} views do not determine cameras; expected {FEWEST_VIEWS} or more, once round. {REMEDY}"
+            f"cameras: {len(masks)} views determine no cameras; expected {FEWEST_VIEWS} or more, once round. {REMEDY}"
         )
     empty = [name for name, mask in zip(names, masks, strict=True) if not mask.any()]
     if empty:
@@ -435,24 +453,34 @@ def estimate_turn(
     matches = match_features(pictures, masks)
     evidence = Evidence(masks, matches, intrinsics, distortion)
     focal = None if intrinsics is None else float(intrinsics[0, 0]) / evidence.side
-    found, ratio = find_turn(evidence, focal)
-    fit = found.reweighted()
+    best, other = find_turn(evidence, focal)
+    fit = best.reweighted()
+    deviation = np.sqrt(np.diag(fit.covariance()))
     error = equal_error = fit.left_out()
     if steps == "free":
-        free = replace(fit, free=True).solve().reweighted()
+        free = min((replace(each, sigmas=fit.sigmas, free=True).solve() for each in (fit, other)), key=lambda f: f.cost)
+        other = other if free.sense == fit.sense else best
+        free = free.reweighted()
         if (free_error := free.left_out()) < FREE_GAIN * equal_error:
-            fit, error = free, free_error
-    deviation = np.sqrt(np.diag(fit.covariance()))
-    angle_sd = float(np.degrees(np.median(deviation[4:]))) if fit.free else 0.0
+            fit, error, deviation = free, free_error, np.sqrt(np.diag(free.covariance()))
+        else:  # what the choice between the two decides is not known better than they agree
+            deviation = np.hypot(deviation, free.start - fit.start)
+    ratio = replace(other, sigmas=fit.sigmas, free=fit.free).solve().cost / max(fit.cost, 1e-12)
+    angle_sd = float(np.degrees(deviation[4:-1].max())) if fit.free else 0.0
     if error > max(MOST_ERROR * evidence.height, 1.0):
         raise UserError(
             f"cameras: the photographs contradict one turn by {error:.2g} px; expected the object once round before a "
             f"background that is not the object's, in order, camera and zoom fixed. {REMEDY}"
         )
+    if ratio < LEAST_RATIO:
+        raise UserError(
+            "cameras: the photographs do not tell which way the object turns: it is too round and too smooth, or "
+            f"stands still. {REMEDY}"
+        )
     if deviation[0] > MOST_FOCAL_SD or angle_sd > MOST_ANGLE_SD_DEG:
         raise UserError(
-            f"cameras: the photographs do not determine the cameras (focal length to {100 * deviation[0]:.2g} %, angles "
-            f"to {angle_sd:.2g} degrees): the object is too round and too smooth. {REMEDY}"
+            f"cameras: the photographs do not determine the cameras (focal length to {100 * deviation[0]:.2g} %, "
+            f"angles to {angle_sd:.2g} degrees): the object is too round and too smooth. {REMEDY}"
         )
     matrix = intrinsics
     if matrix is None:

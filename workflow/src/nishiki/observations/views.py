@@ -86,6 +86,13 @@ class Views(StoredArrays):
         boards = self.attributes["boards"]
         return self._group["boards"][boards.index(key)] if key in boards else None
 
+    def mean_light(self, view: str | int) -> np.ndarray:
+        """Mean (rows, columns, channels) float32 over the lights, without polariser where there is such a state."""
+        state = "off" if "off" in self.states else self.states[0]
+        photographs = (self.read(view, state=state, light=light)[0] for light in self.lights)
+        total = sum(photograph.astype(np.float64) for photograph in photographs)
+        return (np.asarray(total) / len(self.lights)).astype(np.float32)
+
     def silhouette(self, view: str | int) -> np.ndarray | None:
         """Silhouette (rows, columns) bool that came with the capture, or None."""
         place = self._view(view)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.capture.frames import Frame
-from nishiki.capture.turntable import UNITS_MM, TurntableCapture
+from nishiki.capture.turntable import UNITS_MM, TurntableCapture, estimates_cameras
 from nishiki.colour.colour import encode
 from nishiki.errors import require
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
@@ -101,6 +101,8 @@ def attributes_of(
         "unit": block.unit,
         "unit_mm": UNITS_MM[block.unit],
         "background": block.background,
+        "height": block.height,
+        "estimates_cameras": estimates_cameras(block, capture.views),
         "lamp": lamp_of(capture),
         "scale": list(whites.scale),
         "saturation_code": reader.saturated.item() if finite else None,

@@ -240,10 +240,14 @@ def no_method(facts: SceneFacts, settings: Any) -> str | None:
     return "its method is set to none" if settings.method == "none" else None
 
 
+POSES = ("matrices", "boards", "correspondences", "photographs")
+"""What can give the poses of a turntable, the best first."""
+
+
 def poses_of(facts: SceneFacts, settings: SceneSettings) -> str:
-    """Return what gives the poses: matrices, boards or correspondences (see the stage cameras)."""
+    """Return what gives the poses: matrices, boards, correspondences or photographs (see the stage cameras)."""
     source = settings["cameras"].source
-    there = [name for name in ("matrices", "boards", "correspondences") if name in facts.given]
+    there = [name for name in POSES if name in facts.given]
     return source if source != "auto" else next(iter(there), "")
 
 

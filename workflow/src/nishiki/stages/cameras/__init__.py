@@ -7,7 +7,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at
-from nishiki.stages.base import OPENCV, Cost, Stage, poses_of
+from nishiki.stages.base import OPENCV, POSES, Cost, Stage, poses_of
 
 
 def _pose_outliers(diagnostics: Mapping[str, Any]) -> float | None:
@@ -50,8 +50,10 @@ LIMITS = (
 class CamerasSettings(Guarded, stage="cameras", version=1, limits=LIMITS):
     """Where each view's camera stood, and its lens."""
 
-    source: Literal["auto", "matrices", "boards", "correspondences"] = Field(
-        "auto", description="what gives the poses; auto: the first of these that the capture has"
+    source: Literal["auto", "matrices", "boards", "correspondences", "photographs"] = Field(
+        "auto",
+        description="what gives the poses; auto: the first of these that the capture has; photographs: estimated from "
+        "outlines and features of views once round",
     )
     distortion: Literal["none", "radial", "tangential", "full"] = Field(
         "tangential", description="terms fitted in a calibration: radial k1, k2; tangential: p1, p2 too; full: k3 too"
@@ -62,8 +64,16 @@ class CamerasSettings(Guarded, stage="cameras", version=1, limits=LIMITS):
     turntable: Literal["auto", "on", "off"] = Field(
         "auto", description="one axis for all views (boards, correspondences); auto: where left-out points gain by it"
     )
-    steps: Literal["free", "equal"] = Field("free", description="turntable: one angle a view, or one step for all")
+    steps: Literal["free", "equal"] = Field(
+        "free",
+        description="turntable: one angle a view, or one step for all; photographs: one step "
+        "unless free ones predict left-out views better",
+    )
 
+
+PARTS = {"": ("calibration",), "matrices": (), "photographs": ("photographs", "silhouettes")}
+PARTS |= dict.fromkeys(("boards", "correspondences"), ("calibration",))
+"""Parts of the capture from which poses of each source are computed."""
 
 STAGE = Stage(
     settings=CamerasSettings,
@@ -72,10 +82,16 @@ STAGE = Stage(
     requires=("ingest",),
     needs_colour=False,
     missing_inputs=lambda facts, settings: (
-        None if facts.has_poses else "the capture has no camera matrices, no board pictures and no correspondences"
+        None
+        if facts.has_poses
+        else "the capture has no camera matrices, board pictures or correspondences, and no stated full turn and height"
     ),
-    capture_parts=lambda facts, settings, asked: () if poses_of(facts, settings) == "matrices" else ("calibration",),
+    capture_parts=lambda facts, settings, asked: PARTS[poses_of(facts, settings)],
     libraries=("numpy", "scipy", "zarr", OPENCV),
     threads=1,
-    cost=lambda facts: Cost(mib=200, seconds=1.5),
+    cost=lambda facts: (
+        Cost(mib=300, seconds=0.5 * len(facts.views) + 2e-6 * facts.pixels * len(facts.views))
+        if POSES[-1] in facts.given and len({*POSES} & {*facts.given}) == 1
+        else Cost(mib=200, seconds=1.5)
+    ),
 )

@@ -10,7 +10,9 @@ from nishiki.errors import UserError
 from nishiki.geometry.board import BoardShape, Calibration, Detection, calibrate, detect_boards
 from nishiki.geometry.camera import NO_DISTORTION, Camera, cameras_of_matrices, save_cameras
 from nishiki.geometry.pose import Pose, Sight, choose_poses, estimate_pose
+from nishiki.geometry.silhouettes import display, segment
 from nishiki.geometry.turn import turn_of
+from nishiki.geometry.turn_estimate import estimate_turn
 from nishiki.observations.views import Views
 from nishiki.stages.cameras import CamerasSettings
 
@@ -25,7 +27,8 @@ def run(context: Context) -> dict:
     if source == "matrices":
         (cameras, errors, mirror), diagnostics = given(views, points), {}
     else:
-        (cameras, errors, diagnostics), mirror = located(context, views, source, points), None
+        locate = estimated if source == "photographs" else located
+        (cameras, errors, diagnostics), mirror = locate(context, views, source, points), None
     save_cameras(
         context.output.path("cameras.json"),
         cameras,
@@ -58,6 +61,7 @@ def source_of(source: str, views: Views, points: dict[str, np.ndarray] | None) -
         "matrices": views.matrices is not None,
         "boards": boards >= set(views.views),
         "correspondences": points is not None,
+        "photographs": views.attributes.get("estimates_cameras", False),
     }
     if source == "auto":
         source = next((name for name, available in there.items() if available), "")
@@ -67,7 +71,8 @@ def source_of(source: str, views: Views, points: dict[str, np.ndarray] | None) -
     detail = f" (no board picture of view {', '.join(missing[:5])})" if boards and missing else ""
     raise UserError(
         f"cameras: the capture has no {source or 'camera matrices, boards or correspondences'}{detail}. Remedy: give "
-        "turntable.cameras (3x4 matrices), a board picture for every view, or turntable.correspondences"
+        "turntable.cameras (3x4 matrices), a board picture for every view, or turntable.correspondences; or state "
+        "full_turn: true and turntable.height (or unit: arbitrary), by which views once round are estimated"
     )
 
 
@@ -129,6 +134,30 @@ def located(context: Context, views: Views, source: str, points: dict | None) ->
     cameras, diagnostics["turntable"] = on_one_axis(settings, views, used, poses)
     errors = [rms(camera, sight) for camera, sight in zip(cameras, used, strict=True)]
     return cameras, errors, diagnostics
+
+
+def estimated(
+    context: Context, views: Views, source: str, points: dict | None
+) -> tuple[list[Camera], list[None], dict]:
+    """Return poses from the photographs alone, and how sure they are."""
+    pictures, masks = [], []
+    for place in context.progress.over(range(len(views.views)), "view"):
+        pictures.append(display(views.mean_light(place)))
+        given = views.silhouette(place)
+        background = views.attributes.get("background") or "auto"
+        masks.append(segment(pictures[-1], background=background).mask if given is None else given)
+    lens = views.intrinsics
+    found = estimate_turn(
+        pictures,
+        masks,
+        views.views,
+        intrinsics=np.array(lens["matrix"], float) if lens else None,
+        distortion=tuple(lens["distortion"]) if lens else NO_DISTORTION,
+        steps=context.settings.steps,
+        height=views.attributes.get("height"),
+    )
+    diagnostics = {key: value for key, value in found.as_dict().items() if key != "cameras"}
+    return found.cameras, [None] * len(masks), {"estimate": diagnostics}
 
 
 def rms(camera: Camera, sight: Sight) -> float:

@@ -95,25 +95,13 @@ def kept(masks: list, used: list[bool]) -> list:
     return [mask if use else None for mask, use in zip(masks, used, strict=True)]
 
 
-def picture_of(views: Views, name: str) -> np.ndarray:
-    """Return (rows, columns, 3) uint8 sRGB of `linear_picture`."""
-    return display(linear_picture(views, name))
-
-
-def linear_picture(views: Views, name: str) -> np.ndarray:
-    """(rows, columns, channels) float32: the mean over the lights, without polariser where there is such a state."""
-    state = "off" if "off" in views.states else views.states[0]
-    total = sum(views.read(name, state=state, light=light)[0].astype(np.float64) for light in views.lights)
-    return (total / len(views.lights)).astype(np.float32)
-
-
 def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np.ndarray | None], list, dict]:
     """Return silhouettes, given or segmented; of the segmented ones what may lie in shadow, and figures by view."""
     outlines, facts = [views.silhouette(name) for name in views.views], {}
     darks = [None if outline is None else np.zeros_like(outline) for outline in outlines]
     missing = [place for place, outline in enumerate(outlines) if outline is None] if needed else []
     for place in context.progress.over(missing, "silhouette"):
-        picture = picture_of(views, views.views[place])
+        picture = display(views.mean_light(place))
         segmented = segment(picture, background=background_of(context, views))
         outlines[place], darks[place] = segmented.mask, picture.max(axis=-1) < DARK
         facts[views.views[place]] = {key: value for key, value in vars(segmented).items() if key != "mask"}
@@ -175,7 +163,7 @@ def without_hollows(
     coarse, _ = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
     coarse, _ = without_small_parts(coarse)
     coarse = smoothed(coarse, cameras, most_px=max(1.0, context.settings.smooth))
-    pictures = (linear_picture(views, views.views[place]) for place in used)
+    pictures = (views.mean_light(place) for place in used)
     photographed = Photographed.of(
         pictures, [mask for mask in masks if mask is not None], [cameras[place] for place in used]
     )
@@ -271,7 +259,7 @@ def preview(views: Views, cameras: list[Camera], mesh: Mesh) -> np.ndarray:
 
     columns = []
     for place in sorted({0, len(cameras) // 4}):
-        photograph = picture_of(views, views.views[place])
+        photograph = display(views.mean_light(place))
         columns.append(np.vstack([photograph, shaded(mesh, cameras[place])[..., None].repeat(3, axis=-1)]))
     sheet = np.hstack(columns)
     shrink = min(1.0, 2 * PREVIEW_ROWS / sheet.shape[0])

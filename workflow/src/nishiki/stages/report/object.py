@@ -280,12 +280,18 @@ def cameras_section(cameras: Artifact | None, held_out: set[str]) -> Section | N
     ])  # fmt: skip
 
 
+MIRRORED = 1.2
+"""Cost of the mirrored turn, relative to the estimated one, below which photographs do not decide between them."""
+
+
 def facts(diagnostics: dict[str, Any], circle: dict[str, Any]) -> list[tuple[str, str]]:
     """Return what is known of the cameras: label and text. diagnostics : of the stage; circle : a part of them."""
     errors = [value for value in (diagnostics.get("reprojection_px") or {}).values() if value is not None]
-    error = "not known: the matrices were given"
+    error, estimate = "not known: the matrices were given", diagnostics.get("estimate")
     if errors:
         error = f"{figure(float(np.mean(errors)))} pixels on average, {figure(max(errors))} at worst"
+    if estimate:
+        error = f"{figure(estimate['left_out_px'])} pixels, between views that the fit did not compare"
     off_plane = None if circle.get("off_plane") is None else 100 * round(circle["off_plane"], 9)
     steps = circle.get("steps_deg") or []
     return [
@@ -294,6 +300,23 @@ def facts(diagnostics: dict[str, Any], circle: dict[str, Any]) -> list[tuple[str
         ("Off its plane", f"{percent(off_plane)} of the radius at most"),
         ("Steps", f"{figure(min(steps, default=None), 4)}° to {figure(max(steps, default=None), 4)}°"),
         ("Reprojection error", error),
+        *(estimate_facts(estimate, diagnostics.get("unit") or "") if estimate else ()),
+    ]
+
+
+def estimate_facts(estimate: dict[str, Any], unit: str) -> list[tuple[str, str]]:
+    """Return how sure cameras are that were estimated from the photographs: label and text."""
+    steps = "equal, as the left-out views prefer"
+    if estimate["steps"] == "free":
+        steps = f"not equal; each angle to {figure(estimate['angle_sd_deg'])}°"
+    mirrored = estimate["mirror_ratio"] < MIRRORED
+    return [
+        ("Focal length", f"{figure(estimate['focal_px'])} ± {figure(estimate['focal_sd_px'])} pixels, estimated"),
+        ("Camera looks down by", f"{figure(estimate['tilt_deg'])}° ± {figure(estimate['tilt_sd_deg'])}°"),
+        ("Steps of the turn", steps),
+        ("Sense of the turn", "uncertain: a mirrored object fits almost as well" if mirrored else "certain"),
+        ("Compared", f"outlines of all views, {estimate['matches']} features that two views share"),
+        ("Scale", "arbitrary: no height was stated" if unit == "arbitrary" else "from the stated height"),
     ]
 
 
