@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refused
+from scipy.linalg import helmert
 
 from nishiki.brdf.gloss_profile import (
     LADDER,
@@ -21,7 +22,7 @@ from nishiki.brdf.torrance_sparrow import MIRROR, attenuation, fresnel, half_vec
 from nishiki.errors import UserError
 from nishiki.photometric.body import diffuse_reflectance
 from nishiki.photometric.flags import NormalFlag
-from nishiki.photometric.gloss import GlossTile, JointScene, JointSettings, channel_rotation, refine_normals
+from nishiki.photometric.gloss import GlossTile, JointScene, JointSettings, refine_normals
 from nishiki.photometric.gloss_kernel import NODES, NODES_PER_UNIT, Pixel, predict
 from nishiki.photometric.gloss_scene import find_finishes, fit_scene_gloss
 from nishiki.photometric.light_selection import select_diffuse
@@ -141,7 +142,7 @@ def slow_fit(y, lights, gloss, n0, rho0, *, noise, model_error):
     """The same estimate for one pixel by scipy, where nothing is an outlier: weighted squares at settled weights."""
     from scipy.optimize import least_squares
 
-    rotation = channel_rotation(y.shape[1])
+    rotation = helmert(y.shape[1], full=True)
     level = y @ rotation[0]
     scale = (level.sum() - level.max()) / (len(level) - 1)
     floor = noise**2 + (model_error * scale) ** 2
@@ -418,7 +419,7 @@ def test_sigma_says_how_wrong_the_normals_are():
 
 def test_rotation_is_orthogonal():
     for channels in range(1, 9):
-        rotation = channel_rotation(channels)
+        rotation = helmert(channels, full=True)
         assert np.allclose(rotation @ rotation.T, np.eye(channels), atol=1e-14)
         assert np.allclose(rotation[0], 1 / np.sqrt(channels))
 

@@ -6,14 +6,7 @@ from scipy.optimize import least_squares
 
 from nishiki.brdf.torrance_sparrow import body_factor
 from nishiki.errors import UserError
-from nishiki.photometric.relighting import (
-    ALONG,
-    NOISE,
-    PRIOR,
-    TUNING,
-    WIDTH_NORMAL,
-    fit_relighting,
-)
+from nishiki.photometric.relighting import KINK, NOISE, PRIOR, WIDTH, fit_relighting
 
 
 def cone(count=12, seed=1):
@@ -76,11 +69,11 @@ def test_the_direction_is_the_minimum_of_cauchys_cost():
         level = stack[:, p].mean(-1)
         cosine = np.maximum(lights @ normals[p], 0)
         level = level / (cosine @ level / (cosine @ cosine))
-        held = np.full(3, (scatter / WIDTH_NORMAL) ** 2 + PRIOR * len(lights) / 3) * [1, 1, ALONG]
+        held = np.full(3, (scatter / WIDTH) ** 2 + PRIOR * len(lights) / 3)
         g = normals[p]
         for _ in range(30):  # the scale follows the residuals, as in the fit
             r = level - lights @ g
-            scale = TUNING * (1.4826 * np.median(np.abs(r)) * np.sqrt(len(r) / (len(r) - 2)) + NOISE)
+            scale = KINK * (1.4826 * np.median(np.abs(r)) * np.sqrt(len(r) / (len(r) - 2)) + NOISE)
 
             def residuals(g, scale=scale, level=level, held=held, p=p):
                 robust = scale * np.sqrt(np.log1p(((level - lights @ g) / scale) ** 2))

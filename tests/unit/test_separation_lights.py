@@ -117,7 +117,7 @@ def slow_refit(values, lights, noise=0.003, starts=3, at_least=4):
         first = int(np.floor(s / (starts - 1) * (n - window) + 0.5))
         ranked = np.sort(values)
         mask = (values >= ranked[first]) & (values <= ranked[first + window - 1])
-        for _ in range(selection.STEPS + 1):
+        for _ in range(selection.ROUNDS):
             b = solve(mask) if mask.sum() >= at_least else b
             distance, mask, size = keep(b)
         ratio = np.minimum(distance[mask] / np.linalg.norm(b), 10)

@@ -18,7 +18,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.photometric.consistency import FEWEST_PIXELS, LARGEST_MISFIT, LEAST_GAIN, SURE, is_even, law_errors
+from nishiki.photometric.consistency import (
+    FEWEST_PIXELS,
+    HIGHLIGHT,
+    LARGEST_MISFIT,
+    LEAST_GAIN,
+    LEAST_MATT,
+    SURE,
+    is_even,
+    law_errors,
+)
 from nishiki.photometric.lambert_fit import (
     FEWEST_LAMPS,
     GRAZING,
@@ -38,8 +47,6 @@ FREE, FITS, TURNS = 2, 5, 4  # fits after which any order is taken, most fits, a
 TWICE = 2.0  # times the usual error of the law: strengths and slopes of single measured sets exceed five of these
 COMMON = 100.0  # variance of the factor that all log gains share, which says nothing
 ALONE = np.log(2.5)  # log gain of one photograph from which it is named
-GLOSS = np.radians(20)  # of the half vector from the normal: nearer, gloss may be as bright as the body
-LEAST_MATT = 0.1  # of the values of each lamp: where less is left, nothing is left out
 GRAZED, FACING = 0.3, 0.9  # cosines of the lamp beyond which shadows make a photograph darker, or gloss brighter
 
 
@@ -130,7 +137,7 @@ def _without_gloss(
     half = lamps / np.linalg.norm(lamps, axis=2, keepdims=True) + (0, 0, 1)
     fit = fit_lambert(photographs / whites, lamps, patches, hold=FIRST)
     cosine = np.einsum("jsa,sa->js", half, fit.normals) / np.linalg.norm(half, axis=2)
-    matt = np.where(cosine > np.cos(GLOSS) * np.linalg.norm(fit.normals, axis=1), np.nan, photographs)
+    matt = np.where(cosine > HIGHLIGHT * np.linalg.norm(fit.normals, axis=1), np.nan, photographs)
     few = np.isfinite(matt).sum(axis=0) < FEWEST_LAMPS
     matt[:, few] = photographs[:, few]
     left, known = (np.isfinite(each).sum(axis=1) for each in (matt, photographs))

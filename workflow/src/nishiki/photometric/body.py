@@ -36,9 +36,9 @@ from numba import njit
 from nishiki.errors import UserError
 from nishiki.lanes import BLOCK
 from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
-from nishiki.photometric.light_selection import half_vectors, sum_lights
+from nishiki.photometric.light_selection import VALUES, half_vectors, sum_lights
 from nishiki.photometric.normal_kernels import AT_LEAST, LEAST_FACTOR, PRIOR, WIDTH
-from nishiki.threads import over_rows
+from nishiki.threads import over_rows, strips
 
 LIT = 0.3  # of the lower mean of a pixel: darker samples are shadow, whose colour is that of the noise
 ERROR = 0.1  # standard deviation E of a sample's error, relative to the pixel's lower mean
@@ -167,9 +167,6 @@ def _weigh(begin, end, observations, valid, out):
                 out[j, start + p] = (total[p] * mean[j, p] + saturation[p] * across[j, p]) * other[p]
 
 
-PIXELS = 1024  # at a time
-
-
 def shading_of_mean(
     intensity, mean, directions, field, *, usable, valid, least_change: float, noise: float = 0.003
 ) -> np.ndarray:
@@ -200,9 +197,8 @@ def shading_of_mean(
     vectors = np.asarray(directions, np.float64), half_vectors(directions)
 
     def fit(first: int, last: int, stack: np.ndarray) -> None:
-        for begin in range(first, last, PIXELS):
-            here = np.arange(begin, min(begin + PIXELS, last))
-            here = here[fitted[here]]
+        for part in strips(last - first, VALUES // len(stack)):
+            here = first + part.start + np.flatnonzero(fitted[first:last][part])
             there = known[:, here] & np.isfinite(stack[:, here])
             values = np.where(there, stack[:, here], 0).astype(np.float64)
             apart = np.abs(np.where(there, other[:, here] - values, 0)).sum(axis=0)

@@ -149,7 +149,7 @@ JointScene = namedtuple("JointScene", "lights table rotation")
 """What all pixels of a joint fit share.
 
 lights (lights, 8) float64: direction, half vector, F, cos theta_q; table (4, NODES) of `GlossProfile.table`;
-rotation (C, C): the first row is the common level of the channels.
+rotation (C, C): the first row is the common level of the channels, the others are Helmert's differences.
 """
 
 
@@ -216,6 +216,8 @@ def refine_normals(
 
     Raises UserError where shapes do not fit.
     """
+    from scipy.linalg import helmert
+
     observations = np.ascontiguousarray(gloss.balanced(observations), dtype=np.float32)
     shape = observations.shape
     if observations.ndim != 4 or np.shape(normals) != (*shape[1:3], 3) or len(directions) != shape[0]:
@@ -233,7 +235,7 @@ def refine_normals(
         normals = np.moveaxis(np.where(valid, observations.mean(axis=-1), 0), 0, -1) @ lights[:, 3:6]
         normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), np.finfo(float).tiny)
     fields = empty_fields(pixels, channels, normals, reflectance, flags)
-    scene = JointScene(lights, gloss.table(), channel_rotation(channels))
+    scene = JointScene(lights, gloss.table(), helmert(channels, full=True))
     settings = settings._replace(noise=float(noise))
     known = np.ascontiguousarray(np.broadcast_to(valid, shape[:3]).reshape(count, pixels))
     over_rows(refine_pixels, pixels, observations.reshape(count, pixels, channels), known, scene, settings, fields)
@@ -270,13 +272,3 @@ def empty_fields(pixels, channels, normals, reflectance, flags):
         np.array(marks, dtype=np.uint8),
         np.zeros(pixels, np.float32),
     )
-
-
-def channel_rotation(channels: int) -> np.ndarray:
-    """Orthogonal matrix (C, C) whose first row is the common level; the others are Helmert's differences."""
-    rotation = np.zeros((channels, channels))
-    rotation[0] = 1 / np.sqrt(channels)
-    for k in range(1, channels):
-        rotation[k, :k], rotation[k, k] = 1.0, -float(k)
-        rotation[k] /= np.sqrt(k * (k + 1.0))
-    return rotation

@@ -12,6 +12,7 @@ from nishiki.summary import Summarised
 from nishiki.threads import over_rows
 
 METHODS = ("refit", "trimmed", "threshold", "none")
+VALUES = 1 << 15  # samples of pixels that array code treats together: they stay in the cache
 
 
 @dataclass(frozen=True, repr=False)
@@ -260,22 +261,17 @@ def checked_stack(observations, directions):
     return np.ascontiguousarray(stack.reshape(stack.shape[0], -1)), np.ascontiguousarray(directions)
 
 
-def all_finite(stack):
-    """Whether every sample is finite: one pass without a mask; sums that overflow only cost the slower way."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return bool(np.isfinite(stack.sum(axis=0)).all())
-
-
 def checked_valid(stack, valid, shape):
-    """Check the mask of valid samples: (lights, pixels), or (lights, 1) where all are valid."""
-    finite = all_finite(stack)
+    """Check the mask of samples that may be used: (lights, pixels), or (lights, 1) where all are."""
+    with np.errstate(over="ignore", invalid="ignore"):  # one pass without a mask; overflow only costs the slower way
+        finite = bool(np.isfinite(stack.sum(axis=0)).all())
     if valid is None and finite:
         return np.ones((stack.shape[0], 1), dtype=np.bool_)
     if valid is None:
         return np.isfinite(stack)
     valid = np.asarray(valid, dtype=np.bool_)
     if valid.shape != shape:
-        raise UserError(f"mask of valid samples: expected shape {shape} as the observations, found {valid.shape}")
+        raise UserError(f"mask of samples: expected shape {shape} as the observations, found {valid.shape}")
     known = np.ascontiguousarray(valid.reshape(stack.shape))
     return known if finite else known & np.isfinite(stack)
 

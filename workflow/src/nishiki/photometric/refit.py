@@ -29,8 +29,7 @@ RIDGE = np.float32(1e-6)  # of the trace: keeps degenerate windows of lights fin
 FAR = np.float32(3e38)
 # shares of the samples, and bounds in units of the scale of the concentrated fit (docs/notes/stages/separate.md)
 STARTS = 3  # windows of ranks that are tried
-STEPS = 2  # concentration steps for each start
-ROUNDS = 2  # times that accepted samples are fitted again
+ROUNDS = 2  # fits of each start, and of the accepted samples
 NOISE = 0.003  # relative to the albedo, below which no disagreement is taken seriously
 WINDOW = np.float32(0.4)  # share of the samples in a starting window of ranks
 COVERAGE = np.float32(0.5)  # share of the samples that a fit has to explain: up to half may be spoilt
@@ -267,7 +266,7 @@ def refit_selection(first, last, observations, valid, lamps, at_least, selected)
             open_window(ranked, values, known, count, (WINDOW, part, at_least), (low, high), weights)
             for p in range(4 * BLOCK):
                 scaled[p] = 0.0
-            for _ in range(STEPS + 1):
+            for _ in range(ROUNDS):
                 add_up(values, weights, products, sums)
                 solve_block(sums, at_least, scaled)
                 distances(values, known, directions, scaled, distance)

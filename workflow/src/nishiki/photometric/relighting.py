@@ -10,7 +10,7 @@ alone, the samples j of a pixel are fitted again by one of two models:
                  across the view: the pixel darkens towards the side from which its surroundings shade it
 
 with c = max(n . l, 0), x = max(n . h, 0). All are linear. In `plain` and for the normal of `directional` weights are
-Cauchy's, 1 / (1 + (r / 2.4 s)^2) with s from the median of |r| (P. W. Holland and R. E. Welsch, Robust regression using
+Cauchy's, 1 / (1 + (r / 2 s)^2) with s from the median of |r| (P. W. Holland and R. E. Welsch, Robust regression using
 iteratively reweighted least-squares, Communications in Statistics A 6 (9), 1977), so that cast shadows and highlights
 lose their say but not the samples next to them; priors hold g to the normal of the stage and b and d to 0, the weaker
 the more the samples scatter about the stage's fit. The terms of `directional` are least squares with next to no prior:
@@ -21,19 +21,15 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.photometric.flags import FEW_LIGHTS
-from nishiki.photometric.lambert_fit import median_of_lights
-from nishiki.photometric.light_selection import half_vectors, sum_lights
+from nishiki.photometric.lambert_fit import KINK, median_of_lights
+from nishiki.photometric.light_selection import VALUES, half_vectors, sum_lights
 from nishiki.photometric.normal_kernels import LEAST_FACTOR, PRIOR, WIDTH
 from nishiki.photometric.refit import NOISE
 from nishiki.threads import over_rows
 
 MODELS = ("plain", "directional")
 ROUNDS_NORMAL, ROUNDS_TERMS = 6, 3
-TUNING = 2.4  # of Cauchy's weight, in standard deviations: 95 % efficiency for normal errors
-WIDTH_NORMAL = 0.3  # standard deviation expected of g - n where samples scatter much
-ALONG = 0.1  # of the prior on g along z, which is the level and not a tilt
 TERMS = {"plain": 3, "directional": 5}  # of the map `shading`
-VALUES = 1 << 15  # at a time
 
 
 def fit_relighting(observations, directions, normals, *, valid, scatter, reflectance, shading, model="plain"):
@@ -115,7 +111,7 @@ def _robust_fit(level, weight, allowed, basis, first, held, rounds: int):
         lit, residual = allowed & (shade > 0), np.abs(level - np.maximum(shade, 0))
         count = lit.sum(axis=0)
         freedom = np.sqrt(count / np.maximum(count - len(basis) + 1, 1))
-        scale = TUNING * (1.4826 * median_of_lights(np.where(lit, residual, np.nan)) * freedom + NOISE)
+        scale = KINK * (1.4826 * median_of_lights(np.where(lit, residual, np.nan)) * freedom + NOISE)
         weight = np.where(lit, 1 / (1 + (residual / scale) ** 2), 0)
     return terms, weight, found
 
@@ -134,7 +130,7 @@ def _fit(samples, allowed, vectors, start, scatter, plain: bool) -> tuple[np.nda
     level = level * (square / np.where(found, product, 1))  # relative to Lambert's albedo
     least, weight, g = PRIOR * lights / 3, allowed.astype(np.float64), start
     if plain or lights <= FEW_LIGHTS:
-        held = ((scatter / WIDTH_NORMAL) ** 2 + least) * np.array([1, 1, ALONG])[:, None]
+        held = np.tile((scatter / WIDTH) ** 2 + least, (3, 1))
         g, weight, sound = _robust_fit(level, weight, allowed, directions, start, held, ROUNDS_NORMAL)
         found = found & sound
     length = np.sqrt(sum_lights(g, g))

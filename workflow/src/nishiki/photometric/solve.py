@@ -18,20 +18,20 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.photometric.flags import COPLANAR, NO_ESTIMATE, NormalFlag
 from nishiki.photometric.light_selection import (
-    all_finite,
+    VALUES,
     checked_stack,
+    checked_valid,
     direction_products,
     distinct_sets,
     half_vectors,
 )
 from nishiki.summary import Summarised
-from nishiki.threads import over_rows
+from nishiki.threads import over_rows, strips
 
 SOLVERS = ("lobe", "least_squares")
 NEAR_DEG = 0.2  # largest difference between a pixel's direction to a near light and that of its block
 SUSPECT = 40.0  # condition of the light matrix
 WORSE, SOMEWHAT = 16.0, 1.3
-PIXELS = 1 << 14  # at a time
 
 
 Estimates = namedtuple("Estimates", "normals scalars lights_used flags")
@@ -186,8 +186,8 @@ def estimate_normals(
     if solver == "lobe":
         if weights is not None:
             raise UserError("normals: the solver 'lobe' takes no weights; use 'least_squares', or leave samples out")
-        known = factors if valid is None else sample_weights(stack, valid, None, shape)
-        if factors is not None and valid is not None:
+        known = factors if valid is None else checked_valid(stack, valid, shape).view(np.uint8)
+        if valid is not None and factors.shape == stack.shape:
             factors = without_distrusted(stack, directions, factors, known, outputs, max_condition)
         shading = refine_lobe(stack, directions, factors, known, outputs, noise, max_condition)
         shading = shading.reshape(*shape[1:], 3)
@@ -228,7 +228,7 @@ def without_distrusted(stack, directions, usable, known, outputs, max_condition)
 
     if not (outputs.scalars[2] > SUSPECT).any():
         return usable
-    known = np.ones_like(usable) if known is None else known
+    known = np.broadcast_to(known, usable.shape)
     again = distrusted(stack, directions, usable, known, outputs)
     if not again.size:
         return usable
@@ -252,15 +252,14 @@ def refine_lobe(stack, directions, usable, known, outputs, noise, max_condition)
 
     # (6, lights): directions to the lights, and half vectors of light and view
     vectors = np.ascontiguousarray(np.hstack([directions, half_vectors(directions)]).T, dtype=np.float32)
-    everything = np.ones((stack.shape[0], 1), dtype=np.uint8)
     shading = np.tile(np.array(LAMBERT, np.float32), (stack.shape[1], 1))
-    samples = Samples(stack, everything if usable is None else usable, everything if known is None else known)
+    samples = Samples(stack, usable, known)
     over_rows(refine, stack.shape[1], samples, vectors, float(noise), float(max_condition), outputs, shading)
     return shading
 
 
 def lambertian(stack, directions, factors, max_condition) -> Estimates:
-    """Lambertian least squares into new outputs; factors (lights, pixels) uint8 or float32, or None for all."""
+    """Lambertian least squares into new outputs; factors (lights, pixels or 1) uint8 or float32."""
     from nishiki.lanes import BLOCK
     from nishiki.photometric.normal_kernels import solve_weighted
 
@@ -271,7 +270,7 @@ def lambertian(stack, directions, factors, max_condition) -> Estimates:
         np.empty(pixels, dtype=np.uint16),
         np.empty(pixels, dtype=np.uint8),
     )
-    factors = np.ones(stack.shape, np.uint8) if factors is None else factors
+    factors = np.ascontiguousarray(np.broadcast_to(factors, stack.shape))
     blocks, products = -(-pixels // BLOCK), direction_products(directions)
     over_rows(solve_weighted, blocks, stack, factors, products, float(max_condition), outputs)
     return outputs
@@ -300,24 +299,17 @@ def both(usable, valid):
 
 
 def sample_weights(stack, usable, weights, shape):
-    """Mask and weights combined: None (all alike), uint8 0 or 1 (lights, pixels) or float32 (lights, pixels)."""
-    finite = all_finite(stack)
-    if usable is not None:
-        usable = np.asarray(usable, dtype=np.bool_)
-        if usable.shape != shape:
-            raise UserError(f"usable samples: expected shape {shape} as the observations, found {usable.shape}")
-        usable = np.ascontiguousarray(usable.reshape(stack.shape))
-    if not finite:
-        usable = np.isfinite(stack) if usable is None else usable & np.isfinite(stack)
+    """Mask and weights combined: uint8 0 or 1 (lights, pixels), or (lights, 1) for all alike, or float32."""
+    usable = checked_valid(stack, usable, shape)
     if weights is None:
-        return None if usable is None else usable.view(np.uint8)
+        return usable.view(np.uint8)
     weights = np.asarray(weights, dtype=np.float32)
     if weights.shape not in (shape, shape[:1]):
         raise UserError(f"weights: expected shape {shape} or {shape[:1]}, found {weights.shape}")
     if not (np.isfinite(weights).all() and (weights >= 0).all()):
         raise UserError("weights: expected finite values, zero or above, found others; zero leaves a sample out")
     weights = np.broadcast_to(weights.reshape(shape[0], -1), stack.shape)
-    return np.ascontiguousarray(weights if usable is None else np.where(usable, weights, np.float32(0)))
+    return np.where(usable, weights, np.float32(0))
 
 
 def distrusted(stack, directions, usable, known, outputs):
@@ -339,8 +331,8 @@ def distrusted(stack, directions, usable, known, outputs):
     fitted = (flags & (NormalFlag.TOO_FEW_LIGHTS | NormalFlag.NO_SIGNAL)) == 0
     suspects = np.flatnonzero((scalars[2] > SUSPECT) & fitted)
     halves, found = half_vectors(directions), []
-    for start in range(0, len(suspects), PIXELS):
-        here = suspects[start : start + PIXELS]
+    for part in strips(len(suspects), VALUES // len(stack)):
+        here = suspects[part]
         valid, condition = known[:, here] > 0, scalars[2, here].astype(np.float64)
         first, member = distinct_sets(valid)
         least = condition_of(valid[:, first], directions)[member]

@@ -147,7 +147,6 @@ STRIP = 16  # rows
 MOST_PIXELS = 1 << 17  # that the noise is measured on
 BINS, FEWEST_IN_BIN = 16, 200  # of brightness, for the noise
 APART = 2  # pixels between those that second differences for the noise compare: one apart shares demosaiced samples
-SECOND = np.array([1.0, -2.0, 1.0])  # second differences, taken in both directions
 
 
 def measure_noise(series: Series) -> tuple[PhotographNoise | None, np.ndarray]:
@@ -158,8 +157,6 @@ def measure_noise(series: Series) -> tuple[PhotographNoise | None, np.ndarray]:
     brightness gives the variance c_l^2 var(q_k) + c_k^2 var(q_l), from which slope and floor of the channels follow by
     non-negative least squares of the relative error. With one or two channels they are taken of q itself.
     """
-    from scipy.special import chdtri  # (1, .5): the median of the square of a normal number
-
     rows, columns = series.planes.shape[1:3]
     tops = range(0, rows - 2 * APART, STRIP * -(-rows * columns // MOST_PIXELS))  # evenly spread
     strips = [_Strip.of(series, slice(top, min(top + STRIP, rows))) for top in tops]
@@ -170,15 +167,18 @@ def measure_noise(series: Series) -> tuple[PhotographNoise | None, np.ndarray]:
     table, variances = [], []
     for j, each in enumerate(colour):
         for k, other, c_k, c_other in _pairs_of(each):
-            squares = [strip.second(c_other * strip.q[j, ..., k] - c_k * strip.q[j, ..., other]) for strip in strips]
-            energy = np.concatenate(squares)[order] ** 2
+            squares = [
+                squared_differences(c_other * strip.q[j, ..., k] - c_k * strip.q[j, ..., other], strip.complete, APART)
+                for strip in strips
+            ]
+            energy = np.concatenate(squares)[order]
             for first, last in edges:
                 row = np.zeros((2, channels))
                 for channel, factor in ((k, c_other**2), (other, c_k**2)):
                     row[0, channel] += factor * level[first:last, j, channel].mean()
                     row[1, channel] += factor * count[first:last, j, channel].mean()
                 table.append(row.ravel())
-                variances.append(np.median(energy[first:last]) / (chdtri(1, 0.5) * (SECOND @ SECOND) ** 2))
+                variances.append(np.median(energy[first:last]))
     return _least_squares(np.array(table), np.array(variances), channels), colour.ravel()
 
 
@@ -215,18 +215,32 @@ class _Strip:
     def of(cls, series: Series, rows: slice) -> "_Strip":
         part, usable = series.rows(rows), series.usable[rows]
         q = series.differences(part)
-        across = usable[:, : -2 * APART] & usable[:, APART:-APART] & usable[:, 2 * APART :]
-        complete = across[: -2 * APART] & across[APART:-APART] & across[2 * APART :]
+        complete = complete_around(usable, APART)
         inner = [
             np.broadcast_to(each, q.shape)[:, APART:-APART, APART:-APART][:, complete].transpose(1, 0, 2)
             for each in series.noise_of_differences(part, rows)
         ]
         return cls(q, q[:, usable], complete, *inner)
 
-    def second(self, values: np.ndarray) -> np.ndarray:
-        """(pixels,) second differences down and across of (rows, columns)."""
-        along = values[:, : -2 * APART] - 2 * values[:, APART:-APART] + values[:, 2 * APART :]
-        return (along[: -2 * APART] - 2 * along[APART:-APART] + along[2 * APART :])[self.complete]
+
+def complete_around(usable: np.ndarray, apart: int) -> np.ndarray:
+    """(rows - 2 apart, columns - 2 apart) bool: pixels that are usable with their eight neighbours so far apart."""
+    across = usable[:, : -2 * apart] & usable[:, apart:-apart] & usable[:, 2 * apart :]
+    return across[: -2 * apart] & across[apart:-apart] & across[2 * apart :]
+
+
+def squared_differences(values: np.ndarray, complete: np.ndarray, apart: int) -> np.ndarray:
+    """Square second differences, down and across, of values (rows, columns, ...), over their variance under noise of 1.
+
+    Of the pixels that are `complete`; they vanish on planes and edges (J. Immerkaer, Fast noise variance estimation,
+    CVIU 64, 1996). Divided by the median of the square of a normal number: their median is the noise's variance.
+    """
+    from scipy.special import chdtri
+
+    along = values[:, : -2 * apart] - 2 * values[:, apart:-apart] + values[:, 2 * apart :]
+    both = along[: -2 * apart] - 2 * along[apart:-apart] + along[2 * apart :]
+    weights = np.array([1, -2, 1])
+    return both[complete] ** 2 / ((weights @ weights) ** 2 * chdtri(1, 0.5))
 
 
 def _bins(level: np.ndarray) -> tuple[np.ndarray, list[tuple[int, int]]]:

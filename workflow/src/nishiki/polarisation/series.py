@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.polarisation.noise import complete_around, squared_differences
 from nishiki.polarisation.polarisation import LIT, SeparatedView
 from nishiki.polarisation.polariser_states import StateSums
 from nishiki.threads import strips
@@ -205,21 +206,12 @@ def select_lit(total: np.ndarray, valid: np.ndarray) -> np.ndarray:
 def noise_of(values: np.ndarray, valid: np.ndarray) -> float | None:
     """Estimate the standard deviation of the noise of (rows, columns, channels); None without a 3 x 3 valid place.
 
-    Second differences in both directions vanish on planes and edges (J. Immerkaer, Fast noise variance estimation, CVIU
-    64, 1996); the median of their absolute values is used, so that texture counts little.
+    The median of squared second differences is used, so that texture counts little.
     """
     if min(valid.shape) < 3:
         return None
-    along = values[:, :-2] - 2 * values[:, 1:-1] + values[:, 2:]
-    both = along[:-2] - 2 * along[1:-1] + along[2:]
-    complete = np.ones(both.shape[:2], bool)
-    for row in range(3):
-        for column in range(3):
-            complete &= valid[row : row + complete.shape[0], column : column + complete.shape[1]]
-    if not complete.any():
-        return None
-    # Weights (1, -2, 1) x (1, -2, 1) have a sum of squares of 36; 0.6745 is the median of |N(0, 1)|.
-    return float(np.median(np.abs(both[complete])) / 0.6745 / 6)
+    complete = complete_around(valid, 1)
+    return float(np.sqrt(np.median(squared_differences(values, complete, 1)))) if complete.any() else None
 
 
 class Thinned:

@@ -95,16 +95,12 @@ def blurred(image: np.ndarray) -> np.ndarray:
     return image
 
 
-def backdrop(settings: TurntableSettings) -> np.ndarray:
-    """(rows, columns, 1) light from the black cloth: a faint glow that is stronger below."""
-    u, v = _plane(settings)
-    return (CLOTH * (1.0 - 0.4 * v + 0.1 * u))[..., None]
-
-
 def components(light: Radiance, settings: TurntableSettings) -> tuple[np.ndarray, np.ndarray]:
     """Depolarised and mirror-reflected light (rows, columns, 3) float64 at the sensor: blurred, stray light added."""
     bare = (1.0 - light.coverage)[..., None].astype(np.float64)
-    diffuse = blurred(light.diffuse + bare * backdrop(settings))
+    u, v = _plane(settings)
+    backdrop = (CLOTH * (1.0 - 0.4 * v + 0.1 * u))[..., None]  # the black cloth: a faint glow that is stronger below
+    diffuse = blurred(light.diffuse + bare * backdrop)
     return diffuse + STRAY, blurred(light.specular.astype(np.float64))
 
 
