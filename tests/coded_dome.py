@@ -7,10 +7,12 @@ import numpy as np
 
 from nishiki.atlas.surface import texel_points, texel_triangles
 from nishiki.brdf.texels.model import Lighting
-from nishiki.codec.allocate import EncodedObject
+from nishiki.codec.allocate import EncodedObject, one_pass, pilot
 from nishiki.codec.design import Design, extent_of
 from nishiki.codec.entropy import Model, encode, train
+from nishiki.codec.pictures import SIDE, PictureSource
 from nishiki.codec.store import Residual, write_residual
+from nishiki.codec.tile_code import CodedScene, Effort
 from nishiki.geometry.camera import Camera, look_at
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.object.decoded_object import DecodedObject
@@ -49,8 +51,8 @@ def cameras(rows: int = 130, columns: int = 150) -> list[Camera]:
     return out
 
 
-def coded_dome(folder: Path, *, encoding: str = "srgb") -> DecodedObject:
-    """The object, its residual written to a folder and opened again."""
+def coded_dome(folder: Path, *, encoding: str = "srgb", pictures: bool = False) -> DecodedObject:
+    """The object, its residual written to a folder and opened again; pictures: of the views, lit from the camera."""
     rng, mesh, views = np.random.default_rng(7), bumpy_ball(), cameras()
     atlas = lay_out(mesh, views, TexelsSettings(tile=TILE))[1]
     triangles = texel_triangles(atlas)
@@ -85,11 +87,25 @@ def coded_dome(folder: Path, *, encoding: str = "srgb") -> DecodedObject:
         for p, r, n in zip(parameters, residuals, levels, strict=True)
     ]
     coded = EncodedObject(design, models, extents, [None] * atlas.tiles, streams, 1, 0.0, 0.0, 0, [])
-    write_residual(folder, coded, stamp={}, report={})
-    names = tuple(camera.name for camera in views)
+    write_residual(folder, coded, photographed(design) if pictures else None, stamp={}, report={})
+    names, lighting = tuple(camera.name for camera in views), Lighting("camera") if pictures else LIGHTING
     return DecodedObject(
-        mesh, atlas, views, Residual(folder), LIGHTING, triangles, encoding, 3, True, names, ("",), 1.0
+        mesh, atlas, views, Residual(folder), lighting, triangles, encoding, 3, True, names, ("",), 1.0
     )
+
+
+def photographed(design: Design, rows: int = 130, columns: int = 150) -> EncodedObject:
+    """Waves that differ from view to view, as pictures of all pixels."""
+    row, column = np.mgrid[:rows, :columns]
+
+    def read(view: int) -> tuple[np.ndarray, np.ndarray]:
+        waves = [np.sin(column / 7 + view + channel) * np.cos(row / 9 - channel) for channel in range(3)]
+        return (0.5 + 0.3 * np.stack(waves, axis=-1)).astype(np.float32)[None], np.ones((rows, columns), bool)
+
+    source = PictureSource(read, tuple(range(VIEWS)), VIEWS, (rows, columns), 3)
+    scene = CodedScene(np.zeros((VIEWS, 3)), [LIGHTING.lamp(camera) for camera in cameras()])
+    found = pilot(source, scene, replace(design, tile_size=SIDE, model=False), Effort(), threads=1)
+    return one_pass(source, scene, found.at_step(0.1), Effort(), threads=1)
 
 
 def sparse(rng: np.random.Generator, shape: tuple[int, ...], share: float, spread: float) -> np.ndarray:

@@ -12,7 +12,8 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.codec.compact import mesh_step
-from nishiki.codec.design import Design, view_matrix
+from nishiki.codec.design import view_matrix
+from nishiki.codec.store import Coded
 from nishiki.codec.transform import Plane
 from nishiki.geometry.turn import fit_turn
 from nishiki.observations.views import Views
@@ -81,21 +82,29 @@ def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
         "chart_steps": CHART_STEPS,
         "mesh_step": mesh_step(decoded.mesh, list(decoded.cameras)),
         "design": design.as_dict(),
+        "pictures": decoded.residual.pictures and decoded.residual.pictures.design.as_dict(),
     }
 
 
 def decoder_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
-    """Return mesh, charts, index of the streams, start states of the coder, wavelets and transforms along the views."""
-    residual = decoded.residual
-    extents = [extent.row_of_numbers() for extent in residual.extents]
-    lengths = [residual.stored(tile) for tile in range(residual.tiles)]
-    index = {"extents": np.array(extents, np.uint16), "lengths": np.array(lengths, np.uint32)}
-    arrays = {**surface_arrays(decoded), **index}
-    for name, model in zip(("parameters", "residual"), decoded.residual.models, strict=True):
-        arrays[f"{name}/chance"] = model.chance.astype(np.uint32)
-        arrays[f"{name}/seen"] = model.seen.astype(np.uint8)
-        arrays[f"{name}/weights"] = model.weights.astype(np.int32)
-    return arrays | wavelet_arrays(decoded)
+    """Return mesh and charts, and the arrays of what is coded on texels and as `pictures/`."""
+    arrays = {**surface_arrays(decoded), **coded_arrays(decoded.residual)}
+    if decoded.residual.pictures is not None:
+        arrays |= {f"pictures/{name}": values for name, values in coded_arrays(decoded.residual.pictures).items()}
+    return arrays
+
+
+def coded_arrays(coded: Coded) -> dict[str, np.ndarray]:
+    """Return the index of the streams, start states of the coder, wavelets and transforms along the views."""
+    extents = [extent.row_of_numbers() for extent in coded.extents]
+    lengths = [coded.stored(tile) for tile in range(coded.tiles)]
+    arrays = {"extents": np.array(extents, np.uint16), "lengths": np.array(lengths, np.uint32)}
+    for name, model in zip(("parameters", "residual"), coded.models, strict=True):
+        if coded.design.model or name == "residual":
+            arrays[f"{name}/chance"] = model.chance.astype(np.uint32)
+            arrays[f"{name}/seen"] = model.seen.astype(np.uint8)
+            arrays[f"{name}/weights"] = model.weights.astype(np.int32)
+    return arrays | wavelet_arrays(coded)
 
 
 def surface_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
@@ -120,17 +129,17 @@ def surface_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
     }
 
 
-def wavelet_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
+def wavelet_arrays(coded: Coded) -> dict[str, np.ndarray]:
     """One level of synthesis of every length that occurs, lengths of the basis vectors, transforms along the views."""
-    residual = decoded.residual
-    design: Design = residual.design
-    extents = [extent for extent in residual.extents if extent.length]
+    design = coded.design
+    extents = [extent for extent in coded.extents if extent.length]
     arrays = {"along/lights": view_matrix(design.light_transform, design.lights).astype(np.float32)}
     for length in sorted({extent.length for extent in extents}):
         arrays[f"along/views/{length}"] = view_matrix(design.view_transform, length).astype(np.float32)
     for extent in extents:
         arrays |= plane_arrays("plane", design.plane(extent))
-        arrays |= plane_arrays("parameter_plane", design.parameter_plane(extent))
+        if design.model:
+            arrays |= plane_arrays("parameter_plane", design.parameter_plane(extent))
     return arrays
 
 
@@ -151,14 +160,15 @@ def plane_arrays(name: str, plane: Plane) -> dict[str, np.ndarray]:
 def stream_parts(decoded: DecodedObject) -> Iterator[tuple[dict[str, Any], bytes]]:
     """Yield the coded streams of the tiles first .. stop - 1, byte for byte, in parts that are loaded one by one.
 
-    First come the parameters' streams (0), then the residual's.
+    First come the parameters' streams (0), then the residual's or, in its place, those of views coded as pictures.
     """
-    residual = decoded.residual
-    for kind, streams in (("parameters", slice(0, 1)), ("residual", slice(1, None))):
+    residual, pictures = decoded.residual, decoded.residual.pictures
+    of_views = ("pictures", pictures) if pictures is not None else ("residual", residual)
+    for (kind, coded), streams in ((("parameters", residual), slice(0, 1)), (of_views, slice(1, None))):
         first, held = 0, []
-        for tile in range(residual.tiles):
-            held.append(b"".join(residual.stream(tile, n) for n in range(len(residual.stored(tile)))[streams]))
-            if sum(map(len, held)) >= PART_BYTES or tile + 1 == residual.tiles:
+        for tile in range(coded.tiles):
+            held.append(b"".join(coded.stream(tile, n) for n in range(len(coded.stored(tile)))[streams]))
+            if sum(map(len, held)) >= PART_BYTES or tile + 1 == coded.tiles:
                 yield {"name": f"{kind}-{first}", "first": first, "stop": tile + 1}, b"".join(held)
                 first, held = tile + 1, []
 

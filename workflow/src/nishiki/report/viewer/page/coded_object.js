@@ -10,9 +10,10 @@ const MOST_STEPS = 100; // of a smoothing
 const IDENTITY = (count) => Array.from({ length: count }, (_, i) => Array.from({ length: count }, (_, j) => +(i === j)));
 
 export class CodedObject {
-  constructor(manifest, arrays) {
-    const values = (name) => arrays[name].values;
-    this.design = manifest.design;
+  /** design: of the coding; arrays: its index, start states and transforms. */
+  constructor(design, arrays) {
+    const values = (name) => arrays[name]?.values;
+    this.design = design;
     this.size = this.design.tile_size;
     this.channels = this.design.channels;
     this.tiles = arrays.lengths.shape[0];

@@ -35,6 +35,7 @@ const LAYERS = [
 
 export class ObjectScene extends RoundScene {
   /** @type {CodedObject} */ coded;
+  /** @type {CodedObject | null} */ pictures = null; // captured views, a tile of pixels each, in place of residuals of texels
   /** @type {ObjectSurface} */ mesh;
   /** @type {ObjectTexels} */ texels;
   /** @type {ObjectShadows} */ shadows;
@@ -42,7 +43,10 @@ export class ObjectScene extends RoundScene {
   static async open(canvas, manifest, loader) {
     const scene = new ObjectScene(canvas, manifest, loader);
     const arrays = await unpackArrays(await loader.load("object"));
-    scene.coded = new CodedObject(manifest, arrays);
+    scene.coded = new CodedObject(manifest.design, arrays);
+    const ofPictures = Object.entries(arrays).filter(([name]) => name.startsWith("pictures/"));
+    scene.pictures = manifest.pictures
+      && new CodedObject(manifest.pictures, Object.fromEntries(ofPictures.map(([name, array]) => [name.slice(9), array])));
     scene.mesh = new ObjectSurface(scene.gl, manifest, arrays);
     scene.makePrograms();
     scene.texels = new ObjectTexels(scene, scene.coded, scene.mesh, arrays);

@@ -67,8 +67,9 @@ export class ObjectProbe {
     views.forEach((camera, view) => {
       const away = subtract(centreOf(camera), position);
       if (coded.placeOf(tile, view) < 0 || dot(away, normal) <= 0.1 * norm(away) || this.#hides(camera, position)) return;
+      const lent = this.scene.pictures ? texels.read(texels.residualOf(view, light).texture, texel) : null;
       texels.draw(camera, { ...capturedUniforms(manifest, light, camera), enhance: 0, strength: 0 }, [], light, { within: { x: texel.x, y: texel.y, width: 2, height: 2 } });
-      const { values, predicted } = this.#values(texel, tile, view, light);
+      const { values, predicted } = this.#values(texel, lent ?? this.#residual(texel, tile, view, light));
       const towards = towardsCaptured(lighting, light, camera, away);
       out.push({ view: camera.name, light: normalised(towards), values: values.map((v) => Math.max(v, 0)), predicted });
     });
@@ -84,19 +85,24 @@ export class ObjectProbe {
     return seen[2] > depth + HIDDEN * this.scene.radius;
   }
 
-  /** Linear values between the four texels of `texels.seen`: with the view's residual, and without it. */
-  #values(texel, tile, view, light) {
+  /** Residual of a view at four texels. */
+  #residual(texel, tile, view, light) {
+    const { coded } = this.scene, residual = coded.residual(tile, view, light), out = new Float32Array(16);
+    const upper = 4 * ((texel.y % coded.size) * coded.size + (texel.x % coded.size)), lower = upper + 4 * coded.size;
+    if (residual) {
+      out.set(residual.subarray(upper, upper + 8));
+      out.set(residual.subarray(lower, lower + 8), 8);
+    }
+    return out;
+  }
+
+  /** Linear values between the four texels of `texels.seen`: with a residual (16 numbers), and without it. */
+  #values(texel, residual) {
     const { coded, texels } = this.scene;
     const linear = coded.design.encoding === "srgb" ? decode : (v) => v;
-    const model = texels.read(texels.seen, texel), residual = coded.residual(tile, view, light);
-    const upper = 4 * ((texel.y % coded.size) * coded.size + (texel.x % coded.size)), lower = upper + 4 * coded.size;
-    const added = new Float32Array(16);
-    if (residual) {
-      added.set(residual.subarray(upper, upper + 8));
-      added.set(residual.subarray(lower, lower + 8), 8);
-    }
+    const model = texels.read(texels.seen, texel);
     const linearOf = (values) => bilinear(values, texel).slice(0, 3).map(linear);
-    return { values: linearOf(model.map((v, n) => v + added[n])), predicted: linearOf(model) };
+    return { values: linearOf(model.map((v, n) => v + residual[n])), predicted: linearOf(model) };
   }
 }
 

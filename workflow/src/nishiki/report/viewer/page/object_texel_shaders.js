@@ -114,6 +114,29 @@ void main() {
   if (seen.z <= deepest + 1.5 * footprint * seen.z * (0.5 + slope)) result = vec4(min(cosine / 0.25, 1.0));
 }`;
 
+/** What a view's picture differs from the model at the texels that it sees; bicubic (R. Keys, IEEE ASSP 29, 1981). */
+export const LENT_FRAGMENT = `${CAMERA}
+uniform sampler2D positions, visible, picture, model;
+out vec4 result;
+float cubic(float x) {          // of a distance in pixels, with a slope of -0.75 at 1
+  x = abs(x);
+  return x < 1.0 ? (1.25 * x - 2.25) * x * x + 1.0 : x < 2.0 ? ((-0.75 * x + 3.75) * x - 6.0) * x + 3.0 : 0.0;
+}
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy), last = ivec2(pictureSize) - 1;
+  vec4 position = texelFetch(positions, at, 0);
+  result = vec4(0);
+  if (position.w == 0.0 || texelFetch(visible, at, 0).r == 0.0) return;
+  vec2 place = project(position.xyz).xy, first = floor(place), part = place - first;
+  for (int r = -1; r < 3; r++) {
+    for (int c = -1; c < 3; c++) {
+      vec3 value = texelFetch(picture, clamp(ivec2(first) + ivec2(c, r), ivec2(0), last), 0).rgb;
+      result.rgb += cubic(part.x - float(c)) * cubic(part.y - float(r)) * value;
+    }
+  }
+  result.rgb -= texelFetch(model, at, 0).rgb;
+}`;
+
 /** The triangles as a lamp sees them. */
 export const SHADOW_VERTEX = `
 uniform sampler2D corners;      // six texels a triangle

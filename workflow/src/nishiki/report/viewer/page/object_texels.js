@@ -4,8 +4,9 @@ import { centreOf } from "viewer/cameras";
 import { trianglesOfTiles } from "viewer/coded_object";
 import { ENHANCEMENTS, SCREEN_VERTEX } from "viewer/common_shaders";
 import { Shader, attribute, drop, framebuffer, image } from "viewer/gl";
+import { capturedUniforms } from "viewer/object_lamps";
 import { DEPTH_FRAGMENT, MESH_VERTEX } from "viewer/object_shaders";
-import { SURFACE_FRAGMENT, SURFACE_VERTEX, VISIBILITY_FRAGMENT, texelFragment } from "viewer/object_texel_shaders";
+import { LENT_FRAGMENT, SURFACE_FRAGMENT, SURFACE_VERTEX, VISIBILITY_FRAGMENT, texelFragment } from "viewer/object_texel_shaders";
 
 const KEPT_VIEWS = 6; // residual textures that stay on the GPU
 const SLICE_MS = 14; // of decoding between two chances for events
@@ -25,6 +26,7 @@ export class ObjectTexels {
     this.manifest = manifest;
     this.coded = coded;
     this.mesh = mesh;
+    this.parts = scene.pictures ? scene.pictures.tiles / this.manifest.views.length : 0; // tiles of a picture
     this.residuals = new Map(); // `view/light` -> textures
     this.version = 0; // of what is decoded
     this.working = 0;
@@ -34,6 +36,7 @@ export class ObjectTexels {
       surface: new Shader(gl, SURFACE_VERTEX, SURFACE_FRAGMENT),
       depth: new Shader(gl, MESH_VERTEX, DEPTH_FRAGMENT),
       visibility: new Shader(gl, SCREEN_VERTEX, VISIBILITY_FRAGMENT),
+      lent: new Shader(gl, SCREEN_VERTEX, LENT_FRAGMENT),
       texels: new Shader(gl, SCREEN_VERTEX, texelFragment(coded.design.encoding === "srgb")),
     };
     const pairs = trianglesOfTiles(mesh.surface, arrays, coded.size);
@@ -94,13 +97,16 @@ export class ObjectTexels {
     await this.#work(async (pause) => {
       for (const { name, first, stop } of this.manifest.streams) {
         const data = await this.scene.loader.load(name);
-        const kind = name.split("-")[0];
+        const kind = name.split("-")[0], { pictures } = this.scene, coded = kind === "pictures" ? pictures : this.coded;
         for (let tile = first; tile < stop; tile++) {
-          const streams = this.coded.streamsOf(tile, first, data, kind);
+          const streams = coded.streamsOf(tile, first, data, kind);
           if (kind === "parameters") {
             const { diffuse, specular } = this.coded.parameters(tile, streams[0]);
             this.#upload(this.diffuse, tile, diffuse);
             this.#upload(this.specular, tile, specular);
+          } else if (kind === "pictures") {
+            pictures.decodeResidual(tile, streams);
+            for (const kept of this.residuals.values()) if (Math.floor(tile / this.parts) === kept.view) this.#lend(kept);
           } else {
             this.coded.decodeResidual(tile, streams);
             for (const kept of this.residuals.values()) this.#uploadResidual(kept, tile);
@@ -131,6 +137,29 @@ export class ObjectTexels {
     if (values) this.#upload(kept.texture, tile, values);
   }
 
+  /** Fill the residual of a view with what its picture, once it is decoded, differs from the model. */
+  #lend({ view, light, texture, visible }) {
+    const { gl, atlas, manifest, parts } = this, { pictures } = this.scene, camera = manifest.views[view], first = view * parts;
+    for (let n = first; n < first + parts; n++) if (pictures.coefficients[n] === undefined) return;
+    const { size } = pictures, across = Math.ceil(camera.columns / size);
+    const picture = image(gl, "RGBA16F", across * size, (parts / across) * size);
+    for (let n = 0; n < parts; n++) {
+      const values = pictures.residual(first + n, view, light) ?? new Float32Array(4 * size * size);
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, (n % across) * size, Math.floor(n / across) * size, size, size, gl.RGBA, gl.FLOAT, values);
+    }
+    const model = image(gl, "RGBA16F", atlas, atlas), drawn = framebuffer(gl, [model]);
+    gl.viewport(0, 0, atlas, atlas);
+    gl.disable(gl.DEPTH_TEST);
+    const lamps = { ...capturedUniforms(manifest, light, camera), enhance: 0, strength: 0 };
+    this.#drawModel(centreOf(camera), lamps, [], []);
+    const result = framebuffer(gl, [texture]);
+    this.programs.lent.use({ ...this.mesh.seenBy(camera), positions: this.positions, visible, picture, model });
+    this.scene.drawScreen();
+    [drawn, result].forEach((old) => drop(gl, old));
+    [picture, model].forEach((old) => gl.deleteTexture(old));
+    this.version++;
+  }
+
   /** Texture of a captured view's residual, and one of how well it sees each texel; filled while frames go on. */
   residualOf(view, light) {
     const key = `${view}/${light}`;
@@ -138,7 +167,8 @@ export class ObjectTexels {
       const { gl, atlas } = this;
       const kept = { view, light, texture: image(gl, "RGBA16F", atlas, atlas), visible: this.#visibility(view) };
       this.residuals.set(key, kept);
-      this.#work(async (pause) => {
+      if (this.scene.pictures) this.#lend(kept);
+      else this.#work(async (pause) => {
         for (let tile = 0; tile < this.coded.tiles; tile++) {
           if (this.coded.coefficients[tile] && this.residuals.get(key) === kept) {
             this.#uploadResidual(kept, tile);
@@ -200,15 +230,20 @@ export class ObjectTexels {
       gl.enable(gl.SCISSOR_TEST);
       gl.scissor(within.x, within.y, within.width, within.height);
     }
+    this.#drawModel(eye, { ...lamps, plainNormals, ...shadows }, lent, lenders);
+    if (within) gl.disable(gl.SCISSOR_TEST);
+  }
+
+  /** Draw the model as an eye sees it under lamps, with the residuals that views lend, by their weights. */
+  #drawModel(eye, uniforms, lent, lenders) {
     const none = { texture: this.zero, visible: this.zero };
     const [first, second] = [lent[0] ?? none, lent[1] ?? none];
     this.programs.texels.use({
-      positions: this.positions, normals: this.normals, plainNormals, diffuse: this.diffuse, specular: this.specular,
+      positions: this.positions, normals: this.normals, plainNormals: this.normals, diffuse: this.diffuse, specular: this.specular,
       residual0: first.texture, residual1: second.texture, visible0: first.visible, visible1: second.visible,
-      lit0: this.zero, lit1: this.zero, samples: 0, views: lent.length, weights: [lenders[0]?.weight ?? 0, lenders[1]?.weight ?? 0], eye, ...lamps, ...shadows,
+      lit0: this.zero, lit1: this.zero, samples: 0, views: lent.length, weights: [lenders[0]?.weight ?? 0, lenders[1]?.weight ?? 0], eye, ...uniforms,
     });
     this.scene.drawScreen();
-    if (within) gl.disable(gl.SCISSOR_TEST);
   }
 
   /** The four texels (16 numbers) from (x, y) on in a texture of the atlas. */
