@@ -106,16 +106,16 @@ def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any]
     if residual is None:
         return None
     intro = "What the model does not explain is kept as wavelet coefficients over the surface and the views."
-    intro += f" {figure(residual['empty_tiles'])} of {figure(residual['tiles'])} tiles need none."
+    if not residual["pictures"]:
+        intro += f" {figure(residual['empty_tiles'])} of {figure(residual['tiles'])} tiles need none."
     alone, visible = figure(residual["model_psnr_db"]), percent(100 * residual["kept_of_visible"])
     region = "over the pixels that the texels were solved for, peak: full scale"
     everything = residual["renderer_bytes"]
     others = sum(everything[name] for name in ("mesh", "charts", "cameras", "lamps"))
     facts = [("Model and residual", f"{figure(residual['psnr_db'])} dB {region}; model alone {alone} dB")]
     if pictures := residual["pictures"]:
-        equal, texels = figure(pictures["equal_bytes_psnr_db"]), figure(pictures["texels_psnr_db"])
-        text = f"as pictures, {figure(pictures['bytes'] / 1000)} kB, because texels of as many bytes reach {equal} dB; "
-        facts.append(("Captured views", f"{text}by the texels alone, which serve the views between, {texels} dB"))
+        equal, size = figure(pictures["equal_bytes_psnr_db"]), figure(pictures["bytes"] / 1000)
+        facts.append(("Captured views", f"as pictures, {size} kB, because texels of as many bytes reach {equal} dB"))
     every = percent(100 * residual["kept_of_all"])
     beside = f"of which mesh, charts, cameras and lamps {figure(others / 1000)} kB"
     facts += [

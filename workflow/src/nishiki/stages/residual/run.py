@@ -46,8 +46,6 @@ SEARCH_TILES = 16  # on which the step is sought before the first pass over all
 SEARCH_SHARE = 0.25  # of the tiles: with fewer in all, a search on some saves nothing
 FIRST_STEP = 0.08  # of the quantiser, from which the search sets out
 PARAMETER_SHARE = 1.2  # parameter steps against those of equal effect on pictures
-COARSER = 5
-"""Factor on the step of texels beside pictures: left-out views of a jug have 26.5 dB with 10 kB and with 57 kB."""
 SEARCH_VIEWS = 6  # on which the step of pictures is sought
 UNSURE_DB = 1.0  # of the quality found on them
 RIM = 2  # pixels by which pictures of the surface are carried on
@@ -89,24 +87,18 @@ def run(context: Context) -> dict:
     decision = decide_residual(left, settings.target, settings.amount, settings.sufficient)
     context.progress.tell(str(decision))
     alone = settings.sufficient == "auto" and model_suffices(left, settings.target, settings.amount)
-    if alone:
-        effort = replace(effort, pursuit=replace(effort.pursuit, rounds=0))
+    parameters_alone = replace(effort, pursuit=replace(effort.pursuit, rounds=0))
 
-    def run_pass(step: float, earlier: EncodedObject | None = None, tiles: list[int] | None = None) -> EncodedObject:
-        return one_pass(
-            source,
-            scene,
-            piloted.at_step(step, parameter_share=PARAMETER_SHARE),
-            effort,
-            threads=workers,
-            progress=context.progress,
-            tiles=tiles,
-            earlier=earlier,
-        )
+    def run_pass(
+        step: float, earlier: EncodedObject | None = None, tiles: list[int] | None = None, *, spent: Effort = effort
+    ) -> EncodedObject:
+        found = piloted.at_step(step, parameter_share=PARAMETER_SHARE)
+        progress = context.progress
+        return one_pass(source, scene, found, spent, threads=workers, progress=progress, tiles=tiles, earlier=earlier)
 
     pictures = None
     if alone and settings.target != "psnr":
-        encoded = run_pass(left.step)
+        encoded = run_pass(left.step, spent=parameters_alone)
     else:
         goal = goal_of(settings, counts, others, texels.tiles)
         start, slope, expected = first_step(run_pass, piloted, settings, goal)
@@ -114,7 +106,7 @@ def run(context: Context) -> dict:
         photographed = picture_source(context, texels, source.kept) if by_bytes else None
         if photographed is not None:
             strayed = pack_strayed([strayed_parts(mesh, *view, photographed) for view in enumerate(cameras)])
-            coarse, room = run_pass(COARSER * start), math.exp(goal) - sum(map(len, strayed))
+            coarse, room = run_pass(start, spent=parameters_alone), math.exp(goal) - sum(map(len, strayed))
             pictures = carried((photographed, scene, design, effort), settings, start, room - coarse.bytes, expected)
         encoded, alike = coarse, expected  # decibels of texels of as many bytes
         if pictures is None or expected is None or point_of(pictures).psnr_db < expected + UNSURE_DB:
@@ -129,8 +121,7 @@ def run(context: Context) -> dict:
     if pictures is not None:
         coded, curve = point_of(pictures), [replace(p, bytes=p.bytes + encoded.bytes) for p in pictures.curve]
         figures["curve"], pictures = [asdict(point) for point in curve], with_strayed(pictures, strayed)
-        told = {"texels_psnr_db": figures["psnr_db"], "equal_bytes_psnr_db": alike}
-        figures |= {"psnr_db": coded.psnr_db, "pictures": asdict(coded) | told}
+        figures |= {"psnr_db": coded.psnr_db, "pictures": asdict(coded) | {"equal_bytes_psnr_db": alike}}
     parts = write_residual(context.output.folder, encoded, pictures, stamp=context.stamp, report=figures)
     bits = 8 * parts["total"] / max(1, counts["pixels"])
     stored = {f"residual_{name}": size for name, size in parts.items() if name != "total"}
