@@ -31,10 +31,7 @@ def test_an_object_is_good_where_it_is_near_its_photographs():
 
 def test_an_object_whose_views_are_stored_as_pictures_is_doubtful():
     lines = dict(
-        object_headline(
-            turn(46.0, left_out=34.0)
-            | {"residual": {"pictures": {"equal_bytes_psnr_db": 32.4359}}}
-        )
+        object_headline(turn(46.0, left_out=34.0) | {"residual": {"pictures": {"equal_bytes_psnr_db": 32.4359}}})
     )
     assert "32.4 dB" in lines[DOUBTFUL]
     assert {GOOD, REMEDY} < set(lines)

@@ -55,17 +55,13 @@ def fit_object(
     capture: Capture,
     write: Callable[[int, Parameters], None],
     *,
-    width: str = "smooth",
-    apart: bool = False,
     threads: int = 1,
 ) -> ObjectFit:
     """Fit all tiles: read(tile) gives its texels, write(tile, parameters) takes the result; from several threads.
 
-    width: "smooth" (sigma and K_s drawn towards the neighbours' as far as the data allow), "texel" (the paper's: each
-    texel by itself, the neighbours only where no highlight was observed), "object" (one sigma).  apart: where tiles
-    have components, K_d from the diffuse and K_s from the specular one (the paper's); else only sigma comes from the
-    specular component, and K_d and K_s from the total, which is what a picture shows.  The result does not depend on
-    `threads`.
+    Sigma and K_s are drawn towards the neighbours' as far as the data allow.  Where tiles have components only sigma
+    comes from the specular one, and K_d and K_s from the total, which is what a picture shows.  The result does not
+    depend on `threads`.
     """
     tiles = list(tiles)
     some = [read(tile) for tile in tiles[:: max(len(tiles) // 6, 1)]]
@@ -75,19 +71,16 @@ def fit_object(
     origin = FAR * edge * np.rint(first_texel.astype(float).sum(axis=0) / (FAR * edge))
     lattice = Lattice(edge, tuple(origin.tolist()))
 
-    def fitted_tile(k: int) -> Tile:
-        return read(tiles[k]) if apart else read(tiles[k]).joined
-
     def every(function):
         return list(in_threads(function, range(len(tiles)), threads))
 
     first = every(lambda k: _First.of(read(tiles[k]), capture, lattice))
-    widths = _Widths.of(first, lattice, width)
-    second = every(lambda k: _Second.of(fitted_tile(k), capture, widths, first[k], lattice))
-    gloss = _Gloss.of(second, first, lattice, width)
+    widths = _Widths.of(first, lattice)
+    second = every(lambda k: _Second.of(read(tiles[k]).joined, capture, widths, first[k], lattice))
+    gloss = _Gloss.of(second, first, lattice)
 
     def finish(k: int) -> tuple[np.ndarray, float, int]:
-        tile = fitted_tile(k)
+        tile = read(tiles[k]).joined
         parameters = _third(tile, capture, widths, gloss, first[k])
         write(tiles[k], parameters)
         return _counts(parameters.flags), *capture.squares(parameters, tile)
@@ -135,10 +128,9 @@ class _Widths:
 
     field: Field
     scatter: float
-    width: str
 
     @classmethod
-    def of(cls, first: list[_First], lattice: Lattice, width: str) -> "_Widths":
+    def of(cls, first: list[_First], lattice: Lattice) -> "_Widths":
         around = Neighbourhood(lattice, 1, [f.part for f in first])
         default = np.log([DEFAULT_SIGMA])
         guess = around.field(1 / SCATTER_SIGMA**2, default)
@@ -146,17 +138,12 @@ class _Widths:
         information = np.concatenate([f.fit.information[:: f.stride] for f in first] or [np.empty(0)])
         near = np.concatenate([guess.at(f.sample)[:, 0] for f in first] or [np.empty(0)])
         scatter = max(_scatter(log_sigma - near, information, SCATTER_SIGMA), LEAST_SCATTER)
-        return cls(around.field(1 / scatter**2, default), scatter, width)
+        return cls(around.field(1 / scatter**2, default), scatter)
 
     def sigma(self, positions: np.ndarray, log_sigma: np.ndarray, information: np.ndarray) -> np.ndarray:
         """(points,) float32 radians."""
         near = self.field.at(positions)[:, 0]
-        if self.width == "object":
-            near, share = np.full_like(near, self.field.mean[0]), 0.0
-        elif self.width == "texel":
-            share = information > 0
-        else:
-            share = information / (information + 1 / self.scatter**2)
+        share = information / (information + 1 / self.scatter**2)
         low, high = texel_fit.SIGMA_BOUNDS
         return np.clip(np.exp(share * log_sigma + (1 - share) * near), low, high).astype(np.float32)
 
@@ -173,13 +160,11 @@ class _Second:
 
     @classmethod
     def of(cls, tile: Tile, capture: Capture, widths: _Widths, first: _First, lattice: Lattice) -> "_Second":
-        total, specular = capture.observe(tile)
+        total, _ = capture.observe(tile)
         places = tile.positions.reshape(-1, 3)
         sigma = widths.sigma(places[first.texel], first.fit.log_sigma, first.fit.information)
-        strengths = texel_fit.strengths(total, sigma, np.zeros_like(first.fit.ks), 0.0, specular)
+        strengths = texel_fit.strengths(total, sigma, np.zeros_like(first.fit.ks), 0.0)
         information = strengths.information
-        if widths.width == "texel":  # the paper's: only texels with a highlight speak for their neighbours
-            information = np.where(first.fit.information > 0, information, 0)
         surface = np.flatnonzero(tile.inside)
         channels = strengths.ks.shape[1]
         values, weights = np.zeros((tile.inside.size, channels)), np.zeros(tile.inside.size)
@@ -197,10 +182,9 @@ class _Gloss:
     scatter: float
     noise: float
     level: float  # mean K_d
-    width: str
 
     @classmethod
-    def of(cls, second: list[_Second], first: list[_First], lattice: Lattice, width: str) -> "_Gloss":
+    def of(cls, second: list[_Second], first: list[_First], lattice: Lattice) -> "_Gloss":
         # of the observations that K_s is solved from: with components all light, whose diffuse part fits less well
         noise = texel_fit.noise_of(np.concatenate([s.residual for s in second] or [np.empty(0)]))
         channels = second[0].ks.shape[1] if second else 1
@@ -214,7 +198,7 @@ class _Gloss:
         scatter = max(scatter, LEAST_SCATTER * guess / SCATTER_KS)
         levels = [f.fit.kd.mean(dtype=float) for f in first if len(f.texel)]
         level = float(np.mean(levels)) if levels else 0.0
-        return cls(around.field(min((noise / scatter) ** 2, MOST_PULL), mean), scatter, noise, level, width)
+        return cls(around.field(min((noise / scatter) ** 2, MOST_PULL), mean), scatter, noise, level)
 
     @property
     def pull(self) -> float:
@@ -224,7 +208,7 @@ class _Gloss:
 
 def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: _First) -> Parameters:
     """Pass 3 of a tile: K_d, K_s with the prior; what is unknown is filled."""
-    total, specular = capture.observe(tile)
+    total, _ = capture.observe(tile)
     shape, channels = tile.inside.shape, tile.values.shape[-1]
     places = tile.positions.reshape(-1, 3)
     surface = np.flatnonzero(tile.inside)
@@ -234,10 +218,7 @@ def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: 
     sigma[surface] = widths.sigma(places[surface], log_sigma[surface], information[surface])
     ks, kd = (np.zeros((tile.inside.size, channels), np.float32) for _ in range(2))
     ks[surface] = np.maximum(gloss.field.at(places[surface]), 0)
-    pull = np.full(len(first.texel), gloss.pull)
-    if gloss.width == "texel":
-        pull = np.where(first.fit.information > 0, 0.0, MOST_PULL)
-    strengths = texel_fit.strengths(total, sigma[first.texel], ks[first.texel], pull, specular)
+    strengths = texel_fit.strengths(total, sigma[first.texel], ks[first.texel], gloss.pull)
     kd[first.texel], ks[first.texel] = strengths.kd, strengths.ks
     unconstrained = gloss.noise > KS_UNCONSTRAINED * gloss.level * np.sqrt(strengths.information)
     flags = np.full(tile.inside.size, TexelFlag.UNSEEN | TexelFlag.NO_HIGHLIGHT | TexelFlag.KS_UNCONSTRAINED, np.uint8)

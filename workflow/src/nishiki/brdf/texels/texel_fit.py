@@ -235,33 +235,24 @@ class Strengths:
     residual: np.ndarray
 
 
-def strengths(
-    total: Observed,
-    sigma: np.ndarray,
-    prior: np.ndarray,
-    precision: np.ndarray | float,
-    specular: Observed | None = None,
-) -> Strengths:
+def strengths(total: Observed, sigma: np.ndarray, prior: np.ndarray, precision: float) -> Strengths:
     """Non-negative K_d and K_s of every texel at its sigma (points,), K_s drawn towards prior (points, channels).
 
     Minimises sum w (y - K_d q - K_s s)^2 + precision (K_s - prior)^2 for each channel, K_d >= 0 and K_s >= 0, s the
     lobe at sigma.  A texel whose observations are far from the mirror direction has no information on K_s and takes the
     prior; one that was seen there and shows nothing gets K_s near 0.
     """
-    data = total if specular is None else specular
-    q = total.diffuse.astype(np.float64) if specular is None else np.zeros(total.diffuse.shape)
-    s = data.attenuation * np.exp(-((data.alpha / (np.sqrt(2) * sigma[:, None].astype(np.float64))) ** 2))
-    columns, weights = np.stack([s, q], axis=1), data.weights.astype(np.float64)[:, None]
-    weighted, values = columns * weights, data.values.astype(np.float64)
+    q = total.diffuse.astype(np.float64)
+    s = total.attenuation * np.exp(-((total.alpha / (np.sqrt(2) * sigma[:, None].astype(np.float64))) ** 2))
+    columns, weights = np.stack([s, q], axis=1), total.weights.astype(np.float64)[:, None]
+    weighted, values = columns * weights, total.values.astype(np.float64)
     (a, b), (_, d) = np.moveaxis(weighted @ columns.swapaxes(1, 2), 0, -1)[..., None]
     u, v = np.moveaxis(weighted @ values, 1, 0)
-    pull = np.broadcast_to(precision, len(s))[:, None]
-    ks, kd = _pair(a + pull, b, d, u + pull * prior, v)
+    ks, kd = _pair(a + precision, b, d, u + precision * prior, v)
     information = np.where(d > 0, np.maximum(a - b * b / np.where(d > 0, d, 1), 0), a)[:, 0]
     explained = ks * (2 * u - a * ks - 2 * b * kd) + kd * (2 * v - d * kd)
     squares = np.sum((weights @ values**2)[:, 0] - explained, axis=1)
-    residual = np.sqrt(np.maximum(squares, 0) / np.maximum(data.seen * values.shape[2], 1))
-    kd = kd if specular is None else lambert(total)
+    residual = np.sqrt(np.maximum(squares, 0) / np.maximum(total.seen * values.shape[2], 1))
     return Strengths(*(values.astype(np.float32) for values in (kd, ks, information, residual)))
 
 

@@ -69,21 +69,14 @@ OBJECT_LIMITS = (
 class ObjectBrdfSettings(Guarded, stage="object_brdf", version=3, limits=OBJECT_LIMITS):
     """Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
 
-    width: Literal["smooth", "texel", "object"] = Field(
-        "smooth",
-        description="sigma and K_s: drawn towards the neighbours' as far as the data allow; each texel's own, filled "
-        "where no highlight was observed (the paper's); one sigma for the object",
-    )
     lighting: Literal["auto", "camera", "fitted"] = Field(
         "auto",
         description="auto: the capture's lamps, fitted where it states none; one stated at the camera is placed beside "
         "it where shading and gloss say so; camera: a lamp at the camera; fitted: an irradiance over the normal "
         "whatever the capture states",
     )
-    components: Literal["auto", "apart", "total"] = Field(
-        "auto",
-        description="where polarisation separated them: auto: sigma from the specular part, strengths from the total; "
-        "apart: K_d from the diffuse, K_s from the specular part (the paper's); total: not used",
+    components: Literal["auto", "total"] = Field(
+        "auto", description="where polarisation separated them, auto: sigma from the specular part; total: not used"
     )
     specular: Literal["auto", "keep", "drop"] = Field(
         "auto", description="auto: Lambert alone where a sample of texels shows no gloss (docs/notes/economy.md)"

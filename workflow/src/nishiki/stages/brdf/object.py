@@ -44,15 +44,7 @@ def run(context: Context) -> dict:
     specular, decision = shows_gloss(sample, capture, settings.specular)
     context.progress.tell(str(decision))
     if specular:
-        fit = fit_object(
-            read,
-            numbers,
-            capture,
-            out.write,
-            width=settings.width,
-            apart=settings.components == "apart",
-            threads=threads(),
-        )
+        fit = fit_object(read, numbers, capture, out.write, threads=threads())
     else:
         fit = fit_lambert(read, numbers, capture, out.write, threads=threads())
     used = settings.components if separated else "total"
@@ -70,7 +62,6 @@ def run(context: Context) -> dict:
         **asdict(fit),
         "at_bounds": at_bounds,
         "components": used,
-        "width": settings.width,
         "economy": economy(decision),
     }
 
