@@ -22,7 +22,7 @@ LIMITS = (
 )
 
 
-class ResidualSettings(Guarded, stage="residual", version=9, limits=LIMITS):
+class ResidualSettings(Guarded, stage="residual", version=10, limits=LIMITS):
     """What the reflection model does not explain, as wavelet coefficients."""
 
     target: Literal["bits_per_pixel", "bytes", "total_bytes", "psnr"] = Field(

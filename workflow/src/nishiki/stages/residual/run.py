@@ -46,6 +46,8 @@ SEARCH_TILES = 16  # on which the step is sought before the first pass over all
 SEARCH_SHARE = 0.25  # of the tiles: with fewer in all, a search on some saves nothing
 FIRST_STEP = 0.08  # of the quantiser, from which the search sets out
 PARAMETER_SHARE = 1.2  # parameter steps against those of equal effect on pictures
+COARSER = 5
+"""Factor on the step of parameters beside pictures: finer ones took bytes that served captured views better."""
 SEARCH_VIEWS = 6  # on which the step of pictures is sought
 UNSURE_DB = 1.0  # of the quality found on them
 RIM = 2  # pixels by which pictures of the surface are carried on
@@ -106,7 +108,7 @@ def run(context: Context) -> dict:
         photographed = picture_source(context, texels, source.kept) if by_bytes else None
         if photographed is not None:
             strayed = pack_strayed([strayed_parts(mesh, *view, photographed) for view in enumerate(cameras)])
-            coarse, room = run_pass(start, spent=parameters_alone), math.exp(goal) - sum(map(len, strayed))
+            coarse, room = run_pass(COARSER * start, spent=parameters_alone), math.exp(goal) - sum(map(len, strayed))
             pictures = carried((photographed, scene, design, effort), settings, start, room - coarse.bytes, expected)
         encoded, alike = coarse, expected  # decibels of texels of as many bytes
         if pictures is None or expected is None or point_of(pictures).psnr_db < expected + UNSURE_DB:
