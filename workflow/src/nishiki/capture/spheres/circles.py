@@ -26,10 +26,9 @@ from nishiki.capture.spheres.search import (
 from nishiki.errors import UserError
 from nishiki.formats.masks import read_mask
 
-MOST_CLUSTERS = 8  # that are examined
+MOST_TRIED = 8  # clusters that are examined, and circles of each
 LEAST_SUPPORT = 0.45  # of a circle that may be a ball's outline
 RIVAL = 0.7  # of the best support: of one ball alone, the outermost circle with as much is its outline
-MOST_RIVALS = 8  # circles that may be the outline of one ball
 EQUAL = 1.03  # residual relative to the least, up to which edges alone rank circles
 AS_GOOD = 1.15  # residual relative to the least, up to which circles explain the scene as well
 LARGEST = 7.0  # radius of a ball relative to that of the circle around its highlights
@@ -148,7 +147,7 @@ def search_circles(given: SphereInput, overview: Overview, findings: Findings) -
     crops : list of Crop
         Crops of the photographs that were read on the way.
     """
-    clusters = cluster_highlights(find_moving_highlights(overview.stack), overview)[:MOST_CLUSTERS]
+    clusters = cluster_highlights(find_moving_highlights(overview.stack), overview)[:MOST_TRIED]
     shape = findings.camera.rows, findings.camera.columns
     small = [c for c in clusters if c.radius / overview.factor < COARSE_PX and overview.factor > 1.2]
     crops = [crop_around((*c.centre, CROP_REACH * c.radius / MARGIN), shape) for c in small]
@@ -173,7 +172,7 @@ def search_circles(given: SphereInput, overview: Overview, findings: Findings) -
             least = EQUAL * min(left[circle] for circle in good)
             # Circles that explain the scene as well as the best are ranked by their edges.
             good.sort(key=lambda c: (max(left[c], least), -c.support))
-            candidates.append((cluster, good[:MOST_RIVALS]))
+            candidates.append((cluster, good[:MOST_TRIED]))
         else:
             nowhere = Circle(cluster.centre[0], cluster.centre[1], cluster.radius, 0.0)
             best = max(circles, key=lambda each: each.support, default=nowhere)

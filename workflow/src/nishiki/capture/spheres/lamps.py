@@ -263,6 +263,7 @@ LENSES = (None, 12.0, 8.0, 6.0, 4.5, 3.5, 2.8, 2.2, 1.8, 1.5, 1.25, 1.0, 0.8)
 """Focal lengths that are tried, in longer sides of the photograph; None: seen from afar."""
 LEVEL_DEG = 5.0  # tilt of a scene up to which it is taken to be level
 LEVEL_SIGMA_DEG = 2.0  # by which a scene that is level on average may be tilted
+BEYOND = 1.1  # radii of a ball that are no part of the scene
 USUAL_LENS = 2.0  # longer sides: the focal length whose obliqueness is the error where none is known
 FILM_DIAGONAL_MM = 43.27
 
@@ -358,14 +359,15 @@ def _angles(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.arccos(np.clip((one * other).sum(axis=1), -1, 1))
 
 
-def find_free_pixels(findings: Findings) -> np.ndarray:
-    """Find the pixels (rows, columns) of the reduced photographs that show no sphere."""
+def find_free_pixels(findings: Findings, *, whole: bool = False) -> np.ndarray:
+    """Find the pixels (rows, columns) bool that show no sphere, of the reduced photographs or of the whole ones."""
     import cv2
 
-    free = np.ones(findings.mean.shape, np.uint8)
+    factor, camera = 1.0 if whole else findings.factor, findings.camera
+    free = np.ones((camera.rows, camera.columns) if whole else findings.mean.shape, np.uint8)
     for outline in findings.outlines:
-        edge = (outline_points(outline.parameters, findings.camera) + 0.5) / findings.factor - 0.5
-        cv2.fillPoly(free, [np.round(edge.mean(axis=0) + 1.1 * (edge - edge.mean(axis=0))).astype(np.int32)], 0)
+        edge = (outline_points(outline.parameters, camera) + 0.5) / factor - 0.5
+        cv2.fillPoly(free, [np.round(edge.mean(axis=0) + BEYOND * (edge - edge.mean(axis=0))).astype(np.int32)], 0)
     return free > 0
 
 

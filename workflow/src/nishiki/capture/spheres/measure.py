@@ -28,10 +28,12 @@ from nishiki.capture.spheres.lamps import (
     refit_under,
     scale_radii,
 )
-from nishiki.capture.spheres.optics import INSIDE, SphereCamera, find_highlight, outline_points
+from nishiki.capture.spheres.optics import INSIDE, SphereCamera, find_highlight
 from nishiki.capture.spheres.outline import Circle, fit_outline
 from nishiki.capture.spheres.search import (
     LEAST_LAMPS,
+    LEAST_PEAK,
+    LEAST_SHARE,
     Findings,
     SceneFit,
     SphereInput,
@@ -54,12 +56,10 @@ from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning
 
 DOUBLED = 0.35  # light of the second highlight relative to the first, from which it is doubtful which is the lamp
-FAINT = 0.15  # of the median peak: below there is no highlight
 AREA_RANGE = 2.8  # a highlight this many times larger or smaller than the others is doubtful
 POSITION_SHARE = 0.05  # relative uncertainty of a distance up to which positions are written
 BOARD_BLOCKS = 12  # along the longer side of the board's photographs
 AGREEMENT_SIGMAS = 4.0  # standard deviations
-LEAST_MEASURED = 0.5  # of the photographs: balls that fewer have highlights on are not believed
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def measure_spheres(given: SphereInput) -> MeasuredSpheres:
         _measure_sphere(given, circle, crop, stack, findings)
     sightings, warnings = _sightings(findings, names)
     seen = sorted({s.lamp for s in sightings})
-    if len(seen) < max(LEAST_LAMPS, LEAST_MEASURED * len(names)):
+    if len(seen) < max(LEAST_LAMPS, LEAST_SHARE * len(names)):
         reasons = "; ".join(f"{name}: {why}" for name, why in list(findings.left_out.items())[:8])
         raise SpheresError(
             f"{len(names) - len(seen)} of {len(names)} lamps have no highlight that can be used ({reasons}). Remedy: "
@@ -231,7 +231,7 @@ def _sightings(findings: Findings, names: list[str]) -> tuple[list[Sighting], li
         area = float(np.median([h.area_px for h in known])) if known else 0.0
         for i, name in enumerate(names):
             highlight = found[i, k]
-            if highlight is None or highlight.peak < FAINT * peak:
+            if highlight is None or highlight.peak < LEAST_PEAK * peak:
                 reasons[name].append("no highlight")
             elif highlight.cut:
                 reasons[name].append("its highlight is cut off by the outline")
@@ -319,7 +319,6 @@ MOST_SIGMA_DEG = 10.0  # median uncertainty of the directions up to which lamps 
 MOST_TILT_DEG = 35.0  # of the scene under the lamps; near lamps tilt it, too
 LEVEL_DEG = 2.5  # tilt of a scene that sound balls have shown: .2 to 1.3, and 3 to 6 where normals were off by 3 to 5
 LEAST_Z = 0.02  # of a direction: lamps below graze the object
-BEYOND = 1.1  # radii of a ball that are left out of the mask
 
 
 def find_photographs(source: Path, options: ConvertOptions) -> list[Path] | None:
@@ -355,7 +354,7 @@ def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptio
     mask = options.mask or find_mask(source)
     files = {MIRROR_BALLS: _png(draw_findings(measured.findings)[..., ::-1])}
     if mask is None:
-        files[MASK] = _png(_mask_without(measured))
+        files[MASK] = _png(255 * find_free_pixels(measured.findings, whole=True).astype(np.uint8))
     ahead = [i for i, towards in enumerate(measured.fit.directions) if towards[2] > LEAST_Z]
     for name in (name for i, name in enumerate(measured.names) if i not in ahead):
         measured.findings.left_out[name] = "its lamp stands in or behind the object's plane"
@@ -412,18 +411,6 @@ def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, lamps: in
     else:
         what = f"whether the balls are part of the object depends on the mask {mask.name}"
     return [*notes, warning("balls-masked", source.name, what)]
-
-
-def _mask_without(measured: MeasuredSpheres) -> np.ndarray:
-    """Picture (rows, columns) uint8 that is 0 on the balls and 255 elsewhere."""
-    import cv2
-
-    camera = measured.findings.camera
-    picture = np.full((camera.rows, camera.columns), 255, np.uint8)
-    for outline in measured.findings.outlines:
-        rim = outline_points(outline.parameters, camera)
-        cv2.fillPoly(picture, [np.round(rim.mean(axis=0) + BEYOND * (rim - rim.mean(axis=0))).astype(np.int32)], 0)
-    return picture
 
 
 def _png(codes: np.ndarray) -> bytes:

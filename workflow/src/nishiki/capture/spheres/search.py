@@ -21,7 +21,7 @@ from nishiki.formats.images import read_codes, read_header
 from nishiki.threads import in_threads
 
 MARGIN = 1.65  # of the radius: half the side of the crop around a sphere
-LEAST_LAMPS = 4  # that must be measured
+LEAST_LAMPS = 4  # that must be measured, photographs with a highlight on a ball
 
 Crop = tuple[tuple[slice, slice], np.ndarray]
 """Rows and columns of the photographs, and their light there (n, rows, columns)."""
@@ -115,7 +115,6 @@ def read_crops(photographs: Sequence[Path], crops: Sequence[tuple[slice, slice]]
     return [np.array([each[k] for each in cuts]) for k in range(len(crops))]
 
 
-WIDEST = 1200  # pixels, of the picture on the page
 GREEN, RED, GREY = (90, 220, 90), (255, 90, 40), (150, 150, 150)
 
 
@@ -126,7 +125,7 @@ def draw_findings(findings: Findings) -> np.ndarray:
     """
     import cv2
 
-    scale = min(1.0, WIDEST / max(findings.brightest.shape))
+    scale = min(1.0, SEARCH_SIDE / max(findings.brightest.shape))
     codes = cv2.resize(display_codes(findings.brightest), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     factor = scale / findings.factor
 
@@ -173,12 +172,11 @@ def display_codes(light: np.ndarray) -> np.ndarray:
     return np.repeat((255 * np.sqrt(np.clip(light / top, 0, 1))).astype(np.uint8)[..., None], 3, axis=2)
 
 
-SEARCH_SIDE = 1200.0  # pixels of the longer side of the reduced photographs
+SEARCH_SIDE = 1200.0  # pixels of the longer side of the reduced photographs, and of the picture on the page
 SEARCH_PIXELS = 6e7  # of all reduced photographs together, which bounds the memory
 LIT_SHARE = 0.2  # of the photographs that may be bright at a pixel of a mirror
-LEAST_PEAK = 0.15  # of the brightest moving highlight
-LEAST_SHARE = 0.5  # of the photographs that must have a highlight on a ball
-LEAST_PHOTOGRAPHS = 4  # with a highlight on a ball
+LEAST_PEAK = 0.15  # of the brightest moving highlight, and of the median peak on a ball: below there is none
+LEAST_SHARE = 0.5  # of the photographs that must have a highlight on a ball, and a lamp that is measured
 BLUR = 0.7  # pixels; below, noise of single pixels makes highlights
 
 
@@ -263,7 +261,7 @@ def cluster_highlights(found: list[np.ndarray], overview: Overview) -> list[Clus
         crowd = cv2.filter2D(density, -1, disc, borderType=cv2.BORDER_CONSTANT) / np.maximum(present, 1)
         score = present / count - 0.1 * np.maximum(0, crowd - 1)
         smooth = cv2.GaussianBlur(score, (0, 0), max(1.0, side / 6))
-        best = (present >= max(LEAST_PHOTOGRAPHS, LEAST_SHARE * count)) & (score > LEAST_SHARE - 0.05)
+        best = (present >= max(LEAST_LAMPS, LEAST_SHARE * count)) & (score > LEAST_SHARE - 0.05)
         best &= smooth >= cv2.dilate(smooth, np.ones((side, side), np.uint8))
         seeds += [(float(score[y, x]), radius, np.array([2.0 * x, 2.0 * y])) for y, x in np.argwhere(best)]
         radius *= 1.3
@@ -291,7 +289,7 @@ def _gather(found: list[np.ndarray], score: float, centre: np.ndarray, radius: f
             near = highlights[np.linalg.norm(highlights[:, :2] - centre, axis=1) <= 1.3 * radius]
             if len(near):
                 places[i] = near[np.argmax(near[:, 2]), :2]
-        if len(places) < LEAST_PHOTOGRAPHS:
+        if len(places) < LEAST_LAMPS:
             return None
         middle, reach = cv2.minEnclosingCircle(np.array(list(places.values()), np.float32))
         centre, radius = np.array(middle), max(reach, 2.0)
