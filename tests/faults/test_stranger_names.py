@@ -20,7 +20,7 @@ from refusals import refused
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter
 from nishiki.artifacts.maps import Maps
 from nishiki.capture.convert import convert
-from nishiki.capture.folder import check_settings, load_capture
+from nishiki.capture.folder import load_capture
 from nishiki.capture.frames import inside
 from nishiki.capture.schema import read_mapping
 from nishiki.capture.seal import capture_digest, manifest_text, read_manifest, seal, verify_seal
@@ -338,7 +338,7 @@ def test_yaml_is_plain_data(tmp_path, text, said, quick, monkeypatch):
     path = tmp_path / "capture.yaml"
     path.write_text(text)
     with pytest.raises(CaptureError, match=said):
-        check_settings(read_mapping(path), path.name)
+        read_mapping(path)
     with pytest.raises(UserError, match=said):
         load_yaml(path)
 
@@ -349,7 +349,7 @@ def test_a_billion_laughs_are_not_laughed(tmp_path, quick):
     path = tmp_path / "capture.yaml"
     path.write_text("format: 1\n" + "\n".join(lines) + "\nlights: *a11\n")
     with pytest.raises(CaptureError, match=r"line 2.*anchors"):
-        check_settings(read_mapping(path), path.name)
+        read_mapping(path)
     assert load_plain("a: [1, 2]\nb: 'text & more * !'\n") == {"a": [1, 2], "b": "text & more * !"}
 
 

@@ -19,7 +19,7 @@ from fuzz.watch import paused
 
 from nishiki.artifacts.artifact import MANIFEST, open_artifact
 from nishiki.capture.convert import read_source
-from nishiki.capture.folder import check_settings, examine, read_intensities
+from nishiki.capture.folder import examine, read_intensities
 from nishiki.capture.frames import read_frames
 from nishiki.capture.goniometer_tables import read_table
 from nishiki.capture.lights import lights_from_vectors, read_lights
@@ -27,7 +27,6 @@ from nishiki.capture.options import ConvertOptions
 from nishiki.capture.photogrammetry import read_bundler, read_meshroom, read_metashape, read_transforms
 from nishiki.capture.relightable import SUFFIXES, open_relightable
 from nishiki.capture.rti_projects import read_relight
-from nishiki.capture.schema import read_mapping
 from nishiki.capture.seal import manifest_text, read_manifest
 from nishiki.capture.tables import read_cameras, read_curves, read_intrinsics, read_points
 from nishiki.engine.project import load_project, load_yaml
@@ -175,7 +174,6 @@ def yaml(data: bytes) -> None:
         paused(lambda: folder.mkdir(exist_ok=True))
         put("capture/capture.yaml", content)
         examine(folder)
-        check_settings(read_mapping(folder / "capture.yaml"), "capture.yaml")
 
 
 def meshes(data: bytes) -> None:

@@ -13,7 +13,7 @@ from refusals import refused
 from nishiki import cli
 from nishiki.calibrate import target
 from nishiki.calibrate.target import chart_reflectances, recover
-from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_to_srgb_linear
+from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_from_spectra, xyz_to_srgb_linear
 from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
 from nishiki.errors import UserError
 
@@ -22,7 +22,7 @@ with warnings.catch_warnings():
     import colour
 
 NAMES, REFLECTANCES = chart_reflectances()
-REFERENCE = target.reference_xyz(REFLECTANCES)
+REFERENCE = xyz_from_spectra(illuminant("D50"), REFLECTANCES)
 
 
 def camera_of(name: str) -> np.ndarray:
@@ -104,10 +104,10 @@ def test_corners_the_wrong_way_round_are_refused():
 def test_a_perfect_picture_has_no_errors_and_a_dark_one_keeps_its_hue():
     linear, middles = photograph(as_srgb(1.0), 4, noise=0)
     read = target.read_patches(linear, target.target_at(middles), 1.0)
-    exact = target.errors_of(target.xyz_as_delivered(read.mean), REFERENCE, read.usable)
+    exact = target.errors_of(read.mean, REFERENCE, read.usable, delivered=True)
     inside = np.array([name != "cyan" for name in NAMES])  # cyan lies outside of sRGB
     assert np.nanmax(exact.delta_e[inside]) < 0.02
-    dark = target.errors_of(target.xyz_as_delivered(0.8 * read.mean), REFERENCE, read.usable)
+    dark = target.errors_of(0.8 * read.mean, REFERENCE, read.usable, delivered=True)
     assert dark.lightness > 5
     assert dark.white_balance < 0.5
 

@@ -25,8 +25,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from nishiki.calibrate.result import Calibration, finite, list_photographs
-from nishiki.capture.taking import channel_names, full_scale_of, read_channels, read_grey
+from nishiki.calibrate.result import SATURATED_SHARE, Calibration, finite, list_photographs
+from nishiki.capture.taking import SATURATED, channel_names, full_scale_of, read_channels, read_grey
 from nishiki.errors import UserError
 from nishiki.formats.images import read_header
 from nishiki.formats.text_tables import number_of, table_rows
@@ -37,8 +37,6 @@ from nishiki.report.page import Figure, Figures, Section, Table
 from nishiki.report.pictures import encoded, heat, scalar_picture
 from nishiki.report.svg import PALETTE, Curve, chart
 
-SATURATION = 0.98  # of full scale: a channel with a pixel in a thousand above is not used
-SATURATED_SHARE = 1e-3  # of the pixels of a level that is used
 LEAST_LEVELS = 3  # exposures
 WINDOW = 0.5  # share of each side, in the middle, from which means and variances are taken
 HOT_SIGMAS = 8.0  # of the dark frame's own scatter
@@ -123,7 +121,7 @@ def calibrate_camera(table: Path, *, bits: int | None = None) -> Calibration:
         a, b = one[middle], two[middle]
         difference = a - b
         difference -= difference.mean(axis=(0, 1))
-        usable = ((a > SATURATION * full) | (b > SATURATION * full)).mean(axis=(0, 1)) < SATURATED_SHARE
+        usable = ((a > SATURATED * full) | (b > SATURATED * full)).mean(axis=(0, 1)) < SATURATED_SHARE
         level = (a + b).mean(axis=(0, 1)) / 2 - dark[middle].mean(axis=(0, 1))
         for values, value in zip(listed, (exposure, level, (difference**2).mean(axis=(0, 1)) / 2, usable), strict=True):
             values.append(value)
@@ -151,7 +149,7 @@ def calibrate_camera(table: Path, *, bits: int | None = None) -> Calibration:
                 f"{at:g} s"
             )
         # White just below saturation, and a surface half as bright: the noise of its response relative to white.
-        white = SATURATION * full - black[c]
+        white = SATURATED * full - black[c]
         response = np.sqrt(noise.read_noise**2 + RESPONSE * white / noise.gain) / white
         noise_of_white.append(float(response))
         results[channel] = {

@@ -46,6 +46,7 @@ def list_photographs(names: Sequence[str], *, what: str = "photographs") -> list
     return paths
 
 
+SATURATED_SHARE = 1e-3  # of the pixels of a level or patch that is used
 NUMBERS, PAGE, LINES = "calibration.json", "calibration.html", "capture-lines.yaml"
 
 

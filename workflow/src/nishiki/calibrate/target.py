@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.colour.colour import adaptation_matrix, delta_e_2000, srgb_matrix, white_xyz, xyz_from_spectra, xyz_to_lab
+from nishiki.calibrate.result import SATURATED_SHARE
+from nishiki.colour.colour import adaptation_matrix, delta_e_2000, srgb_matrix, white_xyz, xyz_to_lab
 from nishiki.colour.colour import illuminant as named_illuminant
 from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
 from nishiki.errors import UserError
@@ -22,8 +23,6 @@ HALF_WINDOW = 0.2
 """Half a side of the square that is averaged, in distances between patches: patches are 0.8 wide at the least."""
 WIDEST = 1600
 """Columns of the picture in which the target is searched."""
-CLIPPED = 0.002
-"""Share of saturated pixels from which a patch is left out."""
 LIKENESS = 0.9
 """Correlation of the patches' lightness with the reference below which these are other patches."""
 
@@ -41,7 +40,7 @@ class Patches:
     @property
     def usable(self) -> np.ndarray:
         """(24,) bool: patches that are not clipped."""
-        return self.clipped < CLIPPED
+        return self.clipped < SATURATED_SHARE
 
 
 @dataclass(frozen=True)
@@ -203,11 +202,6 @@ def read_patches(values: np.ndarray, corners: np.ndarray, full_scale: float) -> 
     return Patches(means, deviations, clipped[:, 0], corners)
 
 
-def reference_xyz(reflectances: np.ndarray) -> np.ndarray:
-    """XYZ (24, 3) under D50, perfect white Y = 1, of reflectances (24, 61)."""
-    return xyz_from_spectra(named_illuminant("D50"), reflectances)
-
-
 def expect_target(linear: np.ndarray, reference: np.ndarray) -> None:
     """UserError unless linear values (24, 3) are as light and dark as the reference XYZ (24, 3)."""
     seen, known = np.log(np.maximum(linear.mean(axis=1), 1e-4)), np.log(np.maximum(reference[:, 1], 1e-4))
@@ -221,9 +215,15 @@ def expect_target(linear: np.ndarray, reference: np.ndarray) -> None:
     )
 
 
-def errors_of(xyz: np.ndarray, reference: np.ndarray, usable: np.ndarray) -> ColourErrors:
-    """Colour differences of XYZ (24, 3) from the reference (24, 3), both under D50 with the perfect white at Y = 1."""
+def errors_of(xyz: np.ndarray, reference: np.ndarray, usable: np.ndarray, *, delivered: bool = False) -> ColourErrors:
+    """Colour differences of XYZ (24, 3) from the reference (24, 3), both under D50 with the perfect white at Y = 1.
+
+    delivered: `xyz` is linear sRGB, of which a viewer of the picture sees the XYZ adapted from D65.
+    """
     white = white_xyz(named_illuminant("D50"))
+    if delivered:
+        to_xyz = np.linalg.inv(srgb_matrix())
+        xyz = xyz @ to_xyz.T @ adaptation_matrix(to_xyz.sum(axis=1), white).T
     lab, expected = xyz_to_lab(xyz, white), xyz_to_lab(reference, white)
     difference = np.where(usable[:, None], lab - expected, np.nan)[NEUTRAL]
     return ColourErrors(
@@ -233,13 +233,6 @@ def errors_of(xyz: np.ndarray, reference: np.ndarray, usable: np.ndarray) -> Col
         float(np.nanmax(np.abs(difference[:, 0]))),
         float(np.nanmax(np.hypot(difference[:, 1], difference[:, 2]))),
     )
-
-
-def xyz_as_delivered(linear: np.ndarray) -> np.ndarray:
-    """XYZ (n, 3) under D50 of linear sRGB (n, 3): what a viewer of the picture sees, adapted from D65."""
-    to_xyz = np.linalg.inv(srgb_matrix())
-    adaptation = adaptation_matrix(to_xyz.sum(axis=1), white_xyz(named_illuminant("D50")))
-    return linear @ to_xyz.T @ adaptation.T
 
 
 def fitted_xyz(linear: np.ndarray, reference: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from nishiki.calibrate.target import (
 )
 from nishiki.capture.tables import read_curves
 from nishiki.capture.taking import full_scale_of, table_text
-from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_to_srgb_linear
+from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_from_spectra, xyz_to_srgb_linear
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
 from nishiki.formats.images import read_codes, read_header
@@ -90,7 +90,7 @@ def calibrate_target(given: TargetInput) -> Calibration:
     linear = coding.curve.decode(shares)
     display = srgb_encode(linear / (1.0 if encoding == "srgb" else max(float(np.percentile(shares, 99.5)), 1e-6)))
     picture = np.round(255 * np.clip(display, 0, 1)).astype(np.uint8)
-    reference = target.reference_xyz(reflectances)
+    reference = xyz_from_spectra(illuminant("D50"), reflectances)
     try:
         corners = target.find_target(picture) if given.corners is None else target.target_at(given.corners)
         patches = target.read_patches(linear, corners, 1.0)
@@ -103,7 +103,7 @@ def calibrate_target(given: TargetInput) -> Calibration:
     judged = {}
     if encoding == "srgb":
         shown = patches.mean if coding.to_srgb is None else patches.mean @ coding.to_srgb.T
-        judged["as delivered"] = target.errors_of(target.xyz_as_delivered(shown), reference, patches.usable)
+        judged["as delivered"] = target.errors_of(shown, reference, patches.usable, delivered=True)
     matrix, predicted = target.fitted_xyz(patches.mean, reference, patches.usable)
     judged["after correction"] = target.errors_of(predicted, reference, patches.usable)
     recovered = None if light is None else recover(patches.mean, light, reflectances, patches.usable)

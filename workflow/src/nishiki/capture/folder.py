@@ -67,12 +67,6 @@ class CaptureFile(Session):
         return self
 
 
-def check_settings(parsed: dict, file: str) -> CaptureFile | TurntableFile | GoniometerFile:
-    """Parse the keys and values of a capture.yaml by its geometry. CaptureError: those of `validate`."""
-    models: dict[Any, type[Any]] = {"turntable": TurntableFile, "goniometer": GoniometerFile}
-    return validate(models.get(parsed.get("geometry"), CaptureFile), parsed, file)
-
-
 MIRROR_BALLS = "mirror_balls.png"
 """Picture in a capture whose lamps were measured on mirror balls, in the axes of the photographs."""
 
@@ -194,8 +188,9 @@ def examine(root: Path) -> tuple[AnyCapture | None, list[Problem]]:
     parsed = attempt(lambda: read_mapping(payload / "capture.yaml"))
     if parsed is None:
         return None, problems
-    settings = attempt(lambda: check_settings(parsed, "capture.yaml"))
     geometry = parsed.get("geometry", "plane")
+    models: dict[Any, type[Any]] = {"turntable": TurntableFile, "goniometer": GoniometerFile}
+    settings = attempt(lambda: validate(models.get(geometry, CaptureFile), parsed, "capture.yaml"))
     listed = not (isinstance(settings, GoniometerFile) and settings.goniometer.table)  # a table has no photographs
     frames: tuple[Frame, ...] | None = ()
     if listed:

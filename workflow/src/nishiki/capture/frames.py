@@ -16,14 +16,13 @@ from nishiki.capture.lights import Lights, light_name
 from nishiki.capture.tables import Curves
 from nishiki.formats.files import bound, leads_out, name_fault
 from nishiki.formats.images import read_coarse
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse, warning
+from nishiki.formats.problems import MOST_LISTED, CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, label_problems, number_of, reading, table_rows
 from nishiki.polarisation.series import fits_by_chance, series_design
 
 Kind = Literal["none", "circular", "linear", "generator"]
-FEWEST_ANGLES = 3  # a mean, a cosine and a sine are unknown
+FEWEST_ANGLES = 3  # of a polariser that is turned: a mean, a cosine and a sine are unknown
 LEAST_ALIKE = 0.3  # median correlation of photographs of one view; those of the measured badges have 0.997
-COARSE = 24  # blocks along the longer side
 NO_SERIES = "Give the photographs other names if they are none, with --lights FILE or their cameras"
 MEANS = {
     "none": "no polariser",
@@ -80,7 +79,7 @@ def state_warnings(photographs: Sequence[Path], states: Sequence[str], source: s
 
     CaptureError (states-contradicted) where the photographs do not show one view, or not in one size.
     """
-    values = [read_coarse(path, COARSE, "linear") for path in photographs]
+    values = [read_coarse(path, "linear") for path in photographs]
     if len({value.shape for value in values}) > 1:
         refuse("states-contradicted", source, "named as states of one view, but of different sizes", remedy=NO_SERIES)
     stack = np.array([value.ravel() for value in values])
@@ -106,7 +105,7 @@ ANGLE_COLUMNS = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 RADIAN_COLUMNS = tuple(name.replace("_deg", "_rad") for name in ANGLE_COLUMNS)
 GONIOMETER_COLUMNS = ("file", "role", *ANGLE_COLUMNS, "exposure_s")
 LARGEST_SHIFT = 1e4  # pixels
-MOST_NAMED = 20  # unknown columns that are named
+LEAST_SHIFT = 0.5  # pixels: smaller displacements, which the light imitates on smooth relief, are left alone
 DIALECTS = {
     "plane": (ROLES, COLUMNS),
     "turntable": (TURNTABLE_ROLES, TURNTABLE_COLUMNS),
@@ -239,7 +238,7 @@ def _join_bands(frames: list[Frame], file: str, problems: list[Problem]) -> list
 
 def _check_columns(columns: list[str], file: str, known: tuple[str, ...]) -> None:
     problems = []
-    for name in [c for c in columns if c not in known][:MOST_NAMED]:
+    for name in [c for c in columns if c not in known][:MOST_LISTED]:
         near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
         remedy = f"Did you mean '{near[0]}'?" if near else f"Known columns: {', '.join(known)}"
         problems.append(error("unknown-column", file, f"unknown column '{name}'", remedy=remedy))

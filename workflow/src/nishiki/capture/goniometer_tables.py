@@ -12,7 +12,7 @@ from nishiki.capture.frames import ANGLE_COLUMNS as ANGLES
 from nishiki.capture.frames import RADIAN_COLUMNS
 from nishiki.formats.files import bound
 from nishiki.formats.merl import MERL_BYTES, UTIA_BYTES, merl_values, read_merl, read_utia
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse, warning
+from nishiki.formats.problems import MOST_LISTED, CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading, table_lines, table_rows
 from nishiki.goniometry.directions import unit
 
@@ -38,8 +38,6 @@ COLOURS = ("red", "green", "blue")
 MERL_LIGHTS = ((0.0, 0.0), *((15.0 * k, phi) for k in range(1, 6) for phi in (0.0, 45.0, 90.0)))
 MERL_VIEWS = ((0.0, 0.0), *((3.0 * k, 7.5 * step) for k in range(1, 27) for step in range(48)))
 """theta and phi in degrees at which tables of the MERL database are read: as densely as a cloth is photographed."""
-SHOWN = 5  # wrong rows told of one kind
-MOST_PROBLEMS = 20  # rows that cannot be read, before reading stops
 Lines = Iterator[tuple[int, str]]
 Rows = Iterator[tuple[int, list[str]]]
 FEWEST_ANGLES = 6  # measurements whose angles together tell their unit
@@ -144,7 +142,7 @@ def _csv(lines: Rows, name: str, values: str) -> tuple[np.ndarray, tuple[str, ..
         except ValueError as e:
             what = f"expected {len(heading)} numbers, found {str(e)[:80]}"
             problems.append(error("table-unreadable", f"{name} line {line}", what))
-            if len(problems) > MOST_PROBLEMS:
+            if len(problems) > MOST_LISTED:
                 break
         expect_rows(len(numbers), "reflectances_values", name, "table")
     raise_errors(problems)
@@ -248,11 +246,11 @@ def _checked(
     # angles that come from radians may pass 90 degrees by rounding
     possible = (np.isfinite(theta) & (theta >= 0) & (theta < 90) & (np.abs(phi) <= 360)).all(axis=1)
     problems = []
-    for i in np.flatnonzero(~possible)[:SHOWN]:
+    for i in np.flatnonzero(~possible)[:MOST_LISTED]:
         what = "expected angles theta from 0 to below 90, phi from -360 to 360 degrees"
         found = ", ".join(f"{a:g}" for a in rows[i, :4])
         problems.append(error("angle-invalid", f"{name} line {lines[i]}", what, found=found))
-    for i in np.flatnonzero(~np.isfinite(values).all(axis=1))[:SHOWN]:
+    for i in np.flatnonzero(~np.isfinite(values).all(axis=1))[:MOST_LISTED]:
         problems.append(error("table-value", f"{name} line {lines[i]}", "a value is not finite"))
     raise_errors(problems)
     dark = int((values <= 0).any(axis=1).sum())

@@ -271,9 +271,13 @@ def _states_of(boards: list[Path], layout: RoundLayout, folder: str) -> list[tup
     CaptureError (white-unnamed) unless there is a board for every state, and at most one without.
     """
     known = set(layout.states) - {""}
+    endings = []
+    for stem in (p.stem for p in boards):  # the longest end after a separator that is a known state
+        places = [0, *(match.end() for match in re.finditer(r"[^0-9A-Za-z.]+|(?<=[A-Za-z])(?=[0-9])", stem))]
+        endings.append(next((stem[at:] for at in places if _state(stem[at:]) in known), stem))
     readings = (
         [p.stem for p in boards],
-        [_ending(p.stem, known) for p in boards],
+        endings,
         ["".join(map(str, part)) for part in names_apart(boards, folder)],
     )
     for names in readings:
@@ -294,12 +298,6 @@ def _state(name: str) -> str | None:
         return parse_state(f"{match[1]}/{match[2]}" if match else name.casefold()).name
     except CaptureError:
         return None
-
-
-def _ending(stem: str, known: set[str]) -> str:
-    """Find the longest end of a name, after a separator, that is a known state."""
-    places = [0, *(match.end() for match in re.finditer(r"[^0-9A-Za-z.]+|(?<=[A-Za-z])(?=[0-9])", stem))]
-    return next((stem[at:] for at in places if _state(stem[at:]) in known), stem)
 
 
 @dataclass(frozen=True)

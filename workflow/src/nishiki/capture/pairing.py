@@ -52,7 +52,13 @@ def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: s
     by_part = dict(zip(present, others, strict=True))
     if set(parts) == set(present):
         return Pairing(tuple(by_part[part] for part in parts))
-    if counts_in_step(parts, present):
+    counts = [
+        sorted(each[0] for each in some if len(each) == 1 and isinstance(each[0], int)) for some in (parts, present)
+    ]
+    steps = {
+        b - a for a, b in zip(*counts, strict=False)
+    }  # running numbers of no common value, one set the other shifted
+    if [len(some) for some in counts] == 2 * [len(parts)] and not set(counts[0]) & set(counts[1]) and len(steps) == 1:
         placed = dict(zip(sorted(parts), (path for _, path in sorted(by_part.items())), strict=True))
         chosen = tuple(placed[part] for part in parts)
         pairs = ", ".join(f"{p.name} - {q.name}" for p, q in zip(photographs, chosen, strict=True))
@@ -95,14 +101,6 @@ def tokens(stem: str) -> tuple[Token, ...]:
     return tuple(
         int(part) if part.isdecimal() else part for part in re.findall(r"[0-9]{1,18}|.", stem.casefold(), re.S)
     )
-
-
-def counts_in_step(parts: Sequence[tuple], present: Sequence[tuple]) -> bool:
-    """Whether both are running numbers of no common value, one set the other shifted."""
-    if any(len(part) != 1 or not isinstance(part[0], int) for part in (*parts, *present)):
-        return False
-    ours, theirs = (sorted(part[0] for part in some) for some in (parts, present))
-    return not set(ours) & set(theirs) and len({b - a for a, b in zip(ours, theirs, strict=True)}) == 1
 
 
 COLOURS = "uv ultraviolet violet royalblue blue cyan green lime yellow amber orange red".split()
@@ -151,7 +149,11 @@ def sort_bands(folder: Path, pictures: Callable[[Path], list[Path]]) -> list[Ban
             lamp, band = _split_name(name, pattern, place)
             if band:
                 files.setdefault(lamp, {}).setdefault(band, path)
-        channels = sorted({band for bands in files.values() for band in bands}, key=_band_key)
+        named_bands = {band for bands in files.values() for band in bands}
+        numbers = {band: re.search(r"[0-9]+", band) for band in named_bands}
+        places = {band: COLOURS.index(band) if band in COLOURS else 0 for band in named_bands}
+        # wavelengths and filters by their number, then colours from short to long wavelengths
+        channels = sorted(named_bands, key=lambda b: (0, int(n[0]), b) if (n := numbers[b]) else (1, places[b], b))
         if set(channels) == {"red", "green", "blue"}:
             channels.reverse()
         if len(channels) > 1:
@@ -234,12 +236,6 @@ def _tidied(name: str) -> str:
     """Strip a name of the separators that a band leaves behind."""
     parts = [part.strip("_-. ") for part in re.split(r"[/\\]", name)]
     return "_".join(part for part in parts if part)
-
-
-def _band_key(band: str) -> tuple[int, int, str]:
-    """Wavelengths and filters by their number, colours from short to long wavelengths."""
-    number = re.search(r"[0-9]+", band)
-    return (0, int(number[0]), band) if number else (1, COLOURS.index(band) if band in COLOURS else 0, band)
 
 
 def _match_lamps(sorted_files: BandFiles, lights: Lights, kind: str) -> tuple[Lights, list[str]] | None:

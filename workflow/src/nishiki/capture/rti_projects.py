@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nishiki.capture.frames import LEAST_SHIFT
 from nishiki.capture.lights import Lights, lights_from_vectors
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.stated_lights import StatedLights
@@ -32,7 +33,6 @@ from nishiki.formats.problems import CaptureError, Problem, error, expect_one, l
 from nishiki.formats.text_tables import expect_rows, reading
 
 REMEDY = "Save the project again in Relight with its directions, or export a .lp file"
-LEAST_SHIFT = 0.5  # pixels
 CROPPED = "project-crop"
 SUFFIXES = (".relight", ".json", ".dome")
 

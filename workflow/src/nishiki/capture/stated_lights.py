@@ -15,16 +15,16 @@ import numpy as np
 
 from nishiki.capture.lights import Lights, from_angles, is_unicode, light_name, lights_from_vectors, read_numbers
 from nishiki.capture.options import ANGLES
+from nishiki.capture.taking import SATURATED
 from nishiki.formats.files import same_name
 from nishiki.formats.images import read_coarse, read_header
 from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
+from nishiki.formats.text_tables import number_of
 from nishiki.photometric.consistency import SURE, NearLamps, measure_width, split_course
 from nishiki.photometric.lambert_fit import fit_lambert, none_where_undetermined, spread_pixels
 
-SIDE = 40  # samples along the longer side of the picture
 MOST_PHOTOGRAPHS = 32  # read, spread over the lamps
 FEWEST_PHOTOGRAPHS = 5  # of a folder whose lamps are judged by them
-BRIGHT = 0.97  # of the largest value: saturation
 CLEARLY = 0.85  # ratio of misfits below which one reading is better, beyond noise and gloss
 TRIED_WIDTH = 0.5  # of the lamps' distance: near lamps that would show if there were any
 MILLIMETRES = (40.0, 5000.0)  # distance of lamps whose unit is taken to be the millimetre
@@ -50,11 +50,11 @@ def sample_photographs(photographs: Sequence[Path], encoding: str | None) -> Pho
     if len(photographs) < FEWEST_PHOTOGRAPHS:
         return None
     chosen = np.unique(np.linspace(0, len(photographs) - 1, MOST_PHOTOGRAPHS).round().astype(int))
-    pictures = [read_coarse(photographs[i], SIDE, encoding) for i in chosen]
+    pictures = [read_coarse(photographs[i], encoding) for i in chosen]
     if len({picture.shape for picture in pictures}) > 1:
         return None
     stored = np.array(pictures, np.float64)
-    values = np.where(stored < BRIGHT * max(float(stored.max()), 1e-9), stored, np.nan)
+    values = np.where(stored < SATURATED * max(float(stored.max()), 1e-9), stored, np.nan)
     records = [read_header(photographs[i]).exif for i in chosen]
     exposures = [(e.exposure_s or 0.0) * (e.iso or 1.0) / (e.f_number or 1.0) ** 2 for e in records]
     if all(exposures):
@@ -174,8 +174,9 @@ def read_lights_file(file: Path, kind: str | None, present: Collection[str]) -> 
     stems, counts = {same_name(light_name(name)) for name in present}, [str(i + 1) for i in range(len(names))]
     names = [None] * len(names) if names == counts and not stems & set(counts) else names
     strengths = None
-    if numbers.shape[1] == 3 and names and all(_is_fraction(name) for name in names):
-        names, numbers = [None] * len(names), np.column_stack([np.array(names, float), numbers])
+    first = np.array([number_of(name or "") for name in names])
+    if numbers.shape[1] == 3 and names and np.isfinite(first).all() and (first % 1 != 0).all():  # no counts, no names
+        names, numbers = [None] * len(names), np.column_stack([first, numbers])
     if numbers.shape[1] in (4, 6) and not _are_unit(numbers[:, -3:]):
         numbers, strengths = numbers[:, :3], numbers[:, 3:]
     elif numbers.shape[1] > 3:
@@ -320,14 +321,6 @@ def scale_to_middle(stated: StatedLights, file: str, samples: Sampler) -> Stated
     notes = () if stated.intensities is not None else (note,)
     lights = replace(stated.lights, warnings=(*stated.lights.warnings, *notes))
     return replace(stated, lights=lights, intensities=given * light)
-
-
-def _is_fraction(name: str | None) -> bool:
-    """Whether a name is a number that is no count, so that it is the first number of its line."""
-    try:
-        return name is not None and float(name) != int(float(name))
-    except (ValueError, OverflowError):
-        return False
 
 
 def _are_unit(vectors: np.ndarray) -> bool:

@@ -21,6 +21,7 @@ from nishiki.formats.problems import CaptureError, Problem, refuse, warning
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 COLOUR = ("red", "green", "blue")
+SATURATED = 0.98  # of full scale, from which pixels count as saturated before a capture states more
 SAME_EXPOSURE = 0.01  # cameras that measure the exposure time write it with such differences
 FOLDERS = ("frames", "white", "dark", "ambient", "silhouettes")
 

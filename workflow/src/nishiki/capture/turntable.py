@@ -30,7 +30,7 @@ from nishiki.errors import require
 from nishiki.formats.files import bound
 from nishiki.formats.files import remedy as bound_remedy
 from nishiki.formats.mesh_heading import expect_mesh
-from nishiki.formats.problems import Problem, error, warning
+from nishiki.formats.problems import MOST_LISTED, Problem, error, warning
 from nishiki.geometry.turn import FEWEST_VIEWS, turn_of
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "arbitrary": None}
@@ -153,7 +153,6 @@ class TurntableFile(Session):
 
 
 TABLE = "frames.csv"
-MOST_PROBLEMS = 100  # photographs that are missing from the grid of views, lights and states
 
 
 def turntable_problems(
@@ -220,7 +219,7 @@ def _grid_problems(samples: list[Frame], views: tuple[str, ...]) -> list[Problem
     if any(p.kind == "polariser-mixed" for p in problems):
         return problems
     for light, view in product(lights, views):
-        if len(problems) >= MOST_PROBLEMS:
+        if len(problems) >= MOST_LISTED:
             break
         lacking = [state for state in states if (light, view, state) not in counts]
         if len(lacking) == len(states):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.frames import SourcePhotographs, parse_state, state_warnings
+from nishiki.capture.frames import FEWEST_ANGLES, SourcePhotographs, parse_state, state_warnings
 from nishiki.capture.layouts import natural_key, natural_parts, photographs_in, source_problems
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.registered import Pictures, Registration, aim_problems, reading_cameras
@@ -37,7 +37,6 @@ from nishiki.geometry.turn import FEWEST_VIEWS, order_round, turn_of
 STATES = re.compile(r"(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)")
 SEVERAL = ("several files of cameras", "Keep the one that belongs to these photographs")
 TURN = "photographs of a turn"  # name of their layout
-FEWEST_STATES = 3  # photographs of a series
 LEAST_TURN = 20.0  # degrees between the outermost angles of a polariser that is turned
 
 
@@ -128,7 +127,7 @@ def find_states(source: Path, options: ConvertOptions) -> list[Path] | None:
     """
     photographs = photographs_in(source)
     matches = [match for match in (STATES.fullmatch(p.stem) for p in photographs) if match]
-    if len(photographs) < FEWEST_STATES or len(matches) < len(photographs):
+    if len(photographs) < FEWEST_ANGLES or len(matches) < len(photographs):
         return None
     angles = np.array([match.groups() for match in matches], float)
     turns = [float(np.ptp(column)) for column in angles.T]

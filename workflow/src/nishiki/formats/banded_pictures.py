@@ -285,7 +285,6 @@ def _attribute(value: Attribute) -> tuple[str, bytes]:
 
 TILE, OVERLAP = 254, 1
 IIIF_TILE, IIIF_WHOLE = 512, 1024  # tiles without overlap; longest side of the whole picture in one file
-ROWS_AT_A_TIME = 512  # in memory
 Samples = np.ndarray  # (rows, columns, 3) uint8, R, G, B; may lie on the disk
 
 
@@ -441,9 +440,9 @@ def _halved(picture: Samples, path: Path) -> Samples:
 
     rows, columns = picture.shape[:2]
     half = picture_on_disk(path, -(-rows // 2), -(-columns // 2))
-    for top in range(0, rows, ROWS_AT_A_TIME):
-        band = np.asarray(picture[top : top + ROWS_AT_A_TIME])
+    for part in strips(rows):
+        band = np.asarray(picture[part])
         band = cv2.copyMakeBorder(band, 0, len(band) % 2, 0, columns % 2, cv2.BORDER_REPLICATE)
         means = cv2.resize(band, (band.shape[1] // 2, len(band) // 2), interpolation=cv2.INTER_AREA)
-        half[top // 2 : top // 2 + len(means)] = means
+        half[part.start // 2 : part.start // 2 + len(means)] = means
     return half

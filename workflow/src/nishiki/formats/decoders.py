@@ -17,6 +17,7 @@ import tifffile
 from nishiki.formats.coding import D65, LINEAR, Coding, Matrix, primaries_xyz, transfer_function
 from nishiki.formats.picture_files import (
     AS_RGB,
+    MOST_RATIO,
     Exif,
     ImageHeader,
     Output,
@@ -34,7 +35,6 @@ from nishiki.formats.problems import CaptureError, error
 from nishiki.installation import install_command
 
 MOST_PAGES = 256  # of a file
-PACKED_RATIO = 4000  # LZW: codes of 12 bits for at most 4096 bytes, deflate 1032
 NONE_PACKED, WHITE_IS_ZERO, GREY, RGB, PALETTE, YCBCR, LINEAR_RAW = 1, 0, 1, 2, 3, 6, 34892
 BY_JPEG = (6, 7, 34892, 33007)  # compressions that turn YCbCr into RGB themselves
 OTHER_MODELS = {5: "CMYK", 8: "CIELab", 9: "ICCLab", 10: "ITULab", 32803: "a sensor's mosaic (CFA)", 32844: "LogL",
@@ -78,7 +78,7 @@ def open_tiff(file: BinaryIO, name: str) -> Picture:
     header = ImageHeader(
         "tiff", first.imagelength, first.imagewidth, samples * len(pages), sample, alpha,
         stored_bytes=sum(_stored_bytes(page) for page in pages),
-        ratio=1 if all(page.compression == NONE_PACKED for page in pages) else PACKED_RATIO,
+        ratio=1 if all(page.compression == NONE_PACKED for page in pages) else MOST_RATIO,
         bits=bits, exif=exif_of_page(first),
     )  # fmt: skip
 

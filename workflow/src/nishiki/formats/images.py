@@ -76,6 +76,7 @@ def absurd_claim(header: ImageHeader, bytes_on_disk: int, name: str) -> Problem 
     return None
 
 
+COARSE = 40  # blocks along the longer side of a picture that is looked at as a whole
 Region = tuple[int, int, int, int]  # row, column, rows, columns
 
 
@@ -138,10 +139,10 @@ def expect_channels(header: ImageHeader, channels: tuple[str, ...], name: str) -
     refuse("channels-differ", name, "number of channels", expected=expected, found=found, remedy=remedy)
 
 
-def read_coarse(path: Path, side: int, encoding: str | None = None) -> np.ndarray:
+def read_coarse(path: Path, encoding: str | None = None) -> np.ndarray:
     """Read the mean of the channels over equal blocks, (rows, columns) float64 linear, 1 at full scale.
 
-    side : blocks along the longer side of the picture; encoding : `linear`, `srgb`, or None for what the file states.
+    encoding : `linear`, `srgb`, or None for what the file states; COARSE blocks lie along the longer side.
     CaptureError where the picture cannot be decoded.
     """
     import cv2
@@ -150,7 +151,7 @@ def read_coarse(path: Path, side: int, encoding: str | None = None) -> np.ndarra
     names = header.names or tuple(f"c{i}" for i in range(header.channels - header.alpha))
     codes = read_codes(path, names, header=header)
     top = np.iinfo(codes.dtype).max if codes.dtype.kind == "u" else 1.0
-    scale = min(side / max(header.rows, header.columns), 1.0)
+    scale = min(COARSE / max(header.rows, header.columns), 1.0)
     size = max(round(header.columns * scale), 1), max(round(header.rows * scale), 1)
     small = cv2.resize(codes.astype(np.float32) / np.float32(top), size, interpolation=cv2.INTER_AREA)
     return header.coding_used(encoding or "file").curve.decode(small.reshape(size[1], size[0], -1).mean(axis=2))

@@ -10,7 +10,7 @@ PTM_FORMAT_JPEGLS_RGB and _LRGB.
 
 PTM_FORMAT_JPEG_LRGB and _RGB: JPEG streams of one channel, nine (six coefficients, then red, green and blue) or 18 (the
 six of red, those of green, those of blue). A stream may hold the difference from another one (its reference, or 255
-minus that where its transform is 1), plus 128 and modulo 256; streams are made in the order that the heading states.
+minus that where its transform is 1; -1 for none), plus 128 and modulo 256; streams are made in the heading's order.
 Corrections follow each stream: five bytes a pixel, the place (4 bytes, the highest first, rows as stored) and its
 value. Motion vectors, which shift the reference, are not read; no known encoder writes them.
 
@@ -223,9 +223,6 @@ def read_ptm(path: Path) -> Callable[[slice], np.ndarray]:
     return coefficients
 
 
-NONE = -1  # the reference of a stream that is no difference
-
-
 @dataclass(frozen=True)
 class PtmStreams:
     """What the heading says of each stream. steps : the number of the stream that is made first, second ..."""
@@ -247,7 +244,7 @@ class PtmStreams:
             "an order that is none": sorted(order) != list(range(count)),
             "sizes that cannot be": min(sizes) < 1 or min(corrections) < 0 or any(n % 5 for n in corrections),
             "a reference that is not made before its stream": any(
-                each != NONE and not (0 <= each < count and order[each] < order[stream])
+                each != -1 and not (0 <= each < count and order[each] < order[stream])
                 for stream, each in enumerate(references)
             ),
         }
@@ -276,7 +273,7 @@ class PtmStreams:
                 raise Refused(name, "a JPEG picture of another size", expected=expected, found=found, remedy=REMEDY)
             plane[:] = samples[:, :, 0]
             reference = self.references[stream]
-            if reference != NONE:
+            if reference >= 0:
                 plane += (255 - planes[reference] if self.inverted[stream] else planes[reference]) - np.uint8(128)
             fixes = np.array(stored[middle:end]).reshape(-1, 5)
             places = np.ascontiguousarray(fixes[:, :4]).view(">u4")[:, 0]

@@ -190,8 +190,9 @@ def header_from(values: dict[str, Any]) -> ImageHeader:
 
 
 Output = Callable[[tuple[int, ...], str], np.ndarray]  # makes an array of this shape and type, of any content
-DEFLATE_RATIO = 1040  # deflate cannot shrink more than 1032:1, so a larger claim is damage or a decompression bomb
-JPEG_RATIO = 3000  # a progressive JPEG of one even grey needs one bit for 64 samples, or for 768 with coarse colour
+MOST_RATIO = (
+    4000  # of samples over a file: LZW packs 4096 bytes into 12 bits, JPEG 768 samples into one bit, deflate 1032 to 1
+)
 MOST_SCANS = 200  # of a JPEG; progressive ones have about ten
 MOST_PROFILE = 1 << 24  # bytes of an embedded profile and of a PNG chunk that describes the picture
 TAIL, BLOCK = 1 << 12, 1 << 20  # bytes in which the end of a picture is looked for first, and in turn
@@ -276,7 +277,7 @@ def open_png(file: BinaryIO) -> Picture:
     alpha, exif = colour in (4, 6) or b"tRNS" in chunks, exif_of(file)
     header = ImageHeader(
         "png", rows, columns, (3 if colour in (2, 3, 6) else 1) + alpha, "uint16" if depth == 16 else "uint8", alpha,
-        stored_bytes=rows * (columns * samples * depth // 8), ratio=DEFLATE_RATIO, exif=exif,
+        stored_bytes=rows * (columns * samples * depth // 8), ratio=MOST_RATIO, exif=exif,
     )  # fmt: skip
 
     def decode(wanted: Wanted, output: Output) -> np.ndarray:
@@ -312,7 +313,7 @@ def open_jpeg(file: BinaryIO, name: str) -> Picture:
         raise unsupported(name, f"JPEG of {depth} bits and {channels} channels", "Save it as 8-bit RGB or as TIFF")
     expect_end(file, end, b"\xff\xd9", "JPEG")
     header = ImageHeader(
-        "jpeg", rows, columns, channels, "uint8", stored_bytes=rows * columns * channels, ratio=JPEG_RATIO,
+        "jpeg", rows, columns, channels, "uint8", stored_bytes=rows * columns * channels, ratio=MOST_RATIO,
         exif=exif_of(file),
     )  # fmt: skip
 

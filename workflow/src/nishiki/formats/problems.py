@@ -7,6 +7,8 @@ from typing import Literal, NoReturn
 
 from nishiki.errors import UserError, printable
 
+MOST_LISTED = 100
+"""Problems of one kind in one file that are listed; those that follow hardly tell more."""
 MOST_NAMED = 5
 """Files of further problems that are named in a line."""
 FEW, SEVERAL = 3, 8

@@ -18,7 +18,7 @@ from nishiki.formats.masks import Mask, examine_mask, expect_size, label_problem
 from nishiki.formats.problems import Problem, refuse
 from nishiki.observations.linearise import blocks_around
 
-MANY_REGIONS = 256  # labels of 8 bits
+MANY_REGIONS = np.iinfo(np.uint8).max + 1
 MARGIN = 8
 """Least number of pixels that are kept around the object, where the photograph has them: pictures want a rim."""
 

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-LIMIT = 0.5  # pixels: smaller displacements, which the light imitates on smooth relief, are left alone
+from nishiki.capture.frames import LEAST_SHIFT
+
 SIGMAS = 5.0  # times its standard error that a displacement must have
 LIGHT_BIAS = 0.06  # pixels of shift that a change of the lamp imitated on objects that did not move
 TURN_LIMIT = 1.0  # pixels, at the mean distance of the windows from the centre: relief in them shifts with the lamp
@@ -58,13 +59,13 @@ class Movement:
 
     @property
     def significant(self) -> np.ndarray:
-        """(lights,) bool: photographs that moved by more than LIMIT and SIGMAS standard errors."""
-        return self.largest > np.maximum(LIMIT, SIGMAS * self.sigma)
+        """(lights,) bool: photographs that moved by more than LEAST_SHIFT and SIGMAS standard errors."""
+        return self.largest > np.maximum(LEAST_SHIFT, SIGMAS * self.sigma)
 
     @property
     def moved(self) -> np.ndarray:
         """(lights,) bool: photographs to resample: where one moved, all that moved by more than their error."""
-        return (self.largest > np.maximum(LIMIT / 3, 2 * self.sigma)) & self.significant.any()
+        return (self.largest > np.maximum(LEAST_SHIFT / 3, 2 * self.sigma)) & self.significant.any()
 
     def matrix(self, j: int) -> np.ndarray:
         """(2, 3) float64: column and row in photograph j of a column and row of the first photograph."""

@@ -22,7 +22,6 @@ DEFAULT_PORT = 8377  # of this computer alone
 REFRESH_MS = 1000
 CLIPPED = (1.0, 0.0, 0.1)  # linear sRGB of saturated pixels
 BINS = 128  # of the histogram
-MOST_REPEATED = 50  # lines of the list of repetitions
 CELL, ACROSS = 14, 48  # size of a frame's mark and number of marks in a row
 KEPT, AGAIN, MISSING = "#3f7f4c", "#c9803f", "#dcdbd5"
 CHANNEL_COLOURS = {1: ("#22262b",), 3: ("#b5342b", "#3f7f4c", "#1f4e79")}
@@ -193,6 +192,5 @@ def _frames(state: RunState) -> list[Block]:
 def _repeated(state: RunState) -> list[Block]:
     if not state.repeated:
         return [Note(["Nothing so far."])]
-    newest = state.repeated[::-1][:MOST_REPEATED]
-    rows = [(event["time"][11:19], event["file"], why(event)) for event in newest]
+    rows = [(event["time"][11:19], event["file"], why(event)) for event in state.repeated[::-1]]
     return [Table(("time", "frame", "why"), rows, "llw")]

@@ -29,8 +29,7 @@ from nishiki.formats.masks import read_mask
 MOST_TRIED = 8  # clusters that are examined, and circles of each
 LEAST_SUPPORT = 0.45  # of a circle that may be a ball's outline
 RIVAL = 0.7  # of the best support: of one ball alone, the outermost circle with as much is its outline
-EQUAL = 1.03  # residual relative to the least, up to which edges alone rank circles
-AS_GOOD = 1.15  # residual relative to the least, up to which circles explain the scene as well
+AS_GOOD = 1.15  # residual relative to the least, up to which circles explain the scene as well, and edges rank them
 LARGEST = 7.0  # radius of a ball relative to that of the circle around its highlights
 LEAST_RADIUS_PX = 10.0
 LEAST_AREA_PX = 100  # of a sphere in a mask
@@ -169,7 +168,7 @@ def search_circles(given: SphereInput, overview: Overview, findings: Findings) -
             circles += _propose(overview.stack[(slice(None), *crop)], corner_of(crop), inner, radii, overview.factor)
         if good := [c for c in circles if c.support >= LEAST_SUPPORT and c.radius >= LEAST_RADIUS_PX]:
             left |= _unexplained_shares(cluster, good, overview, findings.camera)
-            least = EQUAL * min(left[circle] for circle in good)
+            least = AS_GOOD * min(left[circle] for circle in good)
             # Circles that explain the scene as well as the best are ranked by their edges.
             good.sort(key=lambda c: (max(left[c], least), -c.support))
             candidates.append((cluster, good[:MOST_TRIED]))

@@ -15,7 +15,7 @@ import numpy as np
 
 from nishiki.capture.spheres.optics import Highlight, SphereCamera, outline_points
 from nishiki.capture.spheres.outline import Circle, Outline
-from nishiki.capture.taking import channel_names, full_scale_of, read_grey
+from nishiki.capture.taking import SATURATED, channel_names, full_scale_of, read_grey
 from nishiki.errors import UserError
 from nishiki.formats.images import read_codes, read_header
 from nishiki.threads import in_threads
@@ -302,7 +302,6 @@ BLOCK = 8  # pixels of the side of a block
 LEAST_BLOCKS = 40  # of the picture
 DARK = 0.05  # of the bright blocks: darker ones tell nothing
 SHADOW = 0.1  # of a block's brightest photograph: below it may lie in shadow
-SATURATED = 0.95  # of full scale
 TRIALS = 59  # orders of the lamps that are tried
 MOST_RESIDUAL = 0.3  # relative
 MOST_CHANCE = 0.05  # probability
