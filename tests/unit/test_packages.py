@@ -18,7 +18,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 LIGHT = {"numpy"}
 NAMES = {module: name for name, module in MODULES.items()}
 PLACES = {
-    "av": {"output.py"},
+    "av": {"display.py"},
     "colour-science": {"target.py"},
     "gphoto2": {"cameras.py"},
     "materialx": {"textured_surface.py"},
