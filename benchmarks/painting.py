@@ -136,8 +136,7 @@ def average(values):
 
 def timing(ingested, settings):
     """Best of three of selection, normals and reflectance in memory, and the seconds for the scene's gloss."""
-    from nishiki.observations.parcels import Parcel
-    from nishiki.observations.plane import Observations
+    from nishiki.observations.plane import Observations, Parcel
     from nishiki.photometric.light_selection import select_diffuse
     from nishiki.stages.normals import NormalsSettings
     from nishiki.stages.normals.finishes import choose_finishes

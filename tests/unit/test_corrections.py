@@ -15,10 +15,10 @@ from nishiki.capture.folder import load_capture
 from nishiki.formats.coding import LINEAR, SRGB
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture, failed
+from nishiki.observations.frames import subtract_light
 from nishiki.observations.linearise import code_table
 from nishiki.observations.plane_store import write_observations
-from nishiki.observations.registration import Window, measure_movement
-from nishiki.observations.resampling import move_codes, region_behind, subtract_light
+from nishiki.observations.registration import Window, measure_movement, move_codes, region_behind
 from nishiki.report.contact_sheet import contact_sheet
 from nishiki.stages.ingest import IngestSettings
 from nishiki.stages.report.capture import capture_section

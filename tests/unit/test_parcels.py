@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nishiki.observations.parcels import TOLERANCE_RAD, parcels
+from nishiki.observations.plane import TOLERANCE_RAD, parcels
 
 ROWS, COLUMNS, PITCH = 60, 90, 0.1
 POSITIONS = np.array([[0.0, 30.0, 400.0], [300.0, 0.0, 250.0], [-100.0, -200.0, 300.0]])

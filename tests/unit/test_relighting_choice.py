@@ -13,7 +13,7 @@ from nishiki.model_selection.relighting import (
     joint_fit_counts,
     left_out_errors,
 )
-from nishiki.observations.parcels import Parcel
+from nishiki.observations.plane import Parcel
 from nishiki.stages.normals import NormalsSettings
 from nishiki.stages.normals.parcel import relit, solve
 

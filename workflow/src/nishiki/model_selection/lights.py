@@ -7,8 +7,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.model_selection.decision import Decision
-from nishiki.observations.parcels import sample
-from nishiki.observations.plane import Observations
+from nishiki.observations.plane import Observations, sample
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.photometric.light_selection import select_diffuse
 from nishiki.photometric.solve import NormalField, estimate_normals

@@ -25,7 +25,7 @@ from nishiki.errors import require
 from nishiki.evaluate.camera_colour import assumed_colour
 from nishiki.evaluate.relighting import difference_of
 from nishiki.model_selection.decision import Decision
-from nishiki.observations.parcels import Parcel
+from nishiki.observations.plane import Parcel
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.photometric.gloss import LARGEST_SIGMA
 

@@ -22,7 +22,8 @@ from nishiki.formats.stored import BandedGroup
 from nishiki.formats.text_tables import refusal
 from nishiki.observations.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code, to_luma
 from nishiki.observations.region import region_of
-from nishiki.observations.resampling import move_codes, region_behind, subtract_light
+from nishiki.observations.registration import move_codes, region_behind
+from nishiki.threads import strips
 
 AnyCapture = TypeVar("AnyCapture", Capture, TurntableCapture, GoniometerCapture)
 CAMERA_BITS = (10, 12, 14)
@@ -397,3 +398,29 @@ def write_small_arrays(
     for name, values in arrays.items():
         unknown = {"nan": "the white board cannot be used there: no sample counts"} if name == "gain" else None
         group.create_array(name, values.shape, values.shape, values.dtype, attributes=unknown)[...] = values
+
+
+FINE_CODES = 1 << 16  # steps of linear light in a table from light to 8-bit codes: 20 of the smallest sRGB step
+
+
+def subtract_light(codes: np.ndarray, light: np.ndarray, table: np.ndarray, saturated: np.number) -> np.ndarray:
+    """Subtract linear light (rows, columns, channels), a fraction of full scale, from codes of the same shape.
+
+    table: linear value by code, rising; two zeros for float codes. Saturated codes stay as they are. What would be
+    negative becomes code 0, which tells only that there was no more light than that.
+    """
+    if codes.dtype.kind == "f":
+        return np.where(codes >= saturated, codes, np.maximum(codes - light, 0)).astype(codes.dtype)
+    out, middles = np.empty_like(codes), (table[1:] + table[:-1]) / 2
+    coded = np.searchsorted(middles, np.linspace(0, table[-1], FINE_CODES)) if len(table) < FINE_CODES else None
+    straight = np.linspace(0, table[-1], len(table))  # much faster than a search
+    scale = np.float32(straight[1]) if np.allclose(table, straight, rtol=1e-6, atol=0) else np.float32(0)
+    for band in strips(len(codes)):
+        part = codes[band]
+        linear = np.clip(table[part] - light[band], 0, table[-1])
+        if coded is not None:
+            fresh = coded[np.rint(linear * ((FINE_CODES - 1) / table[-1])).astype(np.int64)]
+        else:
+            fresh = np.rint(linear / scale) if scale > 0 else np.searchsorted(middles, linear)
+        out[band] = np.where(part >= saturated, part, fresh.astype(codes.dtype))
+    return out

@@ -1,4 +1,4 @@
-"""Movement of the camera between the photographs of a plane, measured although the light changes.
+"""Movement of the camera between the photographs of a plane: measured although the light changes, and undone.
 
 Photograph j shows at x + d_j(x) what the first one shows at x, with
 
@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.capture.frames import LEAST_SHIFT
+from nishiki.formats.images import Region
 
 SIGMAS = 5.0  # times its standard error that a displacement must have
 LIGHT_BIAS = 0.06  # pixels of shift that a change of the lamp imitated on objects that did not move
@@ -328,3 +329,62 @@ def _peaks(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     across = column + vertex(planes[number, row + 1, column], planes[number, row + 1, column + 2])
     down = row + vertex(planes[number, row, column + 1], planes[number, row + 2, column + 1])
     return np.stack([across, down], axis=1) - side // 2, middle / spread
+
+
+MOST_CHANNELS = 4  # that OpenCV resamples at a time
+
+
+REACH = 4  # pixels, of the kernel of Lanczos
+
+
+def region_behind(matrix: np.ndarray, region: Region, rows: int, columns: int) -> Region:
+    """Find the part of a photograph of these rows and columns that a region needs once moved by matrix (2, 3)."""
+    row, column, height, width = region
+    corners = matrix[:, :2] @ np.array([[0, width, 0, width], [0, 0, height, height]]) + matrix[:, 2:]
+    reach = REACH + 1  # and of the mark around saturated pixels, which is interpolated
+    low = np.floor(corners.min(axis=1)).astype(int) - reach + (column, row)
+    high = np.ceil(corners.max(axis=1)).astype(int) + reach + (column, row)
+    left, top = np.clip(low, 0, (columns - 1, rows - 1))
+    right, bottom = np.clip(high, (left + 1, top + 1), (columns, rows))
+    return int(top), int(left), int(bottom - top), int(right - left)
+
+
+def move_codes(
+    codes: np.ndarray, matrix: np.ndarray, shape: Sequence[int], saturated: np.number, clip: np.number
+) -> np.ndarray:
+    """Resample codes (rows, columns, channels) to the place that they have in the first photograph, by Lanczos' kernel.
+
+    Parameters
+    ----------
+    codes : (rows, columns, channels) uint8, uint16 or float32
+    matrix : (2, 3) float64
+        Column and row in `codes` of a column and row of the result.
+    shape : sequence of int
+        Rows and columns of the result.
+    saturated, clip : numpy.number
+        Codes from which, and up to which, a sample is unusable.
+
+    Returns
+    -------
+    (*shape, channels) of the same type
+        A pixel is saturated in all channels where one within the reach of the kernel is so in any, and at `clip` in all
+        where the nearest one is, or none: what must not be used before may not be used after.
+    """
+    import cv2
+
+    size = (int(shape[1]), int(shape[0]))
+
+    def warp(picture: np.ndarray, method: int, border: int = cv2.BORDER_REPLICATE) -> np.ndarray:
+        flags = method | cv2.WARP_INVERSE_MAP
+        return cv2.warpAffine(picture, matrix, size, flags=flags, borderMode=border, borderValue=1)
+
+    hot = np.any(codes >= saturated, axis=2).astype(np.uint8)
+    cold = np.all(codes <= clip, axis=2).astype(np.uint8)
+    parts = [codes[:, :, k : k + MOST_CHANNELS] for k in range(0, codes.shape[2], MOST_CHANNELS)]
+    warped = (warp(np.ascontiguousarray(part), cv2.INTER_LANCZOS4) for part in parts)
+    moved = np.concatenate([part.reshape(*size[::-1], -1) for part in warped], axis=2)
+    if hot.any():
+        reach = warp(cv2.dilate(hot, np.ones((2 * REACH - 1,) * 2, np.uint8)) * np.uint8(255), cv2.INTER_LINEAR)
+        moved[reach > 0] = saturated
+    moved[warp(cold, cv2.INTER_NEAREST, cv2.BORDER_CONSTANT) > 0] = clip
+    return moved

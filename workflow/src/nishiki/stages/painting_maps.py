@@ -15,8 +15,7 @@ from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.colour.colour import white_xyz, xyz_matrix
 from nishiki.errors import UserError, require
 from nishiki.evaluate.camera_colour import CameraColour, display_map, displayed_colours
-from nishiki.observations.parcels import point_mm
-from nishiki.observations.plane import Observations
+from nishiki.observations.plane import Observations, point_mm
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.plane.scene import Gloss, Light
 from nishiki.render.plane.shade import PlaneMaps, predict_observations

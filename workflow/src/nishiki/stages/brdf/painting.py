@@ -23,8 +23,7 @@ from nishiki.brdf.scene import (
 )
 from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.model_selection.decision import Decision, decide_gloss, economy
-from nishiki.observations.parcels import parcels
-from nishiki.observations.plane import Observations
+from nishiki.observations.plane import Observations, parcels
 from nishiki.stages.brdf import PAINTING_OUTPUTS
 from nishiki.stages.painting_maps import PaintingMaps
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from nishiki.artifacts.maps import Maps
 from nishiki.model_selection.decision import Decision
-from nishiki.observations.parcels import STRIDE, Parcel, parcels, sample
-from nishiki.observations.plane import Observations
+from nishiki.observations.plane import STRIDE, Observations, Parcel, parcels, sample
 from nishiki.photometric.expected_error import LARGEST_SIGMA
 from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import unpack_lights

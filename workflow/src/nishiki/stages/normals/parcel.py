@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nishiki.brdf.torrance_sparrow import LAMBERT
-from nishiki.observations.parcels import Parcel
+from nishiki.observations.plane import Parcel
 from nishiki.photometric.body import body_intensity, diffuse_reflectance, mean_of_channels
 from nishiki.photometric.flags import FEW_LIGHTS, NO_ESTIMATE, NormalFlag
 from nishiki.photometric.relighting import fit_relighting

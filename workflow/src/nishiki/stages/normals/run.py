@@ -17,8 +17,7 @@ from nishiki.formats.images import read_codes, read_header
 from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.lights import choose_lights
 from nishiki.observations.linearise import Edges, field_rows
-from nishiki.observations.parcels import Parcel, parcels
-from nishiki.observations.plane import Observations
+from nishiki.observations.plane import Observations, Parcel, parcels
 from nishiki.photometric.body import mean_of_channels
 from nishiki.photometric.expected_error import UNKNOWN, correction_error, direction_groups
 from nishiki.photometric.flags import FEW_LIGHTS, NO_ESTIMATE, NormalFlag

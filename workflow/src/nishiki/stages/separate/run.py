@@ -6,8 +6,7 @@ from nishiki.artifacts.maps import MapWriter, TiledStage
 from nishiki.artifacts.stage import Context
 from nishiki.model_selection.decision import economy
 from nishiki.model_selection.lights import choose_lights
-from nishiki.observations.parcels import parcels
-from nishiki.observations.plane import Observations
+from nishiki.observations.plane import Observations, parcels
 from nishiki.photometric.light_selection import pack_lights, select_diffuse
 from nishiki.stages.separate import OUTPUTS
 
