@@ -21,6 +21,7 @@ from nishiki.capture.taking import full_scale_of, table_text
 from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_from_spectra, xyz_to_srgb_linear
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
+from nishiki.formats.coding import RGB
 from nishiki.formats.images import read_codes, read_header
 from nishiki.report.page import Block, Facts, Figure, Figures, Note, Section, Table
 from nishiki.report.pictures import encoded
@@ -85,7 +86,7 @@ def calibrate_target(given: TargetInput) -> Calibration:
     if coding.fault:
         raise UserError(f"{given.photograph.name}: {coding.fault}. Remedy: give --encoding linear or srgb")
     encoding = coding.encoding
-    codes = read_codes(given.photograph, ("red", "green", "blue"), header=header)
+    codes = read_codes(given.photograph, RGB, header=header)
     shares = codes / np.float32(full_scale_of(given.photograph))
     linear = coding.curve.decode(shares)
     display = srgb_encode(linear / (1.0 if encoding == "srgb" else max(float(np.percentile(shares, 99.5)), 1e-6)))
@@ -117,10 +118,10 @@ def calibrate_target(given: TargetInput) -> Calibration:
     lines, files = {}, {}
     if recovered is not None:
         numbers["sensitivities"] = {"residual": recovered.residual, "left_out": recovered.left_out}
-        lines["camera"] = {"channels": ["red", "green", "blue"], "sensitivities": "sensitivities.csv"}
+        lines["camera"] = {"channels": list(RGB), "sensitivities": "sensitivities.csv"}
         curves = zip(WAVELENGTHS_NM, recovered.curves.T, strict=True)
         rows = [[f"{nm:g}", *(f"{value:.5f}" for value in values)] for nm, values in curves]
-        files["sensitivities.csv"] = table_text([["wavelength_nm", "red", "green", "blue"], *rows])
+        files["sensitivities.csv"] = table_text([["wavelength_nm", *RGB], *rows])
     left_out = ", ".join(names[k] for k in np.flatnonzero(~patches.usable))
     warnings = [f"Saturated and left out: {left_out}. Photograph the target with less light."] if left_out else []
     if given.encoding is None:

@@ -33,7 +33,14 @@ from nishiki.capture.layouts import (
 )
 from nishiki.capture.mosaic import COLUMNS, NAME, TABLE, Field, is_capture, is_mosaic, read_fields, within
 from nishiki.capture.options import ConvertOptions, file_problems, folder_problems
-from nishiki.capture.photogrammetry import read_bundler, read_meshroom, read_metashape, read_transforms, transforms_file
+from nishiki.capture.photogrammetry import (
+    HEAD,
+    read_bundler,
+    read_meshroom,
+    read_metashape,
+    read_transforms,
+    transforms_file,
+)
 from nishiki.capture.registered import Pictures, Registration, colmap_folder, read_colmap
 from nishiki.capture.relightable import Rendering, read_relightable, recognise_relightable, write_rendered
 from nishiki.capture.rti_projects import find_rti_project
@@ -96,10 +103,6 @@ class FolderLayout:
     files: bool = False  # whether a source may be a file
 
 
-HEAD_BYTES = 1 << 16
-"""Of a file of cameras, in which it tells what it is."""
-
-
 def file_of_cameras(suffix: str, *marks: bytes, name: str = "", places: tuple[str, ...] = (".",)) -> Callable:
     """Make what finds the only file with a suffix and with these marks in its head; one of this name comes first."""
 
@@ -108,7 +111,7 @@ def file_of_cameras(suffix: str, *marks: bytes, name: str = "", places: tuple[st
             found = []
             for path in files_with(folder, (suffix,)):
                 with path.open("rb") as stream:
-                    head = stream.read(HEAD_BYTES)
+                    head = stream.read(HEAD)
                 found += [path] if all(mark in head for mark in marks) else []
             named = [path for path in found if path.name == name] or found
             remedy = f"Keep the one of these photographs{f', or call it {name}' if name else ''}"

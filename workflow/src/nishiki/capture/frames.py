@@ -93,6 +93,7 @@ def state_warnings(photographs: Sequence[Path], states: Sequence[str], source: s
     return [warning("states-unexplained", source, what, remedy="Check that the names are angles in degrees")]
 
 
+TABLE = "frames.csv"
 ROLES = ("sample", "check", "white", "dark", "flat", "ambient")
 LIT_ROLES = ("sample", "check", "white")
 EXPOSURE_COLUMNS = {"exposure_s": "seconds above 0", "f_number": "a number above 0", "iso": "a number above 0"}

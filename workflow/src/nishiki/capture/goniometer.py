@@ -9,8 +9,9 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from nishiki.artifacts.closed import Closed
-from nishiki.capture.frames import ANGLE_COLUMNS, Frame, Photographed, exposure_problems, inside
+from nishiki.capture.frames import ANGLE_COLUMNS, TABLE, Frame, Photographed, exposure_problems, inside
 from nishiki.capture.goniometer_tables import ReflectanceTable, in_radians, radians_problem, read_table
+from nishiki.capture.lights import SAME_DEG
 from nishiki.capture.options import Azimuths, Values
 from nishiki.capture.schema import Positive, Session
 from nishiki.formats.files import is_label
@@ -107,8 +108,6 @@ class GoniometerFile(Session):
         return given if isinstance(given, tuple) else (given,) * len(self.camera.channels)
 
 
-TABLE = "frames.csv"
-SAME_DEG = 0.1  # directions nearer than this are one
 NORMAL_DEG = 1.0
 STEEPEST_WHITE_DEG = 85.0
 FEWEST_NORMAL = 12  # views along the normal

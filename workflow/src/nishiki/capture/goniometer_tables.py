@@ -10,6 +10,7 @@ import numpy as np
 
 from nishiki.capture.frames import ANGLE_COLUMNS as ANGLES
 from nishiki.capture.frames import RADIAN_COLUMNS
+from nishiki.formats.coding import RGB
 from nishiki.formats.files import bound
 from nishiki.formats.merl import MERL_BYTES, UTIA_BYTES, merl_values, read_merl, read_utia
 from nishiki.formats.problems import MOST_LISTED, CaptureError, Problem, error, raise_errors, refuse, warning
@@ -34,7 +35,6 @@ QUANTITIES = {
 BRDF, UNSAID = "BRDF (1/sr)", "no quantity in the name"
 BINARY_BYTES = {".bin": UTIA_BYTES, ".binary": MERL_BYTES}
 """Length of tables without a heading, by suffix."""
-COLOURS = ("red", "green", "blue")
 MERL_LIGHTS = ((0.0, 0.0), *((15.0 * k, phi) for k in range(1, 6) for phi in (0.0, 45.0, 90.0)))
 MERL_VIEWS = ((0.0, 0.0), *((3.0 * k, 7.5 * step) for k in range(1, 27) for step in range(48)))
 """theta and phi in degrees at which tables of the MERL database are read: as densely as a cloth is photographed."""
@@ -218,7 +218,7 @@ def _utia(path: Path, name: str) -> ReflectanceTable:
     """Read a table of the UTIA database."""
     with reading(name, "table"):
         rows = read_utia(path, name)
-    table = _checked(rows, COLOURS, array("q", range(1, len(rows) + 1)), [], name)
+    table = _checked(rows, RGB, array("q", range(1, len(rows) + 1)), [], name)
     what = "the values of a UTIA table are taken to be in 1/sr"
     note = warning("table-scale", name, what, remedy="Check their scale: the file does not state it")
     return replace(table, warnings=(*table.warnings, note))
@@ -230,7 +230,7 @@ def _merl(path: Path, name: str) -> ReflectanceTable:
         stored = read_merl(path, name)
     angles = np.array([(*light, *view) for light in MERL_LIGHTS for view in MERL_VIEWS])
     values = merl_values(stored, *(unit(*np.radians(each).T) for each in (angles[:, :2], angles[:, 2:])))
-    table = _checked(np.column_stack([angles, values]), COLOURS, array("q", range(1, len(angles) + 1)), [], name)
+    table = _checked(np.column_stack([angles, values]), RGB, array("q", range(1, len(angles) + 1)), [], name)
     what = f"an isotropic table, read at {len(MERL_LIGHTS)} directions of light and {len(MERL_VIEWS)} of view"
     found = f"views up to {MERL_VIEWS[-1][0]:g} degrees; highlights narrower than the steps of 3 degrees are lost"
     return replace(table, warnings=(*table.warnings, warning("table-resampled", name, what, found=found)))

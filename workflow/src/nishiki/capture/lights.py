@@ -24,6 +24,7 @@ from nishiki.formats.problems import Problem, error, raise_errors, refuse, warni
 from nishiki.formats.text_tables import cells_of, expect_rows, label_problems, reading
 
 IMAGE_SUFFIX = re.compile(r"\.(png|tiff?|jpe?g|exr|bmp|dng|cr[23w]|nef|arw|raf|orf|rw2|pef|srw|tga)$", re.IGNORECASE)
+SAME_DEG = 0.1  # directions nearer than this are one
 COPLANAR_RATIO = 1e-3  # smallest / largest singular value of the direction matrix
 
 

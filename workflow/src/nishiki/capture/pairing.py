@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nishiki.capture.lights import Lights, lights_from_vectors
+from nishiki.capture.lights import SAME_DEG, Lights, lights_from_vectors
+from nishiki.formats.coding import RGB
 from nishiki.formats.files import same_name
 from nishiki.formats.images import read_header
 from nishiki.formats.problems import Problem, error, left_out, name_some, raise_errors, refuse, warning
@@ -108,7 +109,6 @@ COLOURS += "deepred farred nir ir infrared".split()
 """Names of bands, from short to long wavelengths."""
 LETTERS = {"b": "blue", "g": "green", "r": "red"}
 SHORTEST_NM, LONGEST_NM = 200, 2500
-SAME_DIRECTION = np.cos(np.radians(0.1))
 LEAST_SHARE = 0.5  # of the files of all lamps in all bands that must be there before any are called missing
 PREFIX = r"(?:(?<![a-z])(?:f|wl?|led|lambda|filter|band)[ _-]?)?"
 PATTERNS = (
@@ -154,7 +154,7 @@ def sort_bands(folder: Path, pictures: Callable[[Path], list[Path]]) -> list[Ban
         places = {band: COLOURS.index(band) if band in COLOURS else 0 for band in named_bands}
         # wavelengths and filters by their number, then colours from short to long wavelengths
         channels = sorted(named_bands, key=lambda b: (0, int(n[0]), b) if (n := numbers[b]) else (1, places[b], b))
-        if set(channels) == {"red", "green", "blue"}:
+        if set(channels) == set(RGB):
             channels.reverse()
         if len(channels) > 1:
             readings.append(BandFiles(tuple(channels), files))
@@ -263,7 +263,7 @@ def _match_lamps(sorted_files: BandFiles, lights: Lights, kind: str) -> tuple[Li
         return None
     first = {lamp: known.index(lamp) for lamp in known}
     same = [lights.directions[i] @ lights.directions[first[lamp]] for i, lamp in enumerate(known)]
-    if min(same) < SAME_DIRECTION or len(first) < 2:
+    if min(same) < np.cos(np.radians(SAME_DEG)) or len(first) < 2:
         return None
     vectors = lights.vectors[list(first.values())]
     return lights_from_vectors(list(first), vectors, file="lights", kind=kind, frontal=False), list(first)

@@ -16,7 +16,8 @@ from nishiki.capture.layouts import photographs_in, state_lights
 from nishiki.capture.lights import Lights, lights_from_vectors
 from nishiki.capture.options import NO_PHOTOGRAPHS, ConvertOptions, file_problems
 from nishiki.capture.schema import FORMAT
-from nishiki.capture.taking import COLOUR, take, take_mask
+from nishiki.capture.taking import take, take_mask
+from nishiki.formats.coding import RGB
 from nishiki.formats.files import Refused, expect_memory, files_with
 from nishiki.formats.legacy_rti import HshFile, PtmFile, open_hsh, open_ptm
 from nishiki.formats.problems import CaptureError, Problem, expect_one, raise_errors, warning
@@ -139,7 +140,7 @@ def write_rendered(folder: Path, layout: Rendering, source: Path, options: Conve
         "title": options.title or (file.name if file.is_dir() else file.stem),
         "notes": f"These pictures are no photographs. They were {about}; {LOST_BY_FIT}.",
         "geometry": "plane",
-        "camera": {"channels": list(COLOUR), "encoding": options.encoding or "srgb"},
+        "camera": {"channels": list(RGB), "encoding": options.encoding or "srgb"},
         "lights": {"file": "lights.lp", "kind": "direction"},
         "rendered_from": rendered_from,
     }

@@ -9,6 +9,7 @@ import yaml
 from pydantic import Field, ValidationError, field_validator
 
 from nishiki.artifacts.closed import Closed, Fault, faults
+from nishiki.formats.coding import RGB
 from nishiki.formats.files import Refused, is_plain, read_text
 from nishiki.formats.problems import CaptureError, Problem, error, refuse
 from nishiki.formats.text_tables import SafeLoader, load_plain, refusal
@@ -35,7 +36,7 @@ Count = Annotated[int, Field(strict=True, ge=0)]
 class CameraResponse(Closed):
     """How a stored code becomes light."""
 
-    channels: tuple[str, ...] = Field(("red", "green", "blue"), min_length=1, max_length=64)
+    channels: tuple[str, ...] = Field(RGB, min_length=1, max_length=64)
     encoding: Literal["file", "linear", "srgb"] = "file"
     bits: Annotated[int, Field(strict=True, ge=1, le=16)] | None = None
     saturation: Annotated[float, Field(gt=0, le=1)] | None = None

@@ -13,14 +13,12 @@ import numpy as np
 import yaml
 
 from nishiki.capture.frames import EXPOSURE_COLUMNS, LIT_ROLES
-from nishiki.formats.coding import coding_used
+from nishiki.formats.coding import LUMA_WEIGHTS, RGB, coding_used
 from nishiki.formats.images import read_codes, read_exif, read_header
 from nishiki.formats.masks import examine_mask
 from nishiki.formats.picture_files import Exif, ImageHeader, several_layers
 from nishiki.formats.problems import CaptureError, Problem, refuse, warning
 
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)
-COLOUR = ("red", "green", "blue")
 SATURATED = 0.98  # of full scale, from which pixels count as saturated before a capture states more
 SAME_EXPOSURE = 0.01  # cameras that measure the exposure time write it with such differences
 FOLDERS = ("frames", "white", "dark", "ambient", "silhouettes")
@@ -33,9 +31,9 @@ def channel_names(header: ImageHeader) -> tuple[str, ...]:
         remedy = "Write an EXR of one layer, or list the channels of one under camera.channels of a capture.yaml"
         refuse("layers-several", "photographs", what, found=found, remedy=remedy)
     if header.names:
-        return COLOUR if header.names == ("R", "G", "B") else header.names
+        return RGB if header.names == ("R", "G", "B") else header.names
     count = header.channels - header.alpha
-    known = {1: ("grey",), 3: COLOUR}
+    known = {1: ("grey",), 3: RGB}
     return known.get(count, tuple(f"channel{i + 1}" for i in range(count)))
 
 
@@ -177,7 +175,7 @@ def read_channels(path: Path) -> np.ndarray:
 def read_grey(path: Path) -> np.ndarray:
     """Codes (rows, columns) float32: luma of colour, else the mean of the channels."""
     codes = read_channels(path)
-    return codes @ LUMA if codes.shape[2] == 3 else codes.mean(axis=2)
+    return codes @ np.float32(LUMA_WEIGHTS) if codes.shape[2] == 3 else codes.mean(axis=2)
 
 
 def full_scale_of(path: Path) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from nishiki.artifacts.closed import Closed
-from nishiki.capture.frames import Frame, Photographed, exposure_problems, inside, lamp_problems, state_problems
+from nishiki.capture.frames import TABLE, Frame, Photographed, exposure_problems, inside, lamp_problems, state_problems
 from nishiki.capture.lights import Lights, read_lights
 from nishiki.capture.schema import Positive, Session
 from nishiki.capture.tables import (
@@ -150,9 +150,6 @@ class TurntableFile(Session):
         if self.lights and self.lights.kind == "position_mm" and self.turntable.unit == "arbitrary":
             raise ValueError("lights of kind position_mm need turntable.unit to be mm, cm or m")
         return self
-
-
-TABLE = "frames.csv"
 
 
 def turntable_problems(

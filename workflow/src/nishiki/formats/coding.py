@@ -12,6 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+RGB = ("red", "green", "blue")
+LUMA_WEIGHTS = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, the weights of a JPEG's luma plane
 D50 = (0.9642, 1.0, 0.8249)
 """White of the profile connection space, ICC.1:2022, 6.3.4.3."""
 

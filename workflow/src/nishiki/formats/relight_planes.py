@@ -21,11 +21,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from nishiki.formats.coding import RGB
 from nishiki.formats.files import Refused, expect_bound, expect_memory, leads_out, open_regular, read_bytes, read_text
 from nishiki.formats.images import read_codes
 from nishiki.formats.legacy_rti import HshFile, PtmFile, decode_stream
 
-CHANNELS = ("red", "green", "blue")
 ALL_PLANES = "planes.tzi"
 LEAST_TILE = 16  # pixels
 MOST_LEVELS = 24  # of halvings
@@ -140,7 +140,7 @@ def _read_joined_tiles(folder: Path, name: str, number: int, out: np.ndarray) ->
 def _fill(folder: Path, name: str, out: np.ndarray, margin: tuple[int, int] | None = None) -> None:
     """Copy a picture into a window. margin : rows and columns before those of a tile; it may have more after them."""
     about = f"{folder.name}/{name}"
-    copy_plane(read_codes(within(folder, name), CHANNELS, name=about), out, margin, about)
+    copy_plane(read_codes(within(folder, name), RGB, name=about), out, margin, about)
 
 
 def copy_plane(codes: np.ndarray, out: np.ndarray, margin: tuple[int, int] | None, about: str) -> None:
@@ -207,7 +207,7 @@ def open_web_rti(folder: Path) -> PtmFile | HshFile:
     for node, top, left in places:
         for layer in range(layers):
             part = f"{node}_{layer + 1}.{suffix}"
-            stored = read_codes(within(folder, part), CHANNELS, name=f"{folder.name}/{part}")
+            stored = read_codes(within(folder, part), RGB, name=f"{folder.name}/{part}")
             margin = max(stored.shape[0] - tile, 0) // 2
             window = codes[max(top, 0) : max(top + tile, 0), max(left, 0) : max(left + tile, 0)]
             before = (margin + max(-top, 0), margin + max(-left, 0))

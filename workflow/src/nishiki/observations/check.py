@@ -13,6 +13,7 @@ import numpy as np
 from nishiki.capture.folder import MIRROR_BALLS, Capture, examine
 from nishiki.capture.frames import LIT_ROLES, Frame
 from nishiki.capture.goniometer import GoniometerCapture
+from nishiki.capture.lights import SAME_DEG
 from nishiki.capture.mosaic import MosaicCapture, within
 from nishiki.capture.seal import payload_files, verify_seal
 from nishiki.capture.taking import compare_exposures
@@ -31,8 +32,6 @@ from nishiki.observations.polariser_check import silhouette_problems, turntable_
 from nishiki.observations.reference import DarkField, board_field, measure_darks
 from nishiki.observations.region import AnyCapture, object_mask, region_numbers, region_of
 from nishiki.photometric.lambert_fit import FEWEST_LAMPS
-
-SAME_DIRECTION = np.cos(np.radians(0.1))
 
 
 def check_capture(
@@ -108,7 +107,7 @@ def _unlisted(capture: AnyCapture) -> list[Problem]:
 def _same_directions(capture: Capture) -> list[Problem]:
     directions = capture.lights.directions
     cosines = np.triu(directions @ directions.T, 1)
-    pairs = np.argwhere(cosines > SAME_DIRECTION)
+    pairs = np.argwhere(cosines > np.cos(np.radians(SAME_DEG)))
     names = capture.lights.names
     what = "lights {} and {} have the same direction"
     file = capture.settings.lights.file

@@ -14,13 +14,13 @@ from nishiki.capture.frames import Band, Frame, inside
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import expect_sealed, sealed_digests, sha256_of
 from nishiki.capture.turntable import TurntableCapture
-from nishiki.formats.coding import Coding
+from nishiki.formats.coding import LUMA_WEIGHTS, Coding
 from nishiki.formats.files import Refused
 from nishiki.formats.images import Region, read_codes, read_header
 from nishiki.formats.problems import CaptureError, Problem, error, group_problems, refuse, warning
 from nishiki.formats.stored import BandedGroup
 from nishiki.formats.text_tables import refusal
-from nishiki.observations.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code, to_luma
+from nishiki.observations.linearise import code_table, full_scale, saturation_code, to_luma
 from nishiki.observations.region import region_of
 from nishiki.observations.registration import move_codes, region_behind
 from nishiki.threads import strips

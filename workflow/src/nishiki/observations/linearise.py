@@ -10,7 +10,6 @@ from nishiki.formats.coding import Curve
 from nishiki.threads import strips
 
 DEFAULT_SATURATION = 0.995  # of full scale
-LUMA_WEIGHTS = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, the weights of a JPEG's luma plane
 
 
 def full_scale(dtype: np.dtype, bits: int | None) -> float:

@@ -11,6 +11,7 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.turntable import UNITS_MM, TurntableCapture, estimates_cameras
 from nishiki.colour.colour import encode
 from nishiki.errors import require
+from nishiki.formats.coding import LUMA_WEIGHTS
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
 from nishiki.formats.problems import Problem, refuse
 from nishiki.formats.stored import BandedGroup
@@ -26,7 +27,7 @@ from nishiki.observations.frames import (
     write_small_arrays,
 )
 from nishiki.observations.kernels import ANY_CODE, decode_codes
-from nishiki.observations.linearise import LUMA_WEIGHTS, Edges, count_unusable, picture_edges
+from nishiki.observations.linearise import Edges, count_unusable, picture_edges
 from nishiki.observations.reference import DarkField, board_fields, measure_darks
 from nishiki.observations.region import chosen
 from nishiki.observations.views import FORMAT, STORE
