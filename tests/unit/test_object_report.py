@@ -196,7 +196,7 @@ def inputs(tmp_path_factory):
         artifact(root, MeshSettings(), mesh_of),
         artifact(root, PolariseSettings(), polarise_of),
         artifact(root, TexelsSettings(hold_out=("003",)), texels_of),
-        artifact(root, ObjectBrdfSettings(width="texel"), reflection_of),
+        artifact(root, ObjectBrdfSettings(), reflection_of),
         artifact(root, ResidualSettings(), residual_of),
         artifact(root, ObjectRenderSettings(), render_of),
         artifact(root, ObjectEvaluateSettings(), evaluation_of),
